@@ -9,16 +9,18 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
-from companion.io.links.transports import UdpConnect, parse_transport
+from companion.io.links.transports import Transport, UdpConnect, parse_transport
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Address, Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
+from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.console import ComplaintParser, LinePrinter, is_interrupt
 from sim_link.fleet.scenario_io import load_scenario
@@ -29,6 +31,7 @@ from sim_link.fleet.vehicles import (
     has_signing_ended,
     link_specs,
     make_vehicles,
+    udp_ports,
 )
 
 DEFAULT_LISTEN = "127.0.0.1:14580"
@@ -118,8 +121,11 @@ def _add_links(add: Callable[..., object]) -> None:
     listen = f"bind this UDP address (default {DEFAULT_LISTEN})"
     add("--listen", metavar="HOST:PORT", default=DEFAULT_LISTEN, help=listen)
     link = "one more link, with streams of its own: udpin:HOST:PORT, tcpin:HOST:PORT (several "
-    link += "clients), serial:/dev/...:BAUD or pty:PATH; repeatable"
+    link += "clients), serial:/dev/...:BAUD or pty:PATH; #station or #narrow behind it gives it "
+    link += "the rates that PX4 has there; repeatable"
     add("--link", metavar="URL", action="append", default=[], help=link)
+    share = "let up to 16 clients share a UDP port of PX4, which by itself answers only the first"
+    add("--share-ports", action="store_true", help=share)
 
 
 def _add_files(add: Callable[..., object]) -> None:
@@ -187,7 +193,8 @@ def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
         speed=speed,
         listen=_address("--listen", arguments.listen),
         send_to=tuple(_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO),
-        links=tuple(parse_transport(text) for text in arguments.link),
+        links=tuple(map(_link, arguments.link)),
+        shares_ports=arguments.share_ports,
         parameters=arguments.parameters,
         signing_key=arguments.signing_key,
         report=report,
@@ -241,15 +248,25 @@ def _address(option: str, text: str) -> Address:
     return (target.host, target.port)
 
 
+def _link(text: str) -> tuple[Transport, LinkMode | None]:
+    """A link and, behind `#`, whom it is for."""
+    url, mark, name = text.partition("#")
+    modes: dict[str, LinkMode] = {mode: mode for mode in get_args(LinkMode)}
+    if mark and name not in modes:
+        raise ConfigError(f"--link {text}: after # give one of {', '.join(modes)}")
+    return parse_transport(url), modes.get(name)
+
+
 def _start_line(options: FleetOptions) -> str:
     scenario, listen = options.scenario, options.listen
     targets = ", ".join(f"{host}:{port}" for host, port in options.send_to)
+    ports = " and ".join(str(port) for _, port, _ in udp_ports(options))
     count = f"{scenario.vehicles} vehicles, " if scenario.vehicles > 1 else ""
-    also = "".join(f", {url}" for url in options.links)
+    also = "".join(f", {url}" for url, _ in options.links)
     return (
         f"sim-link: {count}{scenario.autopilot.flavour}, scenario {scenario.name}, "
         f"seed {options.seed}, speed {options.speed:g}x; "
-        f"sending to {targets}; listening on {listen[0]}:{listen[1]}{also}"
+        f"sending to {targets}; listening on {listen[0]}:{ports}{also}"
     )
 
 

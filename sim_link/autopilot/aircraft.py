@@ -194,6 +194,8 @@ class Aircraft:
         """Launch-and-return point."""
         self.is_home_given = False
         """Whether a station set it: then arming leaves it alone."""
+        self.home_set_s = STEP_S
+        """When home was set, since boot."""
         self.home_changes = 1
         """Counts up whenever home moves."""
         self.origin_changes = 1
@@ -255,6 +257,7 @@ class Aircraft:
         """Move home; `is_given` where a station says so."""
         self.home_enu_m = self.pilot.home_enu_m = place_enu_m
         self.is_home_given = is_given
+        self.home_set_s = self.time_s
         self.home_changes += 1
 
     def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> None:

@@ -82,13 +82,13 @@ class SetpointMonitor:
         return self.arrived_s is not None and now_s - self.arrived_s < timeout_s
 
 
-def has_finite_fields(message: PositionTarget, position: tuple[float, float, float]) -> bool:
-    """Whether every field that is not masked is a finite number."""
+def bits_of_no_numbers(message: PositionTarget, position: tuple[float, float, float]) -> int:
+    """The POSITION_TARGET_TYPEMASK bits of the fields that are NaN or infinite."""
     velocity = (message.vx, message.vy, message.vz)
     acceleration = (message.afx, message.afy, message.afz)
     values = (*position, *velocity, *acceleration, message.yaw, message.yaw_rate)
     fields = zip(FIELD_BITS, values, strict=True)
-    return all(message.type_mask & bit or math.isfinite(value) for bit, value in fields)
+    return sum(bit for bit, value in fields if not math.isfinite(value))
 
 
 def enu_of(x: float, y: float, z: float, heading_rad: float | None) -> tuple[float, float, float]:

@@ -7,21 +7,24 @@ stale telemetry, and the vehicle has not moved meanwhile. On invented time this 
 moves until the caller says what time it is.
 
 Every link has its own streams and sequence numbers, and so has every peer of a shared link that
-asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`): PX4 has one peer per port,
-so no client of it ever gets the rates of another. What others send to each other is forwarded, on
-one link and between links, so that a ground station hears the companion and reaches it. Vehicle
-and payload are two components with a sequence number each, as if each had its own radio.
+asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`). A link with one peer, as a
+port of PX4 is, answers whoever sent first for good; others are heard. What others send to each
+other is forwarded, on one link and between links, so that a ground station hears the companion and
+reaches it. Vehicle and payload are two components with a sequence number each, as if each had its
+own radio.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from companion.mav.dialect import Message, mavlink
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Address, Chunk
 from companion.mav.framing import MAGIC_V1
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.aircraft import Occurrence
@@ -32,7 +35,7 @@ from sim_link.autopilot.incidents import (
     WindChange,
 )
 from sim_link.autopilot.pilot import STEP_S
-from sim_link.autopilot.protocols.addressing import Channel, Outgoing
+from sim_link.autopilot.protocols.addressing import Channel, LinkSetup, Outgoing
 from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
@@ -69,7 +72,7 @@ class SimEndpoint:
         scenario: Scenario,
         seed: int,
         started_s: float = 0.0,
-        links: int = 1,
+        links: int | Sequence[LinkSetup] = 1,
         *,
         parameters: str = "",
         parameters_name: str = "stored parameters",
@@ -77,13 +80,16 @@ class SimEndpoint:
     ) -> None:
         self._scenario = scenario
         self._seeds = np.random.SeedSequence(seed)
-        self._link_count = links
+        if isinstance(links, int):
+            links = [LinkSetup(scenario.autopilot.link_mode)] * links
+        self._links = tuple(links)
+        self._sole_peers: dict[int, Address] = {}
         self._unix_minus_local_s = security.started_unix_s - started_s
         self.is_finished = False
         """Whether a stop was requested."""
         self._output: list[Chunk] = []
         components = (mavlink.MAV_COMP_ID_AUTOPILOT1, radio_payload.COMPONENT_ID)
-        self.links = LinkLayer(scenario.system_id, components, links, security)
+        self.links = LinkLayer(scenario.system_id, components, len(links), security)
         self.recorder = FlightRecorder()
         self._began_s = started_s
         self._schedule = IncidentSchedule(scenario.incidents)
@@ -101,7 +107,7 @@ class SimEndpoint:
         self._next_step = 0
         self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed), body)
         self.vehicle.flavour.parameters.load_text(parameters, name)
-        self._services = Services(self.vehicle, self._link_count)
+        self._services = Services(self.vehicle, self._links, self.links.router.knows)
         self.links.keep_apart(self._services.requests.channels)
         self._payload = radio_payload.RadioPayload(
             scenario.payload,
@@ -118,6 +124,9 @@ class SimEndpoint:
         if now_s < self._stalled_until_s:
             self._unread.append(chunk)
             return
+        if self._links[chunk.link].has_one_peer and chunk.peer is not None:
+            self._sole_peers.setdefault(chunk.link, chunk.peer)
+            chunk = replace(chunk, peer=None)
         if not chunk.data and not chunk.is_datagram:
             self._forget(Channel(chunk.link, chunk.peer))
             return
@@ -186,7 +195,9 @@ class SimEndpoint:
     def take_output(self) -> list[Chunk]:
         """The frames to send, in order; taken once."""
         output, self._output = self._output, []
-        return output
+        if not self._sole_peers:
+            return output
+        return [replace(each, peer=self._sole_peers.get(each.link, each.peer)) for each in output]
 
     def take_occurrences(self) -> list[Occurrence]:
         """Mode changes and other events since the last call."""

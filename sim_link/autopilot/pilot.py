@@ -120,9 +120,13 @@ class Pilot:
     def command(
         self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: PointMass
     ) -> PositionEnu:
-        """The velocity that the task wants now, local east-north-up."""
+        """The velocity that the task wants now, local east-north-up.
+
+        None, where a parameter that is no number makes nonsense of it.
+        """
         self._leg, self.goal_enu_m = leg, None
-        self.wanted_enu_mps = self._command(setpoint, leg, sticks, body)
+        wanted = self._command(setpoint, leg, sticks, body)
+        self.wanted_enu_mps = wanted if all(map(math.isfinite, wanted)) else (0.0, 0.0, 0.0)
         return self.wanted_enu_mps
 
     def _command(

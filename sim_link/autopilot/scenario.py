@@ -13,6 +13,7 @@ from companion.domain import Autopilot, NonNegative, Params, Positive
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
 from sim_link.autopilot.incidents import Incident
+from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.world.environment import (
     ChannelParams,
     Coordinate,
@@ -57,7 +58,7 @@ class AutopilotParams(Params, frozen=True):
     """Seconds after boot until it can be armed."""
     offboard_loss_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 1.0
     """Age of the last valid setpoint that ends OFFBOARD (PX4 COM_OF_LOSS_T)."""
-    offboard_loss_action: LossAction = "hold"
+    offboard_loss_action: LossAction = "position"
     """What happens then (PX4 COM_OBL_RC_ACT)."""
     takeoff_altitude_m: FlightAltitude = 2.5
     """Above home, when the takeoff command names none (PX4 MIS_TAKEOFF_ALT)."""
@@ -69,6 +70,11 @@ class AutopilotParams(Params, frozen=True):
     """What PX4 sends unasked: its onboard link's streams, or HEARTBEAT (a link in mode Custom)."""
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
     """Defaults of the autopilot's parameters that differ from its own, by name."""
+
+    @property
+    def link_mode(self) -> LinkMode:
+        """Of links of which nothing else is said."""
+        return "asked" if self.streams == "asked" else "onboard"
 
 
 class BatteryParams(Params, frozen=True):

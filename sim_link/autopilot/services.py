@@ -14,7 +14,7 @@ common, LOG_REQUEST_LIST and MAV_CMD_PREFLIGHT_CALIBRATION.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -32,13 +32,15 @@ from sim_link.autopilot.flavours.base import ACCEPTED, DENIED, TEMPORARILY_REJEC
 from sim_link.autopilot.protocols.addressing import (
     Addressing,
     Channel,
+    LinkSetup,
     Outgoing,
     Partner,
     StatusTexts,
     partner_of,
 )
-from sim_link.autopilot.protocols.clock_protocols import ClockRequests, Clocks
+from sim_link.autopilot.protocols.clock_protocols import Clocks
 from sim_link.autopilot.protocols.command_protocol import (
+    UNANSWERED,
     UNKNOWN_PROGRESS,
     Cancel,
     Command,
@@ -99,17 +101,18 @@ CALIBRATION_REPORT_S = 0.5
 class Calibration:
     """At most one at a time."""
 
-    def __init__(self, commands: Commands) -> None:
+    def __init__(self, commands: Commands, empty: CommandResult) -> None:
         self._commands = commands
+        self._empty = empty
         self._started_s = 0.0
         self._report_s = 0.0
 
     def begin(self, command: Command, now_s: float, *, is_armed: bool) -> CommandResult:
-        """Start it; refused while armed, and if it names no sensor."""
+        """Start it; refused while armed."""
         if is_armed:
             return CommandResult.TEMPORARILY_REJECTED
         if not any(value > 0.0 for value in command.params):
-            return CommandResult.DENIED
+            return self._empty
         self._started_s = now_s
         self._report_s = now_s + CALIBRATION_REPORT_S
         return CommandResult.IN_PROGRESS
@@ -133,13 +136,16 @@ COMMANDS = (
     MAVLink_command_cancel_message,
 )
 Handler = Callable[[Any, Partner, float], Message | None]
+IsKnown = Callable[[int, int], bool]
+"""Whether a system and component were heard, so that what is for them is passed on."""
 
 
 class Services:
     """Answers for one vehicle."""
 
-    def __init__(self, vehicle: SimVehicle, links: int) -> None:
+    def __init__(self, vehicle: SimVehicle, links: Sequence[LinkSetup], is_known: IsKnown) -> None:
         self._vehicle = vehicle
+        self._is_known = is_known
         flavour = vehicle.flavour
         firmware = self._firmware = flavour.firmware
         self._texts = StatusTexts()
@@ -153,18 +159,17 @@ class Services:
         fly_to = self._fly_to if has_home_item else None
         self._plans = Plans(self._store, firmware.plans, self._texts, fly_to)
         self._commands = Commands(firmware.commands)
-        self._calibration = Calibration(self._commands)
+        self._calibration = Calibration(self._commands, firmware.empty_calibration)
         self._build = partial(build_message, vehicle)
         self.requests = MessageRequests(
-            firmware.streams, firmware.requests, self._build, self._texts
+            firmware.streams, firmware.requests, self._build, self._texts, links
         )
         """Keeps the streams."""
-        for link in range(links):
+        for link in range(len(links)):
             self.requests.open(Channel(link), 0.0)
         self._announcer = MissionAnnouncer()
         self._announcer.changed(mission_progress(vehicle))
         self._seen = (0, 0, flavour.changes)
-        self._clock_requests = ClockRequests(firmware.timesync_period_s, firmware.ping_period_s)
         self.wants_reboot = False
         """Whether a client asked for one."""
         self._handlers = self._handlers_by_type()
@@ -192,9 +197,11 @@ class Services:
 
     def handle(self, message: Message, channel: Channel, now_s: float) -> list[Outgoing]:
         """Answer a message that arrived at `now_s` seconds since boot."""
+        partner = partner_of(message, channel)
+        if self._firmware.rejects_for_others and self._is_for_nobody(message):
+            return [self._commands.reject(message, partner)]
         if not self.addressing.is_for_us(message):
             return []
-        partner = partner_of(message, channel)
         handler = self._handlers.get(type(message))
         if handler is not None:
             answer = handler(message, partner, now_s)
@@ -207,12 +214,18 @@ class Services:
         self._take_plan_events()
         return outgoing + reject_unsupported_service(message, partner) + self.announcements()
 
+    def _is_for_nobody(self, message: Message) -> bool:
+        """Whether it is a command that neither we nor anybody who was heard is named by."""
+        if not isinstance(message, COMMANDS[:2]):
+            return False
+        target = (message.target_system, message.target_component)
+        is_ours = target[0] == self._vehicle.system_id and self.addressing.is_for_us(message)
+        return not is_ours and not self._is_known(*target)
+
     def step(self, now_s: float) -> list[Outgoing]:
         """What is due by itself at a physics step."""
         outgoing = self._parameters.handle_timer(now_s) + self._plans.handle_timer(now_s)
         outgoing += self._calibration.step(now_s)
-        shown_s = self._vehicle.clock.read_s(now_s)
-        outgoing += [Outgoing(each) for each in self._clock_requests.take_due(now_s, shown_s)]
         return outgoing + self.announcements()
 
     def announcements(self) -> list[Outgoing]:
@@ -258,6 +271,8 @@ class Services:
         answer = self.requests.handle_command(command, now_s)
         result, replies = (self._command(command, now_s), []) if answer is None else answer
         progress = 0 if result == CommandResult.IN_PROGRESS else UNKNOWN_PROGRESS
+        if result == UNANSWERED:
+            return outgoing
         acknowledgement = self._commands.answer(command, result, now_s, progress=progress)
         return [*outgoing, *replies, acknowledgement]
 

@@ -22,6 +22,7 @@ from sim_link.autopilot.motion_messages import (
     to_e7,
 )
 from sim_link.autopilot.protocols.addressing import flags_of
+from sim_link.autopilot.protocols.clock_protocols import NS_PER_S
 from sim_link.autopilot.protocols.plan_items import MissionProgress
 from sim_link.autopilot.vehicle import SimVehicle
 
@@ -82,6 +83,16 @@ def system_time(vehicle: SimVehicle) -> Fields:
     return (0, boot_ms(vehicle))
 
 
+def timesync(vehicle: SimVehicle) -> Fields:
+    """A request of its own."""
+    return (0, max(1, round(NS_PER_S * vehicle.stamp_s)))
+
+
+def ping(vehicle: SimVehicle) -> Fields:
+    """A request to everybody, numbered by its second."""
+    return (boot_us(vehicle), int(vehicle.time_s), 0, 0)
+
+
 def extended_sys_state(vehicle: SimVehicle) -> Fields:
     """Whether it has landed."""
     return (mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.flavour.landed_state.value)
@@ -110,7 +121,8 @@ def home_position(vehicle: SimVehicle) -> Fields | None:
         return None
     local = ned_from_enu(vehicle.estimator.local_from_world(vehicle.home_enu_m))
     orientation = list(vehicle.flavour.firmware.home_orientation)
-    return (*vehicle.home_e7, *local, orientation, 0.0, 0.0, 0.0, boot_us(vehicle))
+    home_us = round(1e6 * vehicle.clock.read_s(vehicle.aircraft.home_set_s))
+    return (*vehicle.home_e7, *local, orientation, 0.0, 0.0, 0.0, home_us)
 
 
 def gps_global_origin(vehicle: SimVehicle) -> Fields | None:
@@ -174,7 +186,15 @@ Builder = Callable[[SimVehicle], Fields | None]
 
 _BUILDERS: tuple[Builder, ...] = (
     *(heartbeat, sys_status, system_time, extended_sys_state, battery_status, home_position),
-    *(gps_global_origin, autopilot_version, mission_current, estimator_status, rc_channels),
+    *(
+        timesync,
+        ping,
+        gps_global_origin,
+        autopilot_version,
+        mission_current,
+        estimator_status,
+        rc_channels,
+    ),
     *(motion.local_position_ned, motion.attitude, motion.attitude_quaternion, motion.odometry),
     *(motion.global_position_int, motion.altitude, motion.vfr_hud, motion.nav_controller_output),
     *(motion.position_target_local_ned, motion.position_target_global_int),

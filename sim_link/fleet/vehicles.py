@@ -21,6 +21,7 @@ from companion.io.state.signing_keys import load_signing_key, store_signing_key
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import KEY_LENGTH, Signing
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.protocols.addressing import LinkMode, LinkSetup
 from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.scenario_io import end_report, start_report
@@ -72,9 +73,10 @@ class Fleet:
 
 STATION_PORT = 14550
 """UDP port of ground stations, the same for every vehicle."""
+STATION_LISTEN_OFFSET = 3990
+"""PX4 sends to stations from 18570, to companions from 14580."""
 MAX_PORT = 65_535
 MAX_SYSTEM_ID = 255
-UDP_LINK = 0
 SAVE_PERIOD_S = 1.0
 NO_KEY = 2 * KEY_LENGTH * "0"
 """SETUP_SIGNING's way to say that there is no signing."""
@@ -89,8 +91,10 @@ class FleetOptions:
     speed: float
     listen: Address
     send_to: tuple[Address, ...]
-    links: tuple[Transport, ...] = ()
-    """Beside the UDP link; only for one vehicle if they are lines."""
+    links: tuple[tuple[Transport, LinkMode | None], ...] = ()
+    """Beside the UDP links, and whom they are for; only for one vehicle if they are lines."""
+    shares_ports: bool = False
+    """Several clients may share a UDP port of PX4."""
     parameters: Path | None = None
     signing_key: Path | None = None
     report: Path | None = None
@@ -102,15 +106,24 @@ def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
         raise ConfigError(f"{scenario.vehicles} vehicles: system ids would go beyond 255")
-    lines = frozenset(n for n, link in enumerate(options.links, 1) if isinstance(link, Line))
-    loopback = frozenset({UDP_LINK} if options.listen[0] == "127.0.0.1" else ())
+    ports, own = udp_ports(options), scenario.autopilot.link_mode
+    setups = [
+        LinkSetup(mode or own, is_px4(options) and not options.shares_ports) for mode, *_ in ports
+    ]
+    setups += [LinkSetup(mode or own) for _, mode in options.links]
+    lines = frozenset(
+        number
+        for number, (link, _) in enumerate(options.links, len(ports))
+        if isinstance(link, Line)
+    )
+    loopback = frozenset(range(len(ports)) if options.listen[0] == "127.0.0.1" else ())
     endpoints = []
     for number in range(scenario.vehicles):
         path = numbered_path(options.parameters, number)
         endpoint = SimEndpoint(
             msgspec.structs.replace(scenario, system_id=scenario.system_id + number),
             options.seed + number,
-            links=1 + len(options.links),
+            links=setups,
             parameters=stored_parameters(path),
             parameters_name=str(path),
             security=LinkSecurity(_signing(options.signing_key), lines, loopback, time.time()),
@@ -131,15 +144,36 @@ def has_signing_ended(path: Path) -> bool:
         return False  # whoever loads the key says what is wrong
 
 
+def is_px4(options: FleetOptions) -> bool:
+    """Whether PX4 is simulated."""
+    return options.scenario.autopilot.flavour == "px4"
+
+
+def udp_ports(options: FleetOptions) -> list[tuple[LinkMode | None, int, tuple[Address, ...]]]:
+    """The UDP links of the first vehicle: whom for, the port that is bound, where it sends unasked.
+
+    PX4 has one for companions and one for ground stations, where it is to send to both.
+    """
+    listen = options.listen[1]
+    stations = tuple(each for each in options.send_to if each[1] == STATION_PORT)
+    others = tuple(each for each in options.send_to if each not in stations)
+    if not is_px4(options) or not stations:
+        return [(None, listen, options.send_to)]
+    if not others:
+        return [("station", listen, stations)]
+    return [(None, listen, others), ("station", listen + STATION_LISTEN_OFFSET, stations)]
+
+
 def link_specs(options: FleetOptions, number: int) -> list[Transport]:
     """The links of a vehicle; `ConfigError`: a port is too high, or a line is to serve several."""
-    host, port = options.listen
-    remotes = tuple(
-        address if address[1] == STATION_PORT else (address[0], _port(address[1] + number))
-        for address in options.send_to
-    )
-    specs: list[Transport] = [UdpFanOut(host, _port(port + number), remotes)]
-    for link in options.links:
+    specs: list[Transport] = []
+    for _, port, addresses in udp_ports(options):
+        remotes = tuple(
+            address if address[1] == STATION_PORT else (address[0], _port(address[1] + number))
+            for address in addresses
+        )
+        specs.append(UdpFanOut(options.listen[0], _port(port + number), remotes))
+    for link, _ in options.links:
         if not isinstance(link, Line):
             specs.append(shared(replace(link, port=_port(link.port + number))))
         elif options.scenario.vehicles > 1:

@@ -53,7 +53,7 @@ FORCE_ARMING = 21196
 """Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
 
 Handler = Callable[[Any, Command, float], int]
-"""Does what a command asks of a flavour at a time; a MAV_RESULT."""
+"""Does what a command asks of a flavour at a time; a MAV_RESULT, or `UNANSWERED`."""
 
 
 def is_place(place: tuple[int, int]) -> bool:
@@ -130,12 +130,12 @@ class Firmware(NamedTuple):
     streams: StreamRules
     parameters: ParameterRules
     plans: PlanRules
+    rejects_for_others: bool
+    """Whether a command for a system or component that it never heard is answered by FAILED."""
+    empty_calibration: CommandResult
+    """Of no sensor."""
     names_timesync_target: bool
     answers_ping: bool
-    timesync_period_s: float
-    """Of TIMESYNC requests of its own."""
-    ping_period_s: float | None
-    """Of PING requests of its own; None: it never asks."""
     tells_mode_at_once: bool
     """An extra HEARTBEAT on every change of mode."""
     obeys_rc_override: bool
@@ -334,7 +334,10 @@ class Flavour(ABC):
         """Home is where it is armed, unless a station set it."""
         aircraft, here = self.aircraft, self.aircraft.body.position_enu_m
         aircraft.has_flown, self._landed_s = False, None
-        if is_armed and not aircraft.is_home_given and here != aircraft.home_enu_m:
+        if not is_armed or aircraft.is_home_given:
+            return
+        aircraft.home_set_s = aircraft.time_s
+        if here != aircraft.home_enu_m:
             aircraft.set_home(here, is_given=False)
 
     def _leave_mission(self) -> None:

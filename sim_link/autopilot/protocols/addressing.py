@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
@@ -35,6 +35,19 @@ class Newest(OrderedDict[K, V]):
         self.move_to_end(key)
         if len(self) > self._most:
             self.popitem(last=False)
+
+
+LinkMode = Literal["onboard", "station", "narrow", "asked"]
+"""Whom a link is for, which says what it is sent unasked (PX4 MAV_x_MODE): companions, ground
+stations, a line of 4000 bytes/s, whoever asks for all but HEARTBEAT."""
+
+
+class LinkSetup(NamedTuple):
+    """How the autopilot is configured on a link."""
+
+    mode: LinkMode = "onboard"
+    has_one_peer: bool = False
+    """Whoever sends first is answered for good, as on a UDP port of PX4; otherwise all share it."""
 
 
 class Channel(NamedTuple):

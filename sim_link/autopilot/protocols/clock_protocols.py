@@ -6,7 +6,6 @@ ArduCopter 4.5 as observed.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from companion.mav.addressing import TargetedTimesync, targets_of_frame
@@ -14,10 +13,6 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.addressing import Addressing, Partner
 
 NS_PER_S = 1_000_000_000
-US_PER_S = 1_000_000
-UINT32 = 0xFFFF_FFFF
-TOLERANCE_S = 1e-6
-"""A clock of whole steps may be early by rounding."""
 
 
 class StampClock:
@@ -90,32 +85,3 @@ class Clocks:
         if message.target_system != 0 or message.target_component != 0:
             return None
         return mavlink.MAVLink_ping_message(message.time_usec, message.seq, *partner.ids)
-
-
-class ClockRequests:
-    """TIMESYNC and PING requests of the vehicle's own, to everyone.
-
-    Args:
-        timesync_period_s: Time between two of the first; the first one waits as long.
-        ping_period_s: Of the other; None: it never asks.
-    """
-
-    def __init__(self, timesync_period_s: float, ping_period_s: float | None) -> None:
-        self._timesync_period_s = timesync_period_s
-        self._ping_period_s = ping_period_s
-        self._timesync_due_s = timesync_period_s
-        self._ping_due_s = math.inf if ping_period_s is None else ping_period_s
-        self._pings = 0
-
-    def take_due(self, boot_s: float, shown_s: float) -> list[Message]:
-        """What is asked at a physics step, at what its own clock shows."""
-        messages: list[Message] = []
-        if boot_s + TOLERANCE_S >= self._timesync_due_s:
-            self._timesync_due_s = boot_s + self._timesync_period_s
-            messages.append(mavlink.MAVLink_timesync_message(0, max(1, round(NS_PER_S * shown_s))))
-        if self._ping_period_s is not None and boot_s + TOLERANCE_S >= self._ping_due_s:
-            self._ping_due_s = boot_s + self._ping_period_s
-            ping = mavlink.MAVLink_ping_message(round(US_PER_S * shown_s), self._pings, 0, 0)
-            messages.append(ping)
-            self._pings = (self._pings + 1) & UINT32
-        return messages

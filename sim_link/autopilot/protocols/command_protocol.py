@@ -24,6 +24,8 @@ NO_VALUE = 2**31 - 1
 UNKNOWN_PROGRESS = 255
 REPEAT_WINDOW_S = 3.0
 """How long a client may go on repeating a command: MAVSDK gives up after 2 s."""
+UNANSWERED = -1
+"""The result of a command that gets no ACK."""
 MAX_REMEMBERED = 64
 MAX_RUNNING = 16
 
@@ -183,6 +185,13 @@ class Commands:
         if result in (CommandResult.ACCEPTED, CommandResult.IN_PROGRESS):
             self._remember(command, now_s)
         return _ack(command, result, progress)
+
+    @staticmethod
+    def reject(message: Message, partner: Partner) -> Outgoing:
+        """FAILED for a command that is for somebody else."""
+        number, result = int(message.command), CommandResult.FAILED  # type: ignore[attr-defined]
+        ack = mavlink.MAVLink_command_ack_message(number, result, 0, 0, *partner.ids)
+        return Outgoing(ack, partner.channel)
 
     def report(self, number: int, progress: int, now_s: float) -> list[Outgoing]:
         """IN_PROGRESS for a command that is under way; nothing if it is not."""

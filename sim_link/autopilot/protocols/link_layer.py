@@ -138,6 +138,12 @@ class Router:
             if each != channel
         ]
 
+    def knows(self, system_id: int, component_id: int) -> bool:
+        """Whether a component is ours, or was heard."""
+        if system_id == self._system_id and component_id in self._own_components:
+            return True
+        return bool(self._channels_of(system_id, component_id))
+
     def forget(self, channel: Channel) -> None:
         """Drop the routes over a channel that is gone."""
         for source in list(self._routes):

@@ -16,11 +16,18 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
+from sim_link.autopilot.protocols.addressing import (
+    Channel,
+    LinkMode,
+    LinkSetup,
+    Outgoing,
+    Partner,
+    StatusTexts,
+)
 from sim_link.autopilot.protocols.command_protocol import Command, CommandResult
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
@@ -44,6 +51,11 @@ class StreamRules:
     """By message id; 0 for one that is sent only when it is asked for."""
     min_interval_s: float
     """Faster is not possible: PX4 sends 123 Hz where 1 ms is asked, ArduPilot 333 Hz."""
+    rates_by_mode_hz: Mapping[LinkMode, Mapping[int, float]] = field(default_factory=dict)
+    """What links of a mode have instead; what is not named there is sent only on request."""
+    min_interval_by_mode_s: Mapping[LinkMode, float] = field(default_factory=dict)
+    stopped_interval_us: int = -1
+    """MESSAGE_INTERVAL of a stream that is off."""
     fixed: frozenset[int] = frozenset({HEARTBEAT})
     """Cannot be changed."""
     groups: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
@@ -61,8 +73,12 @@ class _Stream:
 class StreamTable:
     """The streams of one channel."""
 
-    def __init__(self, rules: StreamRules, started_s: float = 0.0) -> None:
+    def __init__(
+        self, rules: StreamRules, started_s: float = 0.0, mode: LinkMode = "onboard"
+    ) -> None:
         self._rules = rules
+        self._rates_hz = rules.rates_by_mode_hz.get(mode, rules.default_rates_hz)
+        self._min_interval_s = rules.min_interval_by_mode_s.get(mode, rules.min_interval_s)
         self._streams: dict[int, _Stream] = {}
         for number in rules.default_rates_hz:
             self._start(number, self._default_interval_s(number), started_s)
@@ -86,11 +102,13 @@ class StreamTable:
         return self.knows(number) and number not in self._rules.fixed
 
     def interval_us(self, number: int) -> int:
-        """MESSAGE_INTERVAL.interval_us: -1 if the stream is off, 0 if there is no such message."""
+        """MESSAGE_INTERVAL.interval_us; 0 if there is no such message."""
         if not self.knows(number):
             return 0
         stream = self._streams.get(number)
-        return -1 if stream is None else round(US_PER_S * stream.interval_s)
+        if stream is None:
+            return self._rules.stopped_interval_us
+        return round(US_PER_S * stream.interval_s)
 
     def set_interval_us(self, number: int, interval_us: float, now_s: float) -> bool:
         """Change a stream, which is then due at once; whether there is one and the interval may be.
@@ -118,14 +136,14 @@ class StreamTable:
             self.set_interval_us(number, interval_us, now_s)
 
     def _default_interval_s(self, number: int) -> float | None:
-        rate_hz = self._rules.default_rates_hz[number]
+        rate_hz = self._rates_hz.get(number, 0.0)
         return 1.0 / rate_hz if rate_hz else None
 
     def _start(self, number: int, interval_s: float | None, now_s: float) -> None:
         if interval_s is None:
             self._streams.pop(number, None)
             return
-        interval_s = max(interval_s, self._rules.min_interval_s)
+        interval_s = max(interval_s, self._min_interval_s)
         running = self._streams.get(number)
         if running is not None and running.interval_s == interval_s:
             return  # asked again for what it gets: its rhythm goes on
@@ -160,6 +178,8 @@ class RequestRules:
     """SET_MESSAGE_INTERVAL of what is unknown or cannot be changed."""
     no_interval: CommandResult
     """GET_MESSAGE_INTERVAL of what is unknown; MESSAGE_INTERVAL with 0 goes before it."""
+    not_on_request: frozenset[int] = frozenset()
+    """Streamed, but refused by REQUEST_MESSAGE."""
     has_texts: bool = False
     """A refused SET_MESSAGE_INTERVAL is explained."""
 
@@ -168,10 +188,16 @@ class MessageRequests:
     """Keeps the streams of every channel and obeys what is asked about messages."""
 
     def __init__(
-        self, streams: StreamRules, rules: RequestRules, build: Build, texts: StatusTexts
+        self,
+        streams: StreamRules,
+        rules: RequestRules,
+        build: Build,
+        texts: StatusTexts,
+        links: Sequence[LinkSetup] = (LinkSetup(),),
     ) -> None:
         self._stream_rules = streams
         self._rules = rules
+        self._links = links
         self._build = build
         self._texts = texts
         self._tables: OrderedDict[Channel, StreamTable] = OrderedDict()
@@ -179,7 +205,8 @@ class MessageRequests:
     def open(self, channel: Channel, now_s: float) -> None:
         """Begin the default streams of a new channel; the oldest of too many peers end."""
         if channel not in self._tables:
-            self._tables[channel] = StreamTable(self._stream_rules, now_s)
+            mode = self._links[channel.link].mode
+            self._tables[channel] = StreamTable(self._stream_rules, now_s, mode)
         self._tables.move_to_end(channel)
         peers = [each for each in self._tables if each.peer is not None]
         if len(peers) > MAX_PEERS:
@@ -236,7 +263,7 @@ class MessageRequests:
         return self._send(number, command.partner)
 
     def _send(self, number: int, partner: Partner) -> tuple[CommandResult, list[Outgoing]]:
-        message = self._build(number)
+        message = None if number in self._rules.not_on_request else self._build(number)
         if message is None:
             return self._rules.no_message, []
         return CommandResult.ACCEPTED, [Outgoing(message, partner.channel)]

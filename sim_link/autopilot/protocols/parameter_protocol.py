@@ -1,8 +1,8 @@
 """The parameter protocol: list, read, set.
 
-A value that may not be is refused with a text, the value kept and told to everyone, as the
-guide wants and neither autopilot does: PX4 1.15 stores a NaN and what is out of range, ArduCopter
-4.5 lets integers wrap. A parameter is never created.
+What is refused is told as the guide wants where the rules say so: with a text, and the value kept
+and told to everyone. PX4 1.15 refuses in silence and stores a NaN and what is out of range. A
+parameter is never created.
 
 Source: MAVLink developer guide, "Parameter Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 """
@@ -45,10 +45,14 @@ class ParameterRules:
     checks_type: bool
     """A PARAM_SET of another type is refused; otherwise the parameter's own type counts."""
     tells_errors: bool
-    """PARAM_ERROR, and a text, for what does not exist; otherwise silence."""
+    """PARAM_ERROR and a text for what is refused or does not exist; otherwise silence."""
     tells_index_of_named: bool
     """Otherwise a value read or set by name has index 65535."""
     has_hash_check: bool
+    checks_value: bool = True
+    """Otherwise what its type can hold is stored, NaN included."""
+    echoes: int = 1
+    """How often a value that was set is told."""
     list_rate_hz: float = 1000.0
 
 
@@ -146,20 +150,22 @@ class Parameters:
             error = TYPE_MISMATCH if message.param_type in kinds else TYPE_UNSUPPORTED
             return self._refused(partner, index, error, f"is of type {spec.kind.name}")
         problem = spec.problem_with(value)
-        if problem is not None:
+        if problem is not None and self._rules.checks_value:
             return self._refused(partner, index, OUT_OF_RANGE, problem)
         if spec.is_read_only:
             return self._refused(partner, index, READ_ONLY, "is read-only")
-        self.store.set(name, value)
-        return [Outgoing(self._value(index, is_named=True))]
+        self.store.set(name, value, is_checked=self._rules.checks_value)
+        return [Outgoing(self._value(index, is_named=True))] * self._rules.echoes
 
     def _refused(self, partner: Partner, index: int, error: int, problem: str) -> list[Outgoing]:
+        if not self._rules.tells_errors:
+            return []
         name = self.store.specs[index].name
-        outgoing = [Outgoing(self._value(index, is_named=True))]
-        outgoing += self._texts.warn(partner, f"{name} kept: {problem}")
-        if self._rules.tells_errors:
-            outgoing.append(self._error(partner, name, index, error))
-        return outgoing
+        return [
+            Outgoing(self._value(index, is_named=True)),
+            *self._texts.warn(partner, f"{name} kept: {problem}"),
+            self._error(partner, name, index, error),
+        ]
 
     def _unknown(self, partner: Partner, name: str, index: int) -> list[Outgoing]:
         if not self._rules.tells_errors:

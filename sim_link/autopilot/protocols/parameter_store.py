@@ -11,7 +11,7 @@ import csv
 import math
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
 from companion.errors import ConfigError, LocalProtocolError
@@ -114,13 +114,17 @@ class ParameterStore:
         """The index of a name; None if there is no such parameter."""
         return self._index.get(name)
 
-    def set(self, name: str, value: float) -> None:
-        """Change a value, read-only or not; `LocalProtocolError`: no such parameter, or value."""
+    def set(self, name: str, value: float, *, is_checked: bool = True) -> None:
+        """Change a value, read-only or not; `LocalProtocolError`: no such parameter, or value.
+
+        Unchecked, any value of the parameter's type may be.
+        """
         index = self._index.get(name)
         if index is None:
             raise LocalProtocolError(f"parameter {name}: there is no such parameter")
         try:
-            checked = self._checked(self.specs[index], value, f"parameter {name}")
+            where = f"parameter {name}"
+            checked = self._checked(self.specs[index], value, where, is_strict=is_checked)
         except ConfigError as error:
             raise LocalProtocolError(str(error)) from None
         if checked != self._values[index]:
@@ -152,7 +156,8 @@ class ParameterStore:
     def load_text(self, text: str, where: str) -> None:
         """Take over all values of a text, or none; `ConfigError` names the file and a wrong line.
 
-        Lines are `NAME VALUE`, a comma or any blanks between; `#` begins a comment.
+        Lines are `NAME VALUE`, a comma or any blanks between; `#` begins a comment. A value may be
+        beyond its range, because a client could store it.
         """
         values: dict[int, float] = {}
         for number, line in enumerate(text.splitlines(), 1):
@@ -178,11 +183,13 @@ class ParameterStore:
             value = float(number)
         except ValueError:
             raise ConfigError(f"{where}: {name} must be a number, not `{number[:40]}`") from None
-        return index, self._checked(spec, value, f"{where}: {name}")
+        return index, self._checked(spec, value, f"{where}: {name}", is_strict=False)
 
     @staticmethod
-    def _checked(spec: ParamSpec, value: float, where: str) -> float:
-        problem = spec.problem_with(value)
+    def _checked(spec: ParamSpec, value: float, where: str, *, is_strict: bool = True) -> float:
+        checked = spec if is_strict else replace(spec, minimum=None, maximum=None)
+        is_any = not (is_strict or spec.kind.is_integer)
+        problem = None if is_any else checked.problem_with(value)
         if problem is not None:
             raise ConfigError(f"{where}: {value:g} is {problem}")
         return int(value) if spec.kind.is_integer else nearest_real32(value)
@@ -191,6 +198,8 @@ class ParameterStore:
 def _shortest(value: float) -> str:
     """The fewest digits that are read back as the same single-precision number."""
     if isinstance(value, int):
+        return str(value)
+    if not math.isfinite(value):
         return str(value)
     texts = (f"{value:.{digits}g}" for digits in range(6, 10))
     return next(text for text in texts if nearest_real32(float(text)) == value)

@@ -77,7 +77,7 @@ FIRMWARE = Firmware(
     ),
     requests=RequestRules(no_message=FAILED, no_stream=DENIED, no_interval=FAILED, has_texts=True),
     streams=StreamRules(
-        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
+        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0, mavlink.MAVLINK_MSG_ID_TIMESYNC: 0.1}
         | dict.fromkeys((*ON_REQUEST, EKF_STATUS_REPORT), 0.0),
         STEP_S,
         groups=DATA_STREAMS,
@@ -108,10 +108,10 @@ FIRMWARE = Firmware(
         asks_in_old_form=True,
         stores_less=True,
     ),
+    rejects_for_others=False,
+    empty_calibration=DENIED,
     names_timesync_target=False,
     answers_ping=False,
-    timesync_period_s=10.0,
-    ping_period_s=None,
     tells_mode_at_once=True,
     obeys_rc_override=True,
     takes_origin=False,

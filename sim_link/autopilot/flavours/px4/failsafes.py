@@ -142,7 +142,8 @@ class Px4Failsafes:
     def _note(self, cause: Cause, is_present: bool) -> bool:
         """Whether a cause became active just now."""
         number = 0 if cause.parameter is None else int(self._parameters[cause.parameter])
-        reaction = cause.reactions[number] if is_present else None
+        is_known = 0 <= number < len(cause.reactions)
+        reaction = (cause.reactions[number] if is_known else WARN) if is_present else None
         if reaction is None:
             self._taken_over.discard(cause)
             if cause.ends:

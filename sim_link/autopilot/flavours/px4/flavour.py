@@ -53,7 +53,7 @@ from sim_link.autopilot.flavours.base import (
     HeartbeatState,
 )
 from sim_link.autopilot.flavours.px4.failsafes import Px4Failsafes, Reaction
-from sim_link.autopilot.flavours.px4.firmware_profile import CUSTOM_FIRMWARE, FIRMWARE, speed_limits
+from sim_link.autopilot.flavours.px4.firmware_profile import FIRMWARE, speed_limits
 from sim_link.autopilot.flavours.px4.flight_modes import (
     AUTO_FLAGS,
     BASE_MODE_FLAGS,
@@ -81,8 +81,6 @@ class Px4Flavour(Flavour):
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
-        if aircraft.scenario.autopilot.streams == "asked":
-            self.firmware = CUSTOM_FIRMWARE
         self.intention = FlightMode.HOLD
         """The mode that the operator chose."""
         self._reaction: FlightMode | None = None
@@ -298,10 +296,11 @@ class Px4Flavour(Flavour):
             self._reaction = None if reaction is None else reaction.mode
 
     def _tell(self, cause: str) -> None:
+        """Texts end with a tab, which tells clients that an EVENT says the same."""
         self.aircraft.say(CRITICAL, f"Failsafe: {cause}")
-        if self._failsafes.delay_s > 0.0:
-            text = f"Failsafe activated, entering Hold for {self._failsafes.delay_s:.0f} seconds"
-            self.aircraft.say(CRITICAL, text)
+        delay_s = self._failsafes.delay_s
+        wait = f", entering Hold for {delay_s:.0f} seconds" if delay_s > 0.0 else ""
+        self.aircraft.say(CRITICAL, f"Failsafe activated{wait}\t")
 
     def settle(self, now_s: float, why: str = "") -> None:
         """As the base does, with the height of a return known before it begins."""

@@ -1,6 +1,6 @@
 """PX4's flight modes as data, and what each command does.
 
-Where PX4 accepts nonsense (NaN to arm, main mode 99, wrong frames) this denies it.
+Where PX4 accepts nonsense (NaN to arm, main mode 99) so does this.
 
 Source: PX4 1.15 as observed in SITL; MAVLink common, MAV_CMD and MAV_MODE_FLAG.
 """
@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
-from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, px4_mode
+from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, PX4_MAIN_AND_SUB, px4_mode
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,
     MAX_HEIGHT_M,
     TEMPORARILY_REJECTED,
+    UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
     Handler,
     chooses,
@@ -31,11 +32,12 @@ from sim_link.autopilot.flavours.base import (
 )
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.addressing import flags_of
-from sim_link.autopilot.protocols.command_protocol import Command
+from sim_link.autopilot.protocols.command_protocol import UNANSWERED, Command
 
 if TYPE_CHECKING:
     from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 
+MAIN_MODES = frozenset(main for main, _ in PX4_MAIN_AND_SUB.values())
 WITHOUT_POSITION_CONTROL = frozenset({FlightMode.STABILIZED, FlightMode.ACRO, FlightMode.MANUAL})
 STICK_MODES = WITHOUT_POSITION_CONTROL | {FlightMode.POSITION, FlightMode.ALTITUDE}
 TASKS: dict[FlightMode, Task] = {
@@ -61,7 +63,11 @@ GLOBAL = mavlink.MAV_FRAME_GLOBAL
 
 def _arm_disarm(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     wanted, is_forced = command.params[0], is_force(command.params[1])
-    if wanted not in (0.0, 1.0) or is_forced is None:
+    if math.isnan(wanted):
+        return ACCEPTED
+    if wanted not in (0.0, 1.0):
+        return UNANSWERED
+    if is_forced is None:
         return DENIED
     if wanted == 1.0:
         return flavour.arm(now_s)
@@ -70,9 +76,11 @@ def _arm_disarm(flavour: Px4Flavour, command: Command, now_s: float) -> int:
 
 def _set_mode(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     base, main, sub = command.whole(1), command.whole(2), command.whole(3, default=0)
-    if base is None or main is None or sub is None or not base & CUSTOM_MODE_ENABLED:
-        return DENIED
-    mode = px4_mode(main, sub)
+    if main not in MAIN_MODES or not (base or 0) & CUSTOM_MODE_ENABLED:
+        return ACCEPTED
+    mode = None if sub is None else px4_mode(main, sub)
+    if mode in (None, FlightMode.READY):
+        return TEMPORARILY_REJECTED
     if mode is FlightMode.TAKEOFF:
         flavour.aircraft.pilot.takeoff_up_m = _default_takeoff_up_m(flavour)
     return flavour.choose(mode, now_s)
@@ -97,7 +105,7 @@ def _default_takeoff_up_m(flavour: Px4Flavour) -> float:
 
 
 def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
-    """Go to a place and stay there; what is left open stays as it is."""
+    """Go to a place and stay there; a height that is left open stays as it is."""
     aircraft, pilot = flavour.aircraft, flavour.aircraft.pilot
     frame = GLOBAL if command.frame is None else command.frame
     altitude_m = command.params[6]
@@ -105,16 +113,16 @@ def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     if up_m is None:
         return UNSUPPORTED_MAV_FRAME
     place = command.place_e7
-    if place is not None and not is_place(place):
+    if place is None or not aircraft.is_armed:
+        return UNSUPPORTED
+    if not is_place(place):
         return DENIED
-    if not aircraft.is_armed or aircraft.body.is_on_ground:
+    if aircraft.body.is_on_ground:
         return TEMPORARILY_REJECTED
-    east, north, own_up = aircraft.body.position_enu_m
-    if place is not None:
-        located = aircraft.place_from(*place, 0.0, GLOBAL)
-        assert located is not None
-        east, north, _ = located
-    up_m = own_up if math.isnan(altitude_m) else up_m
+    located = aircraft.place_from(*place, 0.0, GLOBAL)
+    assert located is not None
+    east, north, _ = located
+    up_m = aircraft.body.position_enu_m[2] if math.isnan(altitude_m) else up_m
     if not is_altitude(up_m) or up_m - aircraft.home_enu_m[2] > MAX_HEIGHT_M:
         return DENIED
     if flavour.fence_margin_m((east, north, up_m)) < 0.0:
@@ -145,7 +153,7 @@ def _start_mission(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     mission = flavour.aircraft.mission
     if not mission.has_items:
         flavour.refuse(FlightMode.MISSION, "no mission")
-        return TEMPORARILY_REJECTED
+        return DENIED
     first = command.whole(1, default=0)
     if first is None or not 0 <= first < len(mission.items):
         return DENIED

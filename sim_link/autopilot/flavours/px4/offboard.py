@@ -1,9 +1,9 @@
 """Offboard setpoints of PX4: which are valid and what they ask for.
 
-A setpoint is refused whole, and is then no proof of life, if a field that it does not mask is NaN
-or infinite (PX4 drops single axes instead), if its frame is not one of ours, if it sets the FORCE
-bit, or if it leaves neither position, velocity nor acceleration. One that gives only some axes is a
-proof of life that asks to stay in place, as PX4 does with it.
+A field that is NaN or infinite counts as masked. A setpoint is refused, and is then no proof of
+life, if its frame is not one of ours, if it sets the FORCE bit, or if it leaves neither position,
+velocity nor acceleration. One that gives only some axes is a proof of life that asks to stay in
+place.
 
 SET_ATTITUDE_TARGET on a point mass: thrust along an attitude is an acceleration. Body rates are not
 flown, because a point mass has no attitude of its own to turn: a message that masks the attitude is
@@ -28,8 +28,8 @@ from sim_link.autopilot.control_inputs import (
     PositionTarget,
     Setpoint,
     TargetMessage,
+    bits_of_no_numbers,
     enu_of,
-    has_finite_fields,
     is_on_earth,
 )
 from sim_link.world.point_mass import GRAVITY_MPS2
@@ -37,10 +37,11 @@ from sim_link.world.point_mass import GRAVITY_MPS2
 HORIZONTAL_POSITION_IGNORE = dialect.X_IGNORE | dialect.Y_IGNORE
 HORIZONTAL_VELOCITY_IGNORE = dialect.VX_IGNORE | dialect.VY_IGNORE
 MOTION_IGNORE = dialect.POSITION_IGNORE | dialect.VELOCITY_IGNORE | dialect.ACCELERATION_IGNORE
+RELATIVE_FRAME = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 TERRAIN_FRAME = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT
 GLOBAL_FRAMES = (
     mavlink.MAV_FRAME_GLOBAL_INT,
-    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+    RELATIVE_FRAME,
     TERRAIN_FRAME,
 )
 
@@ -51,52 +52,59 @@ def setpoint_from_local(message: LocalTarget, aircraft: Aircraft) -> Setpoint | 
     BODY_NED (8) is for velocities and accelerations only, forward, right and down of the nose.
     """
     position_ned = (message.x, message.y, message.z)
-    if not _is_valid(message, position_ned):
+    mask = effective_mask(message, position_ned)
+    if mask is None:
         return None
-    has_position = message.type_mask & dialect.POSITION_IGNORE != dialect.POSITION_IGNORE
+    has_position = mask & dialect.POSITION_IGNORE != dialect.POSITION_IGNORE
     match message.coordinate_frame:
         case mavlink.MAV_FRAME_LOCAL_NED:
             place = aircraft.estimator.world_from_local(enu_from_ned(position_ned))
-            return _assemble(message, place if has_position else None, None)
+            return _assemble(message, mask, place if has_position else None)
         case mavlink.MAV_FRAME_BODY_NED if not has_position:
-            return _assemble(message, None, aircraft.heading_ned_rad)
+            return _assemble(message, mask, None, aircraft.heading_ned_rad)
     return None
 
 
 def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint | None:
     """The setpoint of SET_POSITION_TARGET_GLOBAL_INT, or None if it is refused.
 
-    Frame 5 has its altitude above sea level, frame 6 above home (PX4 1.15 is wrong there by twice
-    the height between origin and home; this is not), frame 11 above the flat ground.
+    Frame 5 has its altitude above sea level, frame 11 above the flat ground. Frame 6 should have it
+    above home; PX4 1.15 adds the height of the origin above home instead of taking it off.
     """
     if message.coordinate_frame not in GLOBAL_FRAMES:
         return None
-    if not _is_valid(message, (message.lat_int, message.lon_int, message.alt)):
+    mask = effective_mask(message, (message.lat_int, message.lon_int, message.alt))
+    if mask is None:
         return None
-    if message.type_mask & dialect.POSITION_IGNORE:
-        return _assemble(message, None, None)
+    if mask & dialect.POSITION_IGNORE:
+        return _assemble(message, mask, None)
     if not is_on_earth(message.lat_int, message.lon_int):
         return None
     frame, altitude_m = message.coordinate_frame, message.alt
     if frame == TERRAIN_FRAME:
-        frame = mavlink.MAV_FRAME_GLOBAL
         altitude_m += aircraft.estimator.world_origin.altitude_m + aircraft.body.ground_up_m
-    place = aircraft.place_from(message.lat_int, message.lon_int, altitude_m, frame)
-    return _assemble(message, place, None)
+    elif frame == RELATIVE_FRAME:
+        altitude_m += 2.0 * aircraft.estimator.origin.altitude_m - aircraft.home_altitude_m
+    place = aircraft.place_from(
+        message.lat_int, message.lon_int, altitude_m, mavlink.MAV_FRAME_GLOBAL
+    )
+    return _assemble(message, mask, place)
 
 
-def _is_valid(message: PositionTarget, position: tuple[float, float, float]) -> bool:
-    mask = message.type_mask
-    if mask & dialect.FORCE_SET or mask & MOTION_IGNORE == MOTION_IGNORE:
-        return False
-    return has_finite_fields(message, position)
+def effective_mask(message: PositionTarget, position: tuple[float, float, float]) -> int | None:
+    """The type mask with the bits of what is no number, too; None if the setpoint is refused."""
+    mask = int(message.type_mask) | bits_of_no_numbers(message, position)
+    is_empty = mask & MOTION_IGNORE == MOTION_IGNORE
+    return None if mask & dialect.FORCE_SET or is_empty else mask
 
 
 def _assemble(
-    message: PositionTarget, enu_m: PositionEnu | None, body_yaw_rad: float | None
+    message: PositionTarget,
+    mask: int,
+    enu_m: PositionEnu | None,
+    body_yaw_rad: float | None = None,
 ) -> Setpoint:
     """The setpoint at a place (None: it gives none), its vectors about a heading (None: north)."""
-    mask = message.type_mask
     has_en = enu_m is not None and not mask & HORIZONTAL_POSITION_IGNORE
     has_up = enu_m is not None and not mask & dialect.Z_IGNORE
     has_velocity_en = not mask & HORIZONTAL_VELOCITY_IGNORE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.fleet.vehicles import Fleet, FleetOptions, link_specs, make_vehicles, numbered_path
 from sim_link.world.environment import EmitterParams
 from sim_link.world.point_mass import PointMass, VehicleParams, WindParams
@@ -23,18 +24,40 @@ SEND_TO = (("127.0.0.1", 14550), ("127.0.0.1", 14540))
 
 
 def wishes(vehicles: int = 3, *links: str) -> FleetOptions:
-    urls = tuple(parse_transport(link) for link in links)
+    urls = tuple((parse_transport(link), None) for link in links)
     scenario = Scenario(vehicles=vehicles)
     return FleetOptions(scenario, 1, 1.0, ("127.0.0.1", 14580), SEND_TO, urls)
 
 
-def test_ids_and_ports_count_up_but_the_ground_stations() -> None:
+def test_px4_has_a_port_for_stations_and_one_for_companions() -> None:
     wanted = wishes(3, "tcpin:127.0.0.1:5760")
     assert [e.vehicle.system_id for e in make_vehicles(wanted)] == [1, 2, 3]
     assert link_specs(wanted, 2) == [
-        UdpFanOut("127.0.0.1", 14582, (("127.0.0.1", 14550), ("127.0.0.1", 14542))),
+        UdpFanOut("127.0.0.1", 14582, (("127.0.0.1", 14542),)),
+        UdpFanOut("127.0.0.1", 18572, (("127.0.0.1", 14550),)),
         TcpFanOut("127.0.0.1", 5762),
     ]
+
+
+def test_ardupilot_has_one_port_for_all() -> None:
+    scenario = Scenario(vehicles=3, autopilot=AutopilotParams(flavour="ardupilot"))
+    wanted = dataclasses.replace(wishes(3), scenario=scenario)
+    remotes = (("127.0.0.1", 14550), ("127.0.0.1", 14542))
+    assert link_specs(wanted, 2) == [UdpFanOut("127.0.0.1", 14582, remotes)]
+
+
+@pytest.mark.parametrize("is_shared", [False, True])
+def test_a_port_of_px4_answers_whom_it_heard_first(is_shared: bool) -> None:
+    wanted = dataclasses.replace(wishes(1), shares_ports=is_shared)
+    (sim,) = make_vehicles(wanted)
+    codec = MavCodec(255, 190)
+    for port in (50_001, 50_002):
+        ping = codec.encode(mavlink.MAVLink_ping_message(0, port, 0, 0))
+        sim.receive(Chunk(0, ping, ("127.0.0.1", port)), 0.0)
+    sim.handle_timer(0.0)
+    peers = {chunk.peer for chunk in sim.take_output() if chunk.link == 0}
+    first, second = (("127.0.0.1", port) for port in (50_001, 50_002))
+    assert peers == ({None, first, second} if is_shared else {first})
 
 
 def test_a_line_serves_one_vehicle_only() -> None:

@@ -29,7 +29,7 @@ def wishes(signing_key: Path | None) -> FleetOptions:
         speed=1.0,
         listen=("127.0.0.1", 14580),
         send_to=(),
-        links=(parse_transport("pty:/tmp/vehicle"),),
+        links=((parse_transport("pty:/tmp/vehicle"), None),),
         signing_key=signing_key,
     )
 

@@ -6,7 +6,7 @@ from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.addressing import Addressing
-from sim_link.autopilot.protocols.clock_protocols import ClockRequests, Clocks
+from sim_link.autopilot.protocols.clock_protocols import Clocks
 from tests.unit.sim_link.autopilot.protocols.wire import STATION, received, said
 
 PX4 = Clocks(Addressing(1))
@@ -62,21 +62,6 @@ def test_mavlink_1_leaves_the_targets_out() -> None:
     assert frame[1] == 16
     (message,) = MavCodec(255, 190).decode(frame)
     assert targets_of_frame(bytes(message.get_msgbuf())) == (0, 0)
-
-
-def test_our_own_request_can_be_told_from_an_answer() -> None:
-    (request,) = ClockRequests(3.0, None).take_due(3.0, 3.0)
-    assert isinstance(request, mavlink.MAVLink_timesync_message)
-    assert (request.tc1, request.ts1) == (0, 3_000_000_000)
-
-
-def test_requests_of_our_own_come_at_their_periods() -> None:
-    requests = ClockRequests(0.1, 1.0)
-    sent = [each for step in range(1, 501) for each in requests.take_due(0.02 * step, 0.02 * step)]
-    assert sum(isinstance(each, mavlink.MAVLink_timesync_message) for each in sent) == 100
-    pings = [each for each in sent if isinstance(each, mavlink.MAVLink_ping_message)]
-    assert [ping.seq for ping in pings] == list(range(10))
-    assert all((ping.target_system, ping.target_component) == (0, 0) for ping in pings)
 
 
 # PING

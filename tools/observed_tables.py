@@ -1,0 +1,160 @@
+"""What real autopilots were observed to do, as rows that tests play and docs/simulator.md shows.
+
+`observed.yaml` beside each flavour has the rows. One says in words what the real vehicle does, and
+has either `steps`, which `tests/contract/test_observed.py` plays against the flavour, a test of its
+own (`proved_by`), or `deliberate`: why the simulator differs. Run this to renew the page's tables.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "simulator.md"
+FLAVOURS = ("px4", "ardupilot")
+Fields = dict[str, Any]
+"""By name. Expected: a number (NaN too), `[least, greatest]`, the name of a MAVLink constant, or
+for text a regular expression for all of it. Sent: a number, a list, a text or such a name."""
+Messages = dict[str, Fields]
+"""By MAVLink name."""
+
+
+class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One thing to do, time to wait, and what must then be so; in this order."""
+
+    state: str | None = None
+    """Another state's steps first."""
+    link: str | None = None
+    """Whom it is done and seen on; None: the row's."""
+    seen_on: str | None = None
+    """Another link on which it is seen."""
+    client: int = 1
+    """Which of several clients of that link."""
+    sender: tuple[int, int] = (255, 190)
+    """System and component."""
+    of: tuple[int, int] = (1, 1)
+    """Whose messages are looked at."""
+    incident: Fields | None = None
+    """As in a scenario; it happens at once."""
+    command: str | None = None
+    """COMMAND_LONG, or COMMAND_INT with a `frame`: MAV_CMD without that prefix."""
+    params: tuple[float, ...] = ()
+    """The first ones; the rest are NaN, or 0 in COMMAND_INT's x and y."""
+    frame: str | None = None
+    """MAV_FRAME without that prefix."""
+    target: tuple[int, int] = (1, 1)
+    ack: str | None = None
+    """The result without MAV_RESULT; `none`: silence."""
+    send: Messages | None = None
+    """Fields that are not given are 0, targets 1."""
+    stream: Messages | None = None
+    """Sent from now on until there is another one; `{}` ends it."""
+    rate_hz: float = 20.0
+    wait_s: float = 0.0
+    expect: Messages | None = None
+    """Each comes, since the step began or soon."""
+    none: Messages | None = None
+    """None of it comes."""
+    within_s: float = 2.0
+    """How soon, or for how long."""
+    times: dict[str, int] | None = None
+    """How many of a message came since the step began."""
+    rates_hz: dict[str, float] | None = None
+    """Of messages over ten seconds, within 5 % and one message."""
+    mode: str | None = None
+    """`FlightMode` now."""
+    armed: bool | None = None
+    place: dict[str, float] | None = None
+    """Metres: any of `north`, `east`, `up`, about the origin, within `within_m`."""
+    within_m: float = 0.5
+
+
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One thing that the real vehicle does."""
+
+    id: str
+    topic: str
+    real: str
+    state: str = "ready"
+    link: str = "onboard"
+    scenario: Fields = {}
+    parameters: dict[str, float] = {}
+    steps: tuple[Step, ...] = ()
+    proved_by: str = ""
+    """A test, `path::name`, for what takes processes or files."""
+    deliberate: str = ""
+    """What the simulator does instead, and why."""
+
+    def __post_init__(self) -> None:
+        """Refuse a row that proves nothing, or says two things."""
+        if sum(map(bool, (self.steps, self.proved_by, self.deliberate))) != 1:
+            raise ValueError(f"{self.id}: needs one of steps, proved_by and deliberate")
+
+
+class Sheet(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All rows about one autopilot."""
+
+    firmware: str
+    states: dict[str, tuple[Step, ...]]
+    """What brings a vehicle that was just switched on there."""
+    rows: tuple[Row, ...]
+
+
+def load_sheet(flavour: str) -> Sheet:
+    """The sheet of a flavour; a `msgspec.ValidationError` names what is wrong with it."""
+    path = ROOT / "sim_link" / "autopilot" / "flavours" / flavour / "observed.yaml"
+    return msgspec.yaml.decode(path.read_bytes(), type=Sheet)
+
+
+def table(head: str, lines: list[tuple[str, str]]) -> str:
+    """A table of two columns; what belongs to one topic is one row."""
+    topics: dict[str, list[str]] = {}
+    for topic, text in lines:
+        topics.setdefault(topic, []).append(text)
+    rows = [f"| {topic} | {' '.join(texts)} |" for topic, texts in topics.items()]
+    return "\n".join([f"| | {head} |", "|---|---|", *rows])
+
+
+def tables(sheet: Sheet) -> str:
+    """Both tables of an autopilot."""
+    measured = [(row.topic, _sentence(row.real)) for row in sheet.rows if not row.deliberate]
+    different = [
+        (row.topic, f"{_sentence(row.real)} Here: {_sentence(row.deliberate)}")
+        for row in sheet.rows
+        if row.deliberate
+    ]
+    return (
+        f"### Measured on the real one: {sheet.firmware}\n\n"
+        f"{table('what it does, and the simulator too', measured)}\n\n"
+        f"### Deliberately different from {sheet.firmware}\n\n"
+        f"{table('what it does, and what the simulator does instead', different)}"
+    )
+
+
+def _sentence(text: str) -> str:
+    one_line = " ".join(text.split()).replace("|", "\\|")
+    return one_line if one_line.endswith(".") else f"{one_line}."
+
+
+def renewed(page: str) -> str:
+    """The page with its tables as the rows have them."""
+    for flavour in FLAVOURS:
+        begin, end = f"<!-- observed: {flavour} -->", f"<!-- end: {flavour} -->"
+        before, _, rest = page.partition(begin)
+        _, _, after = rest.partition(end)
+        page = f"{before}{begin}\n\n{tables(load_sheet(flavour))}\n\n{end}{after}"
+    return page
+
+
+def main() -> int:
+    """Write the page."""
+    PAGE.write_text(renewed(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
