@@ -41,6 +41,7 @@ ASKED_HZ: dict[type[Message], tuple[float, float, float]] = {
 TOLERANCE = 0.05
 TICK_MS = 20
 SETPOINTS = 40
+LANDING_S = 60.0
 Echo = mavlink.MAVLink_position_target_local_ned_message
 Clock = mavlink.MAVLink_timesync_message
 
@@ -183,7 +184,8 @@ def measure_reaction(pilot: SetpointClient) -> list[int]:
         shown = pilot.expect(Echo, lambda m, wanted=wanted: abs(m.x - wanted) < 0.01, mark=mark)  # type: ignore[misc]
         answer = pilot.expect(Clock, lambda m, stamp=number + 1: m.ts1 == stamp, mark=mark)  # type: ignore[misc]
         steps.append(math.ceil((shown.time_boot_ms - answer.tc1 / 1e6) / TICK_MS))
-    pilot.come_to_rest()
+    pilot.set_mode("land")
+    pilot.await_disarmed(LANDING_S)
     return steps
 
 

@@ -16,6 +16,7 @@ class MemoryHub:
         self.endpoint = endpoint
         self.now_s = started_s
         self._links: list[MemoryLink] = []
+        self._count = 0
 
     def connect(self, link_index: int = 0, *, is_datagram: bool = True) -> MemoryLink:
         """A client with an address of its own.
@@ -24,10 +25,15 @@ class MemoryHub:
             link_index: The endpoint's link that it is on.
             is_datagram: Whether its pieces keep their limits; otherwise it is a byte stream.
         """
-        address = ("127.0.0.1", FIRST_PORT + len(self._links))
+        address = ("127.0.0.1", FIRST_PORT + self._count)
+        self._count += 1
         link = MemoryLink(self, address, link_index, is_datagram=is_datagram)
         self._links.append(link)
         return link
+
+    def disconnect(self, link: MemoryLink) -> None:
+        """Let a client go: it hears nothing any more."""
+        self._links.remove(link)
 
     def receive(self, data: bytes, sender: MemoryLink) -> None:
         """A client's bytes arrive at the endpoint."""
@@ -68,6 +74,7 @@ class MemoryLink:
         self.link_index = link_index
         self.inbox: deque[bytes] = deque()
         self._hub = hub
+        self._others: list[MemoryLink] = []
 
     @property
     def now_s(self) -> float:
@@ -88,7 +95,14 @@ class MemoryLink:
 
     def another(self) -> MemoryLink:
         """A second client on the same link of the endpoint."""
-        return self._hub.connect(self.link_index, is_datagram=self.is_datagram)
+        other = self._hub.connect(self.link_index, is_datagram=self.is_datagram)
+        self._others.append(other)
+        return other
+
+    def close_others(self) -> None:
+        """Let the clients go that were made from this one."""
+        while self._others:
+            self._hub.disconnect(self._others.pop())
 
     def is_meant(self, chunk: Chunk) -> bool:
         """Whether a chunk of the endpoint comes here."""

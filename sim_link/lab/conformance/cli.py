@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
@@ -30,26 +30,28 @@ from companion.io.links.transports import (
 )
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
-from sim_link.fleet.console import ComplaintParser
+from sim_link.fleet.console import ComplaintParser, LinePrinter
 from sim_link.lab.conformance.companion_identity_rules import IdentityRules, RequestRules
 from sim_link.lab.conformance.companion_setpoint_rules import SetpointRules
-from sim_link.lab.conformance.puppet import CompanionProbe
+from sim_link.lab.conformance.rule_run import RuleRun, RunOptions
 from sim_link.lab.conformance.rules import (
-    Effect,
+    CHANGE_FLAG,
+    EXIT_BAD_INPUT,
+    EXIT_FAILED,
+    FLIGHT_FLAG,
+    HARM_FLAG,
     Flavour,
     NotApplicable,
     Role,
     Rule,
-    RuleOutcome,
-    RuleVerdict,
+    exit_code,
     line,
     listing,
     record,
-    run_rules,
     select,
     summary,
 )
-from sim_link.lab.conformance.vehicle_probe import VehicleProbe
+from sim_link.lab.conformance.vehicle_probe import SILENCE_S
 from sim_link.lab.conformance.vehicle_rules.command_rules import ArmingRules, CommandRules
 from sim_link.lab.conformance.vehicle_rules.connection_rules import HeartbeatRules, RoutingRules
 from sim_link.lab.conformance.vehicle_rules.flight_rules import FailsafeRules, FlightRules
@@ -112,7 +114,9 @@ class WireLink:
         self._loop = loop
         self._arrived: list[bytes] = []
         self._peer: Address | None = None
+        self._heard_s = 0.0
         self._wake = asyncio.Event()
+        self._is_interrupted = False
         self._others: list[WireLink] = []
         self._link: Link = make_link(spec, 0, self._receive)
 
@@ -145,8 +149,16 @@ class WireLink:
     def poll(self, until_s: float) -> list[bytes]:
         """What arrives first, at the latest at `until_s`."""
         self._loop.run_until_complete(self._wait(until_s))
+        if self._is_interrupted:
+            self._is_interrupted = False
+            raise KeyboardInterrupt
         arrived, self._arrived = self._arrived, []
         return arrived
+
+    def interrupt(self) -> None:
+        """Let whoever waits be interrupted: a signal in the middle of the loop would break it."""
+        self._is_interrupted = True
+        self._wake.set()
 
     def another(self) -> WireLink | None:
         """A second client, where the peer is reached by connecting to it."""
@@ -180,7 +192,7 @@ class WireLink:
     async def _wait(self, until_s: float) -> None:
         self._wake.clear()
         await asyncio.sleep(0)
-        if self._arrived:
+        if self._arrived or self._is_interrupted:
             return
         patience_s = until_s - self.now_s
         if patience_s > 0.0:
@@ -189,9 +201,10 @@ class WireLink:
 
     def _receive(self, chunks: list[Chunk]) -> None:
         for chunk in chunks:
-            if self._peer is None:
-                self._peer = chunk.peer
+            if self._peer is None or self.now_s - self._heard_s > SILENCE_S:
+                self._peer = chunk.peer  # after a restart it may have another port
             if chunk.peer == self._peer:
+                self._heard_s = self.now_s
                 self._arrived.append(chunk.data)
         self._wake.set()
 
@@ -202,6 +215,9 @@ def open_link(url: str) -> Iterator[WireLink]:
     spec = parse_transport(url)
     with closing(asyncio.new_event_loop()) as loop:
         link = WireLink(spec, loop)
+        with suppress(ValueError, RuntimeError):  # not in the main thread: no signals there
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                loop.add_signal_handler(number, link.interrupt)
         try:
             link.open()
             yield link
@@ -210,26 +226,27 @@ def open_link(url: str) -> Iterator[WireLink]:
             loop.run_until_complete(asyncio.sleep(0))
 
 
-EXIT_FAILED = 1
-EXIT_BAD_INPUT = 2
-
 DESCRIPTION = """\
 Try the rules of MAVLink against an autopilot or a companion.
 
 By default nothing is done that outlasts the connection: it asks, listens and changes stream rates.
 --allow-changes overwrites stored missions, fences, parameters, home and the mode of a disarmed
-vehicle. --allow-flight also arms and flies: only for a simulator, or without propellers."""
+vehicle. --allow-flight also arms and flies: only for a simulator, or without propellers.
+--allow-harm adds what a weak autopilot may not survive: NaN and absurd values, calibration, reboots
+and a disarming in the air. What was changed is put back after each rule, or told at the end."""
 EPILOG = """\
 examples:
   companion-conformance --url udpin:127.0.0.1:14550
   companion-conformance --url udpout:127.0.0.1:14580 --only 'parameters.*' --allow-changes
   companion-conformance --url udpout:127.0.0.1:14550 --role companion --flavour ardupilot
 
-exit code: 0 all passed, 1 a rule failed, 2 bad input or nobody there"""
+exit code: 0 all that was tried passed; 3 it deviates, but only as the real PX4 1.15.2 or ArduCopter
+4.5.7 is noted to; 1 a rule failed, the vehicle fell silent, or the run did not come to its end;
+2 bad input or nobody there"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Try the rules; 0 if nothing failed, 1 if a rule did, 2 for bad input or a silent peer."""
+    """Try the rules; the exit code is that of `EPILOG`."""
     try:
         return _run(_arguments(argv))
     except (CompanionError, NotApplicable) as error:
@@ -272,6 +289,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     add("--allow-changes", action="store_true", help="overwrite plans, parameters, home and mode")
     add("--allow-flight", action="store_true", help="arm and fly, too")
+    add("--allow-harm", action="store_true", help="send NaN and absurd values, reboot, too")
     add("--version", action="version", version=f"companion-conformance {__version__}")
     return parser.parse_args(argv)
 
@@ -281,9 +299,10 @@ def _run(arguments: argparse.Namespace) -> int:
     rules = select(all_rules(), role, arguments.only)
     if not rules:
         raise ConfigError(f"--only {arguments.only}: no rule of a {role.value} is called so")
+    say = LinePrinter(sys.stdout).say
     if arguments.list:
         for text in listing(rules):
-            print(text)
+            say(text)
         return 0
     if arguments.url is None:
         raise ConfigError("--url is missing, for example --url udpin:127.0.0.1:14550")
@@ -291,35 +310,30 @@ def _run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--json {arguments.json}: there is no folder {arguments.json.parent}")
     path = arguments.signing_key
     key = None if path is None else load_signing_key(path).secret
+    options = RunOptions(role, Flavour(arguments.flavour), key, _allowed(arguments))
     with open_link(arguments.url) as link:
-        outcomes = _try_all(rules, arguments, link, key)
+        run = RuleRun(link, options, lambda each: say(line(each)), lambda text: say(f"... {text}"))
+        try:
+            run.run(rules)
+        finally:
+            _close(run, arguments, say)
+    return exit_code(run.outcomes, run.left_behind)
+
+
+def _close(run: RuleRun, arguments: argparse.Namespace, say: Callable[[str], None]) -> None:
+    """Tell and write how it went, however it ended."""
+    if not run.outcomes:
+        return
     if arguments.json is not None:
-        write_json_atomic(arguments.json, record(outcomes, arguments.url))
-    print(summary(outcomes))
-    return EXIT_FAILED if any(o.verdict is RuleVerdict.FAIL for o in outcomes) else 0
+        write_json_atomic(arguments.json, record(run.outcomes, arguments.url, run.left_behind))
+    for text in [*run.left_behind, summary(run.outcomes)]:
+        say(text)
 
 
-def _try_all(
-    rules: Sequence[Rule], arguments: argparse.Namespace, link: WireLink, key: bytes | None
-) -> list[RuleOutcome]:
-    flavour = Flavour(arguments.flavour)
-    is_vehicle = arguments.role == Role.VEHICLE.value
-
-    def make_probe(kind: type[Any]) -> Any:
-        link.close_others()
-        probe = kind(link, key if is_vehicle else flavour)
-        probe.attach()
-        return probe
-
-    first = make_probe(VehicleProbe if is_vehicle else CompanionProbe)
-    outcomes = []
-    for outcome in run_rules(rules, first.flavour, _allowed(arguments), make_probe):
-        outcomes.append(outcome)
-        print(line(outcome), flush=True)
-    return outcomes
-
-
-def _allowed(arguments: argparse.Namespace) -> Effect:
-    if arguments.allow_flight:
-        return Effect.FLIES
-    return Effect.CHANGES if arguments.allow_changes else Effect.ASKS
+def _allowed(arguments: argparse.Namespace) -> frozenset[str]:
+    flags = {
+        CHANGE_FLAG: arguments.allow_changes or arguments.allow_flight,
+        FLIGHT_FLAG: arguments.allow_flight,
+        HARM_FLAG: arguments.allow_harm,
+    }
+    return frozenset(flag for flag, is_given in flags.items() if is_given)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from companion.mav.dialect import Message, mavlink
@@ -17,28 +17,15 @@ from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import GlobalSetpoint, LocalSetpoint, Triple
 from sim_link.lab.conformance.rules import NotApplicable, Violation, require
 from sim_link.lab.conformance.station import Heard
-from sim_link.lab.conformance.vehicle_probe import ACK_S, VehicleProbe
+from sim_link.lab.conformance.vehicle_probe import Parameter, VehicleProbe
 
 UNLISTED_INDEX = 65_535
 LIST_S = 60.0
 ANSWER_S = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One PARAM_VALUE, its value kept as the four bytes on the wire."""
-
-    name: str
-    kind: int
-    raw: bytes
-    index: int
-    count: int
-    value: float
-    """The number, decoded as the flavour encodes."""
-
-
 class ParameterClient(VehicleProbe):
-    """Reads and writes parameters."""
+    """Reads and writes parameters; what it wrote is known to the baseline."""
 
     @property
     def float_name(self) -> str:
@@ -75,23 +62,27 @@ class ParameterClient(VehicleProbe):
         require(told, f"no PARAM_VALUE of {name} within {ANSWER_S:g} s")
         return self.values_since(mark, name)[-1]
 
-    @contextmanager
-    def restored(self, name: str) -> Iterator[Parameter]:
-        """A parameter as it is; at the end it is written back."""
-        before = self.read(name)
-        try:
-            yield before
-        finally:
-            self.write(name, before.value, before.kind)
-            self.run(0.2)
+    def remember(self, name: str) -> Parameter:
+        """The parameter as it was before the rules, who ever touched it first."""
+        known = self.baseline.parameters
+        if name not in known:
+            known[name] = self.read(name)
+        return known[name]
 
-    @contextmanager
-    def parameter_set(self, name: str, value: float) -> Iterator[None]:
-        """A parameter that has another value for a while."""
-        with self.restored(name) as before:
-            self.write(name, value, before.kind)
-            self.await_value(name)
-            yield
+    def change(self, name: str, value: float) -> Parameter:
+        """Give a parameter another value until the rule is over; what is told of it."""
+        self.write(name, value, self.remember(name).kind)
+        return self.await_value(name)
+
+    def put_back(self, name: str) -> None:
+        """Give a parameter the value that it had; `Violation`: the vehicle does not take it."""
+        before = self.baseline.parameters[name]
+        if self.read(name).raw != before.raw:
+            kind = bytes((before.kind,))
+            body = before.raw + bytes(self.target) + name.encode().ljust(16, b"\0") + kind
+            self.send_payload(mav.ParamSet, body)
+            require(self.await_value(name).raw == before.raw, f"{name} keeps another value")
+        del self.baseline.parameters[name]
 
     def request_read(self, name: str, index: int = -1) -> None:
         """PARAM_REQUEST_READ by name or index."""
@@ -106,6 +97,8 @@ class ParameterClient(VehicleProbe):
         self, name: str, value: float, kind: int, target: tuple[int, int] | None = None
     ) -> None:
         """PARAM_SET, encoded as the flavour does."""
+        with suppress(Violation):  # there is no such parameter
+            self.remember(name)
         if self.is_px4 and kind == mav.INT32 and math.isfinite(value):
             value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
         self.send(mav.ParamSet(*(target or self.target), name.encode(), value, kind))
@@ -129,11 +122,6 @@ class ParameterClient(VehicleProbe):
 
 
 STEP_TIMEOUT_S = 4.0
-FENCE_SWITCHES = {
-    True: (b"GF_ACTION", struct.unpack("<f", struct.pack("<i", 2))[0], mav.INT32),
-    False: (b"FENCE_ENABLE", 1.0, 2),
-}
-"""PARAM_SET of what makes PX4 hold at its fence, and ArduPilot keep within it."""
 
 REQUESTS = (mav.ItemRequest, mav.ItemIntRequest)
 
@@ -162,11 +150,19 @@ def waypoint(lat_e7: int, lon_e7: int, height_m: float) -> MissionItem:
     return MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, x=lat_e7, y=lon_e7, z=height_m)
 
 
-class PlanClient(VehicleProbe):
+class PlanClient(ParameterClient):
     """Uploads, downloads and clears plans. ArduPilot's item 0 is home and no part of a mission."""
+
+    def _remember_plan(self, kind: int) -> None:
+        plans = self.baseline.plans
+        if kind in (mav.MISSION, mav.FENCE, mav.RALLY) and kind not in plans:
+            plans[kind] = []
+            with suppress(Violation):
+                plans[kind] = self.download(kind)
 
     def send_count(self, count: int, kind: int = mav.MISSION) -> None:
         """MISSION_COUNT."""
+        self._remember_plan(kind)
         self.send(mav.Count(*self.target, count, kind))
 
     def next_step(self) -> mav.ItemRequest | mav.ItemIntRequest | mav.PlanAck:
@@ -258,6 +254,7 @@ class PlanClient(VehicleProbe):
 
     def clear(self, kind: int = mav.MISSION) -> int:
         """MISSION_CLEAR_ALL; the type of its ACK."""
+        self._remember_plan(kind)
         return self.ack_of(mav.Clear(*self.target, kind))
 
     def with_home(self, items: Sequence[MissionItem]) -> list[MissionItem]:
@@ -329,18 +326,12 @@ class PlanClient(VehicleProbe):
         return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]
 
     def enable_fence(self) -> None:
-        """Switch the fence on: GF_ACTION 2 (hold), or FENCE_ENABLE; `NotApplicable`: neither is."""
-        name, value, kind = FENCE_SWITCHES[self.is_px4]
+        """Have PX4 hold at its fence, ArduPilot keep within it; `NotApplicable`: it cannot."""
+        name, value = ("GF_ACTION", 2.0) if self.is_px4 else ("FENCE_ENABLE", 1.0)
         try:
-            request = mav.ParamSet(*self.target, name, value, kind)
-            self.ask(request, mav.ParamValue, lambda m: m.param_id == name.decode(), within_s=ACK_S)
+            self.change(name, value)
         except Violation:
-            raise NotApplicable(f"no parameter {name.decode()}") from None
-
-    def disable_fence(self) -> None:
-        """FENCE_ENABLE 0; PX4's goes with its fence."""
-        if not self.is_px4:
-            self.send(mav.ParamSet(*self.target, b"FENCE_ENABLE", 0.0, 2))
+            raise NotApplicable(f"no parameter {name}") from None
 
 
 STREAM_PERIOD_S = 0.1

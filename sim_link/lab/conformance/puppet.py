@@ -117,13 +117,6 @@ class CompanionProbe(Station):
         assume(is_heard, f"no companion heard within {FIRST_WORD_S:g} s")
         self.run(SETTLE_S)
 
-    def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int] | None:
-        """Leave the companion in peace: another mode, disarmed; a puppet has no base."""
-        self.choose("hold")
-        self.is_armed = False
-        self.run(1.0)
-        return base_e7
-
     def setpoints(self, mark: int = 0) -> list[SetpointMessage]:
         """The setpoints that came since a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, SETPOINTS)]

@@ -17,8 +17,7 @@ The rule's id is `frames.bad_crc_is_dropped`, its statement the first line of th
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from fnmatch import fnmatchcase
@@ -60,6 +59,9 @@ class Effect(Enum):
 
 
 ASKS, CHANGES, FLIES = Effect
+CHANGE_FLAG, FLIGHT_FLAG, HARM_FLAG = "--allow-changes", "--allow-flight", "--allow-harm"
+FLAG_OF = {CHANGES: CHANGE_FLAG, FLIES: FLIGHT_FLAG}
+"""What allows it."""
 
 
 class Violation(Exception):  # noqa: N818  what a rule finds is no error of ours
@@ -68,6 +70,10 @@ class Violation(Exception):  # noqa: N818  what a rule finds is no error of ours
 
 class NotApplicable(Exception):  # noqa: N818
     """The peer gives no occasion to try the rule; the text says why."""
+
+
+class NotReady(Exception):  # noqa: N818
+    """The vehicle cannot be armed, so the rule could not be tried; the text says why."""
 
 
 class AutopilotNotes(msgspec.Struct, frozen=True):
@@ -100,6 +106,8 @@ class Rule:
     book: RuleBook
     effect: Effect
     flavours: frozenset[Flavour]
+    harms: bool
+    """It sends what a weak autopilot may not survive: NaN, absurd values, a reboot."""
     probe: Probe = field(repr=False)
 
     @property
@@ -107,6 +115,12 @@ class Rule:
         """Whom it binds."""
         role: Role = self.book.prober.role
         return role
+
+    @property
+    def needs(self) -> list[str]:
+        """The options without which it is not tried."""
+        flags = [FLAG_OF[self.effect]] if self.effect in FLAG_OF else []
+        return [*flags, HARM_FLAG] if self.harms else flags
 
     def deviation(self, flavour: Flavour) -> str:
         """What the real autopilot does against the rule, with its version; empty: keeps it."""
@@ -136,6 +150,7 @@ class RuleBook:
         *,
         effect: Effect | None = None,
         flavours: frozenset[Flavour] | None = None,
+        harms: bool = False,
         says: str = "",
     ) -> Callable[[Probe], Probe]:
         """Make the decorated method a rule, named as it is and stated by its docstring or `says`.
@@ -151,6 +166,7 @@ class RuleBook:
                 book=self,
                 effect=effect or self._effect,
                 flavours=flavours or self._flavours,
+                harms=harms,
                 probe=probe,
             )
             self.rules.append(rule)
@@ -178,7 +194,13 @@ class RuleVerdict(Enum):
     NOTED = "NOTED"
     """It failed as the real autopilot is known to."""
     FAIL = "FAIL"
+    HANG = "HANG"
+    """The vehicle fell silent: it hangs, crashed, or the link is cut."""
+    ERROR = "ERROR"
+    """The suite itself failed."""
     SKIP = "SKIP"
+    NOT_RUN = "NOT RUN"
+    """It was to be tried, and could not be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +227,7 @@ def select(rules: Iterable[Rule], role: Role, pattern: str | None = None) -> lis
 
 
 def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
-    """Try one rule with an attached probe; exceptions other than the verdicts are ours."""
+    """Try one rule with an attached probe, whatever happens."""
     started_s = probe.now_s
     verdict, detail = RuleVerdict.PASS, ""
     try:
@@ -216,28 +238,11 @@ def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
         detail = f"{violation} ({note})" if note else str(violation)
     except NotApplicable as reason:
         verdict, detail = RuleVerdict.SKIP, str(reason)
+    except NotReady as reason:
+        verdict, detail = RuleVerdict.NOT_RUN, str(reason)
+    except Exception as error:  # the vehicle is to be landed all the same
+        verdict, detail = RuleVerdict.ERROR, f"{type(error).__name__}: {error}"
     return RuleOutcome(rule, verdict, detail, probe.now_s - started_s)
-
-
-def run_rules(
-    rules: Iterable[Rule], flavour: Flavour, allowed: Effect, make_probe: Callable[[type[Any]], Any]
-) -> Iterator[RuleOutcome]:
-    """Try the rules that bind a flavour, each with an attached probe, as far as is allowed."""
-    base: tuple[int, int] | None = None
-    order = list(Effect)
-    for rule in rules:
-        if flavour not in rule.flavours:
-            continue
-        if order.index(rule.effect) > order.index(allowed):
-            flag = "--allow-flight" if rule.effect is Effect.FLIES else "--allow-changes"
-            yield RuleOutcome(rule, RuleVerdict.SKIP, f"needs {flag}")
-            continue
-        probe = make_probe(rule.book.prober)
-        outcome = try_rule(rule, probe)
-        if rule.effect is Effect.FLIES:
-            with suppress(Violation, NotApplicable):
-                base = probe.come_to_rest(base)
-        yield outcome
 
 
 def line(outcome: RuleOutcome) -> str:
@@ -247,7 +252,22 @@ def line(outcome: RuleOutcome) -> str:
     return f"{text}\n      {outcome.detail}" if outcome.detail else text
 
 
-FURTHER = {RuleVerdict.NOTED: "deviate as noted", RuleVerdict.SKIP: "skipped"}
+FURTHER = {
+    RuleVerdict.NOTED: "deviate as noted",
+    RuleVerdict.HANG: "made it fall silent",
+    RuleVerdict.ERROR: "broke the suite",
+    RuleVerdict.NOT_RUN: "not run",
+    RuleVerdict.SKIP: "skipped",
+}
+EXIT_PASSED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOTED = range(4)
+
+
+def exit_code(outcomes: Iterable[RuleOutcome], leftovers: Sequence[str] = ()) -> int:
+    """0: all that was tried passed; 3: it deviates, only as noted; 1: anything else."""
+    verdicts = {outcome.verdict for outcome in outcomes} - {RuleVerdict.PASS, RuleVerdict.SKIP}
+    if leftovers or verdicts - {RuleVerdict.NOTED}:
+        return EXIT_FAILED
+    return EXIT_NOTED if verdicts else EXIT_PASSED
 
 
 def summary(outcomes: Sequence[RuleOutcome]) -> str:
@@ -264,7 +284,8 @@ def listing(rules: Iterable[Rule]) -> list[str]:
     lines = []
     for rule in rules:
         flavours = ", ".join(sorted(flavour.value for flavour in rule.flavours))
-        lines.append(f"{rule.rule_id}  ({flavours}; {rule.effect.value})")
+        harms = "; harms" if rule.harms else ""
+        lines.append(f"{rule.rule_id}  ({flavours}; {rule.effect.value}{harms})")
         lines.append(f"    {rule.statement}")
         lines.append(f"    source: {rule.source}")
         for flavour, notes in autopilot_notes().items():
@@ -274,12 +295,15 @@ def listing(rules: Iterable[Rule]) -> list[str]:
     return lines
 
 
-def record(outcomes: Iterable[RuleOutcome], peer: str) -> dict[str, object]:
-    """All outcomes as JSON values."""
-    told = list(outcomes)
+def record(
+    outcomes: Sequence[RuleOutcome], peer: str, leftovers: Sequence[str] = ()
+) -> dict[str, object]:
+    """All outcomes, and what is left behind on the vehicle, as JSON values."""
     return {
         "peer": peer,
-        "summary": summary(told),
+        "summary": summary(outcomes),
+        "exit_code": exit_code(outcomes, leftovers),
+        "left_behind": list(leftovers),
         "rules": [
             {
                 "id": outcome.rule.rule_id,
@@ -289,6 +313,6 @@ def record(outcomes: Iterable[RuleOutcome], peer: str) -> dict[str, object]:
                 "detail": outcome.detail,
                 "duration_s": round(outcome.duration_s, 3),
             }
-            for outcome in told
+            for outcome in outcomes
         ],
     }

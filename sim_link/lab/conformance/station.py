@@ -44,6 +44,9 @@ class ProbeLink(Protocol):
     def another(self) -> ProbeLink | None:
         """A second client of the same peer; None where the link has room for one only."""
 
+    def close_others(self) -> None:
+        """Close the connections made from this one: a server takes so many and no more."""
+
 
 MAVLINK_VERSION = 3
 HEARTBEAT_PERIOD_S = 1.0
@@ -157,6 +160,17 @@ class Station:
                 return False
             self._advance(until_s)
         return True
+
+    def is_own(self, message: Message) -> bool:  # noqa: ARG002
+        """Whether the peer itself said it."""
+        return True
+
+    def is_heard(self, within_s: float) -> bool:
+        """Let time pass; whether the peer says anything."""
+        mark = self.mark
+        return self.run_until(
+            lambda: any(self.is_own(entry.message) for entry in self.inbox[mark:]), within_s
+        )
 
     def repeat(self, build: Callable[[], Message], period_s: float) -> Callable[[], None]:
         """Send a message now and each period while time passes; what is returned ends it."""

@@ -7,16 +7,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
 
+from companion.errors import CompanionError
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
-from sim_link.lab.conformance.mavlink_oracle import Triple, distance_m
-from sim_link.lab.conformance.rules import Flavour, NotApplicable, Role, Violation, assume, require
+from sim_link.lab.conformance.mavlink_oracle import Triple
+from sim_link.lab.conformance.rules import (
+    Flavour,
+    NotApplicable,
+    NotReady,
+    Role,
+    Violation,
+    assume,
+    require,
+)
 from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat, source_of
 
 FIRST_HEARTBEAT_S = 10.0
 READY_S = 90.0
 """A real autopilot needs 20 to 45 s from boot until it can be armed."""
+SHORT_LOOK_S = 2.0
+ARM_S = 15.0
+"""How long arming may be refused although SYS_STATUS says that it is possible."""
+STREAM_S = 15.0
+SILENCE_S = 8.0
+"""Whoever says nothing for so long has crashed, or hangs."""
+SECOND_CLIENT_S = 3.0
 ACK_S = 2.0
 POSITION_INTERVAL_S = 0.05
 BOOT_S = 60.0
@@ -24,11 +43,53 @@ SPENT_PERCENT = 30
 """A battery that may not last for the next flight."""
 FLIGHT_HEIGHT_M = 10.0
 CLIMB_S = 40.0
-LAND_S = 60.0
-NEAR_M = 20.0
-GO_BACK_S = 60.0
 
 PADDING = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One PARAM_VALUE, its value kept as the four bytes on the wire."""
+
+    name: str
+    kind: int
+    raw: bytes
+    index: int
+    count: int
+    value: float
+    """The number, decoded as the flavour encodes."""
+
+
+@dataclass(slots=True)
+class Baseline:
+    """What the vehicle was like before the rules touched it; one for all probes of a run."""
+
+    allows_harm: bool = False
+    tell: Callable[[str], None] = lambda _: None
+    """Told what is waited for."""
+    custom_mode: int | None = None
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    plans: dict[int, list[Any]] = field(default_factory=dict)
+    """The items of each MAV_MISSION_TYPE."""
+    intervals: set[int] = field(default_factory=set)
+    """Messages whose rates are not the link's own any more."""
+    home: tuple[int, int, float] | None = None
+    start_e7: tuple[int, int] | None = None
+    """Where flights begin; they come back there, or the next ones would lead ever farther away."""
+    unready: str = ""
+    """Why it could not be armed; then nobody waits for it as long again."""
+    serves_one_client: bool = False
+
+    def leftovers(self) -> list[str]:
+        """What is not put back, and what to do about it."""
+        told = [
+            f"{p.name} is not restored: set it to {p.value:.9g}" for p in self.parameters.values()
+        ]
+        told += [
+            f"plan of type {kind} is not restored: it had {len(items)} items"
+            for kind, items in self.plans.items()
+        ]
+        return told + (["home is not restored: set it again"] if self.home else [])
 
 
 class VehicleProbe(Station):
@@ -41,6 +102,7 @@ class VehicleProbe(Station):
         self.signing_key = signing_key
         self.flavour = Flavour.PX4
         self.target = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self.baseline = Baseline()
 
     def attach(self) -> None:
         """Wait for the vehicle and learn its ids and flavour; `NotApplicable`: none is heard."""
@@ -54,6 +116,8 @@ class VehicleProbe(Station):
         except Violation:
             raise NotApplicable(f"no autopilot heard within {FIRST_HEARTBEAT_S:g} s") from None
         self.target = source_of(first)
+        if self.baseline.custom_mode is None:
+            self.baseline.custom_mode = first.custom_mode
         for flavour, number in mav.AUTOPILOT_OF.items():
             if number == first.autopilot:
                 self.flavour = flavour
@@ -78,20 +142,32 @@ class VehicleProbe(Station):
 
     def latest(self, kind: type[M]) -> M:
         """The newest message of a kind; asked for if none came yet."""
-        known = self.from_vehicle(kind)
-        return known[-1] if known else self.request(kind)
+        return self._newest(kind) or self.request(kind)
+
+    def _newest(self, kind: type[M]) -> M | None:
+        for entry in reversed(self.inbox):
+            if isinstance(entry.message, kind) and self.is_own(entry.message):
+                return entry.message
+        return None
 
     def another(
         self, system_id: int = 254, component_id: int = 190, kind: int | None = mavlink.MAV_TYPE_GCS
     ) -> Station:
-        """A second station, already heard; `NotApplicable`: the link has room for one client."""
-        link = self.link.another()
-        if link is None:
-            raise NotApplicable("this link has room for one client only")
-        other = Station(link, system_id, component_id, None)
-        if kind is not None:
-            other.send(heartbeat(kind))
-        return other
+        """A second station, already heard; `NotApplicable`: the link has room for one client.
+
+        A server may leave it waiting in its backlog, and a port may stick to its first peer.
+        """
+        link = None
+        with suppress(CompanionError):
+            link = None if self.baseline.serves_one_client else self.link.another()
+        if link is not None:
+            other = Station(link, system_id, component_id, None)
+            if kind is not None:
+                other.send(heartbeat(kind))
+            if other.is_heard(SECOND_CLIENT_S):
+                return other
+        self.baseline.serves_one_client = True
+        raise NotApplicable("this link serves one client only")
 
     def command(self, number: int, *params: float, confirmation: int = 0) -> int:
         """Send COMMAND_LONG, unused parameters NaN as MAVSDK does; the final MAV_RESULT."""
@@ -142,13 +218,15 @@ class VehicleProbe(Station):
     def set_interval(self, kind: type[Message] | int, interval_s: float) -> int:
         """SET_MESSAGE_INTERVAL (-1 stops, 0: the default) of a message or an id; its MAV_RESULT."""
         number = kind if isinstance(kind, int) else kind.id
+        if interval_s != 0.0:
+            self.baseline.intervals.add(number)
         microseconds = interval_s * 1e6 if interval_s > 0.0 else interval_s
         return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(number), microseconds)
 
     def watch(self, kind: type[M], interval_s: float = POSITION_INTERVAL_S) -> None:
         """Make a message flow, and wait for the first."""
         self.set_interval(kind, interval_s)
-        self.expect(kind, within_s=READY_S, mark=self.asked)
+        self.expect(kind, within_s=STREAM_S, mark=self.asked)
 
     def is_alive(self) -> bool:
         """Whether the vehicle still answers (TIMESYNC)."""
@@ -239,6 +317,9 @@ class VehicleProbe(Station):
 
     def set_home(self, place: tuple[int, int, float], frame: int = mavlink.MAV_FRAME_GLOBAL) -> int:
         """DO_SET_HOME as COMMAND_INT; its MAV_RESULT."""
+        if self.baseline.home is None:
+            home = self.home()
+            self.baseline.home = (home.latitude, home.longitude, home.altitude / 1e3)
         params = (0.0, 0.0, 0.0, 0.0)
         return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, params, place)
 
@@ -253,7 +334,10 @@ class VehicleProbe(Station):
     def get_ready(self) -> None:
         """Wait until it can be armed, in the mode that flights begin in."""
         self._begin_flight()
-        if 0 <= self.latest(mav.SysStatus).battery_remaining < SPENT_PERCENT:
+        percent = self.latest(mav.SysStatus).battery_remaining
+        if 0 <= percent < SPENT_PERCENT:
+            if not self.baseline.allows_harm:
+                raise NotReady(f"battery at {percent} %: charge it (--allow-harm reboots for it)")
             self.reboot()
             self._begin_flight()
         self.await_prearm()
@@ -271,16 +355,50 @@ class VehicleProbe(Station):
         require(back, f"it did not come back within {BOOT_S:g} s of a reboot")
 
     def await_prearm(self) -> None:
-        """Wait until SYS_STATUS says that it can be armed."""
-        ready = self.run_until(
-            lambda: any(map(is_ready, self.from_vehicle(mav.SysStatus)[-1:])), READY_S
-        )
-        require(ready, f"not ready to arm within {READY_S:g} s (SYS_STATUS, PREARM_CHECK)")
+        """Wait until SYS_STATUS says that it can be armed in its mode; `NotReady`: it does not."""
+        mark = self.mark
+        baseline = self.baseline
+        if self._is_ready(SHORT_LOOK_S):
+            baseline.unready = ""
+            return
+        if not baseline.unready:
+            what = f"ready to arm within {READY_S:g} s (SYS_STATUS, PREARM_CHECK)"
+            baseline.tell(f"waiting for the vehicle: {what}")
+            if self._is_ready(READY_S):
+                return
+            require(not self._is_silent(), "nothing is heard any more")
+            baseline.unready = f"not {what}{self._reasons_since(mark)}"
+        raise NotReady(baseline.unready)
+
+    def _is_ready(self, within_s: float) -> bool:
+        """Let time pass until it can be armed, or nothing is heard any more; whether it can."""
+
+        def can_arm() -> bool:
+            status = self._newest(mav.SysStatus)
+            return status is not None and is_ready(status)
+
+        self.run_until(lambda: can_arm() or self._is_silent(), within_s)
+        return can_arm()
+
+    def _is_silent(self) -> bool:
+        return bool(self.inbox) and self.now_s - self.inbox[-1].time_s > SILENCE_S
+
+    def _reasons_since(self, mark: int) -> str:
+        """What the vehicle said meanwhile, to be put behind a complaint."""
+        texts = dict.fromkeys(text.text.strip() for text in self.from_vehicle(mav.StatusText, mark))
+        return f"; it says: {'; '.join(list(texts)[-3:])}" if texts else ""
 
     def arm(self) -> None:
-        """Get ready and arm."""
+        """Get ready and arm; `NotReady`: it is refused again and again."""
         self.get_ready()
-        self.require_result(mav.ACCEPTED, mav.ARM, 1.0, 0.0)
+        if self.baseline.start_e7 is None:
+            self.baseline.start_e7 = self.where_e7()
+        mark, last_s = self.mark, self.now_s + ARM_S
+        while (result := self.command(mav.ARM, 1.0, 0.0)) != mav.ACCEPTED:
+            if self.now_s > last_s:
+                reasons = self._reasons_since(mark)
+                raise NotReady(f"arming is refused for {ARM_S:g} s: result {result}{reasons}")
+            self.run(1.0)
 
     def take_off(self, height_m: float = FLIGHT_HEIGHT_M) -> None:
         """Arm, climb above home and hover there."""
@@ -306,43 +424,16 @@ class VehicleProbe(Station):
             mavlink.MAV_CMD_DO_REPOSITION, frame, (-1.0, flags, 0.0, mav.NAN), place
         )
 
-    def come_to_rest(self, base_e7: tuple[int, int] | None = None) -> tuple[int, int]:
-        """Land if it flies and wait until it is disarmed, for whoever tries the next rule.
-
-        The result is where flights began (1e-7 degrees; None: here): it goes back there from afar,
-        or the next flights would lead ever farther away.
-        """
-        self.signer = None
-        here = self._where()
-        if not self.is_armed():
-            return base_e7 or here
-        if base_e7 is not None:
-            self._go_back(base_e7)
-        self.set_mode("land")
-        self.await_disarmed(LAND_S)
-        return base_e7 or here
-
-    def _where(self) -> tuple[int, int]:
+    def where_e7(self) -> tuple[int, int]:
+        """Latitude and longitude, 1e-7 degrees, asked for."""
         report = self.request(mav.GlobalPosition)
         return (report.lat, report.lon)
 
-    def _go_back(self, base_e7: tuple[int, int]) -> None:
-        """Fly to the base, unless it is near or the vehicle does not want to."""
-        if distance_m(self._where(), base_e7) < NEAR_M:
-            return
-        above_home_m = max(FLIGHT_HEIGHT_M, self.home().z - self.place()[2])
-        frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-        if self.reposition(frame, (*base_e7, above_home_m)) == mav.ACCEPTED:
-            self.run_until(lambda: self._is_near(base_e7), GO_BACK_S)
-
-    def _is_near(self, base_e7: tuple[int, int]) -> bool:
-        self.run(1.0)
-        return distance_m(self._where(), base_e7) < NEAR_M / 2.0
-
 
 def is_ready(status: mav.SysStatus) -> bool:
-    """Whether a SYS_STATUS says that it can be armed."""
-    return bool(status.onboard_control_sensors_health & mav.PREARM)
+    """Whether a SYS_STATUS says that it can be armed, or does not say that it cannot."""
+    is_told = bool(status.onboard_control_sensors_present & mav.PREARM)
+    return not is_told or bool(status.onboard_control_sensors_health & mav.PREARM)
 
 
 def require_unmoved(before: Sequence[float], after: Sequence[float], limit_m: float) -> None:

@@ -86,7 +86,15 @@ class CommandRules(VehicleProbe):
     @book.rule(MESSAGES)
     def unavailable_message_is_refused(self) -> None:
         """REQUEST_MESSAGE of what there is not is refused: DENIED, UNSUPPORTED or FAILED."""
-        for number in (9_999.0, 16_777_215.0, mav.NAN, 0.5, -1.0, math.inf, 1e30):
+        self._require_unavailable(9_999.0, 16_777_215.0)
+
+    @book.rule(MESSAGES, harms=True)
+    def senseless_message_id_is_refused(self) -> None:
+        """REQUEST_MESSAGE of NaN, a fraction or a number beyond all ids is refused."""
+        self._require_unavailable(mav.NAN, 0.5, -1.0, math.inf, 1e30)
+
+    def _require_unavailable(self, *numbers: float) -> None:
+        for number in numbers:
             self.require_result((mav.DENIED, mav.UNSUPPORTED, mav.FAILED), mav.REQUEST, number)
 
     @book.rule(
@@ -142,7 +150,7 @@ class CommandRules(VehicleProbe):
         wanted = mav.FAILED if self.is_px4 else mav.DENIED
         require(result == wanted, f"result {result}, not {wanted}")
 
-    @book.rule(f"{INTERVALS} {STRICT}")
+    @book.rule(f"{INTERVALS} {STRICT}", harms=True)
     def senseless_interval_is_refused(self) -> None:
         """SET_MESSAGE_INTERVAL with NaN, infinity or a fraction of a message id is refused."""
         self.require_result(mav.REFUSALS, SET_INTERVAL, mav.NAN, 1e6)
@@ -180,7 +188,7 @@ class CommandRules(VehicleProbe):
         """DO_SET_MODE with a mode that there is not is refused, and the mode stays."""
         self._require_mode_refused(99.0, 250.0)
 
-    @book.rule(f"{MODE} {STRICT}", effect=CHANGES)
+    @book.rule(f"{MODE} {STRICT}", effect=CHANGES, harms=True)
     def senseless_mode_is_refused(self) -> None:
         """DO_SET_MODE with NaN, a fraction or a number beyond a byte is refused."""
         self._require_mode_refused(mav.NAN, 0.5, 260.0, -1.0, math.inf)
@@ -192,10 +200,11 @@ class CommandRules(VehicleProbe):
 
     @book.rule(mav.OBSERVED_BOTH, effect=CHANGES)
     def set_mode_message_is_acknowledged(self) -> None:
-        """The SET_MODE message works and is answered by a COMMAND_ACK of DO_SET_MODE."""
+        """The SET_MODE message works and is answered by a COMMAND_ACK."""
         number = 4 << 16 | 6 << 24 if self.is_px4 else 2
         message = SetMode(self.target[0], 1, number)
-        ack = self.ask(message, mav.Ack, lambda m: m.command == SET_MODE)
+        answered = SET_MODE if self.is_px4 else SetMode.id
+        ack = self.ask(message, mav.Ack, lambda m: m.command == answered)
         require(ack.result == mav.ACCEPTED, f"result {ack.result}")
         self.expect(mav.Heartbeat, lambda m: m.custom_mode == number, mark=self.asked)
         self.set_mode("hold" if self.is_px4 else "stabilized")
@@ -228,7 +237,7 @@ class CommandRules(VehicleProbe):
         payload = CALIBRATION.to_bytes(2, "little") + bytes(self.target)
         self.send_raw(mav.build_raw(80, payload, COMMAND_CANCEL_CRC_EXTRA, self.spec()))
 
-    @book.rule(LONG_RUNNING, effect=CHANGES)
+    @book.rule(LONG_RUNNING, effect=CHANGES, harms=True)
     def long_running_command_reports_and_can_be_cancelled(self) -> None:
         """A long command reports IN_PROGRESS, refuses a second one, and ends when cancelled."""
         first = self._calibrate()
@@ -243,7 +252,7 @@ class CommandRules(VehicleProbe):
         require(last == mav.CANCELLED, f"cancelled: result {last}")
         self.expect_none(mav.Ack, lambda m: m.command == CALIBRATION, what="after the end")
 
-    @book.rule(LONG_RUNNING, effect=CHANGES)
+    @book.rule(LONG_RUNNING, effect=CHANGES, harms=True)
     def long_running_command_ends_with_a_final_result(self) -> None:
         """IN_PROGRESS is repeated until a final result follows."""
         self._calibrate()
@@ -296,7 +305,7 @@ class ArmingRules(VehicleProbe):
             self.require_result(self._refusal, mav.ARM, 1.0, force)
         self.expect(mav.StatusText, mark=mark, what="text with the reason")
 
-    @book.rule(f"{SERVICE} {STRICT}")
+    @book.rule(f"{SERVICE} {STRICT}", harms=True)
     def senseless_arming_is_refused(self) -> None:
         """Arming with NaN, a fraction or 2 is refused and arms nothing."""
         self.get_ready()
@@ -321,10 +330,15 @@ class ArmingRules(VehicleProbe):
 
     @book.rule(f"MAVLink common, MAV_CMD_COMPONENT_ARM_DISARM; {mav.OBSERVED_BOTH}")
     def disarming_in_the_air_is_refused(self) -> None:
-        """In the air disarming is refused unless it is forced."""
+        """In the air disarming is refused."""
         self.take_off()
         self.require_result(self._refusal, mav.ARM, 0.0, 0.0)
         require(self.is_armed(), "it is disarmed")
+
+    @book.rule("MAVLink common, MAV_CMD_COMPONENT_ARM_DISARM (21196)", harms=True)
+    def forced_disarming_in_the_air_is_obeyed(self) -> None:
+        """In the air disarming is obeyed when it is forced."""
+        self.take_off()
         self.require_result(mav.ACCEPTED, mav.ARM, 0.0, mav.FORCE_DISARM)
         require(not self.is_armed(), "a forced disarm does nothing")
 

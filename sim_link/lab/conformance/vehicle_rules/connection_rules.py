@@ -309,7 +309,7 @@ class RoutingRules(ParameterClient):
         frame = mav.build_frame(message, self.spec(incompat=mav.SIGNED))
         self._require_forwarded(mav.sign(frame, FOREIGN_KEY, 3, 10**13))
 
-    @book.rule(f"{ROUTING}; MAVLink guide, Message Signing")
+    @book.rule(f"{ROUTING}; MAVLink guide, Message Signing", harms=True)
     def signing_setup_is_never_forwarded(self) -> None:
         """SETUP_SIGNING, which holds a key, is never passed on."""
         other = self._companion()

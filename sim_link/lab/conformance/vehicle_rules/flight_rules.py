@@ -16,6 +16,7 @@ from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 SERVICE = "MAVLink guide, Command Protocol"
 STRICT = "(stricter than the real one, which accepts it)"
 LOCATION = f"{SERVICE} (location commands belong in COMMAND_INT); {mav.OBSERVED_ARDUPILOT}"
+REBOOTING = "MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN"
 NO_PLACE = (1_000_000_000, 85_000_000, 500.0)
 """At a latitude of 100 degrees."""
 
@@ -53,6 +54,7 @@ class FlightRules(VehicleProbe):
         flavours=ARDUPILOT,
         says="NAV_TAKEOFF with NaN, zero or a negative altitude is refused: it would climb "
         "without end.",
+        harms=True,
     )
     def takeoff_without_altitude_is_refused(self) -> None:
         """NAV_TAKEOFF with NaN, zero or a negative altitude is refused."""
@@ -136,7 +138,7 @@ class FlightRules(VehicleProbe):
             mav.distance_m((here.lat, here.lon), wanted[:2]), here.alt / 1e3 - wanted[2]
         )
 
-    @book.rule(f"{mav.OBSERVED_ARDUPILOT} {STRICT}")
+    @book.rule(f"{mav.OBSERVED_ARDUPILOT} {STRICT}", harms=True)
     def senseless_reposition_is_refused(self) -> None:
         """DO_REPOSITION to no latitude or in a local frame is refused, and nothing moves."""
         self.take_off()
@@ -177,7 +179,7 @@ class FlightRules(VehicleProbe):
         self.take_off(5.0)
         self.require_result(ACCEPTED, mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 4.0, -1.0)
 
-    @book.rule("MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN")
+    @book.rule(REBOOTING, harms=True)
     def reboot_is_refused_while_armed(self) -> None:
         """PREFLIGHT_REBOOT_SHUTDOWN is refused while armed."""
         self.arm()
@@ -197,7 +199,7 @@ class FlightRules(VehicleProbe):
         require(abs(moved.latitude - lat) <= 1, f"latitude {moved.latitude}, not {lat}")
         require(abs(moved.longitude - lon) <= 1, f"longitude {moved.longitude}, not {lon}")
 
-    @book.rule(f"MAVLink common, MAV_CMD_DO_SET_HOME {STRICT}", effect=CHANGES)
+    @book.rule(f"MAVLink common, MAV_CMD_DO_SET_HOME {STRICT}", effect=CHANGES, harms=True)
     def senseless_home_is_refused(self) -> None:
         """DO_SET_HOME to no latitude is refused and home stays."""
         self.get_ready()
@@ -243,12 +245,12 @@ class FailsafeRules(ParameterClient, SetpointClient):
     )
     def lost_ground_station_returns(self) -> None:
         """With FS_GCS_ENABLE, five seconds without a ground station end in RTL."""
-        with self.parameter_set("FS_GCS_ENABLE", 1.0):
-            self.take_off()
-            mark = self.mark
-            self._require_return(3.5, "offboard", 5.0)
-            texts = [m.text for m in self.heard(mav.StatusText, mark)]
-            require(any("GCS" in text for text in texts), f"texts {texts}")
+        self.change("FS_GCS_ENABLE", 1.0)
+        self.take_off()
+        mark = self.mark
+        self._require_return(3.5, "offboard", 5.0)
+        texts = [m.text for m in self.heard(mav.StatusText, mark)]
+        require(any("GCS" in text for text in texts), f"texts {texts}")
 
     @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
     def lost_ground_station_is_nothing_by_default(self) -> None:
@@ -261,9 +263,10 @@ class FailsafeRules(ParameterClient, SetpointClient):
     @book.rule("PX4 user guide, Safety Configuration, NAV_DLL_ACT, COM_DL_LOSS_T", flavours=PX4)
     def lost_data_link_returns(self) -> None:
         """With NAV_DLL_ACT 2, COM_DL_LOSS_T without a ground station: Hold for a while, RETURN."""
-        with self.parameter_set("NAV_DLL_ACT", 2.0), self.parameter_set("COM_DL_LOSS_T", 5.0):
-            self.take_off()
-            self._require_return(3.0, "hold", 5.0 + HOLD_BEFORE_S)
+        self.change("NAV_DLL_ACT", 2.0)
+        self.change("COM_DL_LOSS_T", 5.0)
+        self.take_off()
+        self._require_return(3.0, "hold", 5.0 + HOLD_BEFORE_S)
 
     @book.rule("PX4 user guide, Offboard Mode, COM_OF_LOSS_T", flavours=PX4)
     def offboard_loss_time_is_the_parameter(self) -> None:
@@ -271,25 +274,25 @@ class FailsafeRules(ParameterClient, SetpointClient):
         require(self.read("COM_OF_LOSS_T").kind == mav.REAL32, "COM_OF_LOSS_T is no float")
         require(self.read("COM_OBL_RC_ACT").kind == mav.INT32, "COM_OBL_RC_ACT is no integer")
         number = mav.custom_mode(self.flavour, "offboard")
-        with self.parameter_set("COM_OF_LOSS_T", 4.0):
-            self.begin_streaming()()
-            self.run(2.5)
-            early = self.request(mav.Heartbeat).custom_mode
-            require(early == number, "lost after 2.5 s")
-            self.run(2.5)
-            late = self.request(mav.Heartbeat).custom_mode
-            require(late != number, "not lost after 5 s")
+        self.change("COM_OF_LOSS_T", 4.0)
+        self.begin_streaming()()
+        self.run(2.5)
+        early = self.request(mav.Heartbeat).custom_mode
+        require(early == number, "lost after 2.5 s")
+        self.run(2.5)
+        late = self.request(mav.Heartbeat).custom_mode
+        require(late != number, "not lost after 5 s")
 
-    @book.rule("MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN; SYSTEM_TIME", effect=CHANGES)
+    @book.rule(f"{REBOOTING}; SYSTEM_TIME", effect=CHANGES, harms=True)
     def reboot_restarts_the_clock_and_keeps_parameters(self) -> None:
         """Disarmed it reboots on command: time_boot_ms begins anew, changed parameters stay."""
         self.get_ready()
         name = self.float_name
-        with self.parameter_set(name, 4.5):
-            self.run(2.0)
-            old_ms = self.request(mav.SystemTime).time_boot_ms
-            self.reboot()
-            new_ms = self.request(mav.SystemTime).time_boot_ms
-            kept = self.read(name).value
+        self.change(name, 4.5)
+        self.run(2.0)
+        old_ms = self.request(mav.SystemTime).time_boot_ms
+        self.reboot()
+        new_ms = self.request(mav.SystemTime).time_boot_ms
+        kept = self.read(name).value
         require(new_ms < old_ms, f"time_boot_ms went from {old_ms} to {new_ms}")
         require(kept == 4.5, f"{name} is {kept} after the reboot")

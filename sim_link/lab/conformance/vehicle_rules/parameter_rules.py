@@ -95,12 +95,11 @@ class ParameterRules(ParameterClient):
     def set_is_echoed_and_kept(self) -> None:
         """PARAM_SET is answered by PARAM_VALUE with the new value, and a read shows it."""
         for name, value in ((self.float_name, 4.25), (self.integer_name, 1.0)):
-            with self.restored(name) as before:
-                self.write(name, value, before.kind)
-                echoed = self.await_value(name)
-                require(echoed.value == value, f"{name}: echo {echoed.value}")
-                require(echoed.kind == before.kind, f"{name}: type {echoed.kind}")
-                require(self.read(name).value == value, f"{name} was not kept")
+            before = self.remember(name)
+            echoed = self.change(name, value)
+            require(echoed.value == value, f"{name}: echo {echoed.value}")
+            require(echoed.kind == before.kind, f"{name}: type {echoed.kind}")
+            require(self.read(name).value == value, f"{name} was not kept")
 
     @book.rule(SERVICE, effect=CHANGES)
     def set_of_an_equal_value_is_echoed(self) -> None:
@@ -112,11 +111,10 @@ class ParameterRules(ParameterClient):
     def _require_encoded(self, kinds: tuple[int, ...], value: float, wanted: bytes) -> None:
         """An integer of one of the types must be told as certain bytes."""
         name = self.integer_name
-        with self.restored(name) as before:
-            require(before.kind in kinds, f"{name} has type {before.kind}")
-            self.write(name, value, before.kind)
-            told = self.await_value(name)
-            require(told.raw == wanted, f"{value:g} is sent as {told.raw.hex()}")
+        before = self.remember(name)
+        require(before.kind in kinds, f"{name} has type {before.kind}")
+        told = self.change(name, value)
+        require(told.raw == wanted, f"{value:g} is sent as {told.raw.hex()}")
 
     @book.rule(f"{SERVICE} (bytewise encoding)", effect=CHANGES, flavours=PX4)
     def integers_are_encoded_bytewise(self) -> None:
@@ -128,7 +126,7 @@ class ParameterRules(ParameterClient):
         """A negative INT32, whose bytes are a NaN, survives set, echo and read."""
         negative = [p for p in self.read_all() if p.kind == INT32 and p.value < 0.0]
         assume(bool(negative), "no INT32 parameter is negative")
-        chosen = negative[0]
+        chosen = self.remember(negative[0].name)
         body = chosen.raw + bytes(self.target) + chosen.name.encode().ljust(16, b"\0") + b"\x06"
         self.send_payload(mav.ParamSet, body)
         require(self.await_value(chosen.name).raw == chosen.raw, f"{chosen.name} changed")
@@ -177,7 +175,7 @@ class ParameterRules(ParameterClient):
             self.run(wait_s)
             require(self.read(name).raw == before.raw, f"{name}: {value} was stored")
 
-    @book.rule(STRICT, effect=CHANGES)
+    @book.rule(STRICT, effect=CHANGES, harms=True)
     def nan_is_refused(self) -> None:
         """NaN and infinity are not stored."""
         self._require_kept(self.float_name, 0.3, NAN, math.inf, -math.inf)
@@ -187,6 +185,7 @@ class ParameterRules(ParameterClient):
         effect=CHANGES,
         says="PARAM_SET with a value that is not stored is answered by PARAM_VALUE with the old "
         "value.",
+        harms=True,
     )
     def refused_value_is_answered_by_the_old_one(self) -> None:
         """PARAM_SET with a value that is not stored is answered by the old one."""
@@ -217,7 +216,7 @@ class ParameterRules(ParameterClient):
         """A value of another type is not stored."""
         self._require_kept(self.integer_name, 0.5, 1.5)
 
-    @book.rule(STRICT, effect=CHANGES, flavours=PX4)
+    @book.rule(STRICT, effect=CHANGES, flavours=PX4, harms=True)
     def value_out_of_range_is_refused(self) -> None:
         """A value outside the parameter's range is not stored."""
         self._require_kept("COM_OF_LOSS_T", 0.5, -5.0)
@@ -243,15 +242,11 @@ class ParameterRules(ParameterClient):
     def changed_takeoff_altitude_is_flown(self) -> None:
         """A take-off without altitude climbs to MIS_TAKEOFF_ALT as it was set."""
         name = "MIS_TAKEOFF_ALT"
-        before = self.read(name)
         self.arm()
-        self.write(name, 6.0, REAL32)
-        self.await_value(name)
+        self.change(name, 6.0)
         start = self.place()[2]
         self.command(mav.TAKE_OFF)
         self.await_mode("hold", 30.0)
         self.run(2.0)
         climbed_m = start - self.place()[2]
-        self.write(name, before.value, REAL32)
-        self.run(0.2)
         require(abs(climbed_m - 6.0) < 1.0, f"climbed {climbed_m:.1f} m")

@@ -158,7 +158,7 @@ class OffboardRules(SetpointClient):
         require(not self.is_armed(), "it is armed")
         require_unmoved(before, self.place(), 1.0)
 
-    @book.rule(f"{COMMON}; {BOTH_OBSERVED} (stricter: no terrain or 0/0 without terrain data)")
+    @book.rule(f"{LOCAL} (stricter: no terrain or 0/0 without terrain data)", harms=True)
     def senseless_setpoint_moves_nothing(self) -> None:
         """NaN, a foreign frame, an empty mask, 0/0 or no latitude never moves the vehicle."""
         before = self.begin()

@@ -18,7 +18,6 @@ NEEDED_HZ = {
     "HEARTBEAT": 1.0,
     "SYS_STATUS": 1.0,
     "EXTENDED_SYS_STATE": 1.0,
-    "SYSTEM_TIME": 1.0,
     "ATTITUDE": 10.0,
     "ATTITUDE_QUATERNION": 5.0,
     "LOCAL_POSITION_NED": 10.0,
@@ -179,7 +178,8 @@ class TelemetryRules(VehicleProbe):
     )
     def battery_makes_sense(self) -> None:
         """The battery has a voltage of some cells and 0 to 100 % left."""
-        status = self.request(mav.SysStatus)
+        self.watch(mav.SysStatus, 0.5)
+        status = self.latest(mav.SysStatus)
         millivolts, percent = status.voltage_battery, status.battery_remaining
         require(millivolts == 65_535 or 2_500 < millivolts < 60_000, f"{millivolts} mV")
         require(-1 <= percent <= 100, f"{percent} %")

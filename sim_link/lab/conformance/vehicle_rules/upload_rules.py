@@ -167,7 +167,7 @@ class PlanResultRules(PlanClient):
         self.get_ready()
         self._require_refused({"command": 31_999}, mav.PLAN_UNSUPPORTED)
 
-    @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}")
+    @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}", harms=True)
     def impossible_latitude_is_refused(self) -> None:
         """A waypoint at 100 degrees north is refused as INVALID_PARAM5_X."""
         self.get_ready()
@@ -175,7 +175,7 @@ class PlanResultRules(PlanClient):
             {"x": 1_000_000_000, "y": 85_000_000}, mav.PLAN_INVALID_X, mav.PLAN_INVALID
         )
 
-    @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}")
+    @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}", harms=True)
     def impossible_altitude_is_refused(self) -> None:
         """A waypoint at a NaN or endless altitude is refused as INVALID_PARAM7."""
         self.get_ready()
@@ -253,7 +253,5 @@ class FenceRules(PlanClient):
         self.reposition(mavlink.MAV_FRAME_GLOBAL, (here.lat + 9_000, here.lon, here.alt / 1e3))
         self.run(25.0)
         distance_m = self.home_distance_m()
-        self.clear(mav.FENCE)
-        self.disable_fence()
         problem = f"{distance_m:.0f} m from the centre of {radius_m:g} m"
         require(distance_m < radius_m + 15.0, problem)

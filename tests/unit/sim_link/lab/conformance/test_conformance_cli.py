@@ -59,7 +59,7 @@ def test_rules_are_tried_on_a_running_simulator(
     report = tmp_path / "report.json"
     with running_simulator("ardupilot", 1.0) as port:
         arguments = ["--url", f"udpin:127.0.0.1:{port}", "--only", "commands.[il]*"]
-        assert main([*arguments, "--json", str(report)]) == 0
+        assert main([*arguments, "--json", str(report)]) in (0, 3)
     lines = capsys.readouterr().out.splitlines()
     assert "PASS  commands.interval_is_told  " in "\n".join(lines)
     assert lines[-1].endswith(" passed, 0 failed, 2 skipped")

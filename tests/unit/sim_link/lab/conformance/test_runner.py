@@ -21,13 +21,14 @@ from sim_link.lab.conformance.rules import (
     Violation,
     assume,
     autopilot_notes,
+    exit_code,
     line,
     listing,
     record,
     require,
-    run_rules,
     select,
     summary,
+    try_rule,
 )
 
 
@@ -36,11 +37,6 @@ class FakeProbe:
     role: ClassVar[Role] = Role.VEHICLE
     flavour: Flavour = Flavour.PX4
     now_s: float = 0.0
-    rested: int = 0
-
-    def come_to_rest(self, base_e7: tuple[int, int] | None) -> tuple[int, int]:
-        self.rested += 1
-        return base_e7 or (1, 2)
 
 
 class Samples(FakeProbe):
@@ -49,6 +45,8 @@ class Samples(FakeProbe):
     @book.rule("a page")
     def holds(self) -> None:
         """It holds."""
+        if not isinstance(self, Samples):
+            raise TypeError("not a probe")
         self.now_s += 2.0
 
     @book.rule("a page")
@@ -61,7 +59,7 @@ class Samples(FakeProbe):
         """It changes something."""
         assume(False, "no occasion")
 
-    @book.rule("a page", effect=Effect.FLIES, says="It flies, and nothing else.")
+    @book.rule("a page", effect=Effect.FLIES, harms=True, says="It flies, and nothing else.")
     def flies(self) -> None:
         """It flies."""
         raise Violation("it fell")
@@ -70,8 +68,10 @@ class Samples(FakeProbe):
 book = Samples.book
 
 
-def run(flavour: Flavour, allowed: Effect, probe: FakeProbe | None = None) -> list[RuleOutcome]:
-    return list(run_rules(book.rules, flavour, allowed, lambda prober: probe or prober()))
+def run(flavour: Flavour) -> list[RuleOutcome]:
+    return [
+        try_rule(rule, rule.book.prober(flavour)) for rule in book.rules if flavour in rule.flavours
+    ]
 
 
 def note_of_broken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,10 +84,22 @@ def note_of_broken(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_known_deviation_is_told_apart_from_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     note_of_broken(monkeypatch)
-    outcomes = run(Flavour.PX4, Effect.ASKS)
-    assert [o.verdict.value for o in outcomes] == ["PASS", "NOTED", "SKIP"]
+    outcomes = run(Flavour.PX4)
+    assert [o.verdict.value for o in outcomes] == ["PASS", "NOTED", "FAIL"]
     assert outcomes[1].detail == "seen otherwise (px4 7.0: does not)"
-    assert summary(outcomes) == "1 passed, 0 failed, 1 deviate as noted, 1 skipped"
+    assert summary(outcomes) == "1 passed, 1 failed, 1 deviate as noted"
+
+
+def test_exit_codes_tell_a_known_deviation_from_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    note_of_broken(monkeypatch)
+    passed, noted, failed = run(Flavour.PX4)
+    assert [exit_code(each) for each in ([passed], [passed, noted], [noted, failed])] == [0, 3, 1]
+    assert exit_code([passed], ["COM_X is not restored"]) == 1
+
+
+def test_a_mistake_of_the_suite_is_no_failure_of_the_vehicle() -> None:
+    outcome = try_rule(book.rules[0], FakeProbe())
+    assert (outcome.verdict, outcome.detail) == (RuleVerdict.ERROR, "TypeError: not a probe")
 
 
 def test_every_note_is_about_a_rule() -> None:
@@ -106,7 +118,7 @@ def test_a_rule_is_named_after_its_book_and_probe() -> None:
 
 
 def test_verdicts() -> None:
-    outcomes = run(Flavour.ARDUPILOT, Effect.FLIES)
+    outcomes = run(Flavour.ARDUPILOT)
     assert [o.verdict.value for o in outcomes] == ["PASS", "FAIL", "SKIP", "FAIL"]
     assert outcomes[0].duration_s == 2.0
     assert outcomes[1].detail == "seen otherwise"
@@ -116,23 +128,13 @@ def test_a_statement_may_be_longer_than_a_docstring() -> None:
     assert book.rules[-1].statement == "It flies, and nothing else."
 
 
-def test_a_rule_of_the_other_flavour_is_left_out() -> None:
-    assert [o.rule.rule_id for o in run(Flavour.PX4, Effect.FLIES)] == [
-        "samples.holds",
-        "samples.is_broken",
-        "samples.flies",
+def test_a_rule_says_what_allows_it() -> None:
+    assert [rule.needs for rule in book.rules] == [
+        [],
+        [],
+        ["--allow-changes"],
+        ["--allow-flight", "--allow-harm"],
     ]
-
-
-def test_what_is_not_allowed_is_skipped_and_says_how_to_allow_it() -> None:
-    outcomes = run(Flavour.ARDUPILOT, Effect.ASKS)
-    assert [o.detail for o in outcomes[2:]] == ["needs --allow-changes", "needs --allow-flight"]
-
-
-def test_a_vehicle_that_flew_is_brought_to_rest() -> None:
-    probe = FakeProbe()
-    run(Flavour.PX4, Effect.FLIES, probe)
-    assert probe.rested == 1
 
 
 @pytest.mark.parametrize(
@@ -155,11 +157,11 @@ def test_select_by_role() -> None:
 
 
 def test_lines_and_summary() -> None:
-    outcomes = run(Flavour.PX4, Effect.FLIES)
+    outcomes = run(Flavour.ARDUPILOT)
     assert line(outcomes[0]) == "PASS  samples.holds  [a page]"
     assert line(outcomes[1]).splitlines()[1].strip() == "seen otherwise"
     assert summary(outcomes[:2]) == "1 passed, 1 failed"
-    assert summary(run(Flavour.PX4, Effect.ASKS)) == "1 passed, 1 failed, 1 skipped"
+    assert summary(outcomes) == "1 passed, 2 failed, 1 skipped"
 
 
 def test_listing_tells_deviations(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,8 +173,10 @@ def test_listing_tells_deviations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_record() -> None:
-    told = record(run(Flavour.PX4, Effect.ASKS), "udp:127.0.0.1:1")
+    told = record(run(Flavour.PX4), "udp:127.0.0.1:1", ["COM_X is not restored"])
     assert told["peer"] == "udp:127.0.0.1:1"
     rules = told["rules"]
     assert isinstance(rules, list)
     assert rules[1]["verdict"] == RuleVerdict.FAIL.value
+    assert told["exit_code"] == 1
+    assert told["left_behind"] == ["COM_X is not restored"]

@@ -25,6 +25,9 @@ class Stream:
     def another(self) -> ProbeLink | None:
         return None
 
+    def close_others(self) -> None:
+        """There are none."""
+
 
 def test_frames_of_a_byte_stream_are_told_apart_however_it_is_cut() -> None:
     codec = MavCodec(1, 1)
