@@ -105,6 +105,15 @@ def _is_clock_synchronised() -> bool | None:
 
 NEEDED_STREAMS = {"HEARTBEAT": 0.5, "LOCAL_POSITION_NED": 4.0, "ATTITUDE": 2.0}
 """Below this rate, Hz, nothing is flown."""
+ESTIMATED = ("LOCAL_POSITION_NED", "ATTITUDE", "GLOBAL_POSITION_INT", "HOME_POSITION")
+"""Sent only once the autopilot knows where it is; PX4 1.15 keeps ATTITUDE back as well."""
+NEEDED_ESTIMATES = {
+    "attitude": 1,
+    "horizontal velocity": 2,
+    "horizontal position": 8 | 16,
+    "height": 32 | 64,
+}
+"""Bits of ESTIMATOR_STATUS_FLAGS, of which EKF_STATUS_FLAGS has the same; one of each will do."""
 ENOUGH_SHARE = 0.8
 """Of the rate that was asked for."""
 NOTICED_LOSS, MUCH_LOSS = 0.02, 0.30
@@ -196,11 +205,15 @@ def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[CheckResul
     yield _check_identity(autopilot)
     yield from _check_company(link, autopilot, config)
     yield _check_loss(link, autopilot)
+    lacking = _lacking(autopilot)
+    yield from _check_estimator(autopilot, lacking)
+    yield from _check_readiness(autopilot)
     for rate in autopilot.rates:
-        if rate.count or _is_expected(rate.name, autopilot):
+        if lacking and rate.count == 0 and rate.name in ESTIMATED:
+            yield warn(rate.name, "none: it needs the estimator", "see estimator, above")
+        elif rate.count or _is_expected(rate.name, autopilot):
             yield _check_rate(rate)
     yield _check_time(autopilot)
-    yield from _check_readiness(autopilot)
     yield from check_parameters(autopilot, config)
     yield from check_fence(autopilot, config)
 
@@ -253,6 +266,23 @@ def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
     if loss > NOTICED_LOSS or link.bad_frames > 0:
         return warn("link", text, "look at antennas, cables, serial speed and rates")
     return ok("link", text)
+
+
+def _lacking(facts: AutopilotFacts) -> list[str]:
+    """What the autopilot does not estimate yet, in words."""
+    flags = facts.estimator_flags
+    if flags is not None:
+        return [name for name, bits in NEEDED_ESTIMATES.items() if not flags & bits]
+    return [] if facts.has_position or facts.origin is not None else ["position"]
+
+
+def _check_estimator(facts: AutopilotFacts, lacking: list[str]) -> Iterator[CheckResult]:
+    if lacking:
+        text = f"not ready: no {', no '.join(lacking)}"
+        fix = "wait for its sensors and a position fix under an open sky, then run this again"
+        yield fail("estimator", text, fix)
+    elif facts.estimator_flags is not None:
+        yield ok("estimator", f"ready: {', '.join(NEEDED_ESTIMATES)}")
 
 
 def _check_rate(rate: StreamRate) -> CheckResult:

@@ -48,6 +48,8 @@ class AutopilotFacts:
     has_home: bool
     origin: LocalOrigin | None
     """Of the local frame; None: it does not know it, or does not report it."""
+    estimator_flags: int | None
+    """ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS; None: it does not report them."""
     gps_fix: int | None
     """GPS_FIX_TYPE; None: it does not report it."""
     battery_pct: int | None

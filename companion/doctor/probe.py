@@ -19,7 +19,12 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.flight.vehicle import mode_name
 from companion.link import outbound
-from companion.link.autopilot_queries import STREAM_INTERVAL_S, StreamFreshness, StreamRequester
+from companion.link.autopilot_queries import (
+    STREAM_INTERVAL_S,
+    StreamFreshness,
+    StreamRequester,
+    hears_transmitter,
+)
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.fence_download import FenceDownload
 from companion.link.inbound import origin_of
@@ -27,9 +32,9 @@ from companion.link.intake import Authenticity, AutopilotBinding
 from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import SequenceMonitor
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.flight_modes import autopilot_of, mode_of
+from companion.mav.flight_modes import autopilot_of, mode_of, other_mode_name
 from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw
 
 TICK_S = 0.05
@@ -40,8 +45,8 @@ SETTLE_S = 2.5
 """From the first frame until streams are as they were asked for."""
 PARAMETER_RETRY_S = 0.7
 PARAMETER_TRIES = 4
-RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 HEARTBEAT_HZ = 1.0
+EstimatorStatus = mavlink.MAVLink_estimator_status_message | MAVLink_ekf_status_report_message
 NAMES = {number: mavlink.mavlink_map[number].msgname for number in STREAM_INTERVAL_S}
 
 
@@ -168,12 +173,13 @@ class DoctorProbe:
         heartbeat = newest["HEARTBEAT"]
         assert isinstance(heartbeat, mavlink.MAVLink_heartbeat_message)
         mode = mode_of(heartbeat, binding.autopilot)
+        other = other_mode_name(heartbeat, binding.autopilot)
         fix = newest.get("GPS_RAW_INT")
         return AutopilotFacts(
             autopilot=binding.autopilot,
             system_id=binding.system_id or 0,
             component_id=binding.component_id,
-            mode=mode_name(mode, binding.autopilot),
+            mode=mode_name(mode, binding.autopilot, other),
             is_armed=bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
             rates=self._rates(),
             parameters={question.name: question.value for question in self._questions},
@@ -181,6 +187,7 @@ class DoctorProbe:
             has_position="LOCAL_POSITION_NED" in newest,
             has_home="HOME_POSITION" in newest,
             origin=self._origin(),
+            estimator_flags=self._estimator_flags(),
             gps_fix=fix.fix_type if isinstance(fix, mavlink.MAVLink_gps_raw_int_message) else None,
             battery_pct=self._battery_pct(),
             round_trip_s=self._clock.round_trip_s,
@@ -204,12 +211,15 @@ class DoctorProbe:
             return None
         return origin_of(message, self._binding.autopilot)
 
+    def _estimator_flags(self) -> int | None:
+        status = self._newest.get("ESTIMATOR_STATUS") or self._newest.get("EKF_STATUS_REPORT")
+        return int(status.flags) if isinstance(status, EstimatorStatus) else None
+
     def _has_rc(self) -> bool | None:
         status = self._newest.get("SYS_STATUS")
         if not isinstance(status, mavlink.MAVLink_sys_status_message):
             return None
-        present = status.onboard_control_sensors_present & RC_BIT
-        return bool(present and status.onboard_control_sensors_health & RC_BIT)
+        return hears_transmitter(status)
 
     def _battery_pct(self) -> int | None:
         status = self._newest.get("SYS_STATUS")

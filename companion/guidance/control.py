@@ -163,6 +163,10 @@ class Reporting:
 TICK_S = 0.05
 """Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
 HEARTBEAT_PERIOD_S = 1.0
+READY_AGAIN_S = 3.0
+"""What comes and goes sooner than this is not told each time."""
+UNJUDGED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
+"""Setpoints flow, but what is wrong decides nothing."""
 SILENCE_S = 0.3
 """After a longer one the vehicle may be anywhere: the first setpoint is where it is."""
 
@@ -189,6 +193,8 @@ class ControlTick:
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
+        self._missing_s = -math.inf
+        """When something that control stands on was missing last."""
         self._is_silent = True
         """Whether silence was due at the last tick."""
 
@@ -210,6 +216,7 @@ class ControlTick:
         if now_s - self._sent_s > SILENCE_S and self._may_begin_anew(now_s):
             context.steering.forget_setpoint()
         setpoint = self._setpoint(now_s, dt_s)
+        self._tell_stop(now_s, is_stopping=setpoint is None and not self._is_silent)
         self._is_silent = setpoint is None
         if setpoint is None:
             return
@@ -222,6 +229,30 @@ class ControlTick:
     def _may_begin_anew(self, now_s: float) -> bool:
         """Not after a mere pause on a stale position: what was sent last is safer than that."""
         return self._is_silent or self._context.vehicle.is_position_fresh(now_s)
+
+    def _tell_stop(self, now_s: float, *, is_stopping: bool) -> None:
+        """Why setpoints stop, or control cannot be given, where no finding of control tells it."""
+        context = self._context
+        guided = context.vehicle.guided_name
+        missing = self._watches.inputs.missing(now_s)
+        if missing is not None:
+            self._missing_s = now_s
+        if context.phase is Phase.STANDBY:
+            is_settling = missing is None and now_s - self._missing_s < READY_AGAIN_S
+            if is_settling or not context.record_finding(missing, now_s):
+                return
+            if missing is None:
+                context.announce(Severity.INFO, f"ready again: switch to {guided}")
+                return
+            text = f"not ready: {missing.text}"
+            if is_stopping:
+                text += "; setpoints stopped"
+            context.warn(text)
+        elif is_stopping and context.phase in UNJUDGED:
+            if missing is not None:
+                context.warn(f"setpoints stopped: {missing.text}")
+            elif context.vehicle.is_ours:
+                context.warn(f"setpoints stopped: autopilot stays in {guided}; choose a mode")
 
     def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
         for text in self._guard_messages.texts(reasons, now_s):

@@ -88,6 +88,8 @@ class HeartbeatReceived(OrderedEvent):
     is_failsafe: bool
     is_terminated: bool = False
     """The motors were stopped for good: kill switch, flight termination."""
+    other_mode: str = ""
+    """What its operator calls the mode, where it is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +136,15 @@ class SetpointEchoed(Event):
 
     position_enu_m: PositionEnu | None
     """None: it follows no position, but a velocity, for example."""
+
+
+@dataclass(frozen=True, slots=True)
+class OtherCommandHeard(Event):
+    """Somebody else commands the autopilot to fly somewhere, by a command that it passed on."""
+
+    command: str
+    """Without MAV_CMD."""
+    sender: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,8 @@ PATIENCE_S: dict[int, tuple[str, float]] = {
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: ("home", 15.0),
 }
 """What is flown on, what to call it, and when it is stale, seconds."""
+STAMPED_ONCE = (mavlink.MAVLINK_MSG_ID_HOME_POSITION,)
+"""Stamped with when home was set, not with the time of sending: every arrival is progress."""
 
 
 @dataclass(slots=True)
@@ -80,7 +82,9 @@ class StreamFreshness:
         if stream is None:
             stream = self._streams[number] = Stream()
         stamp = getattr(message, "time_boot_ms", None) or getattr(message, "time_usec", None)
-        return stream.take(int(stamp) if stamp else None, now_s)  # 0 stands for unknown
+        if not stamp or number in STAMPED_ONCE:  # 0 stands for unknown
+            return stream.take(None, now_s)
+        return stream.take(int(stamp), now_s)
 
     def stream(self, message_id: int) -> Stream:
         """What is known of a kind of message."""
@@ -128,6 +132,9 @@ ONLY_FROM = {
     MAVLink_ekf_status_report_message.id: Autopilot.ARDUPILOT,
 }
 """Who else is asked refuses, for ever."""
+ONLY_IF_THERE = (mavlink.MAVLINK_MSG_ID_RC_CHANNELS,)
+"""Never sent without a transmitter: asked for a few times, and again when one is heard."""
+MOST_ASKS = 5
 ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 """Asked for by REQUEST_MESSAGE until they arrive: what is only sent when it changes."""
 
@@ -155,6 +162,13 @@ class _Want:
     """None: one message, not a stream."""
     retry_s: float = FIRST_RETRY_S
     asked_s: float | None = None
+    asks: int = 0
+    """Since it came last."""
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether it was asked for often enough, and is not there."""
+        return self.message_id in ONLY_IF_THERE and self.asks >= MOST_ASKS
 
     def is_met(self, stream: Stream, now_s: float) -> bool:
         """Whether it comes, as often as it should."""
@@ -169,15 +183,16 @@ class _Want:
     def look(self, stream: Stream, now_s: float) -> bool:
         """Look at its stream; whether to ask: never asked, or not met in spite of it."""
         if self.asked_s is None:
-            self.asked_s = now_s
+            self.asked_s, self.asks = now_s, 1
             return True
         if self.is_met(stream, now_s):
-            self.retry_s = FIRST_RETRY_S
+            self.retry_s, self.asks = FIRST_RETRY_S, 0
             return False
-        if now_s - self.asked_s < self.retry_s:
+        if self.is_given_up or now_s - self.asked_s < self.retry_s:
             return False
         self.retry_s = min(2.0 * self.retry_s, LAST_RETRY_S)
         self.asked_s = now_s
+        self.asks += 1
         return True
 
 
@@ -194,6 +209,15 @@ class StreamRequester:
         self._wants = [_Want(number, every_s) for number, every_s in STREAM_INTERVAL_S.items()]
         self._wants += [_Want(number, None) for number in ONE_SHOT]
         self._next_look_s = -math.inf
+        self._had_rc = False
+
+    def note_rc(self, has_rc: bool) -> None:
+        """The autopilot says whether it hears a transmitter."""
+        if has_rc and not self._had_rc:
+            for want in self._wants:
+                if want.is_given_up:
+                    want.asks, want.retry_s = 0, FIRST_RETRY_S
+        self._had_rc = has_rc
 
     def due(
         self,
@@ -239,10 +263,18 @@ def _request(want: _Want, target: Ids) -> Message:
     return VehicleCommand(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params).message(target)
 
 
+RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+
+
+def hears_transmitter(status: mavlink.MAVLink_sys_status_message) -> bool:
+    """Whether an autopilot says that a pilot's transmitter is there, and good."""
+    present = status.onboard_control_sensors_present & RC_BIT
+    return bool(present and status.onboard_control_sensors_health & RC_BIT)
+
+
 PARAMETER = b"COM_OBL_RC_ACT"
 ASK_PERIOD_S = 3.0
 ASKS = 3
-RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 WARNING = (
     "COM_OBL_RC_ACT is 0 and there is no RC: if setpoints stop, PX4 sinks and drifts. "
     "Set it to 5 (hold) or 3 (return)"
@@ -275,9 +307,7 @@ class Px4FailsafeCheck:
         if isinstance(message, mavlink.MAVLink_param_value_message):
             self._take_parameter(message)
         elif isinstance(message, mavlink.MAVLink_sys_status_message):
-            present = message.onboard_control_sensors_present & RC_BIT
-            health = message.onboard_control_sensors_health & RC_BIT
-            self._has_rc = bool(present and health)
+            self._has_rc = hears_transmitter(message)
         if self._is_done or self._action is None or self._has_rc is None:
             return None
         self._is_done = True
@@ -314,6 +344,8 @@ class AutopilotQueries:
         """Take in a message of the autopilot; what the operator is to be told."""
         self.freshness.receive(message, now_s)
         self.clock.receive(message, now_s)
+        if isinstance(message, mavlink.MAVLink_sys_status_message):
+            self._streams.note_rc(hears_transmitter(message))
         warning = self._px4_check.receive(message)
         return [] if warning is None else [Announce(Severity.WARNING, warning)]
 

@@ -47,12 +47,22 @@ from companion.link.ranging_sources import (
     SourceContext,
 )
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import Message
+from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import sender_of
 
 __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
 
+FLIGHT_COMMANDS = {
+    number: mavlink.enums["MAV_CMD"][number].name.removeprefix("MAV_CMD_")
+    for number in (
+        mavlink.MAV_CMD_DO_REPOSITION,
+        mavlink.MAV_CMD_OVERRIDE_GOTO,
+        mavlink.MAV_CMD_DO_CHANGE_ALTITUDE,
+        mavlink.MAV_CMD_DO_ORBIT,
+    )
+}
+"""By which a ground station sends a vehicle somewhere."""
 RECORD_PERIOD_S = 10.0
 """How often the health of the links goes to the event log."""
 
@@ -234,6 +244,7 @@ class CompanionEndpoint:
         is_peer = chunk.peer == binding.peer
         if is_peer and isinstance(message, ParamRequest | AddressedCommand):
             self._serve_station(message, now_s, may_grant=True)
+            self._note_other_command(message, now_s)
         is_here = message.get_srcSystem() == binding.system_id
         if is_here and (binding.is_keyed or is_peer) and isinstance(message, RangingMessage):
             self._receive_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
@@ -246,6 +257,16 @@ class CompanionEndpoint:
             self._parameters.receive(message, now_s)
         elif isinstance(message, AddressedCommand):
             self._commands.receive(message, now_s, may_grant=may_grant)
+
+    def _note_other_command(self, message: Message, now_s: float) -> None:
+        """A station's order to fly somewhere, as far as the autopilot passes it on."""
+        is_here = self.binding.is_bound and message.get_srcSystem() != self.outlet.own_ids[0]
+        if not (is_here and isinstance(message, AddressedCommand)):
+            return
+        if message.command in FLIGHT_COMMANDS and message.target_system == self.outlet.own_ids[0]:
+            sender = message.get_srcSystem(), message.get_srcComponent()
+            name = FLIGHT_COMMANDS[message.command]
+            self.executor.handle(events.OtherCommandHeard(now_s, name, sender), now_s)
 
     # At the control tick
 

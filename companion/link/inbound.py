@@ -33,7 +33,7 @@ from companion.link.conversion.geodesy_fit import GeodesyFit
 from companion.link.conversion.sender_clock import ClockStep, VehicleClock
 from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
-from companion.mav.flight_modes import autopilot_of, mode_of
+from companion.mav.flight_modes import autopilot_of, mode_of, other_mode_name
 
 BAD_RATIO = 1.0
 BAD_VARIANCE = 0.8
@@ -263,14 +263,17 @@ class VehicleInbound:
         status = message.system_status
         is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         is_up = status in UP_STATES
+        mode = mode_of(message, autopilot)
+        is_other = mode is FlightMode.UNKNOWN
         event = HeartbeatReceived(
             time_s=now_s,
             autopilot=autopilot,
-            mode=mode_of(message, autopilot),
+            mode=mode,
             is_armed=is_armed,
             is_ready=is_armed or (is_up and self._is_prearm_good),
             is_failsafe=status in FAILSAFE_STATES,
             is_terminated=status in ENDED_STATES,
+            other_mode=other_mode_name(message, autopilot) if is_other else "",
             order=order,
         )
         return [event]

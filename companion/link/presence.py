@@ -1,6 +1,7 @@
 """How the companion shows up in ground stations, beside its parameters and texts.
 
-Once a second each emitter with an estimate gives a TARGET_ESTIMATE, and the one that is looked for
+Once a second each emitter with an estimate gives a TARGET_ESTIMATE, which goes to an ArduPilot in a
+TUNNEL as well, because it passes on nothing that it does not know; and the one that is looked for
 three NAMED_VALUE_FLOATs in local metres, which Mission Planner and MAVProxy show and plot: degrees
 would step by half a metre as floats. On links of their own, and only if that is wanted, ground
 stations get an ADSB_VEHICLE as well, which they draw on their map. It never goes to the autopilot:
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import EstimateState, TargetEstimate
+from companion.domain import Autopilot, EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import PHASE_WORDS
 from companion.guidance.commands import Announce, Severity
@@ -27,6 +28,7 @@ from companion.mav.dialect import (
     TargetState,
     mavlink,
 )
+from companion.mav.ranging import tunnelled
 
 PERIOD_S = 1.0
 ICAO_BASE = 0xF00000
@@ -61,6 +63,8 @@ class Presence:
                 continue
             message = estimate_message(emitter.emitter_id, emitter.estimate, origin, now_s)
             self._outlet.broadcast(message, now_s, is_droppable=True)
+            if self._session.vehicle.autopilot is Autopilot.ARDUPILOT:
+                self._outlet.send(tunnelled(message), now_s, is_droppable=True)
             if emitter.is_current:
                 for value in named_values(emitter.estimate, now_s):
                     self._outlet.broadcast(value, now_s, is_droppable=True)
@@ -79,7 +83,7 @@ class Presence:
 
 def estimate_message(
     emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin | None, now_s: float
-) -> Message:
+) -> MAVLink_target_estimate_message:
     """TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise."""
     latitude_e7, longitude_e7 = INT32_UNKNOWN, INT32_UNKNOWN
     if origin is not None:

@@ -35,6 +35,13 @@ ARDUCOPTER_NUMBER: dict[FlightMode, int] = {
     FlightMode.HOLD: 17,
 }
 """GUIDED is our OFFBOARD. BRAKE is our HOLD: LOITER obeys the throttle stick, which may be down."""
+_ARDUCOPTER_NAMES = (
+    "STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE MODE_8 LAND MODE_10 DRIFT MODE_12 SPORT "
+    "FLIP AUTOTUNE POSHOLD BRAKE THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG "
+    "SYSTEMID AUTOROTATE AUTO_RTL"
+)
+ARDUCOPTER_NAMES = dict(enumerate(_ARDUCOPTER_NAMES.split()))
+"""By number, also of modes that are no `FlightMode`."""
 
 _PX4_MODE = {packed: mode for mode, packed in PX4_MAIN_AND_SUB.items()}
 _ARDUCOPTER_MODE = {number: mode for mode, number in ARDUCOPTER_NUMBER.items()}
@@ -74,6 +81,14 @@ def mode_of(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) 
     if autopilot is Autopilot.PX4:
         return px4_mode(custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF) or FlightMode.UNKNOWN
     return FlightMode.UNKNOWN
+
+
+def other_mode_name(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) -> str:
+    """What an operator calls the mode of a HEARTBEAT that is no `FlightMode`."""
+    number = heartbeat.custom_mode
+    if autopilot is Autopilot.ARDUPILOT:
+        return ARDUCOPTER_NAMES.get(number, f"MODE_{number}")
+    return f"mode {number >> 16 & 0xFF}/{number >> 24 & 0xFF}"
 
 
 def set_mode_params(

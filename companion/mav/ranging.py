@@ -1,6 +1,12 @@
-"""RADIO_RANGING of a measurement; `companion.link.ranging_sources` reads it back.
+"""RADIO_RANGING of a measurement, and how TARGET_ESTIMATE passes an autopilot.
 
-Degrees, NED and the sentinels (NaN, UINT8_MAX) begin here.
+`companion.link.ranging_sources` reads a ranging back. Degrees, NED and the sentinels (NaN,
+UINT8_MAX) begin here.
+
+ArduPilot passes on only messages that it knows (observed on ArduCopter 4.5.7), so it gets an
+estimate inside of a TUNNEL, whose type is the number of the message that it carries.
+
+Source: MAVLink common, TUNNEL: types above 32767 are free to use.
 """
 
 from __future__ import annotations
@@ -9,9 +15,17 @@ import math
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_ned_from_enu
-from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag
+from companion.mav.dialect import (
+    MAVLink_radio_ranging_message,
+    MAVLink_target_estimate_message,
+    Message,
+    RangingFlag,
+    mavlink,
+)
 
 UINT8_MAX = 0xFF
+TUNNEL_LENGTH = 128
+ESTIMATE_LENGTH = MAVLink_target_estimate_message.unpacker.size
 
 
 def message_from_ranging(measurement: RangingMeasurement, time_usec: int) -> Message:
@@ -45,3 +59,24 @@ def message_from_ranging(measurement: RangingMeasurement, time_usec: int) -> Mes
 
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
+
+
+def tunnelled(estimate: MAVLink_target_estimate_message) -> Message:
+    """TUNNEL to everybody, with the payload of a TARGET_ESTIMATE."""
+    fields = (getattr(estimate, name) for name in estimate.ordered_fieldnames)
+    payload = estimate.unpacker.pack(*fields)
+    data = list(payload.ljust(TUNNEL_LENGTH, b"\0"))
+    return mavlink.MAVLink_tunnel_message(0, 0, estimate.id, len(payload), data)
+
+
+def estimate_in(message: Message) -> MAVLink_target_estimate_message | None:
+    """The TARGET_ESTIMATE that a message is or, as a TUNNEL, carries; None of any other."""
+    if isinstance(message, MAVLink_target_estimate_message):
+        return message
+    if not isinstance(message, mavlink.MAVLink_tunnel_message):
+        return None
+    kind = MAVLink_target_estimate_message
+    if (message.payload_type, message.payload_length) != (kind.id, ESTIMATE_LENGTH):
+        return None
+    values = kind.unpacker.unpack(bytes(message.payload[:ESTIMATE_LENGTH]))
+    return kind(**dict(zip(kind.ordered_fieldnames, values, strict=True)))

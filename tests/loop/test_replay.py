@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +19,8 @@ from companion.flight_setup import (
     facts_as_json,
     write_facts,
 )
+from companion.guidance.commands import Severity
+from companion.guidance.events import ProcessNoted
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
@@ -43,7 +45,12 @@ FLOWN_S = 60.0
 REMARKS: list[str] = []
 
 
-def fly(journal: FlightJournal, config: CompanionConfig, scenario: Scenario) -> None:
+def fly(
+    journal: FlightJournal,
+    config: CompanionConfig,
+    scenario: Scenario,
+    prepare: Callable[[Flight], None] = lambda _: None,
+) -> None:
     """Fly a minute and close the log."""
 
     def companion(
@@ -52,6 +59,7 @@ def fly(journal: FlightJournal, config: CompanionConfig, scenario: Scenario) -> 
         return build_endpoint(config, journal_, links, recorder=journal.inputs)
 
     flight = Flight(config, scenario, 3, journal, makers=Makers(companion))
+    prepare(flight)
     flight.run(FLOWN_S)
     journal.close(timeout_s=30.0)
 
@@ -174,6 +182,29 @@ def test_parameters_that_were_changed_before_and_in_flight_are_part_of_it(tmp_pa
     without = msgspec.structs.replace(facts, parameters={})
     write_facts(tmp_path, without)
     assert replay_flight(tmp_path, None, REMARKS.append).is_failed
+
+
+def test_a_flight_on_a_computer_that_is_too_slow_replays_to_the_bit(tmp_path: Path) -> None:
+    """It stalls, and its process says so by itself, in the middle of the flight."""
+    write_facts(tmp_path, FlightFacts(started_unix_s=1.8e9, links=1, config=AUTO))
+    journal = FlightJournal(tmp_path, 1.8e9)
+
+    def slow(flight: Flight) -> None:
+        def complain() -> None:
+            text = "the computer is too slow: 44 control ticks missed in 10 s"
+            flight.companion.tell(ProcessNoted(flight.now_s, Severity.WARNING, text))
+
+        for at_s in (2.0, 18.0, 24.0, 31.0):
+            flight.at(at_s, partial(flight.suspend_companion, 0.9))
+            flight.at(at_s + 1.5, complain)
+
+    fly(journal, AUTO, Scenario(), slow)
+    replay = replay_flight(tmp_path, None, REMARKS.append)
+    assert replay.first_difference is None
+    assert replay.verdict.startswith("IDENTICAL")
+    said = [line["text"] for line in event_lines(tmp_path / EVENTS) if line["kind"] == "text"]
+    assert sum("the computer is too slow" in str(text) for text in said) == 4
+    assert any("control loop stalled" in str(text) for text in said)
 
 
 def test_a_flight_that_took_up_the_memory_of_a_killed_process_is_the_same(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from enum import Enum
 from companion.domain import Autopilot, FlightMode
 from companion.guidance.commands import Arm, Command, SetMode, TakeOff
 from companion.guidance.events import HeartbeatReceived, Outcome, RequestAnswered, RequestKind
-from companion.guidance.flight.vehicle import mode_name
+from companion.guidance.flight.vehicle import mode_name, shown_mode
 
 READY_TIMEOUT_S = 120.0
 """PX4 needs 34 to 38 s after boot until it can be armed; a cold GPS needs longer."""
@@ -122,7 +122,7 @@ class Launch:
         is_offboard = self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
         if is_offboard or self._is_on_the_way(heartbeat, height_m):
             return None
-        return f"mode is {mode_name(heartbeat.mode, heartbeat.autopilot)}"
+        return f"mode is {shown_mode(heartbeat)}"
 
     def _is_on_the_way(self, heartbeat: HeartbeatReceived, height_m: float | None) -> bool:
         """Whether the launch itself leads through the mode that is shown."""
@@ -213,7 +213,7 @@ class Launch:
         if heartbeat.autopilot is Autopilot.OTHER:
             self.failure = "only PX4 and ArduPilot can be launched"
         elif heartbeat.is_armed:
-            name = mode_name(heartbeat.mode, heartbeat.autopilot)
+            name = shown_mode(heartbeat)
             self.failure = f"the vehicle is being flown already, in {name}"
         if self.failure is not None:
             return []

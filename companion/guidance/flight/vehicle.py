@@ -29,15 +29,20 @@ ARDUPILOT_NAMES: dict[FlightMode, str] = {
     FlightMode.ALTITUDE: "ALT_HOLD",
     FlightMode.STABILIZED: "STABILIZE",
     FlightMode.ACRO: "ACRO",
-    FlightMode.UNKNOWN: "another mode",
 }
 
 
-def mode_name(mode: FlightMode, autopilot: Autopilot) -> str:
-    """The mode in the words of the autopilot's own tools."""
-    if autopilot is Autopilot.ARDUPILOT:
-        return ARDUPILOT_NAMES.get(mode, mode.value)
-    return mode.value
+def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:
+    """The mode in the words of the autopilot's own tools, which `other` has if it is unknown."""
+    name: str = mode.value
+    if mode is FlightMode.UNKNOWN:
+        return other or "another mode"
+    return ARDUPILOT_NAMES.get(mode, name) if autopilot is Autopilot.ARDUPILOT else name
+
+
+def shown_mode(heartbeat: events.HeartbeatReceived) -> str:
+    """The mode of a HEARTBEAT in those words."""
+    return mode_name(heartbeat.mode, heartbeat.autopilot, heartbeat.other_mode)
 
 
 MODE_UNKNOWN_AFTER_S = 10.0
@@ -255,6 +260,8 @@ class VehicleView:
 
     def name_of(self, mode: FlightMode) -> str:
         """What its operator calls a mode."""
+        if self.heartbeat is not None and self.heartbeat.mode is mode:
+            return shown_mode(self.heartbeat)
         return mode_name(mode, self.autopilot)
 
     @property

@@ -80,6 +80,8 @@ class EchoWatch(Watch):
         self._echo_s: float | None = None
         self._disputed_s: float | None = None
         self._lag_s = 0.0
+        self._is_far = False
+        """Whether the last echo was far beside our way."""
         self._foreign_s: list[tuple[float, float]] = []
         """When a foreign one came, and until when it is remembered."""
 
@@ -126,11 +128,17 @@ class EchoWatch(Watch):
         if now_s - self._sent_s > PAUSE_S:
             return
         on_way_s, off_m = self._last_on_way_s(event.position_enu_m)
+        self._is_far = on_way_s is None and off_m >= FAR_M
         if on_way_s is None:
             share = min(1.0, max(0.0, (off_m - TOLERANCE_M) / (FAR_M - TOLERANCE_M)))
             self._foreign_s.append((now_s, now_s + NEAR_S + share * (FAR_S - NEAR_S)))
         else:
             self._lag_s = now_s - on_way_s
+
+    def take_far(self) -> bool:
+        """Whether an echo was far beside our way, since this was asked last."""
+        is_far, self._is_far = self._is_far, False
+        return is_far
 
     def tick(self, now_s: float) -> None:
         """Forget foreign echoes of long ago, and note since when there is a second source."""

@@ -38,6 +38,7 @@ class Reason(Enum):
     NO_LINK = "autopilot link lost"
     MODE_UNKNOWN = "autopilot's mode is unknown"
     POSITION_STALE = "own position is stale"
+    NO_HOME = "home is unknown"
     NO_RANGING_YET = "waiting for ranging"
     RANGING_AGES = "ranging ages"
     NO_RANGING = "no ranging"

@@ -22,15 +22,18 @@ from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 from companion.guidance.health.position_jumps import JumpWatch
+from companion.guidance.messages import Rarely
 
 REGAIN_S = 1.0
 """How long link and position must be there again."""
+DEAF = (Reason.NO_LINK, Reason.MODE_UNKNOWN)
 AGREEING = 5
 """Measurements that the filter accepted since the dropout, before it counts as over."""
 R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
 """R95 of a circular normal distribution with a sigma of 1."""
 COAST_SHARE = 0.5
 """Of the speed limit that is flown at most while ranging ages."""
+OTHER_TARGET_EVERY_S = 10.0
 
 
 class InputWatch(Watch):
@@ -39,7 +42,7 @@ class InputWatch(Watch):
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._lost: Finding | None = None
-        """What of link, mode and position is missing, or was within the last second."""
+        """What of link, mode, position and home is missing, or was within the last second."""
         self._lost_s = 0.0
         self._back_s: float | None = None
         self._agreed = 0
@@ -62,7 +65,7 @@ class InputWatch(Watch):
 
     def tick(self, now_s: float) -> None:
         """Take note of what is there."""
-        lost = self._missing(now_s)
+        lost = self.missing(now_s)
         if lost is not None:
             self._lost, self._lost_s, self._back_s = lost, now_s, None
         elif self._lost is not None:
@@ -108,7 +111,8 @@ class InputWatch(Watch):
     def _is_searching(self, now_s: float) -> bool:
         return self._context.flight_plan.is_search_due(self._context.estimate, now_s)
 
-    def _missing(self, now_s: float) -> Finding | None:
+    def missing(self, now_s: float) -> Finding | None:
+        """What of link, mode, position and home is not there now."""
         vehicle = self._context.vehicle
         if vehicle.is_link_lost(now_s):
             reason = Reason.NO_LINK
@@ -116,6 +120,8 @@ class InputWatch(Watch):
             reason = Reason.MODE_UNKNOWN
         elif not vehicle.is_position_fresh(now_s):
             reason = Reason.POSITION_STALE
+        elif vehicle.home_enu_m is None:
+            reason = Reason.NO_HOME
         else:
             return None
         return Finding(Verdict.HOLD, reason, reason.value)
@@ -125,7 +131,7 @@ class InputWatch(Watch):
         if self._back_s is None:
             self._back_s = now_s
         heartbeat = self._context.vehicle.heartbeat
-        was_deaf = self._lost is not None and self._lost.reason is not Reason.POSITION_STALE
+        was_deaf = self._lost is not None and self._lost.reason in DEAF
         is_mode_seen = heartbeat is not None and heartbeat.time_s > self._lost_s
         if now_s - self._back_s >= REGAIN_S and (is_mode_seen or not was_deaf):
             self._lost = self._back_s = None
@@ -221,6 +227,7 @@ class Watches:
             context.passing,
             self.inputs,
         )
+        self._other_targets = Rarely(OTHER_TARGET_EVERY_S)
         self._was_in_control = self._was_launching = False
         self._is_battery_told = False
 
@@ -229,12 +236,27 @@ class Watches:
         before = self.battery.level
         for watch in self._all:
             watch.handle(event)
+        self._tell_other_target(event)
         level = self.battery.level
         if not isinstance(event, events.BatteryReported) or level in (before, BatteryLevel.GOOD):
             return
         severity = Severity.ERROR if level is BatteryLevel.CRITICAL else Severity.WARNING
         self._is_battery_told = True
         self._context.announce(severity, self.battery.text())
+
+    def _tell_other_target(self, event: events.Event) -> None:
+        """One target of somebody else's is replaced by our next setpoint, which looks like none."""
+        match event:
+            case events.OtherCommandHeard():
+                who = f" ({event.command} of {event.sender[0]}/{event.sender[1]})"
+            case events.SetpointEchoed() if self.echo.take_far():
+                who = ""
+            case _:
+                return
+        is_ours = self._context.phase in IN_CONTROL
+        if is_ours and self._other_targets.is_due("target", event.time_s):
+            text = f"another target was sent to the autopilot{who}: ours replaces it"
+            self._context.warn(f"{text}; change the mode to take over")
 
     def tick(self, now_s: float) -> None:
         """Take note of what is there, and of control that begins or ends."""

@@ -72,6 +72,7 @@ PX4 = AutopilotFacts(
     has_position=True,
     has_home=True,
     origin=ORIGIN,
+    estimator_flags=831,
     gps_fix=3,
     battery_pct=95,
     round_trip_s=0.002,

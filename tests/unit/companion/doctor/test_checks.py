@@ -104,6 +104,38 @@ def test_what_is_wrong_with_the_link_is_named(
     assert bool(finding.fix) is (level is not Level.OK)
 
 
+NO_POSITION = tuple(replace(rate, count=0) for rate in PX4.rates)
+
+
+@pytest.mark.parametrize(
+    ("flags", "lacks"),
+    [
+        (0, "no attitude, no horizontal velocity, no horizontal position, no height"),
+        (1 | 2 | 4 | 32 | 128, "no horizontal position"),
+        (None, "no position"),
+    ],
+)
+def test_an_estimator_that_is_not_ready_is_named_before_the_streams_that_need_it(
+    flags: int | None, lacks: str
+) -> None:
+    facts = autopilot_with(
+        estimator_flags=flags, has_position=False, origin=None, rates=NO_POSITION
+    )
+    findings = examine(facts, CONFIG)
+    subjects = [finding.subject for finding in findings]
+    assert finding_about("estimator", facts).level is Level.FAIL
+    assert finding_about("estimator", facts).text == f"not ready: {lacks}"
+    assert subjects.index("estimator") < subjects.index("LOCAL_POSITION_NED")
+    needs_it = finding_about("LOCAL_POSITION_NED", facts)
+    assert needs_it.text == "none: it needs the estimator"
+    assert exit_code(findings) == 1
+
+
+def test_a_stream_that_is_missing_though_the_estimator_is_ready_is_the_links_fault() -> None:
+    found = finding_about("LOCAL_POSITION_NED", autopilot_with(rates=NO_POSITION))
+    assert "raise the link's rate" in found.fix
+
+
 def test_several_vehicles_are_fine_where_one_is_chosen() -> None:
     config = CompanionConfig(vehicle=VehicleParams(system_id=1))
     findings = examine(link_with(other_autopilots=(2,)), config)

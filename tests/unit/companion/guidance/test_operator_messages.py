@@ -18,7 +18,7 @@ SPEAKERS = {"announce", "warn", "Announce", "Finding", "_finding"}
 """What is called with a text for the operator."""
 FAILURES = {"failure", "refusal", "note"}
 """Attributes whose text becomes part of one."""
-UNWORDED = (Reason.NO_LINK, Reason.MODE_UNKNOWN, Reason.POSITION_STALE)
+UNWORDED = (Reason.NO_LINK, Reason.MODE_UNKNOWN, Reason.POSITION_STALE, Reason.NO_HOME)
 """Told by their names."""
 BLANK = "…"
 """What a text fills in."""

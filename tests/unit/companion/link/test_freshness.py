@@ -32,6 +32,14 @@ def test_without_a_stamp_every_arrival_is_progress(message: Message) -> None:
     assert freshness.receive(message, 2.0)
 
 
+def test_home_is_stamped_when_it_is_set_and_comes_again_with_the_same_stamp() -> None:
+    freshness = StreamFreshness()
+    for second in range(40):
+        freshness.receive(home_position(time_usec=7_000_000), 2.0 * second)
+    assert freshness.stale(80.0) == ()
+    assert freshness.stale(94.0) == ("home",)
+
+
 def test_the_mean_gap_follows_the_rate() -> None:
     freshness = StreamFreshness()
     for step in range(100):

@@ -20,7 +20,15 @@ from companion.mav.dialect import (
     Message,
     mavlink,
 )
-from tests.unit.companion.link.wire import HOLD, OFFBOARD, Wire, heartbeat, local_position
+from tests.unit.companion.link.wire import (
+    ARDUPILOT,
+    HOLD,
+    OFFBOARD,
+    PX4,
+    Wire,
+    heartbeat,
+    local_position,
+)
 
 ORIGIN = LocalOrigin(47.0, 8.0, 488.0)
 ESTIMATE = TargetEstimate(
@@ -86,9 +94,10 @@ def test_an_icon_is_an_obstacle_with_a_name_that_fits() -> None:
     assert told.lat == on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0)).lat
 
 
-def heard(config: CompanionConfig, ticks: int = 200) -> Wire:
+def heard(config: CompanionConfig, ticks: int = 200, autopilot: int = PX4) -> Wire:
     """In the air, around an emitter that answers truly, a tenth of a second for each tick."""
     wire = Wire(config, gcs_links=1).ready()
+    wire.say(heartbeat(autopilot, is_armed=True, status=4))
     for tick in range(ticks):
         wire.wait(0.1)
         angle = 0.05 * tick
@@ -97,7 +106,7 @@ def heard(config: CompanionConfig, ticks: int = 200) -> Wire:
         vn_mps, ve_mps = 12.5 * math.cos(angle), -12.5 * math.sin(angle)
         wire.say(local_position(stamp_ms, north_m, east_m, -20.0, vn_mps, ve_mps, 0.0))
         if tick % 5 == 0:
-            wire.say(heartbeat(custom_mode=HOLD, is_armed=True, status=4))
+            wire.say(heartbeat(autopilot, HOLD, is_armed=True, status=4))
         bearing = math.atan2(30.0 - east_m, -40.0 - north_m)
         range_m = math.hypot(25.0, 20.0)
         ranging = (1000 * stamp_ms, range_m, 1.0, bearing, 0.05, math.nan, math.nan, 7, 255, 0)
@@ -125,6 +134,15 @@ def test_once_a_second_on_all_links_and_an_icon_on_those_of_stations_only() -> N
     icons = [m for m in told_on(wire, 1) if isinstance(m, Icon)]
     assert icons
     assert not [m for m in told_on(wire, 0) if isinstance(m, Icon)]
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+def test_only_an_ardupilot_gets_estimates_in_tunnels_too(autopilot: int) -> None:
+    wire = heard(CompanionConfig(), 60, autopilot)
+    tunnels = [m for m in told_on(wire, 0) if isinstance(m, mavlink.MAVLink_tunnel_message)]
+    estimates = [m for m in told_on(wire, 0) if isinstance(m, Estimate)]
+    assert len(tunnels) == (len(estimates) if autopilot == ARDUPILOT else 0)
+    assert not [m for m in told_on(wire, 1) if isinstance(m, mavlink.MAVLink_tunnel_message)]
 
 
 def test_nobody_gets_an_icon_unasked() -> None:

@@ -216,6 +216,17 @@ def test_a_stream_whose_stamps_stand_still_has_stopped() -> None:
     assert len(asking.times(POSITION)) >= 2
 
 
+def test_channels_of_a_transmitter_that_is_not_there_are_not_asked_for_for_ever() -> None:
+    channels = mavlink.MAVLINK_MSG_ID_RC_CHANNELS
+    asking = Asking()
+    asking.wait(300.0)
+    gaps = [b - a for a, b in zip(asking.times(channels), asking.times(channels)[1:], strict=False)]
+    assert gaps == pytest.approx([1.0, 2.0, 4.0, 8.0], abs=0.6)
+    asking.requester.note_rc(True)
+    asking.wait(60.0)
+    assert len(asking.times(channels)) == 5 + 5
+
+
 def test_after_a_restart_everything_is_asked_for_again() -> None:
     asking = Asking()
     asking.wait(0.6)

@@ -69,9 +69,10 @@ def home_position(
     x: float = 0.0,
     y: float = 0.0,
     z: float = 0.0,
+    time_usec: int = 0,
 ) -> Message:
     return mavlink.MAVLink_home_position_message(
-        latitude, longitude, altitude, x, y, z, [1.0, 0, 0, 0], 0.0, 0.0, 0.0
+        latitude, longitude, altitude, x, y, z, [1.0, 0, 0, 0], 0.0, 0.0, 0.0, time_usec
     )
 
 

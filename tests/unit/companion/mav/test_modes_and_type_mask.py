@@ -6,10 +6,12 @@ from companion.domain import Autopilot, FlightMode
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import (
+    ARDUCOPTER_NAMES,
     ARDUCOPTER_NUMBER,
     PX4_MAIN_AND_SUB,
     autopilot_of,
     mode_of,
+    other_mode_name,
     px4_custom_mode,
     px4_mode,
     set_mode_params,
@@ -67,6 +69,23 @@ def test_arducopter_numbers_are_those_of_its_own_dialect(mode: FlightMode, enum_
     from pymavlink.dialects.v20 import ardupilotmega
 
     assert ARDUCOPTER_NUMBER[mode] == getattr(ardupilotmega, enum_name)
+
+
+def test_every_arducopter_mode_has_the_name_of_its_own_dialect() -> None:
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    modes = ardupilotmega.enums["COPTER_MODE"]
+    named = {number: f"COPTER_MODE_{name}" for number, name in ARDUCOPTER_NAMES.items()}
+    unnamed = {8, 10, 12}
+    assert {n: entry.name for n, entry in modes.items() if n in named} == {
+        n: name for n, name in named.items() if n not in unnamed
+    }
+
+
+def test_a_mode_without_a_name_is_told_by_its_number() -> None:
+    assert other_mode_name(heartbeat(21, 3), Autopilot.ARDUPILOT) == "SMART_RTL"
+    assert other_mode_name(heartbeat(99, 3), Autopilot.ARDUPILOT) == "MODE_99"
+    assert other_mode_name(heartbeat(0x0804_0000), Autopilot.PX4) == "mode 4/8"
 
 
 def test_an_unknown_autopilot_has_unknown_modes() -> None:

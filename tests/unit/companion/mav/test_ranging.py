@@ -10,8 +10,13 @@ from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import wrap_pi
 from companion.link.ranging_sources import UINT32_MAX, ranging_from_message
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
-from companion.mav.ranging import message_from_ranging
+from companion.mav.dialect import (
+    MAVLink_radio_ranging_message,
+    MAVLink_target_estimate_message,
+    Message,
+    mavlink,
+)
+from companion.mav.ranging import estimate_in, message_from_ranging, tunnelled
 
 
 def over_the_wire(message: Message) -> Message:
@@ -181,3 +186,28 @@ def test_three_messages_are_read_as_ranging() -> None:
         ranging_beacon(1, 1),
     )
     assert all(ranging_from_message(message, 0.0) is not None for message in messages)
+
+
+ESTIMATE = MAVLink_target_estimate_message(
+    *(1000, 473977420, 85455940, -40.0, 30.0, 9.0, 0.5, 4.0, 6.5),
+    *(math.nan, math.nan, 3.0, 1.5, 12.0, -0.125, 55, 7, 2),
+)
+
+
+def test_an_estimate_goes_through_a_tunnel_unchanged() -> None:
+    carried = over_the_wire(tunnelled(ESTIMATE))
+    assert isinstance(carried, mavlink.MAVLink_tunnel_message)
+    assert (carried.target_system, carried.target_component) == (0, 0)
+    told = estimate_in(carried)
+    assert told is not None
+    codec = MavCodec(1, 191)
+    assert codec.encode(told)[10:-2] == MavCodec(1, 191).encode(ESTIMATE)[10:-2]
+    direct = over_the_wire(ESTIMATE)
+    assert estimate_in(direct) is direct
+
+
+@pytest.mark.parametrize(("kind", "length"), [(45011, 66), (45010, 67), (0, 67)])
+def test_another_tunnel_carries_no_estimate(kind: int, length: int) -> None:
+    other = mavlink.MAVLink_tunnel_message(0, 0, kind, length, [0] * 128)
+    assert estimate_in(over_the_wire(other)) is None
+    assert estimate_in(mavlink.MAVLink_ping_message(0, 0, 0, 0)) is None

@@ -1,0 +1,126 @@
+"""What a ground station on another link of the autopilot hears of the companion, and does to it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode
+from companion.guidance.authority.state_machine import Phase
+from companion.mav.addressing import TargetedTimesync, targets_of_frame
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
+from companion.mav.endpoint import Chunk
+from companion.mav.ranging import estimate_in
+from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
+from sim_link.lab.lockstep.observer import frames_in
+from tests.loop.loop_helpers import AUTO
+
+FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
+STATION = (255, 190)
+
+
+class StationBehind(SimEndpoint):
+    """A vehicle with a station on a second link."""
+
+    def __init__(self, scenario: Scenario, seed: int, started_s: float) -> None:
+        super().__init__(scenario, seed, started_s, links=2)
+        self.heard = bytearray()
+        self._station = MavCodec(*STATION)
+
+    def take_output(self) -> list[Chunk]:
+        chunks = super().take_output()
+        for chunk in chunks:
+            if chunk.link == 1:
+                self.heard += chunk.data
+        return [chunk for chunk in chunks if chunk.link == 0]
+
+    def say(self, message: Message, now_s: float) -> None:
+        """The station sends."""
+        self.receive(Chunk(1, self._station.encode(message), None), now_s)
+
+
+class WatchedFlight:
+    """A flight and what its station heard of the companion."""
+
+    def __init__(self, flavour: FlavourName, config: CompanionConfig = AUTO) -> None:
+        scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+        self.notes = MemoryJournal()
+        self.flight = Flight(
+            config, scenario, 1, self.notes, makers=Makers(simulator=StationBehind)
+        )
+        assert isinstance(self.flight.sim, StationBehind)
+        self.sim = self.flight.sim
+        self.run_until = self.flight.run_until
+        self.say(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+
+    def say(self, message: Message) -> None:
+        self.sim.say(message, self.flight.now_s)
+
+    def reposition(self, component: int, flags: float = 0.0) -> None:
+        """The station sends the vehicle 30 m from where it is."""
+        place = self.sim.vehicle.body.position_enu_m
+        away = (place[0] + 30.0, place[1], place[2])
+        latitude, longitude, altitude_m = self.sim.vehicle.origin.geodetic_from_enu(away)
+        self.say(
+            mavlink.MAVLink_command_int_message(
+                *(1, component, mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_CMD_DO_REPOSITION, 0, 0),
+                *(-1.0, flags, 0.0, math.nan),
+                *(round(latitude * 1e7), round(longitude * 1e7), altitude_m),
+            )
+        )
+
+    def frames(self) -> list[bytes]:
+        """Of the companion, as the station heard them."""
+        return [f for f in frames_in(bytes(self.sim.heard)) if f[5] == 1 and f[6] == 191]
+
+    def messages(self) -> list[Message]:
+        reader = MavCodec(*STATION)
+        return [m for frame in self.frames() for m in reader.decode(frame)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_the_estimate_reaches_a_station_through_either_autopilot(flavour: FlavourName) -> None:
+    watched = WatchedFlight(flavour)
+    watched.run_until(lambda: bool(watched.notes.results), 180.0)
+    watched.flight.run(1.5)
+    heard = watched.messages()
+    if flavour == "ardupilot":  # which passes on nothing that its maker does not know
+        heard = [m for m in heard if not isinstance(m, MAVLink_target_estimate_message)]
+    told = [each for each in map(estimate_in, heard) if each is not None]
+    assert len(told) >= 5
+    last, (_, result) = told[-1], watched.notes.results[-1]
+    assert last.lat / 1e7 == pytest.approx(result.latitude_deg, abs=1e-6)
+    assert last.lon / 1e7 == pytest.approx(result.longitude_deg, abs=1e-6)
+    assert last.r95 == pytest.approx(result.estimate.r95_m, rel=0.2)
+    assert (last.state, last.emitter_id) == (2, result.emitter_id)
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_no_question_for_the_time_reaches_a_station(flavour: FlavourName) -> None:
+    watched = WatchedFlight(flavour)
+    watched.flight.run(5.0)
+    assert any(frame[7:10] == b"\0\0\0" for frame in watched.frames())  # its HEARTBEAT does
+    kinds = {message.get_type() for message in watched.messages()}
+    assert "TIMESYNC" not in kinds
+    frame = MavCodec(1, 191).encode(TargetedTimesync(0, 5, 1, 1))
+    assert targets_of_frame(frame) == (1, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("component", [0, 1])
+def test_a_station_that_repositions_the_vehicle_is_told_of_and_overruled(component: int) -> None:
+    watched = WatchedFlight("ardupilot")
+    flight = watched.flight
+    flight.run_until(lambda: flight.phase is Phase.NORMAL, 40.0)
+    flight.run(4.0)
+    for _ in range(4):  # the target is echoed only now and then before ours replaces it
+        watched.reposition(component)
+        flight.run(1.03)
+    assert watched.notes.said("another target was sent to the autopilot"), watched.notes.texts
+    assert flight.mode is FlightMode.OFFBOARD

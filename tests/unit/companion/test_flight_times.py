@@ -1,0 +1,74 @@
+"""Times in the logs of a flight are those of the wall clock, however long its start took."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from companion import run
+from companion.config.schema import CompanionConfig, LogConfig, ProcessConfig
+from companion.io.files import EVENTS, FLIGHT, MCAP, TLOG
+from companion.io.links.transports import FlightLink, UdpBind
+from companion.io.logs.log_files import read_tlog
+from companion.io.shell import Clock
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.interface import VEHICLE_ONLY
+from companion.mav.codec import MavCodec
+from companion.mav.endpoint import Chunk
+from tests.ports import free_port
+from tests.unit.companion.link.wire import PEER, heartbeat
+
+SLOW_START_S = 0.6
+NEAR_S = 0.05
+
+
+class Watching(run.FlightView):
+    """Notes the wall clock when something is recorded, and ends the flight after a while."""
+
+    def __init__(self) -> None:
+        self.noted_unix_s: list[float] = []
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        del kind, fields, now_s
+        self.noted_unix_s.append(time.time())
+
+    def least_delay_s(self, told_unix_s: list[float]) -> float:
+        """How much later records were made than a log says; a busy computer only adds to it."""
+        assert len(told_unix_s) >= 3
+        pairs = zip(self.noted_unix_s, told_unix_s, strict=False)
+        return min(noted_s - told_s for noted_s, told_s in pairs)
+
+    def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        if not endpoint.binding.is_bound:
+            self.heard_unix_s = time.time()
+            endpoint.receive(Chunk(0, MavCodec(1, 1).encode(heartbeat()), PEER), now_s)
+        elif now_s > 0.3:
+            endpoint.request_stop(now_s)
+
+
+def test_a_slow_start_does_not_shift_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    monkeypatch.setattr(run, "prepare", lambda _: time.sleep(SLOW_START_S))
+    config = CompanionConfig(
+        log=LogConfig(directory=str(tmp_path / "logs"), mcap=True),
+        process=ProcessConfig(state_directory=str(tmp_path / "state"), checkpoint=False),
+    )
+    clock, watching = Clock(), Watching()
+    time.sleep(SLOW_START_S)
+    link = FlightLink(UdpBind("127.0.0.1", free_port()), VEHICLE_ONLY[0])
+    run.fly(config, [link], clock, run.FlightOptions(views=(watching,)))
+    (directory,) = (tmp_path / "logs").iterdir()
+    started_unix_s = json.loads((directory / FLIGHT).read_text())["started_unix_s"]
+    lines = map(json.loads, (directory / EVENTS).read_text().splitlines())
+    told_s = [started_unix_s + line["t_s"] for line in lines if line["kind"] != "text"]
+    assert watching.least_delay_s(told_s) == pytest.approx(0.0, abs=NEAR_S)
+    heard = next(read_tlog(directory / TLOG))
+    assert heard.unix_us / 1e6 == pytest.approx(watching.heard_unix_s, abs=NEAR_S)
+    with (directory / MCAP).open("rb") as file:
+        messages = reader.make_reader(file).iter_messages(topics=["/events"])
+        told_s = [message.log_time / 1e9 for _, _, message in messages]
+    assert watching.least_delay_s(told_s) == pytest.approx(0.0, abs=NEAR_S)
