@@ -11,7 +11,6 @@ from companion.guidance.events import AutopilotClockSlipped
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 
-
 ABOUT = ("not ready", "ready again", "setpoints stopped", "autopilot's clock")
 
 
