@@ -136,6 +136,7 @@ class Sticks:
 
 
 CENTRED = Sticks()
+THROTTLE_DOWN = Sticks(up=-1.0)
 
 
 def sticks_from(message: mavlink.MAVLink_manual_control_message) -> Sticks:
@@ -157,7 +158,8 @@ class StickInput:
     """Whoever holds the sticks now."""
 
     def __init__(self, params: RcParams) -> None:
-        self._params = params
+        self.resting = CENTRED if params.is_present else None
+        """Where the transmitter's sticks are while nobody moves them; None: there is none."""
         self._joystick: Sticks = CENTRED
         self._joystick_s: float | None = None
         self._moved: Sticks = CENTRED
@@ -185,10 +187,9 @@ class StickInput:
         """The deflections, or None if nobody holds any sticks."""
         if self.is_joystick_alive(now_s):
             return self._joystick
-        is_moved = now_s < self._moved_until_s
-        if now_s < self._lost_until_s or not (self._params.is_present or is_moved):
+        if now_s < self._lost_until_s:
             return None
-        return self._moved if is_moved else CENTRED
+        return self._moved if now_s < self._moved_until_s else self.resting
 
 
 Axes = tuple[float | None, float | None, float | None]

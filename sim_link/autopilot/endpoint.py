@@ -41,6 +41,7 @@ from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.services import Services
 from sim_link.autopilot.telemetry import build_message
 from sim_link.autopilot.vehicle import (
+    FLAVOURS,
     FlightRecorder,
     IncidentSchedule,
     SimVehicle,
@@ -89,7 +90,8 @@ class SimEndpoint:
         """Whether a stop was requested."""
         self._output: list[Chunk] = []
         components = (mavlink.MAV_COMP_ID_AUTOPILOT1, radio_payload.COMPONENT_ID)
-        self.links = LinkLayer(scenario.system_id, components, len(links), security)
+        dialect = FLAVOURS[scenario.autopilot.flavour][0].firmware.dialect
+        self.links = LinkLayer(scenario.system_id, components, len(links), security, dialect)
         self.recorder = FlightRecorder()
         self._began_s = started_s
         self._schedule = IncidentSchedule(scenario.incidents)

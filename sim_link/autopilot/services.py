@@ -28,7 +28,7 @@ from sim_link.autopilot.control_inputs import (
     is_on_earth,
     sticks_from,
 )
-from sim_link.autopilot.flavours.base import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED
+from sim_link.autopilot.flavours.base import ACCEPTED, DENIED, UNSUPPORTED
 from sim_link.autopilot.protocols.addressing import (
     Addressing,
     Channel,
@@ -107,10 +107,8 @@ class Calibration:
         self._started_s = 0.0
         self._report_s = 0.0
 
-    def begin(self, command: Command, now_s: float, *, is_armed: bool) -> CommandResult:
-        """Start it; refused while armed."""
-        if is_armed:
-            return CommandResult.TEMPORARILY_REJECTED
+    def begin(self, command: Command, now_s: float) -> CommandResult:
+        """Start it."""
         if not any(value > 0.0 for value in command.params):
             return self._empty
         self._started_s = now_s
@@ -149,7 +147,9 @@ class Services:
         flavour = vehicle.flavour
         firmware = self._firmware = flavour.firmware
         self._texts = StatusTexts()
-        self.addressing = Addressing(vehicle.system_id)
+        self.addressing = Addressing(
+            vehicle.system_id, is_known=is_known if firmware.answers_for_others else None
+        )
         self._clocks = Clocks(
             self.addressing, firmware.names_timesync_target, firmware.answers_ping
         )
@@ -278,7 +278,7 @@ class Services:
 
     def _command(self, command: Command, now_s: float) -> int:
         if command.number == CALIBRATION_COMMAND:
-            return self._calibration.begin(command, now_s, is_armed=self._vehicle.is_armed)
+            return self._calibrate(command, now_s)
         if command.number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
             return self._reboot(command)
         if command.number == mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
@@ -289,10 +289,19 @@ class Services:
             return ACCEPTED
         return self._vehicle.flavour.command(command, now_s)
 
+    def _calibrate(self, command: Command, now_s: float) -> int:
+        if self._vehicle.is_armed:
+            return self._firmware.busy
+        return (
+            ACCEPTED
+            if self._firmware.calibrates_at_once
+            else self._calibration.begin(command, now_s)
+        )
+
     def _reboot(self, command: Command) -> int:
         """Refused while armed; only the autopilot itself, and no shutdown."""
         if self._vehicle.is_armed:
-            return TEMPORARILY_REJECTED
+            return self._firmware.busy
         if command.params[0] != 1.0:
             return UNSUPPORTED
         self.wants_reboot = True

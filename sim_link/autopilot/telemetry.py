@@ -63,7 +63,7 @@ def sys_status(vehicle: SimVehicle) -> Fields:
     health |= GPS if vehicle.estimator.has_fix else 0
     health |= AHRS if vehicle.estimator.is_position_valid else 0
     health |= BATTERY if battery.share > BATTERY_CRITICAL_SHARE else 0
-    if vehicle.scenario.rc.is_present or vehicle.sticks.is_joystick_alive(now_s):
+    if vehicle.sticks.resting is not None or vehicle.sticks.is_joystick_alive(now_s):
         present |= RC
         health |= RC if vehicle.sticks.read(now_s) is not None else 0
     fence = vehicle.flavour.fence_state(vehicle.body.position_enu_m)
@@ -182,6 +182,13 @@ def rc_channels(vehicle: SimVehicle) -> Fields | None:
     return (boot_ms(vehicle), 8, *held, *[NEUTRAL_US] * 4, *[UINT16_MAX] * 10, 255)
 
 
+def fence_status(vehicle: SimVehicle) -> Fields:
+    """Whether it is in breach now; breaches are not counted."""
+    is_breached = vehicle.flavour.fence_state(vehicle.body.position_enu_m).is_breached
+    kind = mavlink.FENCE_BREACH_BOUNDARY if is_breached else mavlink.FENCE_BREACH_NONE
+    return (int(is_breached), int(is_breached), kind, boot_ms(vehicle) if is_breached else 0)
+
+
 Builder = Callable[[SimVehicle], Fields | None]
 
 _BUILDERS: tuple[Builder, ...] = (
@@ -200,7 +207,8 @@ _BUILDERS: tuple[Builder, ...] = (
     *(motion.position_target_local_ned, motion.position_target_global_int),
     *(motion.attitude_target, motion.highres_imu, motion.servo_output_raw, motion.raw_imu),
     *(motion.scaled_pressure, motion.power_status, motion.vibration, motion.distance_sensor),
-    motion.gps_raw_int,
+    *(motion.gps_raw_int, motion.scaled_imu2, motion.scaled_imu3, motion.scaled_pressure2),
+    *(motion.terrain_report, fence_status),
 )
 """Each named as its message."""
 _CLASSES = {getattr(mavlink, f"MAVLink_{build.__name__}_message"): build for build in _BUILDERS} | {

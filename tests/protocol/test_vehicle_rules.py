@@ -17,6 +17,11 @@ from tests.protocol.conformance_rigs import (
 
 GOOD = (RuleVerdict.PASS, RuleVerdict.NOTED)
 """The simulator may be as lax as the real autopilot that a note tells of."""
+NO_OCCASION = {
+    ("commands.long_running_command_reports_and_can_be_cancelled", Flavour.ARDUPILOT): (
+        "calibration is answered by 0 at once"
+    )
+}
 
 
 @pytest.mark.parametrize(("rule", "flavour"), cases(Role.VEHICLE), ids=case_id)
@@ -25,6 +30,10 @@ def test_simulator_keeps_the_rule(rule: Rule, flavour: Flavour) -> None:
         outcome = try_rule(rule, probe_of(signing_simulator(flavour), rule.book.prober, KEY))
     else:
         outcome = try_on_vehicle(rule, simulator(flavour))
+    reason = NO_OCCASION.get((rule.rule_id, flavour))
+    if reason is not None:
+        assert (outcome.verdict, outcome.detail) == (RuleVerdict.SKIP, reason)
+        return
     assert outcome.verdict in GOOD, outcome.detail
 
 

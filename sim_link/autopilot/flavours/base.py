@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 from companion.domain import FlightMode, LandedState, PositionEnu
@@ -83,6 +83,11 @@ def chooses(mode: object) -> Handler:
     return lambda flavour, _, now_s: int(flavour.choose(mode, now_s))
 
 
+def answers(result: CommandResult) -> Handler:
+    """The handler of a command that nothing comes of."""
+    return lambda *_: result
+
+
 def set_home(flavour: Flavour, command: Command, _now_s: float) -> int:
     """DO_SET_HOME: here (first parameter 1), or at a place of any frame that the aircraft knows."""
     aircraft, firmware = flavour.aircraft, flavour.firmware
@@ -95,7 +100,7 @@ def set_home(flavour: Flavour, command: Command, _now_s: float) -> int:
         return firmware.refusal
     home = aircraft.place_from(*place, altitude_m, frame)
     if home is None:
-        return UNSUPPORTED_MAV_FRAME
+        return firmware.frame_refusal
     if any(abs(axis) > MAX_DISTANCE_M for axis in home):
         return firmware.refusal
     aircraft.set_home(home, is_given=firmware.keeps_given_home)
@@ -121,6 +126,12 @@ class Firmware(NamedTuple):
     """MAV_PROTOCOL_CAPABILITY."""
     refusal: CommandResult
     """Of a command whose parameters make no sense."""
+    frame_refusal: CommandResult
+    """Of a place in a frame that it does not know."""
+    busy: CommandResult
+    """Of a calibration or a restart while armed."""
+    calibrates_at_once: bool
+    """Otherwise it takes its time, and reports progress."""
     termination: tuple[int, str]
     """MAV_SEVERITY and text of a flight termination."""
     keeps_given_home: bool
@@ -145,6 +156,10 @@ class Firmware(NamedTuple):
     """1 where item 0 is home."""
     home_orientation: tuple[float, float, float, float]
     """HOME_POSITION.q."""
+    dialect: Container[int] | None = None
+    """Ids of the messages that it knows; it does not pass on others. None: it passes on all."""
+    answers_for_others: bool = False
+    """Obeys what is for a component of its system that was never heard, and answers as itself."""
 
 
 class HeartbeatState(NamedTuple):

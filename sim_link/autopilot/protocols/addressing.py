@@ -7,6 +7,7 @@ field marks the last one, so a text that fills its last chunk is followed by an 
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeVar
 
@@ -84,17 +85,24 @@ class Outgoing(NamedTuple):
 class Addressing:
     """Which messages are for us.
 
-    Source: MAVLink developer guide, "Routing": 0 is everyone.
+    Source: MAVLink developer guide, "Routing": 0 is everyone; ArduCopter 4.5 as observed.
     """
 
     system_id: int
     component_id: int = mavlink.MAV_COMP_ID_AUTOPILOT1
+    is_known: Callable[[int, int], bool] | None = None
+    """Whether a system's component was heard. ArduPilot stands in for those of its system that were
+    not; None: it does not."""
 
     def is_for_us(self, message: Message) -> bool:
         """Whether a message is a broadcast or names us."""
         system_id = int(getattr(message, "target_system", 0))
         component_id = int(getattr(message, "target_component", 0))
-        return system_id in (0, self.system_id) and component_id in (0, self.component_id)
+        if system_id not in (0, self.system_id):
+            return False
+        if component_id in (0, self.component_id):
+            return True
+        return self.is_known is not None and not self.is_known(self.system_id, component_id)
 
 
 def partner_of(message: Message, channel: Channel) -> Partner:

@@ -12,7 +12,7 @@ Source: MAVLink developer guide, "Command Protocol" and "Redundancy and Deduplic
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
@@ -72,6 +72,8 @@ class Command:
     frame: int | None = None
     """MAV_FRAME of a COMMAND_INT; None for COMMAND_LONG, which has none."""
     confirmation: int = 0
+    acknowledged_as: int | None = None
+    """In place of its number, in the ACK."""
 
     def whole(self, place: int, default: int | None = None) -> int | None:
         """A parameter that must be a whole number; None if it is not, `default` if it is NaN."""
@@ -102,8 +104,11 @@ class CommandForms:
     """Which commands come in one form only, and how SET_MODE is understood."""
 
     int_only: frozenset[int] = frozenset()
+    """UNSUPPORTED as COMMAND_LONG."""
     splits_custom_mode: bool = True
     """PX4's DO_SET_MODE has main and sub mode apart; ArduPilot's the whole custom mode."""
+    acknowledges_set_mode_as: int = mavlink.MAV_CMD_DO_SET_MODE
+    """ArduPilot: by the number of the message."""
 
 
 def command_from(
@@ -165,6 +170,8 @@ class Commands:
         command = command_from(message, partner, splits_custom_mode=self._forms.splits_custom_mode)
         if command is None:
             return None, []
+        if isinstance(message, mavlink.MAVLink_set_mode_message):
+            command = replace(command, acknowledged_as=self._forms.acknowledges_set_mode_as)
         result = self._refusal(command, now_s)
         if result is None:
             return command, []
@@ -212,7 +219,7 @@ class Commands:
 
     def _refusal(self, command: Command, now_s: float) -> CommandResult | None:
         if command.frame is None and command.number in self._forms.int_only:
-            return CommandResult.COMMAND_INT_ONLY
+            return CommandResult.UNSUPPORTED
         is_repeated = self._is_repeated(command, now_s)
         if command.number in self._running:
             own = self._running[command.number].command.partner == command.partner
@@ -244,5 +251,6 @@ def _key(command: Command) -> tuple[int, int | None, bytes]:
 
 def _ack(command: Command, result: int, progress: int) -> Outgoing:
     partner, shown = command.partner, progress if result == CommandResult.IN_PROGRESS else 0
-    message = mavlink.MAVLink_command_ack_message(command.number, result, shown, 0, *partner.ids)
+    number = command.number if command.acknowledged_as is None else command.acknowledged_as
+    message = mavlink.MAVLink_command_ack_message(number, result, shown, 0, *partner.ids)
     return Outgoing(message, partner.channel)

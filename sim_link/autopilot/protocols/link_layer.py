@@ -11,7 +11,9 @@ link's.
 Routing. Whoever is heard on a channel can be reached there; one component may be heard on several.
 A broadcast goes to every other channel, an addressed frame only to where its target was heard, and
 never back to where it came from. A frame is passed on as its bytes are, whether or not we can
-decode or believe it, so routes are read from the bytes too. SETUP_SIGNING stays here.
+decode or believe it, so routes are read from the bytes too. SETUP_SIGNING stays here. ArduPilot
+drops what is not in its dialect, because it cannot prove it a frame: it is neither heard nor passed
+on.
 
 A SYSTEM_TIME whose time since boot went back means that its sender's system restarted: its routes
 are learnt anew.
@@ -22,14 +24,14 @@ Signing".
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Container
 from typing import NamedTuple
 
 from companion.mav.addressing import boot_ms_of, targets_of_frame
 from companion.mav.codec import CRC_EXTRA_BY_ID, MAX_MAVLINK1_ID, MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.framing import MAGIC_V2, FrameSplitter, sender_of
+from companion.mav.framing import MAGIC_V2, FrameSplitter, message_id, sender_of
 from companion.mav.signing import LinkSigning, Signing, SigningSetup, is_secret, setup_from
 from sim_link.autopilot.protocols.addressing import Channel, Newest, Outgoing
 
@@ -203,7 +205,11 @@ NO_SECURITY = LinkSecurity()
 
 
 class LinkLayer:
-    """All links of one vehicle; of its components the autopilot is the first."""
+    """All links of one vehicle; of its components the autopilot is the first.
+
+    Args:
+        dialect: Ids of the messages that it can take for frames; None: of all.
+    """
 
     def __init__(
         self,
@@ -211,8 +217,10 @@ class LinkLayer:
         component_ids: tuple[int, ...],
         links: int = 1,
         security: LinkSecurity = NO_SECURITY,
+        dialect: Container[int] | None = None,
     ) -> None:
         self.signing = security.signing
+        self._dialect = dialect
         self.router = Router(system_id, component_ids, links)
         self._system_id = system_id
         self._component_ids = component_ids
@@ -235,12 +243,10 @@ class LinkLayer:
     def receive(self, chunk: Chunk) -> tuple[list[tuple[Message, Channel]], list[Chunk]]:
         """Messages that may be believed, each with where it came from; and frames to pass on."""
         channel = Channel(chunk.link, chunk.peer)
-        frames, unknown = self._receivers.split(chunk)
+        frames, unknown = map(self._of_its_dialect, self._receivers.split(chunk))
         arrivals: list[tuple[Message, Channel]] = []
         forwarded = [each for frame in unknown for each in self.router.route(frame, channel)]
         for frame in frames:
-            if sender_of(frame)[0] == 0:
-                continue  # 0 is no source (MAVLink developer guide, "Packet Serialization")
             forwarded += self.router.route(frame, channel)
             codec = self._codecs[Channel(chunk.link), self._component_ids[0]]
             message = codec.decode_frame(frame)
@@ -252,6 +258,10 @@ class LinkLayer:
             else:
                 arrivals.append((message, channel))
         return arrivals, forwarded
+
+    def _of_its_dialect(self, frames: list[bytes]) -> list[bytes]:
+        dialect = self._dialect
+        return frames if dialect is None else [f for f in frames if message_id(f) in dialect]
 
     def send(self, outgoing: Outgoing, component_id: int | None = None) -> list[Chunk]:
         """The chunks of a component's message (None: the autopilot's), for one link or all."""

@@ -164,6 +164,12 @@ SHORTHANDS = {
 }
 """Commands that mean REQUEST_MESSAGE of one message."""
 
+
+def cast_to_uint32(value: float) -> int:
+    """As C casts it on the processors that autopilots run on; what is no number becomes 0."""
+    return int(value) & 0xFFFF_FFFF if math.isfinite(value) else 0
+
+
 Build = Callable[[int], Message | None]
 """Makes the message with an id; None if it is unknown or has nothing to say now."""
 
@@ -182,6 +188,12 @@ class RequestRules:
     """Streamed, but refused by REQUEST_MESSAGE."""
     has_texts: bool = False
     """A refused SET_MESSAGE_INTERVAL is explained."""
+    casts_id: bool = False
+    """REQUEST_MESSAGE cuts a fraction off the id, and takes NaN for 0."""
+    tells_protocol_version: bool = True
+    """Knows REQUEST_PROTOCOL_VERSION at all."""
+    capabilities_need_one: bool = False
+    """REQUEST_AUTOPILOT_CAPABILITIES is refused unless its first parameter is 1."""
 
 
 class MessageRequests:
@@ -240,8 +252,7 @@ class MessageRequests:
                 return self._tell_interval(command.whole(1), command.partner, now_s)
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return self._set_interval(command, now_s)
-        shorthand = SHORTHANDS.get(command.number)
-        return None if shorthand is None else self._send(shorthand, command.partner)
+        return self._request_by_shorthand(command)
 
     def set_data_stream(self, message: Message, partner: Partner, now_s: float) -> None:
         """Obey a REQUEST_DATA_STREAM that is for us; it has no answer."""
@@ -255,11 +266,24 @@ class MessageRequests:
         return self._tables[channel]
 
     def _request(self, command: Command, now_s: float) -> tuple[CommandResult, list[Outgoing]]:
-        number = command.whole(1)
+        number = cast_to_uint32(command.params[0]) if self._rules.casts_id else command.whole(1)
+        if number in self._rules.not_on_request:
+            return self._rules.no_message, []
         if number == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
             return self._tell_interval(command.whole(2), command.partner, now_s)
         if number is None or not 0 <= number <= MAX_MESSAGE_ID:
-            return CommandResult.DENIED, []
+            return self._rules.no_message, []
+        return self._send(number, command.partner)
+
+    def _request_by_shorthand(
+        self, command: Command
+    ) -> tuple[CommandResult, list[Outgoing]] | None:
+        number, rules = SHORTHANDS.get(command.number), self._rules
+        if number is None or (number == PROTOCOL_VERSION and not rules.tells_protocol_version):
+            return None
+        is_wanted = command.params[0] == 1.0 or not rules.capabilities_need_one
+        if number == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not is_wanted:
+            return rules.no_message, []
         return self._send(number, command.partner)
 
     def _send(self, number: int, partner: Partner) -> tuple[CommandResult, list[Outgoing]]:

@@ -1,8 +1,9 @@
 """The parameter protocol: list, read, set.
 
 What is refused is told as the guide wants where the rules say so: with a text, and the value kept
-and told to everyone. PX4 1.15 refuses in silence and stores a NaN and what is out of range. A
-parameter is never created.
+and told to everyone. PX4 1.15 refuses in silence and stores a NaN and what is out of range;
+ArduCopter 4.5 stores what is out of range, too, lets integers wrap, is silent about NaN and tells
+only of what is read-only. A parameter is never created.
 
 Source: MAVLink developer guide, "Parameter Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 """
@@ -50,10 +51,20 @@ class ParameterRules:
     """Otherwise a value read or set by name has index 65535."""
     has_hash_check: bool
     checks_value: bool = True
-    """Otherwise what its type can hold is stored, NaN included."""
+    """Otherwise what its type can hold is stored; an integer keeps the bits that its type has."""
+    stores_nan: bool = True
+    """Otherwise what is no number is ignored without a word, if no value is checked."""
+    tells_read_only: bool = False
+    """By the value and a text even where other errors are not told."""
     echoes: int = 1
     """How often a value that was set is told."""
     list_rate_hz: float = 1000.0
+
+
+def _wrapped(value: float, kind: ParamType) -> int:
+    """A finite number as C casts it to an integer type."""
+    least, greatest = (int(bound) for bound in kind.bounds)
+    return least + (int(value) - least) % (greatest - least + 1)
 
 
 @dataclass(slots=True)
@@ -149,22 +160,27 @@ class Parameters:
             kinds = {known.kind for known in self.store.specs}
             error = TYPE_MISMATCH if message.param_type in kinds else TYPE_UNSUPPORTED
             return self._refused(partner, index, error, f"is of type {spec.kind.name}")
-        problem = spec.problem_with(value)
-        if problem is not None and self._rules.checks_value:
+        problem, rules = spec.problem_with(value), self._rules
+        if problem is not None and rules.checks_value:
             return self._refused(partner, index, OUT_OF_RANGE, problem)
         if spec.is_read_only:
             return self._refused(partner, index, READ_ONLY, "is read-only")
-        self.store.set(name, value, is_checked=self._rules.checks_value)
+        if not (math.isfinite(value) or rules.stores_nan):
+            return []
+        if spec.kind.is_integer and not rules.checks_value:
+            value = _wrapped(value, spec.kind)
+        self.store.set(name, value, is_checked=rules.checks_value)
         return [Outgoing(self._value(index, is_named=True))] * self._rules.echoes
 
     def _refused(self, partner: Partner, index: int, error: int, problem: str) -> list[Outgoing]:
-        if not self._rules.tells_errors:
+        is_told = self._rules.tells_errors
+        if not is_told and not (self._rules.tells_read_only and error == READ_ONLY):
             return []
         name = self.store.specs[index].name
         return [
             Outgoing(self._value(index, is_named=True)),
             *self._texts.warn(partner, f"{name} kept: {problem}"),
-            self._error(partner, name, index, error),
+            *([self._error(partner, name, index, error)] if is_told else []),
         ]
 
     def _unknown(self, partner: Partner, name: str, index: int) -> list[Outgoing]:

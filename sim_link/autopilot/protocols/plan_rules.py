@@ -74,12 +74,20 @@ class PlanChecks:
 
     zero_is_here: bool = False
     """A WAYPOINT at 0/0 is where the vehicle is (ArduPilot); otherwise it is refused."""
+    nan_fourth: frozenset[int] | None = None
+    """Commands of a mission whose fourth parameter may be NaN, and no parameter else (ArduPilot);
+    None: all may be."""
     more_positions: frozenset[int] = frozenset()
     """Commands with a position beyond those that both autopilots know."""
     more_others: frozenset[int] = frozenset()
 
     def problem_with(self, item: PlanItem, plan_type: PlanType) -> PlanResult | None:
         """Why an item is not taken; None if it is."""
+        if self.nan_fourth is not None and plan_type is PlanType.MISSION:
+            checked = item.params[: 3 if item.command in self.nan_fourth else 4]
+            for param, result in zip(checked, PARAM_RESULTS, strict=False):
+                if math.isnan(param):
+                    return result
         has_position = self._has_position(item.command, plan_type)
         if has_position is None:
             return PlanResult.UNSUPPORTED

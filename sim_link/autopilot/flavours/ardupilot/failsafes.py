@@ -112,7 +112,8 @@ class CopterFailsafes:
         yield from self._note(EKF, self._bad_estimate_s >= limit_s, event)
 
     def _reaction(self, parameter: str) -> CopterMode | None:
-        return REACTIONS[parameter][int(self._parameters[parameter])]
+        reactions, number = REACTIONS[parameter], int(self._parameters[parameter])
+        return reactions[number] if 0 <= number < len(reactions) else None
 
     def _note(self, name: str, is_present: bool, event: FailsafeEvent) -> Iterator[FailsafeEvent]:
         if is_present and name not in self.active:

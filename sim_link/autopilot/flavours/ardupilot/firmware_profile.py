@@ -2,18 +2,24 @@
 
 `parameters.csv` has its parameters. Names, types and defaults were compared one by one with what an
 ArduCopter 4.5.5 shows, and with SITL's `copter.parm` (battery monitor, flight modes, fence radius,
-throttle failsafe); ranges are those of the Copter Parameter List by sense. ArduPilot checks no
-ranges; here a value out of range is refused, because a simulator that flies on with a wrapped
-integer teaches nobody anything. The battery failsafes are BATT_FS_*, as since Copter 3.6.
+throttle failsafe); ranges are those of the Copter Parameter List by sense, and bind scenarios only:
+a client may set what is out of range. The battery failsafes are BATT_FS_*, as since Copter 3.6.
 """
 
 from __future__ import annotations
 
 import math
 
-from companion.mav.dialect import MAVLink_ekf_status_report_message, mavlink
+from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.dialect import (
+    MAVLink_command_cancel_message,
+    MAVLink_ekf_status_report_message,
+    MAVLink_radio_ranging_message,
+    MAVLink_target_estimate_message,
+    mavlink,
+)
 from companion.mav.param_encoding import ParamEncoding
-from sim_link.autopilot.flavours.base import DENIED, FAILED, Firmware
+from sim_link.autopilot.flavours.base import ACCEPTED, DENIED, FAILED, Firmware
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.command_protocol import CommandForms
 from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules, message_ids
@@ -46,55 +52,87 @@ ON_REQUEST = message_ids(
     "GLOBAL_POSITION_INT POSITION_TARGET_LOCAL_NED POSITION_TARGET_GLOBAL_INT GPS_RAW_INT VFR_HUD "
     "NAV_CONTROLLER_OUTPUT RC_CHANNELS SERVO_OUTPUT_RAW RAW_IMU SCALED_PRESSURE POWER_STATUS "
     "VIBRATION ATTITUDE_TARGET MISSION_CURRENT BATTERY_STATUS HOME_POSITION GPS_GLOBAL_ORIGIN "
-    "AUTOPILOT_VERSION"
+    "AUTOPILOT_VERSION SCALED_IMU2 SCALED_IMU3 SCALED_PRESSURE2 FENCE_STATUS TERRAIN_REPORT"
 )
 DATA_STREAMS: dict[int, tuple[int, ...]] = {
-    mavlink.MAV_DATA_STREAM_RAW_SENSORS: message_ids("RAW_IMU SCALED_PRESSURE"),
+    mavlink.MAV_DATA_STREAM_RAW_SENSORS: message_ids(
+        "RAW_IMU SCALED_IMU2 SCALED_IMU3 SCALED_PRESSURE SCALED_PRESSURE2"
+    ),
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: message_ids(
-        "SYS_STATUS POWER_STATUS MISSION_CURRENT GPS_RAW_INT NAV_CONTROLLER_OUTPUT"
+        "SYS_STATUS POWER_STATUS MISSION_CURRENT GPS_RAW_INT NAV_CONTROLLER_OUTPUT FENCE_STATUS"
     ),
     mavlink.MAV_DATA_STREAM_RC_CHANNELS: message_ids("SERVO_OUTPUT_RAW RC_CHANNELS"),
     mavlink.MAV_DATA_STREAM_POSITION: message_ids("LOCAL_POSITION_NED GLOBAL_POSITION_INT"),
     mavlink.MAV_DATA_STREAM_EXTRA1: message_ids("ATTITUDE"),
     mavlink.MAV_DATA_STREAM_EXTRA2: message_ids("VFR_HUD"),
     mavlink.MAV_DATA_STREAM_EXTRA3: (
-        *message_ids("SYSTEM_TIME BATTERY_STATUS VIBRATION"),
+        *message_ids("SYSTEM_TIME BATTERY_STATUS VIBRATION TERRAIN_REPORT"),
         EKF_STATUS_REPORT,
     ),
 }
 """Messages of each MAV_DATA_STREAM group, ArduPilot `GCS_Mavlink.cpp`."""
 
+NOT_ITS_OWN = (
+    *message_ids("MISSION_CHECKSUM RADIO_RC_CHANNELS AVAILABLE_MODES CURRENT_MODE"),
+    *message_ids("AVAILABLE_MODES_MONITOR GNSS_INTEGRITY RANGING_BEACON"),
+    MAVLink_command_cancel_message.id,
+    MAVLink_radio_ranging_message.id,
+    MAVLink_target_estimate_message.id,
+)
+"""Known here, but neither to common.xml nor to ardupilotmega.xml of that version."""
+VENDORS = (range(150, 227), range(10001, 10152), range(11000, 11061))
+"""Ids of ardupilotmega.xml, and of what it includes."""
+DIALECT = frozenset(CRC_EXTRA_BY_ID).difference(NOT_ITS_OWN).union(*VENDORS)
+
 FIRMWARE = Firmware(
     autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
     version=0x0405_07FF,  # 4.5.7, official release: the one whose behaviour is simulated
-    # 4.5 sets neither encoding bit; the guide wants one of them.
-    capabilities=0xFBEF | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
+    capabilities=0xFBEF,  # neither encoding bit, though the guide wants one of them
     refusal=FAILED,
+    frame_refusal=DENIED,
+    busy=FAILED,
+    calibrates_at_once=True,
     termination=(mavlink.MAV_SEVERITY_EMERGENCY, "Flight termination"),
     keeps_given_home=False,
     commands=CommandForms(
-        int_only=frozenset({mavlink.MAV_CMD_DO_REPOSITION}), splits_custom_mode=False
+        int_only=frozenset({mavlink.MAV_CMD_DO_REPOSITION}),
+        splits_custom_mode=False,
+        acknowledges_set_mode_as=mavlink.MAVLINK_MSG_ID_SET_MODE,
     ),
-    requests=RequestRules(no_message=FAILED, no_stream=DENIED, no_interval=FAILED, has_texts=True),
+    requests=RequestRules(
+        no_message=FAILED,
+        no_stream=DENIED,
+        no_interval=FAILED,
+        has_texts=True,
+        casts_id=True,
+        not_on_request=frozenset({mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL}),
+        tells_protocol_version=False,
+        capabilities_need_one=True,
+    ),
     streams=StreamRules(
         {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0, mavlink.MAVLINK_MSG_ID_TIMESYNC: 0.1}
         | dict.fromkeys((*ON_REQUEST, EKF_STATUS_REPORT), 0.0),
         STEP_S,
+        fixed=frozenset(),
         groups=DATA_STREAMS,
     ),
-    # Measured: 1364 values in 0.87 s. It is silent on errors; clients wait for PARAM_ERROR.
+    # Measured: 1364 values in 0.87 s.
     parameters=ParameterRules(
         ParamEncoding.C_CAST,
         checks_type=False,
-        tells_errors=True,
+        tells_errors=False,
         tells_index_of_named=False,
         has_hash_check=False,
+        checks_value=False,
+        stores_nan=False,
+        tells_read_only=True,
         list_rate_hz=1500.0,
     ),
     plans=PlanRules(
         capacity={PlanType.MISSION: 650, PlanType.FENCE: 84, PlanType.RALLY: 50},
         checks=PlanChecks(
             zero_is_here=True,
+            nan_fourth=commands_named("NAV_WAYPOINT NAV_LAND NAV_TAKEOFF"),
             more_positions=commands_named("NAV_SPLINE_WAYPOINT DO_SET_HOME"),
             more_others=commands_named("NAV_GUIDED_ENABLE DO_SET_RELAY DO_FENCE_ENABLE"),
         ),
@@ -109,7 +147,7 @@ FIRMWARE = Firmware(
         stores_less=True,
     ),
     rejects_for_others=False,
-    empty_calibration=DENIED,
+    empty_calibration=ACCEPTED,
     names_timesync_target=False,
     answers_ping=False,
     tells_mode_at_once=True,
@@ -117,4 +155,6 @@ FIRMWARE = Firmware(
     takes_origin=False,
     first_mission_item=1,
     home_orientation=(math.nan, math.nan, math.nan, math.nan),
+    dialect=DIALECT,
+    answers_for_others=True,
 )

@@ -12,7 +12,13 @@ import math
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.control_inputs import AttitudeTarget, Echo, Setpoint, TargetMessage
+from sim_link.autopilot.control_inputs import (
+    THROTTLE_DOWN,
+    AttitudeTarget,
+    Echo,
+    Setpoint,
+    TargetMessage,
+)
 from sim_link.autopilot.flavours.ardupilot.failsafes import CopterFailsafes, FailsafeEvent
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import FIRMWARE
 from sim_link.autopilot.flavours.ardupilot.flight_modes import (
@@ -47,6 +53,8 @@ LANDED_DELAY_S = 1.0
 """LAND and RTL disarm this long after a touchdown."""
 IDLE_DETECTION_S = 0.5
 """ArduCopter takes this much longer than DISARM_DELAY."""
+LEAST_SPEED_CMPS, LEAST_TIMEOUT_S = 10.0, 0.1
+"""What WPNAV_SPEED and its kin, and GUID_TIMEOUT, are taken for if they are less."""
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
 CRITICAL, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
@@ -65,6 +73,8 @@ class ArduPilotFlavour(Flavour):
         self.commanded_mps: dict[int, float] = {}
         """By SPEED_TYPE, until the mode changes."""
         self._failsafes = CopterFailsafes(aircraft, parameters)
+        if aircraft.sticks.resting is None:
+            aircraft.sticks.resting = THROTTLE_DOWN  # SITL's RC3 is 1000
 
     @property
     def mode(self) -> FlightMode:
@@ -206,9 +216,9 @@ class ArduPilotFlavour(Flavour):
         if isinstance(message, AttitudeTarget):
             return
         target = target_from(message, self.aircraft)
-        is_refused = target.kind is TargetKind.STOP
-        self.setpoints.take(None if is_refused else target.setpoint, now_s)
-        if self.copter_mode is not GUIDED or not self.is_armed:
+        is_refused = target is None or target.kind is TargetKind.STOP
+        self.setpoints.take(None if target is None or is_refused else target.setpoint, now_s)
+        if target is None or self.copter_mode is not GUIDED or not self.is_armed:
             return
         if target.text:
             self.aircraft.say(WARNING, target.text)
@@ -263,7 +273,7 @@ class ArduPilotFlavour(Flavour):
 
     def _watch(self, now_s: float) -> None:
         body = self.aircraft.body
-        timeout_s = self.parameters["GUID_TIMEOUT"]
+        timeout_s = max(LEAST_TIMEOUT_S, self.parameters["GUID_TIMEOUT"])
         self.guided.watch(now_s, timeout_s, is_on_ground=body.is_on_ground)
         self.aircraft.pilot.limits = self._speed_limits()
         if not self.is_armed:
@@ -290,10 +300,11 @@ class ArduPilotFlavour(Flavour):
         """As commanded, or WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
         value, commanded_mps = self.parameters, self.commanded_mps
         home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
+        across_cmps = home_cmps or value["WPNAV_SPEED"]
         return SpeedLimits(
-            commanded_mps.get(HORIZONTAL, (home_cmps or value["WPNAV_SPEED"]) / 100.0),
-            commanded_mps.get(CLIMB, value["WPNAV_SPEED_UP"] / 100.0),
-            commanded_mps.get(DESCENT, value["WPNAV_SPEED_DN"] / 100.0),
+            commanded_mps.get(HORIZONTAL, max(LEAST_SPEED_CMPS, across_cmps) / 100.0),
+            commanded_mps.get(CLIMB, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_UP"]) / 100.0),
+            commanded_mps.get(DESCENT, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_DN"]) / 100.0),
         )
 
     def _runs_into_the_fence(self) -> bool:

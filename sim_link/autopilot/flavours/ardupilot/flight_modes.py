@@ -1,7 +1,6 @@
 """ArduCopter's flight modes as data (numbers, names, what each needs), and what each command does.
 
-Where the real one does harm (a NaN altitude climbs without end, numbers wrap to 8 bits) this
-refuses and says so in a text.
+It is as lax as the real one: a take-off to NaN climbs without end, mode numbers are cut to 8 bits.
 
 Source: ArduPilot `ArduCopter/mode.h`; MAVLink common, MAV_CMD; ArduCopter 4.5 as observed in SITL.
 """
@@ -17,16 +16,16 @@ from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED
 from sim_link.autopilot.control_inputs import Setpoint
-from sim_link.autopilot.flavours.ardupilot.guided import Target, TargetKind
+from sim_link.autopilot.flavours.ardupilot.guided import OUT_OF_SIGHT_M, Target, TargetKind
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,
     FAILED,
-    MAX_HEIGHT_M,
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
     UNSUPPORTED_MAV_FRAME,
     Handler,
+    answers,
     chooses,
     is_altitude,
     is_force,
@@ -37,7 +36,9 @@ from sim_link.autopilot.flavours.base import (
 )
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.command_protocol import Command
+from sim_link.autopilot.protocols.message_streams import cast_to_uint32
 from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
+from sim_link.autopilot.protocols.plan_rules import commands_named
 
 if TYPE_CHECKING:
     from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
@@ -73,19 +74,29 @@ _TABLE = (
     CopterMode(6, "RTL", FlightMode.RETURN, Task.RETURN, is_armable=False),
     CopterMode(7, "CIRCLE", FlightMode.HOLD, Task.CIRCLE, is_armable=False),
     CopterMode(9, "LAND", FlightMode.LAND, Task.LAND, needs_position=False, is_armable=False),
+    CopterMode(11, "DRIFT", FlightMode.POSITION, _STICKS),
     CopterMode(16, "POSHOLD", FlightMode.POSITION, _STICKS),
     CopterMode(17, "BRAKE", FlightMode.HOLD, Task.STAY, is_armable=False),
+    CopterMode(19, "AVOID_ADSB", FlightMode.HOLD, Task.STAY, is_armable=False),
+    CopterMode(20, "GUIDED_NOGPS", FlightMode.HOLD, Task.STAY, needs_position=False),
     CopterMode(21, "SMART_RTL", FlightMode.RETURN, Task.RETURN, is_armable=False),
+    CopterMode(24, "ZIGZAG", FlightMode.POSITION, _STICKS),
 )
 MODES: dict[int, CopterMode] = {mode.number: mode for mode in _TABLE}
 STABILIZE, ALT_HOLD, AUTO, GUIDED, LOITER = (MODES[number] for number in (0, 2, 3, 4, 5))
 RTL, LAND, BRAKE, SMART_RTL = (MODES[number] for number in (6, 9, 17, 21))
-NOT_FLOWN = {18: "THROW", 19: "AVOID_ADSB", 20: "GUIDED_NOGPS"}
-"""Modes of the real one that are refused here, with a text."""
+NEVER_ENTERED = dict(
+    zip(
+        (14, 15, 18, 22, 23, 25, 27),
+        ("FLIP", "AUTOTUNE", "THROW", "FLOWHOLD", "FOLLOW", "SYSTEMID", "AUTO_RTL"),
+        strict=True,
+    )
+)
+"""Modes that refuse to begin; the real one's THROW waits for a throw."""
 BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {
-    mode.mode: mode for mode in reversed(_TABLE) if mode.number not in (7, 16, 21)
+    mode.mode: mode for mode in _TABLE if mode.number in (0, 1, 2, 3, 4, 5, 6, 9, 17)
 }
-"""The plain mode for each purpose: not CIRCLE, POSHOLD or SMART_RTL."""
+"""The plain mode for each purpose."""
 
 TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
 WARNING, ERROR = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_ERROR
@@ -103,14 +114,15 @@ def _arm_disarm(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
 
 
 def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
-    base, number = command.whole(1), command.whole(2)
-    if base is None or number is None or not base & CUSTOM_MODE_ENABLED:
+    base, number = command.whole(1), cast_to_uint32(command.params[1]) & 0xFF
+    if base is None or not base & CUSTOM_MODE_ENABLED:
         return DENIED
     mode = MODES.get(number)
     if mode is not None:
         return flavour.choose(mode, now_s)
-    name = NOT_FLOWN.get(number)
-    text = f"No such mode {number}" if name is None else f"Mode {name} is not simulated"
+    name = NEVER_ENTERED.get(number)
+    refused = f"Mode change to {name} failed: init failed"
+    text = f"No such mode {number}" if name is None else refused
     flavour.aircraft.say(WARNING, text)
     return FAILED
 
@@ -119,11 +131,8 @@ def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int
     """Above home; only in GUIDED, armed and on the ground."""
     if command.frame is not None and command.frame not in TAKEOFF_FRAMES:
         return UNSUPPORTED_MAV_FRAME
-    height_m = command.params[6]
-    aircraft = flavour.aircraft
-    if not math.isfinite(height_m) or height_m > MAX_HEIGHT_M:
-        aircraft.say(ERROR, "Takeoff: altitude is not a usable number")
-        return FAILED
+    asked_m, aircraft = command.params[6], flavour.aircraft
+    height_m = OUT_OF_SIGHT_M if math.isnan(asked_m) else min(asked_m, OUT_OF_SIGHT_M)
     is_ready = flavour.copter_mode is GUIDED and aircraft.is_armed and aircraft.body.is_on_ground
     if not is_ready or height_m <= 0.0:
         return FAILED
@@ -160,7 +169,7 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
 
 
 def _start_mission(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:
-    return flavour.choose(AUTO, now_s) if flavour.is_armed else FAILED
+    return flavour.choose(AUTO, now_s)
 
 
 def _change_speed(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
@@ -195,6 +204,12 @@ def _enable_fence(flavour: ArduPilotFlavour, command: Command, _now_s: float) ->
     return ACCEPTED
 
 
+def _pause(flavour: ArduPilotFlavour, _command: Command, _now_s: float) -> int:
+    """Only in AUTO or GUIDED there is something to pause; here it goes on."""
+    is_flying = flavour.is_armed and not flavour.aircraft.body.is_on_ground
+    return ACCEPTED if is_flying else FAILED
+
+
 def _tell_prearm(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:
     if flavour.is_armed:
         return TEMPORARILY_REJECTED
@@ -217,5 +232,12 @@ HANDLERS: Mapping[int, Handler] = {
     mavlink.MAV_CMD_DO_SET_HOME: set_home,
     mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _tell_prearm,
+    mavlink.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
+    mavlink.MAV_CMD_PREFLIGHT_STORAGE: answers(DENIED),
+    mavlink.MAV_CMD_DO_MOUNT_CONTROL: answers(FAILED),
+    **dict.fromkeys(
+        commands_named("DO_SET_RELAY DO_SET_SERVO DO_DIGICAM_CONTROL DO_SET_ROI"),
+        answers(ACCEPTED),
+    ),
 }
 """What ArduCopter does about each command; any other is unsupported."""

@@ -1,12 +1,13 @@
 """GUIDED of ArduCopter: what each target message asks for, and what becomes of it.
 
-Take-off comes first, positions are latched for ever, motions time out without a word.
+Take-off comes first, positions are latched for ever, motions time out without a word. A position
+with a velocity runs on by it until the time-out, and is latched where it is then.
 
 One ignored axis ignores its whole group. Accepted are position, velocity, acceleration, position
 with velocity (and acceleration), velocity with acceleration, each with or without yaw or yaw rate;
-anything else stops the vehicle, and so does a frame that is not known. The real one flies to 0/0,
-descends without terrain data into the ground and may end on a NaN position: here these are refused,
-and a text says so.
+a force is ignored; anything else stops the vehicle, and so does a frame that is not known. As the
+real one this flies to 0/0, to any height, and without terrain data down to the ground. That may end
+on a NaN position: here it is refused, and a text says so.
 
 Source: ArduPilot documentation, "Copter Commands in Guided Mode"; ArduCopter 4.5 as observed in
 SITL; parameter GUID_TIMEOUT.
@@ -35,7 +36,7 @@ from sim_link.autopilot.control_inputs import (
     is_on_earth,
     turned,
 )
-from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
 
 LOCAL_NED = mavlink.MAV_FRAME_LOCAL_NED
@@ -43,6 +44,8 @@ LOCAL_OFFSET_NED = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
 BODY_NED = mavlink.MAV_FRAME_BODY_NED
 BODY_OFFSET_NED = mavlink.MAV_FRAME_BODY_OFFSET_NED
 LOCAL_FRAMES = (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED)
+OUT_OF_SIGHT_M = 1e9
+"""Stands for an infinite height."""
 BODY_FRAMES = (BODY_NED, BODY_OFFSET_NED)
 TERRAIN_FRAMES = (mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT, mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT)
 NO_SETPOINT = Setpoint()
@@ -52,9 +55,9 @@ class TargetKind(Enum):
     """What becomes of a target."""
 
     POSITION = "position"
-    """Latched: flown to and held for ever."""
+    """Latched: flown to and held for ever, once its velocity has timed out."""
     MOTION = "motion"
-    """Velocity or acceleration, alone or with a position: times out after GUID_TIMEOUT."""
+    """Velocity or acceleration: times out after GUID_TIMEOUT."""
     STOP = "stop"
 
 
@@ -79,21 +82,22 @@ def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
         return _refused(f"frame {frame} not supported")
     place: PositionEnu | None = None
     if not message.type_mask & dialect.POSITION_IGNORE:
-        if not all(map(math.isfinite, (message.x, message.y, message.z))):
-            return _refused("position is not finite")
+        if not (math.isfinite(message.x) and math.isfinite(message.y)) or math.isnan(message.z):
+            return _refused("position is not a number")
         place = _local_place(message, aircraft)
     return _target(message, place, aircraft.heading_ned_rad if frame in BODY_FRAMES else None)
 
 
 def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
-    """Offsets are about the vehicle; BODY_NED positions are about the origin, north and east."""
-    if message.coordinate_frame in (LOCAL_NED, BODY_NED):
-        return aircraft.estimator.world_from_local(enu_from_ned((message.x, message.y, message.z)))
+    """Anything but LOCAL_NED is an offset from the vehicle, its height too."""
+    z = max(-OUT_OF_SIGHT_M, min(OUT_OF_SIGHT_M, message.z))
+    if message.coordinate_frame == LOCAL_NED:
+        return aircraft.estimator.world_from_local(enu_from_ned((message.x, message.y, z)))
     own_east, own_north, own_up = aircraft.body.position_enu_m
     east, north = float(message.y), float(message.x)
-    if message.coordinate_frame == BODY_OFFSET_NED:
+    if message.coordinate_frame in BODY_FRAMES:
         east, north = turned(message.x, message.y, aircraft.heading_ned_rad)
-    return (own_east + east, own_north + north, own_up - message.z)
+    return (own_east + east, own_north + north, own_up - z)
 
 
 def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
@@ -101,22 +105,26 @@ def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
     frame = message.coordinate_frame
     if message.type_mask & dialect.POSITION_IGNORE:
         return _target(message, None, None)
-    if frame in TERRAIN_FRAMES:
-        return _refused("no terrain data")
-    if frame not in GLOBAL_FRAMES:
+    if frame not in (*GLOBAL_FRAMES, *TERRAIN_FRAMES):
         return _refused(f"frame {frame} not supported")
-    if (message.lat_int, message.lon_int) == (0, 0) or not is_on_earth(
-        message.lat_int, message.lon_int
-    ):
+    if not is_on_earth(message.lat_int, message.lon_int):
         return _refused("latitude or longitude invalid")
     if not math.isfinite(message.alt):
         return _refused("altitude is not finite")
-    place = aircraft.place_from(message.lat_int, message.lon_int, message.alt, frame)
+    altitude_m = message.alt
+    if frame in TERRAIN_FRAMES:  # without terrain data it goes for the ground
+        frame, altitude_m = mavlink.MAV_FRAME_GLOBAL, aircraft.estimator.world_origin.altitude_m
+    place = aircraft.place_from(message.lat_int, message.lon_int, altitude_m, frame)
     return _target(message, place, None)
 
 
-def target_from(message: PositionTarget, aircraft: Aircraft) -> Target:
-    """What a position target asks for."""
+def target_from(message: PositionTarget, aircraft: Aircraft) -> Target | None:
+    """What a position target asks for; None: a force, which is ignored."""
+    if (
+        message.type_mask & dialect.FORCE_SET
+        and not message.type_mask & dialect.ACCELERATION_IGNORE
+    ):
+        return None
     if isinstance(message, LocalTarget):
         return target_from_local(message, aircraft)
     return target_from_global(message, aircraft)
@@ -128,7 +136,7 @@ def _target(
     """The target at a place (None: none given), its vectors about a heading (None: north)."""
     mask = message.type_mask
     has_velocity = not mask & dialect.VELOCITY_IGNORE
-    has_acceleration = not mask & dialect.ACCELERATION_IGNORE and not mask & dialect.FORCE_SET
+    has_acceleration = not mask & dialect.ACCELERATION_IGNORE
     yaw = None if mask & dialect.YAW_IGNORE else float(message.yaw)
     yaw_rate = None if mask & dialect.YAW_RATE_IGNORE else float(message.yaw_rate)
     given = [yaw or 0.0, yaw_rate or 0.0]
@@ -150,8 +158,17 @@ def _target(
         yaw_ned_rad=yaw,
         yaw_rate_ned_radps=yaw_rate,
     )
-    times_out = has_velocity or has_acceleration or yaw_rate is not None
-    return Target(TargetKind.MOTION if times_out else TargetKind.POSITION, setpoint)
+    return Target(TargetKind.MOTION if place is None else TargetKind.POSITION, setpoint)
+
+
+def _run_on(setpoint: Setpoint, dt_s: float) -> Setpoint:
+    """A position that its velocity moves on; any other is as it was."""
+    place, velocity, up_m = setpoint.position_en_m, setpoint.velocity_en_mps, setpoint.up_m
+    if place is None or velocity is None or up_m is None:
+        return setpoint
+    moved = (place[0] + velocity[0] * dt_s, place[1] + velocity[1] * dt_s)
+    up_m += (setpoint.climb_mps or 0.0) * dt_s
+    return replace(setpoint, position_en_m=moved, up_m=up_m)
 
 
 STILL: PositionEnu = (0.0, 0.0, 0.0)
@@ -188,7 +205,8 @@ class Guided:
     @property
     def is_latched(self) -> bool:
         """Whether it flies to a position and stays there for ever."""
-        return self.state is GuidedState.FOLLOWING and self._kind is TargetKind.POSITION
+        is_following = self.state is GuidedState.FOLLOWING
+        return is_following and self.setpoint.position_en_m is not None and not self._is_moving
 
     def echo(self, climb_goal_enu_m: PositionEnu | None) -> Echo:
         """What POSITION_TARGET_* tells: a place, or a motion, which is 0 while it stays."""
@@ -234,6 +252,17 @@ class Guided:
         """Let a motion time out, and a target end on the ground."""
         if self.state is not GuidedState.FOLLOWING:
             return
-        is_old = self._kind is TargetKind.MOTION and now_s - self._taken_s >= timeout_s
-        if is_old or is_on_ground:
+        is_old = now_s - self._taken_s >= timeout_s
+        if is_on_ground or (is_old and self._kind is TargetKind.MOTION):
             self.stop()
+        elif is_old:
+            setpoint = self.setpoint
+            self.setpoint = Setpoint(
+                setpoint.position_en_m, setpoint.up_m, yaw_ned_rad=setpoint.yaw_ned_rad
+            )
+        elif self._is_moving:
+            self.setpoint = _run_on(self.setpoint, STEP_S)
+
+    @property
+    def _is_moving(self) -> bool:
+        return self.setpoint.velocity_en_mps is not None

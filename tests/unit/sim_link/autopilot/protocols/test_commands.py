@@ -144,9 +144,9 @@ def test_the_result_numbers_beyond_the_dialects_enum_can_be_sent() -> None:
     assert results(Vehicle().tell(int_(REPOSITION), result)) == [9]
 
 
-def test_a_command_of_the_wrong_form_is_told_the_right_one() -> None:
+def test_a_command_that_has_only_the_other_form_is_unsupported() -> None:
     vehicle = Vehicle(CommandForms(frozenset({REPOSITION})))
-    assert results(vehicle.tell(long(REPOSITION))) == [CommandResult.COMMAND_INT_ONLY]
+    assert results(vehicle.tell(long(REPOSITION))) == [CommandResult.UNSUPPORTED]
     assert vehicle.obeyed == []
 
 

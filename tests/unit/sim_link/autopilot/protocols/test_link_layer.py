@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import pytest
+
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
+from companion.mav.dialect import (
+    MAVLink_radio_ranging_message,
+    MAVLink_target_estimate_message,
+    Message,
+    mavlink,
+)
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import LinkSigning, Signing, SigningKey, is_signed
+from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import LinkLayer, LinkSecurity
 
@@ -65,8 +73,31 @@ def test_unknown_messages_are_passed_on_and_not_decoded() -> None:
     assert (arrivals, len(forwarded)) == ([], 3)
 
 
-def test_system_zero_is_not_heard() -> None:
-    assert heard(layer(), MavCodec(0, 1).encode(heartbeat())) == []
+def test_system_zero_is_heard_and_not_passed_on() -> None:
+    data = MavCodec(0, 1).encode(heartbeat())
+    arrivals, forwarded = layer().receive(Chunk(UDP, data, STATION))
+    assert (len(arrivals), forwarded) == (1, [])
+
+
+@pytest.mark.parametrize(
+    ("message", "is_known"),
+    [
+        (heartbeat(), True),
+        (mavlink.MAVLink_named_value_float_message(1, b"r95", 1.5), True),
+        (MAVLink_target_estimate_message(*[0] * 18), False),
+        (MAVLink_radio_ranging_message(*[0] * 10), False),
+    ],
+)
+def test_arducopter_passes_on_what_is_in_its_dialect(message: Message, is_known: bool) -> None:
+    vehicle = LinkLayer(1, (1,), 2, dialect=ardupilot_firmware.FIRMWARE.dialect)
+    _, forwarded = vehicle.receive(Chunk(TCP, MavCodec(1, 191).encode(message), None))
+    assert [chunk.link for chunk in forwarded] == [UDP] * is_known
+
+
+def test_a_frame_of_arducopters_own_dialect_is_passed_on() -> None:
+    wind = bytes.fromhex("fd0c00000001bfa80000") + bytes(14)
+    vehicle = LinkLayer(1, (1,), 2, dialect=ardupilot_firmware.FIRMWARE.dialect)
+    assert len(vehicle.receive(Chunk(TCP, wind, None))[1]) == 1
 
 
 def test_each_link_and_component_has_its_own_sequence_numbers() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import replace
 
 import pytest
 
@@ -34,8 +33,7 @@ from tests.unit.sim_link.autopilot.protocols.wire import (
 )
 
 PX4_RULES = px4_firmware.FIRMWARE.parameters
-ARDUPILOT_RULES = replace(ardupilot_firmware.FIRMWARE.parameters, tells_errors=False)
-"""As silent as the real one."""
+ARDUPILOT_RULES = ardupilot_firmware.FIRMWARE.parameters
 
 Value = mavlink.MAVLink_param_value_message
 Text = mavlink.MAVLink_statustext_message
@@ -261,12 +259,22 @@ def test_only_px4_adds_an_error_message() -> None:
     assert of_type(ask(ardupilot(), set_real("ALTITUDE", 99.0)), Error) == []
 
 
-def test_an_integer_does_not_wrap_on_ardupilot() -> None:
-    specs = (ParamSpec("SMALL", INT8, 5),)
-    parameters = ardupilot(specs)
-    outgoing = ask(parameters, set_real("SMALL", 300.0))
-    assert parameters.store["SMALL"] == 5
-    assert len(of_type(outgoing, Text)) == 1
+@pytest.mark.parametrize(
+    ("asked", "stored"), [(300.0, 44), (-129.0, 127), (7.9, 7), (math.nan, 5), (math.inf, 5)]
+)
+def test_without_a_check_of_ranges_integers_wrap_and_nan_is_silence(
+    asked: float, stored: int
+) -> None:
+    store = ParameterStore((ParamSpec("SMALL", ParamType(INT8), 5, 0, 9),))
+    parameters = Parameters(store, ARDUPILOT_RULES, StatusTexts())
+    outgoing = ask(parameters, set_real("SMALL", asked))
+    echoes = [each.param_value for each in of_type(outgoing, Value)]
+    assert echoes == [stored] * math.isfinite(asked)
+    assert len(outgoing) == len(echoes)
+    assert parameters.store["SMALL"] == stored
+    again = ParameterStore(store.specs)
+    again.load_text(store.to_text(), "vehicle.parm")
+    assert again["SMALL"] == stored
 
 
 @pytest.mark.parametrize("rules", [PX4_RULES, ARDUPILOT_RULES])

@@ -51,7 +51,7 @@ def test_any_other_frame_of_a_position_is_unsupported(checks: PlanChecks, frame:
 @BOTH
 @pytest.mark.parametrize("command", [RTL, 178, 93, 1000, 2000])
 def test_what_has_no_position_may_have_the_mission_frame(checks: PlanChecks, command: int) -> None:
-    item = waypoint(command=command, frame=2, x=0, y=0, z=NAN, params=(0.0, NAN, NAN, NAN))
+    item = waypoint(command=command, frame=2, x=0, y=0, z=NAN)
     assert checks.problem_with(item, MISSION) is None
 
 
@@ -78,7 +78,16 @@ def test_an_infinite_parameter_is_named(checks: PlanChecks, place: int) -> None:
 
 @BOTH
 def test_a_nan_yaw_is_taken(checks: PlanChecks) -> None:
-    assert checks.problem_with(waypoint(params=(NAN, NAN, NAN, NAN)), MISSION) is None
+    assert checks.problem_with(waypoint(params=(0.0, 0.0, 0.0, NAN)), MISSION) is None
+
+
+@pytest.mark.parametrize(("command", "place"), [(16, 0), (16, 1), (16, 2), (RTL, 3), (31_000, 3)])
+def test_any_other_nan_is_named_on_ardupilot_and_taken_on_px4(command: int, place: int) -> None:
+    params = [0.0, 0.0, 0.0, 0.0]
+    params[place] = NAN
+    item = waypoint(command=command, params=tuple(params))
+    assert ARDUPILOT.problem_with(item, MISSION) == PlanResult.INVALID_PARAM1 + place
+    assert PX4.problem_with(item, MISSION) in (None, PlanResult.UNSUPPORTED)
 
 
 @BOTH
