@@ -69,6 +69,8 @@ def fits(seen: object, wanted: object) -> bool:
     wanted = value_of(wanted)
     if isinstance(wanted, str):
         return re.fullmatch(wanted, str(seen)) is not None
+    if isinstance(seen, list):
+        return all(fits(each, wanted) for each in seen)
     assert isinstance(seen, int | float)
     if isinstance(wanted, list):
         least, greatest = wanted

@@ -154,6 +154,7 @@ class ArduPilotFlavour(Flavour):
             return FAILED
         if mode is not self.copter_mode:
             self.guided.stop()
+            self.changes += mode.mode is self.copter_mode.mode  # any other is noted by `settle`
             self.copter_mode = mode
             self.commanded_mps.clear()
             self.leg = None
