@@ -130,7 +130,7 @@ def test_a_transmitter_that_is_lost_returns_and_shows_in_the_health() -> None:
     assert report.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     station.run(21.2 - station.now_s)
     assert (station.mode, station.status) == (FlightMode.HOLD, CRITICAL)
-    assert "Failsafe activated, entering Hold for 5 seconds" in texts(station)
+    assert "Failsafe activated, entering Hold for 5 seconds\t" in texts(station)
     report = station.last(mavlink.MAVLink_sys_status_message)
     assert not report.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
     station.run(25.2 - station.now_s)

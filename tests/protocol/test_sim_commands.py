@@ -83,7 +83,7 @@ def test_default_rates(station: GroundStation) -> None:
         (20_000.0, 50.0, 20_000),
         (200_000.0, 5.0, 200_000),
         (1_000.0, 50.0, 20_000),
-        (-1.0, 0.0, -1),
+        (-1.0, 0.0, 0),
         (0.0, 50.0, 20_000),
     ],
 )
@@ -179,18 +179,27 @@ def test_the_payload_answers_that_it_knows_no_command(station: GroundStation) ->
     assert not station.is_armed
 
 
-@pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191), (0, 7)])
-def test_commands_for_somebody_else_are_ignored(
+@pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191), (0, 7), (0, 0)])
+def test_commands_for_nobody_are_answered_by_failed(
     station: GroundStation, system: int, component: int
 ) -> None:
+    assert station.command(ARM, 1.0, system=system, component=component) == FAILED
     station.inbox.clear()
-    station.send(mavlink.MAVLink_command_long_message(system, component, ARM, 0, 1.0, *[0.0] * 6))
     station.send(mavlink.MAVLink_set_mode_message(2, 1, 4 << 16 | 6 << 24))
     assert station.inbox == []
     assert not station.is_armed
 
 
-@pytest.mark.parametrize(("system", "component"), [(1, 1), (1, 0), (0, 0)])
+def test_a_command_for_somebody_who_was_heard_is_left_to_him(station: GroundStation) -> None:
+    heartbeat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+    station.sim.receive(Chunk(0, MavCodec(1, 191).encode(heartbeat), ("127.0.0.1", 2)), 2.5)
+    station.run(0.1)
+    station.inbox.clear()
+    station.send(mavlink.MAVLink_command_long_message(1, 191, ARM, 0, 1.0, *[0.0] * 6))
+    assert station.all(mavlink.MAVLink_command_ack_message) == []
+
+
+@pytest.mark.parametrize(("system", "component"), [(1, 1), (1, 0)])
 def test_commands_for_all_are_obeyed(station: GroundStation, system: int, component: int) -> None:
     assert station.command(ARM, 1.0, system=system, component=component) == ACCEPTED
     assert station.is_armed
@@ -424,11 +433,11 @@ def test_tells_the_operator_what_happened_once() -> None:
         "in the air",
         "mode takeoff -> hold (takeoff complete)",
         "mode hold -> offboard (commanded)",
-        "mode offboard -> hold (failsafe: no setpoints)",
+        "mode offboard -> position (failsafe: no setpoints)",
     ]
     assert station.sim.take_occurrences() == []
     modes = [change.mode for change in station.sim.recorder.mode_changes]
-    assert modes == [FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.OFFBOARD, FlightMode.HOLD]
+    assert modes == [FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.OFFBOARD, FlightMode.POSITION]
 
 
 def test_stopping_finishes_at_once() -> None:

@@ -161,7 +161,7 @@ def test_losing_the_stream_is_a_failsafe_one_second_after_the_last_setpoint(
     station.stream = None
     lost_s = station.run_until(lambda: station.mode is not FlightMode.OFFBOARD, 3.0)
     assert 1.0 <= lost_s <= 1.06
-    assert station.mode is FlightMode.HOLD
+    assert station.mode is FlightMode.POSITION
     assert station.status == CRITICAL
 
 
@@ -199,7 +199,9 @@ def test_does_not_come_back_if_the_operator_chose_another_mode(station: GroundSt
     assert station.mode is FlightMode.LAND
 
 
-def test_choosing_the_mode_of_the_failsafe_itself_ends_it_too(station: GroundStation) -> None:
+def test_choosing_the_mode_of_the_failsafe_itself_ends_it_too() -> None:
+    station = GroundStation(Scenario(autopilot=AutopilotParams(offboard_loss_action="hold")))
+    station.fly_offboard()
     station.stream = None
     station.run(2.0)
     assert station.set_mode(FlightMode.HOLD) == ACCEPTED
@@ -221,7 +223,7 @@ def test_a_failsafe_landing_ends_the_wish_for_offboard() -> None:
 
 
 def test_without_sticks_position_mode_sinks() -> None:
-    station = GroundStation(Scenario(autopilot=AutopilotParams(offboard_loss_action="position")))
+    station = GroundStation()
     station.fly_offboard()
     station.stream = None
     station.run(2.0)

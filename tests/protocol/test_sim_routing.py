@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -65,9 +67,11 @@ def test_a_command_for_the_vehicle_stays_with_it() -> None:
     assert [m.get_type() for m in messages] == ["COMMAND_ACK"]
 
 
-def test_an_unknown_target_gets_nothing() -> None:
-    assert Shared().tell(STATION, command(77, 1)) == []
-    assert Shared().tell(STATION, command(1, 100)) == []
+@pytest.mark.parametrize("target", [(77, 1), (1, 100)])
+def test_a_command_for_an_unknown_target_goes_to_nobody(target: tuple[int, int]) -> None:
+    chunks = Shared().tell(STATION, command(*target))
+    (ack,) = [message for chunk in chunks for message in MavCodec(9, 9).decode(chunk.data)]
+    assert (ack.get_type(), ack.get_srcComponent()) == ("COMMAND_ACK", 1)
 
 
 def test_a_signing_setup_is_never_forwarded() -> None:

@@ -1,9 +1,8 @@
 """The parameter protocol: list, read, set.
 
-What is refused is told as the guide wants where the rules say so: with a text, and the value kept
-and told to everyone. PX4 1.15 refuses in silence and stores a NaN and what is out of range;
-ArduCopter 4.5 stores what is out of range, too, lets integers wrap, is silent about NaN and tells
-only of what is read-only. A parameter is never created.
+What does not exist is met with silence, and hardly anything is refused: PX4 1.15 stores a NaN and
+what is out of range, and refuses another type in silence; ArduCopter 4.5 lets integers wrap, is
+silent about NaN and tells only of what is read-only. A parameter is never created.
 
 Source: MAVLink developer guide, "Parameter Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 """
@@ -31,12 +30,6 @@ MAX_LISTS = 16
 MAX_BURST = 64
 """Values per call: what a slow caller missed is made up for bit by bit."""
 
-DOES_NOT_EXIST = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
-OUT_OF_RANGE = mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
-READ_ONLY = mavlink.MAV_PARAM_ERROR_READ_ONLY
-TYPE_UNSUPPORTED, TYPE_MISMATCH = 6, 7
-"""MAV_PARAM_ERROR_TYPE_UNSUPPORTED and _MISMATCH, which the dialect does not have yet."""
-
 
 @dataclass(frozen=True, slots=True)
 class ParameterRules:
@@ -50,12 +43,10 @@ class ParameterRules:
     tells_index_of_named: bool
     """Otherwise a value read or set by name has index 65535."""
     has_hash_check: bool
-    checks_value: bool = True
-    """Otherwise what its type can hold is stored; an integer keeps the bits that its type has."""
-    stores_nan: bool = True
-    """Otherwise what is no number is ignored without a word, if no value is checked."""
+    stores_nan: bool
+    """Otherwise what is no number is ignored without a word."""
     tells_read_only: bool = False
-    """By the value and a text even where other errors are not told."""
+    """By the value and a text; otherwise silence."""
     echoes: int = 1
     """How often a value that was set is told."""
     list_rate_hz: float = 1000.0
@@ -92,7 +83,8 @@ class Parameters:
                     self._listings[partner.channel] = _Listing(now_s)
                 return []
             case mavlink.MAVLink_param_request_read_message():
-                return self._read(message, partner)
+                value = self._read(message)
+                return [] if value is None else [Outgoing(value, partner.channel)]
             case mavlink.MAVLink_param_set_message():
                 return self._set(message, partner)
         return []
@@ -131,69 +123,39 @@ class Parameters:
         raw = self.store.hash().to_bytes(4, "little")
         return RawParamValue(HASH_CHECK, raw, ParamType.UINT32, len(self.store), NO_INDEX)
 
-    def _read(
-        self, message: mavlink.MAVLink_param_request_read_message, partner: Partner
-    ) -> list[Outgoing]:
-        if message.param_index != -1:
-            if 0 <= message.param_index < len(self.store):
-                return [Outgoing(self._value(message.param_index), partner.channel)]
-            return self._unknown(partner, "", message.param_index)
-        name = message.param_id
+    def _read(self, message: mavlink.MAVLink_param_request_read_message) -> Message | None:
+        number, name = message.param_index, message.param_id
+        if number != -1:
+            return self._value(number) if 0 <= number < len(self.store) else None
         if name == HASH_CHECK and self._rules.has_hash_check:
-            return [Outgoing(self._hash_check(), partner.channel)]
+            return self._hash_check()
         index = self.store.index_of(name)
-        if index is None:
-            return self._unknown(partner, name, -1)
-        return [Outgoing(self._value(index, is_named=True), partner.channel)]
+        return None if index is None else self._value(index, is_named=True)
 
     def _set(self, message: mavlink.MAVLink_param_set_message, partner: Partner) -> list[Outgoing]:
-        name = message.param_id
-        if name == HASH_CHECK and self._rules.has_hash_check:
+        name, rules = message.param_id, self._rules
+        if name == HASH_CHECK and rules.has_hash_check:
             self._listings.pop(partner.channel, None)  # the client has them all from last time
             return []
         index = self.store.index_of(name)
         if index is None:
-            return self._unknown(partner, name, -1)
+            return []
         spec = self.store.specs[index]
-        value = value_from_raw(raw_of(message), spec.kind, self._rules.encoding)
-        if self._rules.checks_type and message.param_type != spec.kind:
-            kinds = {known.kind for known in self.store.specs}
-            error = TYPE_MISMATCH if message.param_type in kinds else TYPE_UNSUPPORTED
-            return self._refused(partner, index, error, f"is of type {spec.kind.name}")
-        problem, rules = spec.problem_with(value), self._rules
-        if problem is not None and rules.checks_value:
-            return self._refused(partner, index, OUT_OF_RANGE, problem)
+        if rules.checks_type and message.param_type != spec.kind:
+            return []
         if spec.is_read_only:
-            return self._refused(partner, index, READ_ONLY, "is read-only")
+            return self._tell_read_only(index, partner) if rules.tells_read_only else []
+        value = value_from_raw(raw_of(message), spec.kind, rules.encoding)
         if not (math.isfinite(value) or rules.stores_nan):
             return []
-        if spec.kind.is_integer and not rules.checks_value:
+        if spec.kind.is_integer:
             value = _wrapped(value, spec.kind)
-        self.store.set(name, value, is_checked=rules.checks_value)
-        return [Outgoing(self._value(index, is_named=True))] * self._rules.echoes
+        self.store.set(name, value, is_checked=False)
+        return [Outgoing(self._value(index, is_named=True))] * rules.echoes
 
-    def _refused(self, partner: Partner, index: int, error: int, problem: str) -> list[Outgoing]:
-        is_told = self._rules.tells_errors
-        if not is_told and not (self._rules.tells_read_only and error == READ_ONLY):
-            return []
-        name = self.store.specs[index].name
+    def _tell_read_only(self, index: int, partner: Partner) -> list[Outgoing]:
+        text = f"{self.store.specs[index].name} kept: is read-only"
         return [
             Outgoing(self._value(index, is_named=True)),
-            *self._texts.warn(partner, f"{name} kept: {problem}"),
-            *([self._error(partner, name, index, error)] if is_told else []),
+            *self._texts.warn(partner, text),
         ]
-
-    def _unknown(self, partner: Partner, name: str, index: int) -> list[Outgoing]:
-        if not self._rules.tells_errors:
-            return []
-        what = name if index == -1 else f"number {index}"
-        return [
-            *self._texts.warn(partner, f"there is no parameter {what}"),
-            self._error(partner, name, index, DOES_NOT_EXIST),
-        ]
-
-    @staticmethod
-    def _error(partner: Partner, name: str, index: int, error: int) -> Outgoing:
-        encoded = name.encode("ascii", errors="replace")
-        message = mavlink.MAVLink_param_error_message(*partner.ids, encoded, index, error)
-        return Outgoing(message, partner.channel)

@@ -70,7 +70,7 @@ def test_a_bad_scenario_names_its_key(tmp_path: Path, capsys: pytest.CaptureFixt
     [
         (b"NO_SUCH_NAME 1\n", "line 1: there is no parameter"),
         (b"# fine\nCOM_OF_LOSS_T soon\n", "line 2: COM_OF_LOSS_T must be a number"),
-        (b"COM_OF_LOSS_T 1e9\n", "line 1: COM_OF_LOSS_T"),
+        (b"COM_OBL_RC_ACT 1.5\n", "line 1: COM_OBL_RC_ACT"),
         (b"\xff\xfe\x00", "not a text of parameters"),
     ],
 )

@@ -120,11 +120,9 @@ FIRMWARE = Firmware(
     parameters=ParameterRules(
         ParamEncoding.C_CAST,
         checks_type=False,
-        tells_errors=False,
         tells_index_of_named=False,
-        has_hash_check=False,
-        checks_value=False,
         stores_nan=False,
+        has_hash_check=False,
         tells_read_only=True,
         list_rate_hz=1500.0,
     ),

@@ -128,10 +128,9 @@ FIRMWARE = Firmware(
     parameters=ParameterRules(
         ParamEncoding.BYTEWISE,
         checks_type=True,
-        tells_errors=False,
-        checks_value=False,
         echoes=2,
         tells_index_of_named=True,
+        stores_nan=True,
         has_hash_check=True,
         list_rate_hz=1000.0,
     ),

@@ -179,7 +179,7 @@ def test_ardupilot_tells_a_wrong_number_and_goes_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("client", "retry_s", "timeout_s"), [(px4(), 0.25, 5.0), (ardupilot(), 1.0, 8.0)]
+    ("client", "retry_s", "timeout_s"), [(px4(), 0.265, 5.0), (ardupilot(), 1.0, 8.0)]
 )
 def test_an_item_is_asked_for_again_until_the_upload_is_given_up(
     client: Client, retry_s: float, timeout_s: float
