@@ -37,9 +37,7 @@ class ParameterRules:
 
     encoding: ParamEncoding
     checks_type: bool
-    """A PARAM_SET of another type is refused; otherwise the parameter's own type counts."""
-    tells_errors: bool
-    """PARAM_ERROR and a text for what is refused or does not exist; otherwise silence."""
+    """A PARAM_SET of another type is ignored; otherwise the parameter's own type counts."""
     tells_index_of_named: bool
     """Otherwise a value read or set by name has index 65535."""
     has_hash_check: bool
