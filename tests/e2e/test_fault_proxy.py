@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 __all__ = ["compiled_kernels"]
 
-SPEED = "2"
+SPEED = "1"
 FAULTS = (
     "{kind: link_loss, share: 0.15}",
     "{kind: link_duplicates, share: 0.1, spread_s: 0.01}",

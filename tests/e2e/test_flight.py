@@ -93,11 +93,13 @@ def wait_for_text(process: subprocess.Popen[str], text: str) -> None:
 def wait_for_line(stream: IO[str], text: str) -> None:
     """Read a stream of a process until a line holds `text`."""
     deadline = time.monotonic() + PATIENCE_S
+    heard: list[str] = []
     for line in stream:
         if text in line:
             return
-        assert time.monotonic() < deadline, f"{text!r} did not come in time"
-    pytest.fail(f"the process ended without {text!r}")
+        heard.append(line)
+        assert time.monotonic() < deadline, f"{text!r} not in time, but\n{''.join(heard[-20:])}"
+    pytest.fail(f"the process ended without {text!r}, but said\n{''.join(heard[-20:])}")
 
 
 def test_companion_finds_the_emitter_and_both_end_cleanly(commands: Commands) -> None:
