@@ -43,7 +43,7 @@ def check(loop: Loop) -> None:
     assert loop.error_m <= 1.5
     assert max(holds_s(loop), default=0.0) <= LONGEST_PAUSE_S, loop.notes.texts
     assert not loop.said("autopilot restarted")
-    assert not loop.said("giving way")
+    assert not loop.said("control yielded")
     assert outside(loop.true_positions, FENCE_M) == []
 
 

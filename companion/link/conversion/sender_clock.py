@@ -50,6 +50,8 @@ MAX_WRAP_GAP_S = 60.0
 """Silence, or lateness, over which a wrap is still recognised."""
 MAX_LATE_S = 5.0
 """Few links deliver later than this for long; what looks like it is a clock that started anew."""
+PROMPT_LATE_S = 1.5
+"""The same where exchanges of times show that the link is prompt."""
 LATE_CONFIRM_S = 1.0
 """A burst of delayed frames is shorter than this."""
 RUN_WINDOW_S = 2.0
@@ -179,8 +181,14 @@ class Timebase:
             return None
         return self._offset_s + self.rate.growth * (time_s - self._updated_s)
 
-    def read(self, remote_s: float, now_s: float) -> StampReading:
-        """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
+    def read(
+        self, remote_s: float, now_s: float, *, max_late_s: float = MAX_LATE_S
+    ) -> StampReading:
+        """Local time of a remote stamp that arrived at `now_s`, both in seconds.
+
+        Args:
+            max_late_s: How late the last stamp of a sender that restarted may have been.
+        """
         raw_s, remote_s = remote_s, self._unwrapped(remote_s)
         self.rate = self.known_rate or self._arrivals.rate
         before_s = self.offset_at_s(now_s)
@@ -188,7 +196,7 @@ class Timebase:
             return self._start(remote_s, now_s, now_s - remote_s)
         if remote_s < self._newest_remote_s - BACKWARD_S:
             if self._is_new_clock(raw_s, now_s) and self._new_clock is not None:
-                is_young = raw_s <= now_s - self._updated_s + MAX_LATE_S
+                is_young = raw_s <= now_s - self._updated_s + max_late_s
                 is_far = self._newest_remote_s - remote_s > REBOOT_BACKWARD_S
                 step = ClockStep.RESTART if is_young and is_far else ClockStep.SLIP
                 self._wraps = 0
@@ -278,15 +286,21 @@ class SenderClock:
         self._gains.clear()
 
     def read(
-        self, remote_s: float, now_s: float, *, late_confirm_s: float = LATE_CONFIRM_S
+        self,
+        remote_s: float,
+        now_s: float,
+        *,
+        late_confirm_s: float = LATE_CONFIRM_S,
+        max_late_s: float = MAX_LATE_S,
     ) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds.
 
         Args:
             late_confirm_s: How long stamps must be late before they are those of a new clock.
+            max_late_s: How late the last stamp of a sender that restarted may have been.
         """
         before_s = self.timebase.offset_at_s(now_s)
-        reading = self.timebase.read(remote_s, now_s)
+        reading = self.timebase.read(remote_s, now_s, max_late_s=max_late_s)
         if reading.step is ClockStep.NONE:
             self._note_gain(before_s, now_s)
         else:
@@ -362,8 +376,14 @@ class VehicleClock:
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Local time of one of its stamps that arrived at `now_s`, both in seconds."""
         has_slipped = self._follow_exchange(now_s)
-        late_confirm_s = LATE_CONFIRM_S_OF[self.sync.lateness(now_s)]
-        reading = self._stamps.read(remote_s, now_s, late_confirm_s=late_confirm_s)
+        lateness = self.sync.lateness(now_s)
+        is_prompt = self._is_same_clock and lateness is Lateness.NONE
+        reading = self._stamps.read(
+            remote_s,
+            now_s,
+            late_confirm_s=LATE_CONFIRM_S_OF[lateness],
+            max_late_s=PROMPT_LATE_S if is_prompt else MAX_LATE_S,
+        )
         if reading.step is not ClockStep.NONE:
             self.slips += 1
             self._slipped_s = now_s

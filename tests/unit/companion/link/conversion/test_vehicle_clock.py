@@ -128,6 +128,19 @@ def test_after_a_slip_all_is_well_within_two_seconds_and_nobody_restarted(
     assert set(steps(during + after)) == {ClockStep.SLIP}
 
 
+@pytest.mark.parametrize("up_s", [5.0, 7.0])
+def test_a_clock_that_slips_soon_after_its_start_has_not_restarted_where_answers_are_prompt(
+    up_s: float,
+) -> None:
+    autopilot = Autopilot()
+    autopilot.remote_s = up_s - 4.0
+    autopilot.run(4.0)
+    autopilot.remote_s -= 2.0
+    during = autopilot.run(2.0)
+    assert worst_s(autopilot.run(30.0)) < GOOD_S
+    assert set(steps(during)) == {ClockStep.SLIP}
+
+
 @pytest.mark.parametrize("still_s", [0.2, 0.7, 1.2, 3.0, 12.0])
 def test_a_clock_that_stood_still_is_one_that_slipped(still_s: float) -> None:
     autopilot = Autopilot()
