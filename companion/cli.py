@@ -47,9 +47,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("companion: interrupted", file=sys.stderr)
         return EXIT_FAILED
-    except BrokenPipeError:
-        sys.stderr.close()
-        return EXIT_FAILED
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -101,7 +98,7 @@ def _set_up_logging(*, quiet: bool, stream: io.TextIOBase | None = None) -> None
 
 def _fly(arguments: argparse.Namespace) -> int:
     if arguments.connect is None:
-        raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14550, or try demo")
+        raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14540, or try demo")
     config = _flight_config(arguments)
     settings = _web_settings(arguments)
     links = _links(arguments)

@@ -1,8 +1,51 @@
-"""The installed `companion` command: a quiet Ctrl-C even while the program is still loading."""
+"""What every command begins with: a quiet Ctrl-C, and output that may lose its reader.
+
+Theory of operation. `... | head -1` closes the pipe while the command is still at work, perhaps in
+flight. What it prints from then on is dropped; it does what it was asked to, and its exit code is
+the same as with a reader. That is caught where bytes go to the descriptor, so it holds for print,
+argparse, progress bars and the interpreter's last flush alike.
+"""
 
 from __future__ import annotations
 
+import io
 import signal
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+
+class _PipeOutput(io.FileIO):
+    """A descriptor that drops what nobody reads any more."""
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        """Write what the system takes; how many bytes that were."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            return memoryview(data).nbytes
+
+
+def outlive_readers() -> None:
+    """Let standard output and error go on without a reader; other streams in their place stay."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is not None and stream is getattr(sys, f"__{name}__"):
+            setattr(sys, name, _without_reader(stream))
+
+
+def _without_reader(stream: io.TextIOWrapper) -> io.TextIOWrapper:
+    """The same output, as lenient as it was about characters."""
+    stream.flush()
+    return io.TextIOWrapper(
+        io.BufferedWriter(_PipeOutput(stream.fileno(), "w", closefd=False)),
+        encoding=stream.encoding,
+        errors=stream.errors,
+        line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
+    )
 
 
 def main() -> int:
@@ -14,6 +57,7 @@ def main() -> int:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    outlive_readers()
     from companion.cli import main as run
 
     signal.signal(signal.SIGINT, before)

@@ -14,6 +14,7 @@ from typing import get_args
 import msgspec
 
 from companion import __version__
+from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.links.transports import Transport, UdpConnect, parse_transport
 from companion.io.shell import Clock, Shell
@@ -22,7 +23,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.console import ComplaintParser, LinePrinter, is_interrupt
+from sim_link.fleet.console import ComplaintParser, is_interrupt
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.fleet.vehicles import (
     Fleet,
@@ -51,8 +52,8 @@ sends to --listen. It runs until it is stopped (Ctrl-C, SIGTERM)."""
 EPILOG = """\
 example:
   sim-link --seed 7 --report truth.json
-  flies the canonical scenario for a companion or ground station on UDP 14550 and a MAVSDK
-  program on UDP 14540, and writes where the emitter really is to truth.json.
+  flies the canonical scenario for a companion on UDP 14540 and a ground station on UDP 14550,
+  and writes where the emitter really is to truth.json.
 
 more:
   sim-link mission run FILE...   fly mission scripts and tell pass or fail
@@ -66,6 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 after a stop, 1 after an interrupt before the start, 2 for bad input or a port that is taken.
     """
     given = sys.argv[1:] if argv is None else list(argv)
+    outlive_readers()
     try:
         if given and given[0] in SUBCOMMANDS:
             from sim_link.lab.subcommands import run_subcommand  # slow to import, and rarely needed
@@ -146,7 +148,7 @@ def _run(arguments: argparse.Namespace) -> int:
     options = _fleet_options(arguments)
     endpoints = make_vehicles(options)
     specs = [link_specs(options, number) for number in range(len(endpoints))]
-    voice, files = LinePrinter(sys.stdout), FleetFiles(options, endpoints)
+    files = FleetFiles(options, endpoints)
     files.begin()
 
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -159,11 +161,11 @@ def _run(arguments: argparse.Namespace) -> int:
             who = f"{endpoint.vehicle.system_id:3d}  " if len(endpoints) > 1 else ""
             for occurrence in endpoint.take_occurrences():
                 if not arguments.quiet:
-                    voice.say(f"{occurrence.time_s:8.2f} s  {who}{occurrence.text}")
+                    print(f"{occurrence.time_s:8.2f} s  {who}{occurrence.text}", flush=True)
 
-    voice.say(_start_line(options))
+    print(_start_line(options), flush=True)
     for line in _notes(options):
-        voice.say(line)
+        print(line, flush=True)
     fleet: Endpoint = endpoints[0] if len(endpoints) == 1 else Fleet(endpoints, len(specs[0]))
     links = [spec for own in specs for spec in own]
     try:
@@ -174,7 +176,7 @@ def _run(arguments: argparse.Namespace) -> int:
     finally:
         files.end()
     for endpoint in endpoints:
-        voice.say(_summary(endpoint))
+        print(_summary(endpoint), flush=True)
     return 0
 
 

@@ -10,6 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
 from tools.console import OneLineParser, positive
@@ -122,4 +123,5 @@ def versions(bench: FilterBench | PlannerBench) -> str:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import time
 
+from companion.entry import outlive_readers
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
@@ -110,4 +111,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     main()

@@ -16,6 +16,7 @@ from pathlib import Path
 
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, and no minute of compiling
 
+from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import write_json_atomic
 from sim_link.lab.campaign.flights import Trial
@@ -108,4 +109,5 @@ def replay(trial: Trial) -> int:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

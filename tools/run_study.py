@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 
+from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.evaluation.campaign import RunSeries
@@ -190,4 +191,5 @@ def say(text: str) -> None:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

@@ -18,6 +18,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
+from companion.entry import outlive_readers
 from tests.loop.golden_flights import (
     COURSES,
     FOLDER,
@@ -58,4 +59,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     main()

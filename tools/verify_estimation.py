@@ -30,6 +30,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
 from sim_link.lab.evaluation.campaign import RunSeries, RunTally, joined_in_order, tally_of
@@ -331,4 +332,5 @@ def line(figure: Figure) -> str:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
-from typing import NoReturn, TextIO
+from typing import NoReturn
 
 from companion.errors import ConfigError
 
@@ -16,26 +14,6 @@ class ComplaintParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
         raise ConfigError(f"{message} ({self.prog} --help shows how)")
-
-
-class LinePrinter:
-    """Lines on an output, until nobody reads them any more."""
-
-    def __init__(self, output: TextIO) -> None:
-        self._output = output
-        self._is_heard = True
-
-    def say(self, line: str) -> None:
-        """Print a line, as long as somebody reads."""
-        if not self._is_heard:
-            return
-        try:
-            self._output.write(f"{line}\n")
-            self._output.flush()
-        except BrokenPipeError:
-            self._is_heard = False
-            if self._output is sys.stdout:  # what it still holds is not to be tried at the exit
-                sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  stays open
 
 
 def is_interrupt(error: BaseException | None) -> bool:

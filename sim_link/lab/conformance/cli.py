@@ -16,6 +16,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from companion import __version__
+from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
 from companion.io.links.link import Link
@@ -247,6 +248,7 @@ exit code: 0 all that was tried passed; 3 it deviates, but only as the real PX4 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Try the rules; the exit code is that of `EPILOG`."""
+    outlive_readers()
     try:
         return _run(_arguments(argv))
     except (CompanionError, NotApplicable) as error:
