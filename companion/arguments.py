@@ -32,7 +32,7 @@ links:
   Each may be spelt with :// as well, and udp:// is udpin:// .
 
 examples:
-  companion --connect udp:127.0.0.1:14550
+  companion --connect udp:127.0.0.1:14540
   companion --connect serial:/dev/ttyAMA0:921600 --ranging udp:127.0.0.1:14600 \\
             --config configs/companion/default.yaml
   companion demo --speed 4

@@ -235,9 +235,9 @@ DESCRIPTION = """\
 Ride on a vehicle that is not simulated here: hear its telemetry and send RADIO_RANGING of an
 emitter that is not there, as a payload on board would."""
 EPILOG = """\
-example, beside PX4 SITL, for a companion started with --ranging udp:127.0.0.1:14600:
-  sim-link radio --follow udpin:127.0.0.1:14540 --emitter 47.3981,8.5462 \\
-                 --send-to 127.0.0.1:14600"""
+examples, for a companion started with --ranging udp:127.0.0.1:14600, on ports that nobody else has:
+  sim-link radio --follow udpin:127.0.0.1:14030 --send-to 127.0.0.1:14600   beside PX4 SITL
+  sim-link radio --follow tcp:127.0.0.1:5763 --send-to 127.0.0.1:14600      beside ArduPilot SITL"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

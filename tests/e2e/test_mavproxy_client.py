@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json
 import os
-import queue
-import re
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import pytest
 from pymavlink import mavutil
 
 from companion.config.tunables import TUNABLES
+from tests.e2e.mavproxy_process import MavProxy
 from tests.e2e.simulator_process import PATIENCE_S, running_simulator
 from tests.ports import free_port
 
@@ -27,7 +24,6 @@ pytestmark = pytest.mark.slow
 
 SPEED = {"px4": 1.0, "ardupilot": 8.0}
 """On a busy machine MAVProxy does not keep up with several times a PX4's streams."""
-MODULES = "param,mode,arm,wp,fence,link,cmdlong,misc"
 PLAN = """\
 QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t47.397832\t8.545727\t488.0\t1
@@ -49,87 +45,19 @@ PX4_LAND = "long MAV_CMD_DO_SET_MODE 1 4 6 0 0 0 0"
 """MAVProxy's own `mode` command raises with a PX4 (version 1.8.74)."""
 
 
-class MavProxy:
-    """A MAVProxy whose commands are piped in and whose lines are read.
-
-    Args:
-        port: The UDP port that it binds.
-        directory: Its home, and where it runs.
-    """
-
-    def __init__(self, port: int, directory: Path) -> None:
-        script = Path(sys.executable).with_name("mavproxy.py")
-        command = [sys.executable, "-W", "ignore", str(script), f"--master=udpin:127.0.0.1:{port}"]
-        command += ["--no-state", "--mav20", "--streamrate=4", f"--default-modules={MODULES}"]
-        self.port = port
-        self._lines: queue.Queue[str] = queue.Queue()
-        self._seen: list[str] = []
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            bufsize=1,
-            cwd=directory,
-            env=dict(os.environ, HOME=str(directory), MPLBACKEND="agg"),
-        )
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def __enter__(self) -> MavProxy:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._process.kill()
-        self._process.wait()
-        self._reader.join()
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.stdout.close()
-
-    def say(self, command: str) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(command + "\n")
-        self._process.stdin.flush()
-
-    def expect(self, pattern: str) -> str:
-        """The next line in which a pattern is found."""
-        until_s = time.monotonic() + PATIENCE_S
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            try:
-                line = self._lines.get(timeout=left_s)
-            except queue.Empty:
-                break
-            self._seen.append(line)
-            if re.search(pattern, line):
-                return line
-        raise AssertionError(f"`{pattern}` never came after {self._seen[-12:]}")
-
-    def ask(self, command: str, pattern: str) -> str:
-        self.say(command)
-        return self.expect(pattern)
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self._lines.put(line.rstrip())
-
-
 @contextmanager
 def connected(flavour: str, directory: Path, listen_port: int | None = None) -> Iterator[MavProxy]:
     """MAVProxy on a running simulator, with all parameters read."""
     simulator = running_simulator(flavour, SPEED[flavour], listen_port, bears_s=60.0)
-    with simulator as port, MavProxy(port, directory) as mavproxy:
+    with simulator as port, MavProxy(directory, *master_at(port)) as mavproxy:
         mavproxy.expect("Detected vehicle 1:1")
         mavproxy.expect(r"Received \d+ parameters")
         yield mavproxy
+
+
+def master_at(port: int) -> tuple[str, ...]:
+    """MAVProxy on a UDP port that it binds."""
+    return (f"--master=udpin:127.0.0.1:{port}", "--streamrate=4")
 
 
 def overflowed(port: int) -> int:
@@ -140,7 +68,8 @@ def overflowed(port: int) -> int:
 
 def check_link_and_parameters(mavproxy: MavProxy, name: str, value: float) -> None:
     line = mavproxy.ask("link", r"link 1 OK")
-    assert ", 0.0% loss" in line or overflowed(mavproxy.port) > 0
+    (port,) = (text for text in mavproxy.arguments if text.startswith("--master"))
+    assert ", 0.0% loss" in line or overflowed(int(port.rpartition(":")[2])) > 0
     mavproxy.ask(f"param show {name}", rf"{name} +\d")
     mavproxy.say(f"param set {name} {value:g}")
     mavproxy.say(f"param fetch {name}")

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from sim_link.lab.mission.over_udp import fly_over_udp
+from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.script_file import parse_mission
 from sim_link.lab.monitor.monitor import WIRE
 from tests.e2e.simulator_process import PATIENCE_S
@@ -63,27 +64,52 @@ def test_a_hop_with_faults_of_link_vehicle_and_process(tmp_path: Path) -> None:
     assert b'"kind":"estimate"' in result.event_log
 
 
-def test_a_vehicle_of_others_gets_a_radio_beside_it(tmp_path: Path) -> None:
-    scenario = tmp_path / "foreign.yaml"
-    scenario.write_text("payload: {max_range_m: 0.001}\nautopilot: {flavour: ardupilot}\n")
+def flown_on_a_vehicle_of_others(script: str, scenario: str, folder: Path) -> MissionResult:
+    """What becomes of a script on an ArduPilot that was there before."""
+    path = folder / "foreign.yaml"
+    path.write_text(f"autopilot: {{flavour: ardupilot}}\n{scenario}\n")
     port = free_port()
-    command = [sys.executable, "-m", "sim_link", "--scenario", str(scenario), "--speed", str(SPEED)]
+    command = [sys.executable, "-m", "sim_link", "--scenario", str(path), "--speed", str(SPEED)]
     command += ["--listen", f"127.0.0.1:{free_port()}", "--send-to", f"127.0.0.1:{port}"]
     with subprocess.Popen([*command, "--quiet"], stdout=subprocess.DEVNULL) as vehicle:
         try:
-            result = fly_over_udp(
-                # the flavour of the script is not looked at: the vehicle says whose it is
-                parse_mission((HOP % ("px4", "")).replace(", from: autopilot", ""), "hop"),
-                1,
-                speed=SPEED,
-                connect=f"udpin:127.0.0.1:{port}",
-            )
+            mission = parse_mission(script, "hop")
+            return fly_over_udp(mission, 1, speed=SPEED, connect=f"udpin:127.0.0.1:{port}")
         finally:
             vehicle.send_signal(signal.SIGTERM)
             vehicle.wait(timeout=PATIENCE_S)
+
+
+def test_a_vehicle_of_others_gets_a_radio_beside_it(tmp_path: Path) -> None:
+    # the flavour of the script is not looked at: the vehicle says whose it is
+    script = (HOP % ("px4", "")).replace(", from: autopilot", "")
+    result = flown_on_a_vehicle_of_others(script, "payload: {max_range_m: 0.001}", tmp_path)
     assert result.failed == [], result.record.steps
     assert result.flavour == "ardupilot"
     assert [str(violated) for violated in result.record.violations] == []
+
+
+TAKEN = """\
+name: taken
+%s
+steps: [connect, wait_ready, arm, {pilot_override: {mode: position}}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("autopilots", "reason"),
+    [
+        ("autopilots: [px4]", "the script is for px4, and this is ardupilot"),
+        ("", "position mode needs a transmitter, and the autopilot hears none"),
+    ],
+)
+def test_a_vehicle_that_a_script_does_not_fit_is_left_alone(
+    autopilots: str, reason: str, tmp_path: Path
+) -> None:
+    result = flown_on_a_vehicle_of_others(TAKEN % autopilots, "", tmp_path)
+    assert result.record.skipped == reason
+    assert result.verdicts == ()
+    assert not result.record.situation.vehicle.is_armed
 
 
 @pytest.mark.parametrize("argument", ["nonsense.yaml", "broken.yaml"])

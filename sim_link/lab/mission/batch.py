@@ -25,8 +25,8 @@ from sim_link.lab.lockstep.flight import MemoryJournal
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
 from sim_link.lab.mission.mavsdk_operator import check_installed
 from sim_link.lab.mission.mission_report import report_page
-from sim_link.lab.mission.processes import check_faults
-from sim_link.lab.mission.results import MissionResult, flight_name, how_flown
+from sim_link.lab.mission.processes import check_faults, vehicle_fault_of
+from sim_link.lab.mission.results import FlightRecord, MissionResult, flight_name, how_flown
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config, load_mission
 from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
@@ -45,6 +45,13 @@ class FlightTask:
     """Times real time, with real processes; None: lockstep."""
     connect: str | None = None
     """The link to a vehicle that is there already."""
+
+    @property
+    def misfit(self) -> str:
+        """Why it is not flown, as far as that is known before anything starts; empty: it is."""
+        if self.connect is not None:
+            return vehicle_fault_of(self.mission)
+        return self.mission.misfit(self.mission.autopilot.flavour)
 
     @property
     def flight_name(self) -> str:
@@ -90,8 +97,8 @@ class MissionBatch:
         loaded = [(str(path), mission) for path in self.files for mission in self._load(path)]
         for file, mission in loaded:
             check_flyable(mission, file)
-            if self.speed is not None:
-                check_faults(mission, file, is_our_vehicle=self.connect is None)
+            if self.speed is not None and self.connect is None:
+                check_faults(mission, file)
         if self.speed is not None:
             check_installed()
         if self.connect is not None:
@@ -203,12 +210,15 @@ def fly_all(
 
 def fly_task(task: FlightTask, progress: Progress | None = None) -> MissionResult:
     """Fly one, and write its report; what goes wrong with that is the result's error."""
+    if task.misfit:
+        record = FlightRecord(autopilot="vehicle" if task.connect else "", skipped=task.misfit)
+        return MissionResult(task.mission, task.file, task.seed, task.how, record)
     try:
         result = _fly(task, progress)
     except (CompanionError, OSError) as error:
         return unflown(task, str(error))
     kept = result.without_history()
-    if task.reports is None:
+    if task.reports is None or kept.record.skipped:
         return kept
     folder = Path(task.reports)
     try:

@@ -56,6 +56,8 @@ class TelemetryReader:
         """Of the autopilot that was heard first."""
         self.heartbeat: HeartbeatReceived | None = None
         """The newest one of the autopilot."""
+        self.throttle_us = 0
+        """Channel 3 of the pilot's transmitter; 0: none is heard."""
 
     def take(self, frame: bytes, now_s: float) -> None:
         """Take in a frame from the vehicle's link."""
@@ -104,6 +106,8 @@ class TelemetryReader:
                 vehicle.battery = message.battery_remaining / 100.0 if known else None
             case mavlink.MAVLink_gps_raw_int_message():
                 vehicle.has_fix = message.fix_type >= GPS_FIX_3D
+            case mavlink.MAVLink_rc_channels_message() if message.chancount:
+                self.throttle_us = message.chan3_raw
 
     def _hear(self, message: mavlink.MAVLink_statustext_message, now_s: float) -> None:
         """A text of the autopilot; one that comes in pieces counts when it is whole."""

@@ -126,6 +126,8 @@ class MavsdkOperator:
     async def _carry_out(self, action: Action) -> None:
         match action:
             case ArmAction():
+                if self.autopilot is Autopilot.ARDUPILOT:  # elsewhere it wants the throttle low
+                    await self._switch(FlightMode.OFFBOARD)
                 await self._action.arm()
             case TakeOffAction():
                 await self._action.set_takeoff_altitude(action.height_m)
@@ -139,9 +141,12 @@ class MavsdkOperator:
             case SwitchMode() if self.autopilot is Autopilot.OTHER:
                 raise CompanionError("only modes of PX4 and ArduPilot are known")
             case SwitchMode(mode=mode):
-                params = set_mode_params(mode, self.autopilot, is_armed=self.is_armed)
-                number = mavlink.MAV_CMD_DO_SET_MODE
-                await self._command(mavlink.MAV_COMP_ID_AUTOPILOT1, number, params)
+                await self._switch(mode)
+
+    async def _switch(self, mode: FlightMode) -> None:
+        params = set_mode_params(mode, self.autopilot, is_armed=self.is_armed)
+        number = mavlink.MAV_CMD_DO_SET_MODE
+        await self._command(mavlink.MAV_COMP_ID_AUTOPILOT1, number, params)
 
     async def _command(self, component: int, number: int, params: tuple[float, ...]) -> None:
         """Send a COMMAND_LONG and wait for its answer; `CompanionError`: it was refused."""

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.fleet.console import LinePrinter, is_interrupt
+from sim_link.fleet.console import is_interrupt
 from sim_link.lab.mission.batch import (
     FlightTask,
     MissionBatch,
@@ -35,13 +35,16 @@ from sim_link.lab.pool import LOCAL
 REFRESH_S = 0.1
 
 
-class PlainProgress(LinePrinter):
+class PlainProgress:
     """A line for every flight and, where it is detailed, one when a step of the only one begins."""
 
     def __init__(self, total: int, output: TextIO, *, is_detailed: bool) -> None:
-        super().__init__(output)
-        self._total, self._is_detailed = total, is_detailed
+        self._output, self._total, self._is_detailed = output, total, is_detailed
         self._done = self._step = 0
+
+    def say(self, line: str) -> None:
+        """Print a line."""
+        print(line, file=self._output, flush=True)
 
     def __enter__(self) -> PlainProgress:
         return self
@@ -131,10 +134,12 @@ def state_line(runner: StepRunner, situation: FlightSituation) -> str:
 
 def flight_line(result: MissionResult, number: int, total: int) -> str:
     """How a flight ended, in a line."""
-    verdict = "PASS" if result.is_passed else "FAIL"
+    skipped = result.record.skipped
+    verdict = "PASS" if result.is_passed else "SKIP" if skipped else "FAIL"
+    line = f"{verdict} [{number}/{total}] {result.title}: "
     if not result.verdicts:
-        return f"{verdict} [{number}/{total}] {result.title}: not flown to its end"
-    line = f"{verdict} [{number}/{total}] {result.title}: {result.record.ended_s:.1f} s"
+        return line + (skipped or "not flown to its end")
+    line += f"{result.record.ended_s:.1f} s"
     last = result.last_estimate
     if last is not None:
         line += f", error {result.error_m(last):.2f} m, R95 {last.r95_m:.2f} m"
@@ -163,7 +168,7 @@ def _suite(result: MissionResult) -> ElementTree.Element:
         tests=str(_count(result)),
         failures=str(len(result.failed)),
         errors=str(int(bool(result.error))),
-        skipped="0",
+        skipped=str(int(bool(result.record.skipped))),
         time=f"{result.record.wall_s:.3f}",
     )
     properties = ElementTree.SubElement(suite, "properties")
@@ -174,9 +179,10 @@ def _suite(result: MissionResult) -> ElementTree.Element:
         if not verdict.is_met:
             failure = ElementTree.SubElement(case, "failure", message=_clean(verdict.found))
             failure.text = _clean(f"{verdict.name}: {verdict.found}")
-    if result.error:
-        case = _case(suite, result, "flight and report", 0.0)
-        ElementTree.SubElement(case, "error", message=_clean(result.error))
+    for kind, why in (("error", result.error), ("skipped", result.record.skipped)):
+        if why:
+            case = _case(suite, result, "flight and report", 0.0)
+            ElementTree.SubElement(case, kind, message=_clean(why))
     return suite
 
 
@@ -193,8 +199,8 @@ def _case(
 
 
 def _count(result: MissionResult) -> int:
-    """Cases: every expectation, and what went wrong beside them."""
-    return len(result.verdicts) + bool(result.error)
+    """Cases: every expectation, and what went wrong, or kept it from being flown, beside them."""
+    return len(result.verdicts) + bool(result.error) + bool(result.record.skipped)
 
 
 def _properties(result: MissionResult) -> dict[str, str]:
@@ -231,7 +237,9 @@ examples:
   sim-link mission run configs/missions/canonical.yaml
   sim-link mission run configs/missions/*.yaml --repeat 20 --jobs 2 --junit missions.xml
   sim-link mission run configs/missions/canonical.yaml --speed 4 --report reports
-  sim-link mission run configs/missions/canonical.yaml --connect udpin:127.0.0.1:14550
+  sim-link mission run configs/missions/canonical.yaml --connect udpin:127.0.0.1:14540
+
+A script that does not fit the autopilot is skipped, with the reason.
 
 exit code: 0 every expectation is met, 1 one is not, or a flight came to no end or has no report,
 2 a script or an argument is wrong (then nothing was started)"""
@@ -246,7 +254,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X|lockstep",
         help="seconds of the flight per second, with real processes; default: lockstep",
     )
-    add("--autopilot", choices=("px4", "ardupilot"), help="in place of the scripts' own")
+    autopilot = "in place of the scripts' own; what does not fit it is skipped"
+    add("--autopilot", choices=("px4", "ardupilot"), help=autopilot)
     add("--connect", metavar="URL", help="fly the vehicle on this link instead of a simulated one")
     add("--seed", metavar="N", type=int, default=0, help="first seed (default 0)")
     add("--repeat", metavar="N", type=int, default=1, help="with so many seeds (default 1)")
@@ -277,7 +286,8 @@ def run(arguments: argparse.Namespace) -> int:
         ordered = _in_order(tasks, results)
         if arguments.junit is not None:
             write_text_atomic(arguments.junit, junit_xml(ordered))
-    return EXIT_PASSED if all(result.is_passed for result in ordered) else EXIT_FAILED
+    is_fine = all(result.is_passed or result.record.skipped for result in ordered)
+    return EXIT_PASSED if is_fine else EXIT_FAILED
 
 
 def _is_flown(

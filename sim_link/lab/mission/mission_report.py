@@ -30,18 +30,22 @@ def campaign_lines(results: list[MissionResult]) -> list[str]:
         runs.setdefault((result.mission.name, result.flavour), []).append(result)
     lines = [_mission_line(each) for each in runs.values()]
     passed = sum(result.is_passed for result in results)
+    skipped = sum(bool(result.record.skipped) for result in results)
     flown_s, wall_s, cpu_s = _times(results)
     speed = f", {flown_s / wall_s:.0f} times real time" if wall_s > 0.0 else ""
     if cpu_s > 0.0:
         speed += f" ({flown_s / cpu_s:.0f} by processor time)"
     return [
         *lines,
-        f"{passed} of {len(results)} flights passed; {flown_s:.0f} s flown in {wall_s:.1f} s "
+        f"{passed} of {len(results) - skipped} flights passed"
+        f"{f', {skipped} skipped' if skipped else ''}; {flown_s:.0f} s flown in {wall_s:.1f} s "
         f"of flying{speed}",
     ]
 
 
 def _mission_line(runs: list[MissionResult]) -> str:
+    if runs[0].record.skipped:
+        return f"{runs[0].mission.name} ({runs[0].flavour}): {len(runs)} skipped"
     passed = sum(run.is_passed for run in runs)
     errors = [run.final_error_m for run in runs if run.final_error_m is not None]
     inside = [run.is_inside_r95 for run in runs if run.is_inside_r95 is not None]

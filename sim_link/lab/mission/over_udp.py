@@ -41,9 +41,9 @@ from sim_link.lab.mission.results import (
     true_places,
     verdicts_of,
 )
-from sim_link.lab.mission.script import Mission
+from sim_link.lab.mission.script import Mission, PilotOverrideStep
 from sim_link.lab.mission.script_file import flown_config
-from sim_link.lab.mission.steps import StepRunner, SwitchMode
+from sim_link.lab.mission.steps import READY, StepRunner, SwitchMode
 
 START_S = 150.0
 """Real time that a process may take to start; the first one of all compiles."""
@@ -53,6 +53,8 @@ HAND_BACK_S = 3.0
 """Real time that the companion may take to hand the vehicle back."""
 HOME_S = 5.0
 """Real time for asking a vehicle of others to come home after a mission that failed."""
+MID_THROTTLE_US = range(1400, 1601)
+"""Where neither autopilot climbs or sinks in modes for sticks, with its default dead zones."""
 Ports = namedtuple("Ports", "vehicle simulator companion operator radio")
 """UDP ports of this machine for one flight; the hub hears a simulated vehicle on the first."""
 
@@ -85,7 +87,7 @@ def fly_over_udp(
         flight.record.wall_s = time.perf_counter() - started
         flight.judge()
     how = how_flown(speed, connect)
-    verdicts = verdicts_of(mission, flight.record)
+    verdicts = () if flight.record.skipped else verdicts_of(mission, flight.record)
     return MissionResult(mission, file, seed, how, flight.record, verdicts)
 
 
@@ -234,11 +236,34 @@ class _UdpFlight:
         if self._end_wall_s is not None:
             self._end()
             return
-        self._check_children(now_s)
-        self._runner.tick(now_s)
-        self._tell_progress()
-        if self._runner.is_over:
+        if self._connect is not None and not operator.is_armed:
+            self.record.skipped = self._misfit()
+        if not self.record.skipped:
+            self._check_children(now_s)
+            self._runner.tick(now_s)
+            self._tell_progress()
+        if self._runner.is_over or self.record.skipped:
             self._begin_end(now_s)
+
+    def _misfit(self) -> str:
+        """Why a vehicle of others is not flown by this script; empty: it is, as far as is known.
+
+        Its transmitter stays its pilot's, who alone can put the throttle where a mode for sticks
+        neither climbs nor sinks; ArduPilot's simulator has it at its lowest.
+        """
+        flavour, throttle_us = self.record.autopilot, self._telemetry.throttle_us
+        steps = (step for _, step in self._mission.named_steps)
+        modes = [s.mode for s in steps if isinstance(s, PilotOverrideStep) and s.needs_sticks]
+        if flavour and self._mission.misfit(flavour):
+            return self._mission.misfit(flavour)
+        if not modes or throttle_us in MID_THROTTLE_US or not READY.holds(self.record.situation):
+            return ""
+        if throttle_us == 0:
+            return f"{modes[0]} mode needs a transmitter, and the autopilot hears none"
+        return (
+            f"in {modes[0]} mode the throttle stick, now at {throttle_us} us, would not hold the "
+            "height: centre it and fly again (ArduPilot SITL, in MAVProxy: rc 3 1500)"
+        )
 
     def _tell_progress(self) -> None:
         if self._progress is not None:

@@ -200,15 +200,18 @@ class ProcessHarness:
             self._vehicle.tell(json.dumps(plain))
 
 
-def check_faults(mission: Mission, name: str, *, is_our_vehicle: bool) -> None:
-    """Make sure, before anything starts, that every fault of a script can be injected."""
+def check_faults(mission: Mission, name: str) -> None:
+    """Make sure, before any process starts, that every fault of a script can be injected."""
     for number, (_, step) in enumerate(mission.named_steps):
-        problem = None
-        if isinstance(step, SecurityFault):
-            problem = "only possible in lockstep"
-        elif isinstance(step, VehicleFault) and not is_our_vehicle:
-            problem = "a vehicle that is not ours cannot be broken"
-        elif isinstance(step, VehicleFault) and not isinstance(step, IncidentRecord):
-            problem = "only possible in lockstep"
-        if problem is not None:
-            raise error_at(read_text(Path(name)), name, f"$.steps[{number}].inject", problem)
+        is_told = isinstance(step, IncidentRecord)
+        if isinstance(step, SecurityFault) or (isinstance(step, VehicleFault) and not is_told):
+            path, problem = f"$.steps[{number}].inject", "only possible in lockstep"
+            raise error_at(read_text(Path(name)), name, path, problem)
+
+
+def vehicle_fault_of(mission: Mission) -> str:
+    """Why a script is not flown on a vehicle that is not ours; empty: nothing of it is broken."""
+    for number, (name, step) in enumerate(mission.named_steps, 1):
+        if isinstance(step, VehicleFault):
+            return f"step {number} {name}: a vehicle that is not ours cannot be broken"
+    return ""

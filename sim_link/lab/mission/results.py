@@ -114,6 +114,8 @@ class FlightRecord:
     """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
     is_interrupted: bool = False
     """Somebody asked for the end."""
+    skipped: str = ""
+    """Why it was not flown on this vehicle; empty: it was."""
     wall_s: float = 0.0
     """Real time that it took; not part of the event log."""
     cpu_s: float = 0.0
@@ -350,7 +352,7 @@ class MissionResult:
     @property
     def is_passed(self) -> bool:
         """Whether every expectation is met, every step done, and nothing went wrong."""
-        return not self.failed and not self.error
+        return not (self.failed or self.error or self.record.skipped)
 
     @property
     def failed(self) -> list[ExpectationVerdict]:
@@ -400,7 +402,7 @@ class MissionResult:
     @property
     def doubt(self) -> str:
         """Why a failure may be the machine's, and what to do; empty: nothing says so."""
-        if self.is_passed or self.record.late_s <= BUSY_S:
+        if self.is_passed or self.record.skipped or self.record.late_s <= BUSY_S:
             return ""
         return (
             f"this computer was too busy: a turn came {self.record.late_s:.1f} s of flight late; "

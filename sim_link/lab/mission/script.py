@@ -228,6 +228,11 @@ class PilotOverrideStep(StepParams, frozen=True):
     mode: PilotMode = "hold"
     limit_s: Limit = 10.0
 
+    @property
+    def needs_sticks(self) -> bool:
+        """Whether the vehicle then does what the sticks say."""
+        return self.mode in ("position", "altitude", "stabilized")
+
 
 class HoldStep(StepParams, frozen=True):
     """The operator has the vehicle hold its place, for a while."""
@@ -295,7 +300,7 @@ class Mission(Scenario, frozen=True, kw_only=True):
     about: str = ""
     """What it shows, in a sentence."""
     autopilots: tuple[FlavourName, ...] = ()
-    """Flown on each of these; empty: on `autopilot.flavour`."""
+    """Those that it fits, and is flown on; empty: any, and it is flown on `autopilot.flavour`."""
     companion: CompanionConfig | str = CompanionConfig()
     """The companion's configuration (configuration.md), or the file that it is in."""
     steps: Annotated[tuple[Union[StepRecord, StepWord], ...], msgspec.Meta(min_length=1)]  # noqa: UP007
@@ -305,6 +310,12 @@ class Mission(Scenario, frozen=True, kw_only=True):
     def named_steps(self) -> tuple[tuple[str, Step], ...]:
         """Every step with its kind's name."""
         return tuple(_named(step) for step in self.steps)
+
+    def misfit(self, flavour: str) -> str:
+        """Why it is not flown on an autopilot; empty: it fits."""
+        if not self.autopilots or flavour in self.autopilots:
+            return ""
+        return f"the script is for {' and '.join(self.autopilots)}, and this is {flavour}"
 
     @property
     def config(self) -> CompanionConfig:

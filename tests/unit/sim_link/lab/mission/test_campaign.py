@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -18,12 +16,13 @@ from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
 from sim_link import cli
 from sim_link.fleet.console import is_interrupt
-from sim_link.lab.mission.batch import MissionBatch, fly_all
+from sim_link.lab.mission.batch import MissionBatch, fly_all, fly_task
 from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.steps import StepRunner
+from tests.ports import free_port
 
 SCRIPT = "name: same\nsteps: [connect]\n"
 
@@ -143,6 +142,31 @@ def test_a_flight_that_cannot_be_flown_is_an_error_and_the_others_are_flown(
     assert counts(junit) == ["2", "0", "1"]
 
 
+def test_a_script_for_another_autopilot_is_skipped_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    only_px4 = script(tmp_path, "only.yaml", "name: only\nautopilots: [px4]\nsteps: [connect]\n")
+    files = [only_px4, script(tmp_path, "m.yaml")]
+    junit = tmp_path / "j.xml"
+    assert run(*files, "--autopilot", "ardupilot", "--junit", junit, "--report", tmp_path) == 0
+    first, second, *_, last = capsys.readouterr().out.splitlines()
+    assert first == (
+        "SKIP [1/2] only (ardupilot), seed 0: the script is for px4, and this is ardupilot"
+    )
+    assert second.startswith("PASS [2/2] same (ardupilot)")
+    assert last.startswith("1 of 1 flights passed, 1 skipped")
+    assert len(list(tmp_path.glob("*.html"))) == 1
+
+
+def test_a_script_that_breaks_the_vehicle_is_not_flown_on_one_of_others(tmp_path: Path) -> None:
+    steps = "[connect, {inject: {kind: battery}}]"
+    path = script(tmp_path, "m.yaml", f"name: breaks\nsteps: {steps}\n")
+    (task,) = MissionBatch([path], speed=1.0, connect=f"udpin:127.0.0.1:{free_port()}").tasks()
+    result = fly_task(task)  # a link that nobody speaks on would cost a quarter of a minute
+    assert "cannot be broken" in result.record.skipped
+    assert result.title == "breaks (vehicle), seed 0"
+
+
 @pytest.mark.parametrize("is_compiled", [False, True])
 def test_an_interrupt_of_the_warm_up_is_told_in_a_line_and_in_junit(
     tmp_path: Path,
@@ -218,15 +242,3 @@ def test_an_interrupt_of_several_at_once_keeps_what_is_flown_and_ends_the_rest(
     assert run(short, long, "--jobs", 2, "--junit", junit) == 1
     assert "interrupted after 1 of 2 flights" in capfd.readouterr().err
     assert counts(junit) == ["2", "0", "1"]
-
-
-@pytest.mark.slow
-def test_nobody_minds_a_reader_who_goes_away(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "sim_link", "mission", "run"]
-    command.append(str(script(tmp_path, "m.yaml")))
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as runner:
-        assert runner.stdout is not None
-        assert runner.stderr is not None
-        runner.stdout.close()
-        assert runner.stderr.read() == b""
-        assert runner.wait(timeout=180.0) == 0

@@ -194,6 +194,22 @@ def test_a_flight_that_came_to_no_end_is_an_error_and_no_pass() -> None:
     )
 
 
+def test_a_script_that_does_not_fit_is_neither_passed_nor_failed() -> None:
+    record = FlightRecord(autopilot="ardupilot", skipped="the script is for px4")
+    skipped = replace(result_of(), record=record, verdicts=()).without_history()
+    suite = ElementTree.fromstring(junit_xml([skipped]))[0]
+    counts = [suite.get(name) for name in ("tests", "failures", "errors", "skipped")]
+    assert counts == ["1", "0", "0", "1"]
+    assert [each.get("message") for each in suite.iter("skipped")] == ["the script is for px4"]
+    output = io.StringIO()
+    PlainProgress(1, output, is_detailed=False).finished(skipped)
+    title = "two <rubble> heaps (ardupilot)"
+    assert output.getvalue() == f"SKIP [1/1] {title}, seed 3: the script is for px4\n"
+    lines = campaign_lines([skipped, result_of().without_history()])
+    assert lines[0] == f"{title}: 1 skipped"
+    assert lines[2].startswith("1 of 1 flights passed, 1 skipped; ")
+
+
 def test_the_event_log_is_json_lines_with_the_verdicts_last() -> None:
     lines = [json.loads(line) for line in result_of().event_log.splitlines()]
     assert lines[0] == {
@@ -248,14 +264,6 @@ def test_a_busy_computer_is_no_news_where_the_mission_passed() -> None:
     result = result_of()
     result.record.late_s = 0.9
     assert result.without_history().doubt == ""
-
-
-def test_a_reader_who_goes_away_does_not_end_the_flights() -> None:
-    class Closed(io.StringIO):
-        def write(self, text: str) -> int:
-            raise BrokenPipeError(text)
-
-    PlainProgress(1, Closed(), is_detailed=True).finished(result_of().without_history())
 
 
 def test_a_summary_knows_its_report_and_its_speed() -> None:

@@ -10,7 +10,7 @@ import pytest
 from companion.errors import ConfigError
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.faults.fault_models import LinkLoss
-from sim_link.lab.mission.processes import check_faults
+from sim_link.lab.mission.processes import check_faults, vehicle_fault_of
 from sim_link.lab.mission.script import STEP_KINDS, ArmStep, Expectation, ReturnStep, TakeoffStep
 from sim_link.lab.mission.script_file import flown_config, line_of, load_mission, parse_mission
 
@@ -166,21 +166,33 @@ def test_invariants_that_no_flight_can_judge_are_no_expectation(invariants: list
     )
 
 
+def test_a_fault_that_cannot_be_injected_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "m.yaml"
+    path.write_text("name: x\nsteps:\n  - connect\n  - inject: {kind: forged_frames}\n")
+    complaint = r"m\.yaml:4: \$\.steps\[1\]\.inject: only possible in lockstep"
+    with pytest.raises(ConfigError, match=complaint):
+        check_faults(load_mission(path), str(path))
+
+
+def test_a_vehicle_of_others_is_not_flown_by_a_script_that_breaks_it() -> None:
+    script = "name: x\nsteps:\n  - connect\n  - inject: {kind: %s}\n"
+    reason = vehicle_fault_of(parse_mission(script % "battery", "m"))
+    assert reason == "step 2 inject: a vehicle that is not ours cannot be broken"
+    assert vehicle_fault_of(parse_mission(script % "link_loss", "m")) == ""
+
+
 @pytest.mark.parametrize(
-    ("kind", "is_our_vehicle", "complaint"),
+    ("autopilots", "reason"),
     [
-        ("forged_frames", True, "only possible in lockstep"),
-        ("battery", False, "a vehicle that is not ours cannot be broken"),
+        ("[px4]", "the script is for px4, and this is ardupilot"),
+        ("[ardupilot]", ""),
+        ("[px4, ardupilot]", ""),
+        ("[]", ""),
     ],
 )
-def test_a_fault_that_cannot_be_injected_is_told_with_its_line(
-    kind: str, is_our_vehicle: bool, complaint: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "m.yaml"
-    path.write_text(f"name: x\nsteps:\n  - connect\n  - inject: {{kind: {kind}}}\n")
-    mission = load_mission(path)
-    with pytest.raises(ConfigError, match=rf"m\.yaml:4: \$\.steps\[1\]\.inject: {complaint}"):
-        check_faults(mission, str(path), is_our_vehicle=is_our_vehicle)
+def test_a_script_says_which_autopilots_it_fits(autopilots: str, reason: str) -> None:
+    mission = parse_mission(f"name: x\nautopilots: {autopilots}\nsteps: [connect]\n", "m")
+    assert mission.misfit("ardupilot") == reason
 
 
 def test_a_companions_file_is_found_beside_the_script(tmp_path: Path) -> None:

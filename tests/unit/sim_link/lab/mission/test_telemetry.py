@@ -54,6 +54,14 @@ def test_mode_arming_and_whose_it_is(heard: Heard) -> None:
     assert heard.reader.system_id == 9
 
 
+def test_the_throttle_stick_is_channel_3_of_a_transmitter_that_is_heard(heard: Heard) -> None:
+    channels = [1500, 1500, 1000, *[1500] * 15, 255]
+    heard.say(mavlink.MAVLink_rc_channels_message(0, 0, *channels))
+    assert heard.reader.throttle_us == 0
+    heard.say(mavlink.MAVLink_rc_channels_message(0, 16, *channels))
+    assert heard.reader.throttle_us == 1000
+
+
 def test_heights_and_distances_count_from_home(heard: Heard) -> None:
     vehicle = heard.situation.vehicle
     heard.move(13.0, 14.0, 20.0)
