@@ -13,6 +13,8 @@ from typing import Any
 
 import msgspec
 
+from companion.entry import outlive_readers
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "simulator.md"
 FLAVOURS = ("px4", "ardupilot")
@@ -157,4 +159,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

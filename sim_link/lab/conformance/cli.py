@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from companion import __version__
@@ -31,7 +32,7 @@ from companion.io.links.transports import (
 )
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
-from sim_link.fleet.console import ComplaintParser, LinePrinter
+from sim_link.fleet.console import ComplaintParser
 from sim_link.lab.conformance.companion_identity_rules import IdentityRules, RequestRules
 from sim_link.lab.conformance.companion_setpoint_rules import SetpointRules
 from sim_link.lab.conformance.rule_run import RuleRun, RunOptions
@@ -301,7 +302,7 @@ def _run(arguments: argparse.Namespace) -> int:
     rules = select(all_rules(), role, arguments.only)
     if not rules:
         raise ConfigError(f"--only {arguments.only}: no rule of a {role.value} is called so")
-    say = LinePrinter(sys.stdout).say
+    say = partial(print, flush=True)
     if arguments.list:
         for text in listing(rules):
             say(text)
