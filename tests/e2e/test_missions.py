@@ -100,14 +100,14 @@ steps: [connect, wait_ready, arm, {pilot_override: {mode: position}}]
     ("autopilots", "reason"),
     [
         ("autopilots: [px4]", "the script is for px4, and this is ardupilot"),
-        ("", "position mode needs a transmitter, and the autopilot hears none"),
+        ("", "in position mode the throttle stick, now at 1000 us, would not hold the height"),
     ],
 )
 def test_a_vehicle_that_a_script_does_not_fit_is_left_alone(
     autopilots: str, reason: str, tmp_path: Path
 ) -> None:
     result = flown_on_a_vehicle_of_others(TAKEN % autopilots, "", tmp_path)
-    assert result.record.skipped == reason
+    assert reason in result.record.skipped
     assert result.verdicts == ()
     assert not result.record.situation.vehicle.is_armed
 
