@@ -132,6 +132,8 @@ class Handover:
         self._has_flown = False
         """Whether it was in the air since control began."""
         self._was_told = False
+        self._fitted_at: tuple[float, float, float] | None = None
+        """Where the origin is, for which it was told that places are fitted."""
         self._hand_back_mode = FlightMode.HOLD
         """What the autopilot is asked for before it is let go ..."""
         self._asked_s: float | None = None
@@ -281,9 +283,11 @@ class Handover:
         return has_moved
 
     def _tell_fit(self, event: events.OriginSet) -> None:
-        before = self._context.vehicle.origin
-        is_first = before is None or before.offset_enu_m == (0.0, 0.0, 0.0)
-        if event.off_m and is_first:
+        """Once for each place that the autopilot tells of its origin."""
+        origin = event.origin
+        place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        if event.off_m and place != self._fitted_at:
+            self._fitted_at = place
             text = f"global position {event.off_m:.1f} m from the local one: places are fitted"
             self._context.warn(text)
 

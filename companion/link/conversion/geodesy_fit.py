@@ -3,9 +3,10 @@
 Theory of operation. LOCAL_POSITION_NED and GLOBAL_POSITION_INT are of one estimate, so the place of
 the one, turned by the origin and the autopilot's projection, is the place of the other to two
 centimetres. Where it is not (another firmware, another origin than is told), a place that is
-reported or flown to would be off by as much. So pairs of one moment are compared all the time, and
-what they show beyond the projection, an offset and a scale of each axis, is fitted by least squares
-with a prior of nothing. It is used once it is more than pairs can be off by chance.
+reported or flown to would be off by as much. So pairs of one moment are compared all the time. What
+they show beyond the projection is used once it is more than pairs can be off by chance: another
+projection, if that explains them all, which holds far away, too; or else an offset and a scale of
+each axis, fitted by least squares with a prior of nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from companion.domain import PositionEnu
-from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin, Projection
 
 PAIR_SIGMA_M = 0.05
 """1e-7 degrees are a centimetre, and so is a millisecond at 10 m/s."""
@@ -25,6 +26,8 @@ LEAST_OFF_M = 0.1
 """Nearer than this they belong together."""
 RENEW_OFF_M = 0.05
 """A fit that would move the present place by more than this is renewed."""
+EXPLAINED_M = 0.03
+"""A projection that is off by less than this, root mean square, is the autopilot's."""
 FARTHEST_OFF_M = 200.0
 """Farther apart they are not of one frame, and nothing can be fitted."""
 MAX_GAP_S = 0.3
@@ -70,8 +73,11 @@ class GeodesyFit:
         self.off_m = 0.0
         """How far the newest place is off without the fit."""
         self._lines = (_Line(), _Line(), _Line())
-        self._used: tuple[float, ...] | None = None
-        """Offsets and stretches that are used; None: pairs belong together."""
+        self.origin = told
+        """With what is used beyond that."""
+        self._candidates = [replace(told, projection=each) for each in Projection]
+        self._squares_m2 = [0.0] * len(self._candidates)
+        """Sum of how far pairs are apart by each."""
         self._pairs = 0
         self._before: tuple[float, PositionEnu] | None = None
         self._latest: tuple[float, PositionEnu] | None = None
@@ -87,15 +93,6 @@ class GeodesyFit:
         self._waiting = (stamp_s, place)
         return self._compare()
 
-    @property
-    def origin(self) -> LocalOrigin:
-        """The origin with what is used of the fit."""
-        if self._used is None:
-            return self.told
-        east, north, up, east_stretch, north_stretch = self._used
-        scale = (1.0 + east_stretch, 1.0 + north_stretch)
-        return replace(self.told, offset_enu_m=(east, north, up), scale_en=scale)
-
     def _compare(self) -> bool:
         """Compare a global position once there are local ones before and after it."""
         if self._waiting is None or self._before is None or self._latest is None:
@@ -109,27 +106,32 @@ class GeodesyFit:
             return False
         share = (stamp_s - from_s) / (until_s - from_s)
         east, north, up = (a + share * (b - a) for a, b in zip(start, end, strict=True))
-        return self._take(self.told.enu_from_geodetic(*place), (east, north, up))
+        return self._take(place, (east, north, up))
 
-    def _take(self, projected: PositionEnu, local: PositionEnu) -> bool:
+    def _take(self, place: tuple[float, float, float], local: PositionEnu) -> bool:
+        projected = self.told.enu_from_geodetic(*place)
         self.off_m = math.dist(projected, local)
         if not self.off_m <= FARTHEST_OFF_M or math.hypot(*local) > MAX_COORDINATE_M:
             return False
         for line, projected_m, local_m in zip(self._lines, projected, local, strict=True):
             line.add(projected_m, local_m)
+        for number, candidate in enumerate(self._candidates):
+            self._squares_m2[number] += math.dist(candidate.enu_from_geodetic(*place), local) ** 2
         self._pairs += 1
-        if self._pairs < FEWEST_PAIRS:
+        fitted = [p + line.at_m(p) for line, p in zip(self._lines, projected, strict=True)]
+        least_m = LEAST_OFF_M if self.origin == self.told else RENEW_OFF_M
+        is_near = math.dist(fitted, self.origin.enu_from_geodetic(*place)) <= least_m
+        if self._pairs < FEWEST_PAIRS or is_near:
             return False
-        offsets = [line.at_m(at_m) for line, at_m in zip(self._lines, projected, strict=True)]
-        used = self._used or (0.0,) * 5
-        now_used = (
-            used[0] + used[3] * projected[0],
-            used[1] + used[4] * projected[1],
-            used[2],
-        )
-        least_m = LEAST_OFF_M if self._used is None else RENEW_OFF_M
-        if math.dist(offsets, now_used) <= least_m:
-            return False
+        before, self.origin = self.origin, self._best(fitted[2] - projected[2])
+        return self.origin != before
+
+    def _best(self, up_m: float) -> LocalOrigin:
+        """The origin by which pairs belong together; `up_m`: how much higher local ones are."""
+        least_m2, number = min((each, n) for n, each in enumerate(self._squares_m2))
+        if math.sqrt(least_m2 / self._pairs) <= EXPLAINED_M:
+            return self._candidates[number]
         east, north, _ = self._lines
-        self._used = (east.offset_m, north.offset_m, offsets[2], east.stretch, north.stretch)
-        return True
+        offset_enu_m = (east.offset_m, north.offset_m, up_m)
+        scale_en = (1.0 + east.stretch, 1.0 + north.stretch)
+        return replace(self.told, offset_enu_m=offset_enu_m, scale_en=scale_en)

@@ -56,9 +56,18 @@ def test_an_autopilot_of_the_known_projection_needs_no_fit(projection: Projectio
 
 
 @pytest.mark.parametrize("projection", [Projection.ELLIPSOID, Projection.FLAT])
-def test_another_projection_is_fitted_where_it_is_flown(projection: Projection) -> None:
+def test_another_projection_is_known_by_where_it_is_flown_and_holds_far_away(
+    projection: Projection,
+) -> None:
     true, fit = replace(TOLD, projection=projection), GeodesyFit(TOLD)
     assert off_m(fit, true, (120.0, 30.0, 0.0)) > LEAST_OFF_M
+    assert flown(fit, true) >= 1
+    for place in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (700.0, -700.0, 20.0)):
+        assert off_m(fit, true, place) < 0.02
+
+
+def test_a_projection_that_nobody_knows_is_fitted_where_it_is_flown() -> None:
+    true, fit = replace(TOLD, scale_en=(1.004, 0.997)), GeodesyFit(TOLD)
     assert flown(fit, true) >= 1
     for place in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (0.0, 0.0, 20.0)):
         assert off_m(fit, true, place) < 0.06
