@@ -7,8 +7,7 @@ import math
 import pytest
 
 from companion.geometry.coordinates import Projection
-from sim_link.autopilot import aircraft
-from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.autopilot.scenario import PROJECTION_OF, AutopilotParams, FlavourName, Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import AUTO, Loop
 
@@ -55,7 +54,7 @@ def test_the_projection_that_is_expected_is_right_without_a_word(flavour: Flavou
 def test_another_projection_is_told_once_and_places_are_right_a_kilometre_away(
     flavour: FlavourName, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(aircraft.PROJECTION_OF, flavour, Projection.ELLIPSOID)
+    monkeypatch.setitem(PROJECTION_OF, flavour, Projection.ELLIPSOID)
     loop = searched(flavour)
     assert off_m(loop) <= NEAR_M
     check_report(loop)
