@@ -85,7 +85,7 @@ def running_simulator(autopilot: str) -> Iterator[list[str]]:
     udp, tcp, nobody = (free_port() for _ in range(3))
     command = [sys.executable, "-m", "sim_link", "--autopilot", autopilot, "--quiet"]
     command += ["--listen", f"127.0.0.1:{udp}", "--send-to", f"127.0.0.1:{nobody}"]
-    command += ["--link", f"tcpin:127.0.0.1:{tcp}", "--stop-on-eof"]
+    command += ["--link", f"tcpin:127.0.0.1:{tcp}", "--share-ports", "--stop-on-eof"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         process.stdout.readline()

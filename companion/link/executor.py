@@ -98,7 +98,7 @@ class SessionExecutor:
             case mavlink.MAVLink_statustext_message() if self._text_limit.acquire(now_s):
                 raw = message.text
                 words = raw.decode("utf-8", errors="replace") if isinstance(raw, bytes) else raw
-                shown = "".join(c if c.isprintable() else "?" for c in words)
+                shown = "".join(c if c.isprintable() else "?" for c in words.rstrip())
                 fields = {"text": shown, "dropped": self._text_limit.refused}
                 self.journal.record("autopilot_text", fields, now_s)
 

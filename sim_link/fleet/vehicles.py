@@ -73,8 +73,12 @@ class Fleet:
 
 STATION_PORT = 14550
 """UDP port of ground stations, the same for every vehicle."""
-STATION_LISTEN_OFFSET = 3990
-"""PX4 sends to stations from 18570, to companions from 14580."""
+PX4_PORTS: dict[int, tuple[LinkMode, int]] = {
+    STATION_PORT: ("station", 3990),
+    14030: ("narrow", -300),
+}
+"""By the port that PX4 sends to: whom for, and how far the port it sends from is above 14580, which
+is for companions."""
 MAX_PORT = 65_535
 MAX_SYSTEM_ID = 255
 SAVE_PERIOD_S = 1.0
@@ -152,16 +156,16 @@ def is_px4(options: FleetOptions) -> bool:
 def udp_ports(options: FleetOptions) -> list[tuple[LinkMode | None, int, tuple[Address, ...]]]:
     """The UDP links of the first vehicle: whom for, the port that is bound, where it sends unasked.
 
-    PX4 has one for companions and one for ground stations, where it is to send to both.
+    PX4 has one for companions and one for each of `PX4_PORTS` that it is to send to.
     """
-    listen = options.listen[1]
-    stations = tuple(each for each in options.send_to if each[1] == STATION_PORT)
-    others = tuple(each for each in options.send_to if each not in stations)
-    if not is_px4(options) or not stations:
-        return [(None, listen, options.send_to)]
-    if not others:
-        return [("station", listen, stations)]
-    return [(None, listen, others), ("station", listen + STATION_LISTEN_OFFSET, stations)]
+    listen, special = options.listen[1], PX4_PORTS if is_px4(options) else {}
+    others = tuple(each for each in options.send_to if each[1] not in special)
+    ports: list[tuple[LinkMode | None, int, tuple[Address, ...]]] = [(None, listen, others)]
+    for to, (mode, above) in special.items():
+        addresses = tuple(each for each in options.send_to if each[1] == to)
+        if addresses:
+            ports.append((mode, listen + above, addresses))
+    return ports
 
 
 def link_specs(options: FleetOptions, number: int) -> list[Transport]:

@@ -46,9 +46,11 @@ PX4_LAND = "long MAV_CMD_DO_SET_MODE 1 4 6 0 0 0 0"
 
 
 @contextmanager
-def connected(flavour: str, directory: Path, listen_port: int | None = None) -> Iterator[MavProxy]:
+def connected(
+    flavour: str, directory: Path, listen_port: int | None = None, *options: str
+) -> Iterator[MavProxy]:
     """MAVProxy on a running simulator, with all parameters read."""
-    simulator = running_simulator(flavour, SPEED[flavour], listen_port, bears_s=60.0)
+    simulator = running_simulator(flavour, SPEED[flavour], listen_port, *options, bears_s=60.0)
     with simulator as port, MavProxy(directory, *master_at(port)) as mavproxy:
         mavproxy.expect("Detected vehicle 1:1")
         mavproxy.expect(r"Received \d+ parameters")
@@ -178,7 +180,8 @@ def listed_parameters(station: Any) -> dict[str, float]:
 def test_mavproxy_and_pymavlink_list_and_set_the_companions_parameters(tmp_path: Path) -> None:
     vehicle, own = free_port(), free_port()
     links = ("--connect", f"udpout:127.0.0.1:{vehicle}", "--gcs", f"udpout:127.0.0.1:{own}")
-    with connected("px4", tmp_path, vehicle) as mavproxy, running_companion(tmp_path, *links):
+    simulator = connected("px4", tmp_path, vehicle, "--share-ports")
+    with simulator as mavproxy, running_companion(tmp_path, *links):
         station = station_on(own)
         mavproxy.expect("Detected vehicle 1:191")
         mavproxy.ask("vehicle 1:191", rf"Received {len(TUNABLES)} parameters")

@@ -61,9 +61,14 @@ class ParamSpec:
         )
 
 
+def read_rows(package: str, name: str) -> list[dict[str, str]]:
+    """The rows of a CSV file of a package."""
+    text = files(package).joinpath(name).read_text(encoding="utf-8")
+    return list(csv.DictReader(text.splitlines()))
+
+
 def read_specs(package: str) -> tuple[ParamSpec, ...]:
     """The parameters in a package's `parameters.csv`, in the order of their indices."""
-    text = files(package).joinpath("parameters.csv").read_text(encoding="utf-8")
     return tuple(
         ParamSpec(
             row["name"],
@@ -74,7 +79,7 @@ def read_specs(package: str) -> tuple[ParamSpec, ...]:
             row["unit"],
             is_read_only=row["access"] == "read",
         )
-        for row in csv.DictReader(text.splitlines())
+        for row in read_rows(package, "parameters.csv")
     )
 
 

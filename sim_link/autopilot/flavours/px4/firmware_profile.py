@@ -11,8 +11,6 @@ its narrow one, or (mode Custom) nothing but HEARTBEAT.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from companion.mav.dialect import mavlink
 from companion.mav.param_encoding import ParamEncoding
 from sim_link.autopilot.flavours.base import DENIED, FAILED, Firmware
@@ -20,7 +18,7 @@ from sim_link.autopilot.pilot import STEP_S, SpeedLimits
 from sim_link.autopilot.protocols.command_protocol import CommandForms, CommandResult
 from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules, message_ids
 from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
-from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_specs
+from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.protocols.plan_items import PlanType
 from sim_link.autopilot.protocols.plan_rules import PlanChecks, PlanRules, commands_named
 from sim_link.autopilot.scenario import LossAction, Scenario
@@ -55,39 +53,16 @@ def px4_parameters(scenario: Scenario) -> ParameterStore:
     return ParameterStore(PX4_PARAMETERS, initial | autopilot.parameters)
 
 
-def rates_hz(names_by_rate: Mapping[float, str]) -> dict[int, float]:
-    """Message id to rate, from rates with the names of their messages."""
-    named = names_by_rate.items()
-    return {number: rate_hz for rate_hz, names in named for number in message_ids(names)}
+def _rates_hz(link: str) -> dict[int, float]:
+    """Of a kind of link by message id; 0 for what comes only on request."""
+    rows = read_rows("sim_link.autopilot.flavours.px4", "streams.csv")
+    return {message_ids(row["message"])[0]: float(row[f"{link}_hz"]) for row in rows}
 
 
-ONBOARD_HZ = rates_hz(
-    {
-        1.0: "HEARTBEAT ESTIMATOR_STATUS MISSION_CURRENT PING SYSTEM_TIME",
-        50.0: "ATTITUDE ATTITUDE_QUATERNION GLOBAL_POSITION_INT HIGHRES_IMU",
-        30.0: "LOCAL_POSITION_NED ODOMETRY",
-        10.0: "ALTITUDE ATTITUDE_TARGET DISTANCE_SENSOR POSITION_TARGET_LOCAL_NED "
-        "SERVO_OUTPUT_RAW TIMESYNC VFR_HUD",
-        8.0: "GPS_RAW_INT",
-        5.0: "EXTENDED_SYS_STATE RC_CHANNELS SYS_STATUS",
-        0.5: "BATTERY_STATUS HOME_POSITION",
-        0.0: "AUTOPILOT_VERSION GPS_GLOBAL_ORIGIN NAV_CONTROLLER_OUTPUT POSITION_TARGET_GLOBAL_INT",
-    }
-)
-"""As measured on 14540, ATTITUDE's 98 Hz limited to a message per physics step; 0: only on
-request. RC_CHANNELS come while there is a remote control."""
-STATION_HZ = rates_hz(
-    {
-        50.0: "LOCAL_POSITION_NED POSITION_TARGET_LOCAL_NED",
-        24.0: "ATTITUDE ATTITUDE_QUATERNION GLOBAL_POSITION_INT",
-        10.0: "SERVO_OUTPUT_RAW",
-        5.0: "ATTITUDE_TARGET GPS_RAW_INT RC_CHANNELS",
-        4.0: "VFR_HUD",
-        1.0: "ALTITUDE EXTENDED_SYS_STATE HEARTBEAT MISSION_CURRENT SYS_STATUS",
-        0.5: "BATTERY_STATUS ESTIMATOR_STATUS HOME_POSITION",
-        0.1: "PING",
-    }
-)
+ONBOARD_HZ = _rates_hz("onboard")
+"""As measured on 14540, ATTITUDE's 98 Hz limited to a message per physics step. RC_CHANNELS come
+while there is a remote control."""
+STATION_HZ = _rates_hz("station")
 """Measured on 14550: ATTITUDE, LOCAL_POSITION_NED, GPS_RAW_INT, VFR_HUD, HEARTBEAT, PING; the
 others make up the 154 messages a second that came in all."""
 HEARTBEAT_ONLY_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}

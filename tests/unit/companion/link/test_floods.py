@@ -206,6 +206,13 @@ def test_a_flood_of_texts_is_noted_in_part_and_harmless() -> None:
     assert all(str(f["text"]).isprintable() for f in records)
 
 
+def test_the_tab_behind_texts_of_px4_is_left_out() -> None:
+    wire = Wire().ready()
+    wire.say(mavlink.MAVLink_statustext_message(2, b"Failsafe activated\t", 0, 0))
+    (record,) = [f for kind, f in wire.journal.records if kind == "autopilot_text"]
+    assert record["text"] == "Failsafe activated"
+
+
 ALL_COMMANDS = sorted(mavlink.enums["MAV_CMD"])
 
 
