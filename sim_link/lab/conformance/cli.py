@@ -33,8 +33,7 @@ from companion.io.links.transports import (
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
 from sim_link.fleet.console import ComplaintParser
-from sim_link.lab.conformance.companion_identity_rules import IdentityRules, RequestRules
-from sim_link.lab.conformance.companion_setpoint_rules import SetpointRules
+from sim_link.lab.conformance import companion_identity_rules, companion_setpoint_rules
 from sim_link.lab.conformance.rule_run import RuleRun, RunOptions
 from sim_link.lab.conformance.rules import (
     CHANGE_FLAG,
@@ -42,10 +41,12 @@ from sim_link.lab.conformance.rules import (
     EXIT_FAILED,
     FLIGHT_FLAG,
     HARM_FLAG,
+    Effect,
     Flavour,
     NotApplicable,
     Role,
     Rule,
+    RuleBook,
     exit_code,
     line,
     listing,
@@ -54,54 +55,43 @@ from sim_link.lab.conformance.rules import (
     summary,
 )
 from sim_link.lab.conformance.vehicle_probe import SILENCE_S
-from sim_link.lab.conformance.vehicle_rules.command_rules import ArmingRules, CommandRules
-from sim_link.lab.conformance.vehicle_rules.connection_rules import HeartbeatRules, RoutingRules
-from sim_link.lab.conformance.vehicle_rules.flight_rules import FailsafeRules, FlightRules
-from sim_link.lab.conformance.vehicle_rules.frame_rules import FrameRules
-from sim_link.lab.conformance.vehicle_rules.mission_rules import MissionRules
-from sim_link.lab.conformance.vehicle_rules.parameter_rules import ParameterRules
-from sim_link.lab.conformance.vehicle_rules.setpoint_mode_rules import (
-    GuidedRules,
-    OffboardLossRules,
-)
-from sim_link.lab.conformance.vehicle_rules.setpoint_rules import OffboardRules
-from sim_link.lab.conformance.vehicle_rules.signing_rules import ClockRules, SigningRules
-from sim_link.lab.conformance.vehicle_rules.telemetry_rules import StreamRules, TelemetryRules
-from sim_link.lab.conformance.vehicle_rules.upload_rules import (
-    FenceRules,
-    PlanResultRules,
-    UploadRules,
+from sim_link.lab.conformance.vehicle_rules import (
+    command_rules,
+    connection_rules,
+    flight_rules,
+    frame_rules,
+    mission_rules,
+    parameter_rules,
+    setpoint_mode_rules,
+    setpoint_rules,
+    signing_rules,
+    telemetry_rules,
+    upload_rules,
 )
 
-BOOKS = (
-    FrameRules.book,
-    HeartbeatRules.book,
-    RoutingRules.book,
-    SigningRules.book,
-    CommandRules.book,
-    ClockRules.book,
-    StreamRules.book,
-    TelemetryRules.book,
-    ParameterRules.book,
-    MissionRules.book,
-    UploadRules.book,
-    PlanResultRules.book,
-    FenceRules.book,
-    ArmingRules.book,
-    FlightRules.book,
-    OffboardRules.book,
-    OffboardLossRules.book,
-    GuidedRules.book,
-    FailsafeRules.book,
-    IdentityRules.book,
-    RequestRules.book,
-    SetpointRules.book,
+MODULES = (
+    frame_rules,
+    connection_rules,
+    signing_rules,
+    command_rules,
+    telemetry_rules,
+    parameter_rules,
+    mission_rules,
+    upload_rules,
+    flight_rules,
+    setpoint_rules,
+    setpoint_mode_rules,
+    companion_identity_rules,
+    companion_setpoint_rules,
 )
 
 
 def all_rules() -> list[Rule]:
-    """Every rule of every role."""
-    return [rule for book in BOOKS for rule in book.rules]
+    """Every rule of every role: first those that only ask, last those that fly."""
+    books = (getattr(each, "book", None) for module in MODULES for each in vars(module).values())
+    rules = {r.rule_id: r for book in books if isinstance(book, RuleBook) for r in book.rules}
+    order = list(Effect)
+    return sorted(rules.values(), key=lambda rule: order.index(rule.effect))
 
 
 CONNECT_GRACE_S = 0.3

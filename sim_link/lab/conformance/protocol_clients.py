@@ -291,8 +291,7 @@ class PlanClient(ParameterClient):
         require(found == places, f"the mission is {found}, not {places}")
 
     def prepare(self, count: int = 3) -> list[MissionItem]:
-        """Get ready and upload a mission; the items without home."""
-        self.get_ready()
+        """Upload a mission; the items without home."""
         items = self.square(count)
         self.require_upload(items)
         return self.without_home(items)

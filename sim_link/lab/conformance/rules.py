@@ -136,9 +136,15 @@ class RuleBook:
     """The class whose methods the rules are."""
 
     def __init__(
-        self, group: str, effect: Effect = Effect.ASKS, flavours: frozenset[Flavour] = BOTH
+        self,
+        group: str,
+        effect: Effect = Effect.ASKS,
+        flavours: frozenset[Flavour] = BOTH,
+        begin: Probe = lambda _: None,
     ) -> None:
         self.rules: list[Rule] = []
+        self.begin = begin
+        """What every rule of the group begins with."""
         self._group, self._effect, self._flavours = group, effect, flavours
 
     def __set_name__(self, owner: type[Any], name: str) -> None:
@@ -151,9 +157,8 @@ class RuleBook:
         effect: Effect | None = None,
         flavours: frozenset[Flavour] | None = None,
         harms: bool = False,
-        says: str = "",
     ) -> Callable[[Probe], Probe]:
-        """Make the decorated method a rule, named as it is and stated by its docstring or `says`.
+        """Make the decorated method a rule, named as it is and stated by its docstring.
 
         `source` is the page, file or measurement that says so.
         """
@@ -161,7 +166,7 @@ class RuleBook:
         def register(probe: Probe) -> Probe:
             rule = Rule(
                 rule_id=f"{self._group}.{probe.__name__}",
-                statement=says or (probe.__doc__ or "").strip().partition("\n")[0],
+                statement=(probe.__doc__ or "").strip().partition("\n")[0],
                 source=source,
                 book=self,
                 effect=effect or self._effect,
@@ -231,6 +236,7 @@ def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
     started_s = probe.now_s
     verdict, detail = RuleVerdict.PASS, ""
     try:
+        rule.book.begin(probe)
         rule.probe(probe)
     except Violation as violation:
         note = rule.deviation(probe.flavour)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 
 from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
@@ -349,3 +350,22 @@ class ArmingRules(VehicleProbe):
         self.run(5.0)
         require(self.is_armed(), "disarmed after 5 s already")
         self.await_disarmed(9.0)
+
+    @book.rule("MAVLink common, STATUSTEXT (chunks)")
+    def texts_are_well_formed(self) -> None:
+        """A text is one message with id 0, or chunks 0, 1, ... of one id that end short."""
+        self.command(mav.ARM, 1.0, 0.0)
+        self.set_mode("land")
+        self.command(mav.ARM, 1.0, 0.0)
+        self.run(2.0)
+        texts = self.from_vehicle(mav.StatusText)
+        assume(bool(texts), "it says nothing")
+        chunks: Counter[int] = Counter()
+        for text in texts:
+            require(text.severity <= 7, f"severity {text.severity}")
+            if text.id == 0:
+                require(text.chunk_seq == 0, f"chunk {text.chunk_seq} of a single text")
+                continue
+            due = chunks[text.id]
+            require(text.chunk_seq == due, f"chunk {text.chunk_seq} where {due} was due")
+            chunks[text.id] += 1

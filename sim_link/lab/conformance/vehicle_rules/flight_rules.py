@@ -49,15 +49,9 @@ class FlightRules(VehicleProbe):
         climbed_m = before - self.place()[2]
         require(1.5 < climbed_m < 11.0, f"climbed {climbed_m:.1f} m")
 
-    @book.rule(
-        f"{mav.OBSERVED_ARDUPILOT} {STRICT}",
-        flavours=ARDUPILOT,
-        says="NAV_TAKEOFF with NaN, zero or a negative altitude is refused: it would climb "
-        "without end.",
-        harms=True,
-    )
+    @book.rule(f"{mav.OBSERVED_ARDUPILOT} {STRICT}", flavours=ARDUPILOT, harms=True)
     def takeoff_without_altitude_is_refused(self) -> None:
-        """NAV_TAKEOFF with NaN, zero or a negative altitude is refused."""
+        """NAV_TAKEOFF with NaN, zero or less is refused: it would climb without end."""
         self.arm()
         for altitude in (mav.NAN, 0.0, -5.0, math.inf):
             self.require_result(REFUSALS, TAKE_OFF, 0, 0, 0, 0, 0, 0, altitude)
@@ -114,13 +108,9 @@ class FlightRules(VehicleProbe):
         distance_m = math.dist(self.place()[:2], (home.x, home.y))
         require(distance_m < 2.0, f"{distance_m:.1f} m from home")
 
-    @book.rule(
-        "MAVLink common, MAV_CMD_DO_REPOSITION; MAVSDK action.goto_location",
-        says="DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its latitude, longitude and "
-        "altitude.",
-    )
+    @book.rule("MAVLink common, MAV_CMD_DO_REPOSITION; MAVSDK action.goto_location")
     def reposition_flies_there(self) -> None:
-        """DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its place."""
+        """DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its place and altitude."""
         self.take_off()
         self.watch(mav.GlobalPosition, 0.1)
         here = self.latest(mav.GlobalPosition)
@@ -237,14 +227,9 @@ class FailsafeRules(ParameterClient, SetpointClient):
             status = self.heartbeat().system_status
         require(status == mav.CRITICAL, f"system_status {status}")
 
-    @book.rule(
-        f"{mav.OBSERVED_ARDUPILOT}, FS_GCS_ENABLE, SYSID_MYGCS",
-        flavours=ARDUPILOT,
-        says="With FS_GCS_ENABLE, five seconds without the ground station's heartbeat: RTL, "
-        "CRITICAL.",
-    )
+    @book.rule(f"{mav.OBSERVED_ARDUPILOT}, FS_GCS_ENABLE, SYSID_MYGCS", flavours=ARDUPILOT)
     def lost_ground_station_returns(self) -> None:
-        """With FS_GCS_ENABLE, five seconds without a ground station end in RTL."""
+        """FS_GCS_ENABLE: five seconds without a ground station's heartbeat end in RTL, CRITICAL."""
         self.change("FS_GCS_ENABLE", 1.0)
         self.take_off()
         mark = self.mark

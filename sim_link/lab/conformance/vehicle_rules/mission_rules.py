@@ -10,7 +10,7 @@ from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.protocol_clients import REQUESTS, PlanClient, waypoint
 from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, require
 from sim_link.lab.conformance.station import brief
-from sim_link.lab.conformance.vehicle_probe import ACK_S
+from sim_link.lab.conformance.vehicle_probe import ACK_S, VehicleProbe
 
 SERVICE = "MAVLink guide, Mission Protocol"
 SET_CURRENT = mavlink.MAV_CMD_DO_SET_MISSION_CURRENT
@@ -19,7 +19,7 @@ SET_CURRENT = mavlink.MAV_CMD_DO_SET_MISSION_CURRENT
 class MissionRules(PlanClient):
     """Missions that go right."""
 
-    book = RuleBook("missions", CHANGES)
+    book = RuleBook("missions", CHANGES, begin=VehicleProbe.get_ready)
 
     @book.rule(SERVICE)
     def uploaded_mission_can_be_downloaded(self) -> None:
@@ -29,7 +29,6 @@ class MissionRules(PlanClient):
     @book.rule(SERVICE)
     def every_field_survives(self) -> None:
         """Frame, parameters (a NaN yaw, too) and autocontinue survive a round trip."""
-        self.get_ready()
         home = self.home()
         item = waypoint(home.latitude + 900, home.longitude + 900, 12.5)
         item = replace(item, params=(2.0, 1.5, 0.0, mav.NAN))
@@ -48,7 +47,6 @@ class MissionRules(PlanClient):
     @book.rule(SERVICE)
     def scaled_integers_in_plain_frames_are_accepted(self) -> None:
         """MISSION_ITEM_INT in frames 0 and 3, as MAVProxy and PX4 clients send it, is accepted."""
-        self.get_ready()
         home = self.home()
         amsl_m = home.altitude / 1e3 + 10.0
         items = [
@@ -61,7 +59,6 @@ class MissionRules(PlanClient):
     @book.rule(SERVICE, flavours=ARDUPILOT)
     def item_zero_is_home(self) -> None:
         """Item 0 is home, whatever is uploaded there."""
-        self.get_ready()
         home = self.home()
         items = self.square(2)
         items[0] = waypoint(123_456_789, 98_765_432, 77.0)
@@ -73,7 +70,6 @@ class MissionRules(PlanClient):
     @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}; {mav.OBSERVED_ARDUPILOT}")
     def items_are_requested_in_order(self) -> None:
         """Items are requested one by one from 0, with the flavour's message, then acknowledged."""
-        self.get_ready()
         items = self.square(3)
         kind = REQUESTS[1 if self.is_px4 else 0]
         self.send_count(len(items))
@@ -153,7 +149,6 @@ class MissionRules(PlanClient):
     @book.rule(SERVICE)
     def empty_plan_has_count_zero(self) -> None:
         """A download without a plan is answered by MISSION_COUNT 0 (1 with ArduPilot's home)."""
-        self.get_ready()
         self.clear()
         self.require_stored([])
         self.clear(mav.FENCE)
@@ -194,7 +189,6 @@ class MissionRules(PlanClient):
     @book.rule(f"{SERVICE}, Rally Points")
     def rally_points_survive(self) -> None:
         """A rally point comes back where it was put."""
-        self.get_ready()
         (wanted,) = self.rally()
         self.require_upload([wanted], mav.RALLY)
         found = [item.place for item in self.download(mav.RALLY)]
@@ -223,7 +217,6 @@ class MissionRules(PlanClient):
     @book.rule(f"{SERVICE} (MISSION_CURRENT)", flavours=PX4)
     def mission_current_tells_total_and_state(self) -> None:
         """MISSION_CURRENT tells the total and the state: none, then not started."""
-        self.get_ready()
         self.clear()
         self.run(1.5)
         state = self.request(mav.Current).mission_state
@@ -234,14 +227,9 @@ class MissionRules(PlanClient):
         require(told.total == 3, f"total {told.total}")
         require(told.mission_state in (0, 2), f"state {told.mission_state}")
 
-    @book.rule(
-        f"{SERVICE}; MAVSDK mission progress",
-        effect=FLIES,
-        says="A started mission reaches its items in order, told by MISSION_CURRENT and "
-        "_ITEM_REACHED.",
-    )
+    @book.rule(f"{SERVICE}; MAVSDK mission progress", effect=FLIES)
     def mission_is_flown_and_reported(self) -> None:
-        """A started mission reaches its items in order and tells so."""
+        """A started mission reaches its items in order, as MISSION_ITEM_REACHED tells."""
         items = self.prepare(3)
         first = 0 if self.is_px4 else 1
         self.watch(mav.Current, 0.5)

@@ -180,15 +180,9 @@ class ParameterRules(ParameterClient):
         """NaN and infinity are not stored."""
         self._require_kept(self.float_name, 0.3, NAN, math.inf, -math.inf)
 
-    @book.rule(
-        STRICT,
-        effect=CHANGES,
-        says="PARAM_SET with a value that is not stored is answered by PARAM_VALUE with the old "
-        "value.",
-        harms=True,
-    )
+    @book.rule(STRICT, effect=CHANGES, harms=True)
     def refused_value_is_answered_by_the_old_one(self) -> None:
-        """PARAM_SET with a value that is not stored is answered by the old one."""
+        """PARAM_SET of a value that is not stored is answered by a PARAM_VALUE of the old one."""
         before = self.read(self.float_name)
         self.write(before.name, NAN, REAL32)
         mark = self.asked

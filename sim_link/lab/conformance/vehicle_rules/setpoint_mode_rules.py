@@ -9,7 +9,7 @@ from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import GlobalSetpoint, LocalSetpoint
 from sim_link.lab.conformance.protocol_clients import ParameterClient, PlanClient, SetpointClient
 from sim_link.lab.conformance.rules import ARDUPILOT, FLIES, PX4, RuleBook, require
-from sim_link.lab.conformance.vehicle_probe import require_unmoved
+from sim_link.lab.conformance.vehicle_probe import VehicleProbe, require_unmoved
 from sim_link.lab.conformance.vehicle_rules.setpoint_rules import invalid_setpoints
 
 GUIDED = "ArduPilot wiki, Copter Commands in Guided Mode; ArduCopter 4.5, observed in SITL"
@@ -19,7 +19,7 @@ GUID_TIMEOUT_S = 3.0
 class GuidedRules(SetpointClient, PlanClient):
     """ArduCopter's GUIDED."""
 
-    book = RuleBook("guided", FLIES, ARDUPILOT)
+    book = RuleBook("guided", FLIES, ARDUPILOT, VehicleProbe.take_off)
 
     def _require_stopped(self, when: str, limit_mps: float = 0.5) -> None:
         speed_mps = math.hypot(*self.speed())
@@ -28,23 +28,13 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def guided_needs_no_stream(self) -> None:
         """GUIDED is given without setpoints, and kept without them."""
-        self.take_off()
         self.run(10.0)
         require(self.is_in("offboard"), "it left GUIDED")
         require(self.is_armed(), "it disarmed")
 
     @book.rule(GUIDED)
-    def setpoint_before_take_off_does_nothing(self) -> None:
-        """Armed on the ground, setpoints do nothing: NAV_TAKEOFF comes first."""
-        self.arm()
-        before = self.place()
-        self.fly(LocalSetpoint((before[0] + 10.0, before[1], before[2] - 10.0)), 5.0)
-        require_unmoved(before, self.place(), 1.0)
-
-    @book.rule(GUIDED)
     def one_position_is_flown_and_held(self) -> None:
         """One position message is flown to its end and held, without any stream."""
-        self.take_off()
         north, east, down = self.place()
         wanted = (north + 25.0, east, down)
         self.send_setpoint(LocalSetpoint(wanted))
@@ -55,7 +45,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(f"{GUIDED}; GUID_TIMEOUT")
     def velocity_times_out(self) -> None:
         """A velocity without a stream is flown for 3 s, then stopped; the mode stays GUIDED."""
-        self.take_off()
         self.send_setpoint(LocalSetpoint(velocity_mps=(3.0, 0.0, 0.0), mask=mav.VELOCITY))
         self.run(2.5)
         speed_mps = self.speed()[0]
@@ -67,7 +56,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def slow_velocity_stream_is_enough(self) -> None:
         """A velocity every 2 s keeps the vehicle moving."""
-        self.take_off()
         setpoint = LocalSetpoint(velocity_mps=(2.0, 0.0, 0.0), mask=mav.VELOCITY)
         stop = self.stream(setpoint, period_s=2.0)
         self.run(3.0)
@@ -80,7 +68,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def acceleration_times_out(self) -> None:
         """An acceleration without a stream ends after 3 s, and the vehicle stops."""
-        self.take_off()
         setpoint = LocalSetpoint(acceleration_mps2=(1.0, 0.0, 0.0), mask=mav.ACCELERATION)
         self.send_setpoint(setpoint)
         self.run(GUID_TIMEOUT_S + 6.0)
@@ -89,7 +76,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(f"{GUIDED}, type_mask")
     def one_masked_axis_masks_the_group(self) -> None:
         """One ignored axis ignores its whole group; with nothing left the vehicle stops."""
-        self.take_off()
         before = self.place()
         for bit in (1, 2, 4):
             far = (before[0] + 30.0, *before[1:])
@@ -100,7 +86,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(f"{GUIDED}, coordinate_frame")
     def offset_frames_are_relative(self) -> None:
         """LOCAL_OFFSET_NED, BODY_NED and BODY_OFFSET_NED positions count from the vehicle."""
-        self.take_off()
         for frame in (mav.LOCAL_OFFSET, mav.BODY_NED, mav.BODY_OFFSET):
             north, east, down = self.place()
             yaw = 0.0 if frame == mav.LOCAL_OFFSET else self.yaw()
@@ -112,7 +97,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(f"{GUIDED}, coordinate_frame")
     def foreign_frame_stops_the_vehicle(self) -> None:
         """A setpoint in a frame that is not known stops the vehicle."""
-        self.take_off()
         self.fly(LocalSetpoint(velocity_mps=(3.0, 0.0, 0.0), mask=mav.VELOCITY), 3.0)
         self.send_setpoint(LocalSetpoint((50.0, 0.0, -10.0), frame=20))
         self.run(2.5)
@@ -121,7 +105,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def global_frames_without_int_are_accepted(self) -> None:
         """GLOBAL_INT setpoints are flown in frames 0 and 3 as in 5 and 6."""
-        self.take_off()
         origin, home = self.origin(), self.home()
         north, east, down = self.place()
         for number, frame in enumerate((0, 3)):
@@ -135,7 +118,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(f"{GUIDED}; ArduPilot wiki, Fences")
     def destination_outside_the_fence_is_refused(self) -> None:
         """Outside the fence a position is ignored and DO_REPOSITION fails."""
-        self.take_off()
         self.require_upload(self.circle(40.0), mav.FENCE)
         self.enable_fence()
         before = self.place()
@@ -150,7 +132,6 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def running_stream_acts_when_guided_returns(self) -> None:
         """A stream that never stopped acts at once when GUIDED is chosen again."""
-        self.take_off()
         north, east, down = self.place()
         wanted = (north + 15.0, east, down)
         self.require_mode("loiter")

@@ -8,7 +8,7 @@ from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import GlobalSetpoint, LocalSetpoint, Triple
 from sim_link.lab.conformance.protocol_clients import Setpoint, SetpointClient
-from sim_link.lab.conformance.rules import FLIES, RuleBook, require
+from sim_link.lab.conformance.rules import ARDUPILOT, FLIES, RuleBook, require
 from sim_link.lab.conformance.vehicle_probe import require_unmoved
 
 COMMON = "MAVLink common, SET_POSITION_TARGET_LOCAL_NED"
@@ -156,6 +156,14 @@ class OffboardRules(SetpointClient):
         before = self.place()
         self.fly(LocalSetpoint((before[0] + 30.0, before[1], before[2] - 10.0)), 3.0)
         require(not self.is_armed(), "it is armed")
+        require_unmoved(before, self.place(), 1.0)
+
+    @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
+    def setpoint_before_take_off_moves_nothing(self) -> None:
+        """Armed on the ground, setpoints do nothing: NAV_TAKEOFF comes first."""
+        self.arm()
+        before = self.place()
+        self.fly(LocalSetpoint((before[0] + 10.0, before[1], before[2] - 10.0)), 5.0)
         require_unmoved(before, self.place(), 1.0)
 
     @book.rule(f"{LOCAL} (stricter: no terrain or 0/0 without terrain data)", harms=True)

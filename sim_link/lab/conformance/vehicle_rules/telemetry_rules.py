@@ -155,29 +155,20 @@ class StreamRules(VehicleProbe):
 class TelemetryRules(VehicleProbe):
     """What telemetry says."""
 
-    book = RuleBook("telemetry")
+    book = RuleBook("telemetry", begin=VehicleProbe.get_ready)
 
-    @book.rule(
-        f"{COMMON}, MAV_SYS_STATUS_SENSOR; MAVSDK health",
-        says="SYS_STATUS shows gyro, accelerometer, magnetometer, barometer, GPS and battery as "
-        "healthy.",
-    )
+    @book.rule(f"{COMMON}, MAV_SYS_STATUS_SENSOR; MAVSDK health")
     def sensor_bits_are_told(self) -> None:
-        """SYS_STATUS shows every sensor as healthy."""
-        self.get_ready()
+        """SYS_STATUS shows gyro, accelerometer, compass, barometer, GPS and battery as healthy."""
         status = self.latest(mav.SysStatus)
         needed = 1 | 2 | 4 | 8 | 32 | 0x2000000 | mav.PREARM
         for name in ("present", "health"):
             bits = getattr(status, f"onboard_control_sensors_{name}")
             require(bits & needed == needed, f"{name} {bits:#x} lacks {needed & ~bits:#x}")
 
-    @book.rule(
-        f"{COMMON}, SYS_STATUS, BATTERY_STATUS",
-        says="The battery has a voltage of some cells and 0 to 100 % left, or says that it is "
-        "unknown.",
-    )
+    @book.rule(f"{COMMON}, SYS_STATUS, BATTERY_STATUS")
     def battery_makes_sense(self) -> None:
-        """The battery has a voltage of some cells and 0 to 100 % left."""
+        """The battery has a voltage of some cells and 0 to 100 % left, or tells it as unknown."""
         self.watch(mav.SysStatus, 0.5)
         status = self.latest(mav.SysStatus)
         millivolts, percent = status.voltage_battery, status.battery_remaining
@@ -188,14 +179,12 @@ class TelemetryRules(VehicleProbe):
     def landed_state_on_the_ground(self) -> None:
         """On the ground EXTENDED_SYS_STATE says ON_GROUND."""
         self.require_disarmed()
-        self.get_ready()
         state = self.request(mav.SysState)
         require(state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND, brief(state))
 
     @book.rule(f"{COMMON}, GLOBAL_POSITION_INT, LOCAL_POSITION_NED, GPS_GLOBAL_ORIGIN")
     def local_and_global_position_agree(self) -> None:
         """LOCAL_POSITION_NED about GPS_GLOBAL_ORIGIN is GLOBAL_POSITION_INT."""
-        self.get_ready()
         origin = self.origin()
         self.watch(mav.GlobalPosition, 0.1)
         report = self.latest(mav.GlobalPosition)
@@ -210,7 +199,6 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, GLOBAL_POSITION_INT, HOME_POSITION")
     def relative_altitude_is_above_home(self) -> None:
         """relative_alt is the altitude above home's."""
-        self.get_ready()
         home = self.home()
         report = self.request(mav.GlobalPosition)
         off_mm = report.relative_alt - (report.alt - home.altitude)
@@ -219,7 +207,6 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, GLOBAL_POSITION_INT (65535: unknown)")
     def heading_is_in_range(self) -> None:
         """The field hdg is 0 to 35999 or unknown, and agrees with ATTITUDE.yaw."""
-        self.get_ready()
         heading, yaw = self.request(mav.GlobalPosition).hdg, self.yaw()
         require(heading <= 35_999 or heading == 65_535, f"hdg {heading}")
         if heading != 65_535:
@@ -229,7 +216,6 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, ATTITUDE, ATTITUDE_QUATERNION")
     def quaternion_and_angles_agree(self) -> None:
         """ATTITUDE_QUATERNION has length 1 and ATTITUDE's yaw."""
-        self.get_ready()
         q, wanted = self.request(mavlink.MAVLink_attitude_quaternion_message), self.yaw()
         length = math.hypot(q.q1, q.q2, q.q3, q.q4)
         require(abs(length - 1.0) < 0.01, f"length {length:.3f}")
@@ -240,7 +226,6 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON} (NaN only where a field says so)")
     def positions_are_finite(self) -> None:
         """Position, velocity and attitude are finite numbers."""
-        self.get_ready()
         for kind in (mav.LocalPosition, mav.Attitude, mavlink.MAVLink_vfr_hud_message):
             message = self.request(kind)
             for name in message.get_fieldnames():
@@ -250,7 +235,6 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, LOCAL_POSITION_NED.time_boot_ms")
     def boot_time_goes_with_the_clock(self) -> None:
         """time_boot_ms rises with time and is one clock for all messages."""
-        self.get_ready()
         first = self.request(mav.Attitude).time_boot_ms
         started_s = self.now_s
         self.run(3.0)
@@ -269,13 +253,9 @@ class TelemetryRules(VehicleProbe):
         other_ms = self.request(mav.Attitude).time_boot_ms
         require(abs(time_ms - other_ms) < 1_200, f"{time_ms} and {other_ms} ms")
 
-    @book.rule(
-        f"{COMMON}, AUTOPILOT_VERSION, MAV_PROTOCOL_CAPABILITY",
-        says="AUTOPILOT_VERSION tells missions, COMMAND_INT, both setpoints, fences and one "
-        "encoding.",
-    )
+    @book.rule(f"{COMMON}, AUTOPILOT_VERSION, MAV_PROTOCOL_CAPABILITY")
     def capabilities_are_told(self) -> None:
-        """AUTOPILOT_VERSION tells what clients use, and one encoding of parameters."""
+        """AUTOPILOT_VERSION tells missions, COMMAND_INT, setpoints, fences and one encoding."""
         told = self.request(mav.Version).capabilities
         for name, bit in CAPABILITIES.items():
             require(bool(told & bit), f"{name} is missing in {told:#x}")
@@ -288,7 +268,6 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, GPS_GLOBAL_ORIGIN, HOME_POSITION")
     def origin_and_home_come_on_request(self) -> None:
         """GPS_GLOBAL_ORIGIN and HOME_POSITION come when they are asked for."""
-        self.get_ready()
         for place in (self.origin(), self.home()):
             require(0 < abs(place.latitude) <= 900_000_000, brief(place))
 
@@ -297,7 +276,6 @@ class TelemetryRules(VehicleProbe):
     )
     def origin_can_be_set(self) -> None:
         """SET_GPS_GLOBAL_ORIGIN is answered by GPS_GLOBAL_ORIGIN with exactly its numbers."""
-        self.get_ready()
         before = self.origin()
         kept = (before.latitude, before.longitude, before.altitude)
         wanted = (before.latitude + 17, before.longitude - 13, before.altitude + 11)
@@ -316,7 +294,6 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, HOME_POSITION (sent when it changes)", effect=CHANGES)
     def moved_home_is_told_unasked(self) -> None:
         """After DO_SET_HOME a HOME_POSITION with the new place comes by itself."""
-        self.get_ready()
         home = self.home()
         self.set_interval(mav.HomePosition, -1.0)
         for latitude in (home.latitude + 450, home.latitude):
@@ -331,30 +308,10 @@ class TelemetryRules(VehicleProbe):
     @book.rule("MAVLink guide, Routing", effect=CHANGES)
     def origin_for_another_system_is_ignored(self) -> None:
         """SET_GPS_GLOBAL_ORIGIN for another system changes nothing."""
-        self.get_ready()
         before = self.origin()
         self.send(mav.SetOrigin(77, 100_000_000, 0, 0))
         self.run(0.5)
         require(self.origin().latitude == before.latitude, "the origin moved")
-
-    @book.rule(f"{COMMON}, STATUSTEXT (chunks)", effect=FLIES)
-    def texts_are_well_formed(self) -> None:
-        """A text is one message with id 0, or chunks 0, 1, ... of one id that end short."""
-        self.command(mav.ARM, 1.0, 0.0)
-        self.set_mode("land")
-        self.command(mav.ARM, 1.0, 0.0)
-        self.run(2.0)
-        texts = self.from_vehicle(mav.StatusText)
-        assume(bool(texts), "it says nothing")
-        chunks: Counter[int] = Counter()
-        for text in texts:
-            require(text.severity <= 7, f"severity {text.severity}")
-            if text.id == 0:
-                require(text.chunk_seq == 0, f"chunk {text.chunk_seq} of a single text")
-                continue
-            due = chunks[text.id]
-            require(text.chunk_seq == due, f"chunk {text.chunk_seq} where {due} was due")
-            chunks[text.id] += 1
 
     @book.rule(f"{COMMON}, EXTENDED_SYS_STATE", effect=FLIES)
     def landed_state_in_the_air(self) -> None:

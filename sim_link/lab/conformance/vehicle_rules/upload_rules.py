@@ -11,6 +11,7 @@ from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.protocol_clients import REQUESTS, MissionItem, PlanClient
 from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, require
+from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 
 SERVICE = "MAVLink guide, Mission Protocol"
 MISSION_RESULT = f"{SERVICE}, MAV_MISSION_RESULT"
@@ -19,7 +20,7 @@ MISSION_RESULT = f"{SERVICE}, MAV_MISSION_RESULT"
 class UploadRules(PlanClient):
     """Uploads that go wrong."""
 
-    book = RuleBook("uploads", CHANGES)
+    book = RuleBook("uploads", CHANGES, begin=VehicleProbe.get_ready)
 
     def _cancel(self) -> None:
         self.send(mav.PlanAck(*self.target, mav.PLAN_CANCELLED, mav.MISSION))
@@ -63,7 +64,6 @@ class UploadRules(PlanClient):
     @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
     def cancel_of_a_client_is_ignored(self) -> None:
         """A client's OPERATION_CANCELLED does not end an upload."""
-        self.get_ready()
         items = self.square(2)
         self.begin_upload(len(items))
         self._cancel()
@@ -74,7 +74,6 @@ class UploadRules(PlanClient):
     @book.rule(f"{SERVICE} (timeouts); {mav.OBSERVED_PX4}; {mav.OBSERVED_ARDUPILOT}")
     def unanswered_request_is_repeated_then_given_up(self) -> None:
         """A request without an answer is repeated, and given up in the end."""
-        self.get_ready()
         self.send_count(3)
         self.run(15.0)
         times = self.times(REQUESTS, self.asked)
@@ -92,7 +91,6 @@ class UploadRules(PlanClient):
     @book.rule(SERVICE)
     def item_out_of_order_is_not_taken(self) -> None:
         """An item with another number than requested is not taken for it."""
-        self.get_ready()
         items = self.square(3)
         self.begin_upload(len(items))
         self.send_item(items[2], 2)
@@ -108,7 +106,6 @@ class UploadRules(PlanClient):
     @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}", flavours=PX4)
     def item_without_an_upload_is_an_error(self) -> None:
         """An item that nobody asked for is answered by an ACK with an error."""
-        self.get_ready()
         self.send_item(self.square(1)[0], 0)
         result = self.await_ack()
         require(result != 0, f"ACK {result}")
@@ -116,7 +113,6 @@ class UploadRules(PlanClient):
     @book.rule(f"{mav.OBSERVED_PX4}; the guide asks the client for that ACK", flavours=PX4)
     def unacknowledged_download_keeps_it_busy(self) -> None:
         """Until a client acknowledges a download, or for 5 s, an upload is answered ERROR."""
-        self.get_ready()
         self.clear()
         self.begin_download()
         self.send_count(1)
@@ -128,7 +124,6 @@ class UploadRules(PlanClient):
     @book.rule(f"{SERVICE}; MAVSDK mission_impl.cpp", flavours=PX4)
     def items_that_mavsdk_sends_are_accepted(self) -> None:
         """Waypoints in frame 6, DO_CHANGE_SPEED in MISSION frame and gimbal items are accepted."""
-        self.get_ready()
         place = replace(self.square(1)[0], params=(0.0, 1.0, 0.0, mav.NAN), current=1)
         frame, gimbal = mavlink.MAV_FRAME_MISSION, mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW
         items = [
@@ -147,7 +142,7 @@ class UploadRules(PlanClient):
 class PlanResultRules(PlanClient):
     """What plans are refused for."""
 
-    book = RuleBook("plan_results", CHANGES)
+    book = RuleBook("plan_results", CHANGES, begin=VehicleProbe.get_ready)
 
     def _require_refused(self, changes: dict[str, Any], *results: int) -> None:
         """A mission with one changed waypoint over home must be refused with one of the results."""
@@ -158,19 +153,16 @@ class PlanResultRules(PlanClient):
     @book.rule(MISSION_RESULT)
     def unknown_frame_is_refused(self) -> None:
         """A waypoint in a frame that is not known is refused as UNSUPPORTED_FRAME."""
-        self.get_ready()
         self._require_refused({"frame": 20}, mav.PLAN_UNSUPPORTED_FRAME)
 
     @book.rule(MISSION_RESULT)
     def unknown_mission_command_is_refused(self) -> None:
         """An item with a command that is not known is refused as UNSUPPORTED."""
-        self.get_ready()
         self._require_refused({"command": 31_999}, mav.PLAN_UNSUPPORTED)
 
     @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}", harms=True)
     def impossible_latitude_is_refused(self) -> None:
         """A waypoint at 100 degrees north is refused as INVALID_PARAM5_X."""
-        self.get_ready()
         self._require_refused(
             {"x": 1_000_000_000, "y": 85_000_000}, mav.PLAN_INVALID_X, mav.PLAN_INVALID
         )
@@ -178,14 +170,12 @@ class PlanResultRules(PlanClient):
     @book.rule(f"{MISSION_RESULT}; {mav.OBSERVED_ARDUPILOT}", harms=True)
     def impossible_altitude_is_refused(self) -> None:
         """A waypoint at a NaN or endless altitude is refused as INVALID_PARAM7."""
-        self.get_ready()
         for height_m in (mav.NAN, math.inf):
             self._require_refused({"z": height_m}, mav.PLAN_INVALID_Z, mav.PLAN_INVALID)
 
     @book.rule(f"{SERVICE}, MAV_MISSION_NO_SPACE")
     def endless_mission_is_refused(self) -> None:
         """More items than fit are refused as NO_SPACE, before any is requested."""
-        self.get_ready()
         self.send_count(65_535)
         result = self.await_ack()
         require(result == mav.PLAN_NO_SPACE, f"ACK {result}")
@@ -194,7 +184,7 @@ class PlanResultRules(PlanClient):
 class FenceRules(PlanClient):
     """Geofences."""
 
-    book = RuleBook("fences", CHANGES)
+    book = RuleBook("fences", CHANGES, begin=VehicleProbe.get_ready)
 
     def _require_fence_kept(self, wanted: list[MissionItem]) -> list[MissionItem]:
         """A fence that is uploaded must come back; its items as downloaded."""
@@ -207,7 +197,6 @@ class FenceRules(PlanClient):
     @book.rule(f"{SERVICE}, Geofence")
     def fences_survive(self) -> None:
         """A polygon and a circle come back with their vertex count and radius."""
-        self.get_ready()
         found = self._require_fence_kept(self.polygon() + self.circle())
         told = [item.params[0] for item in found]
         require(told == [4.0, 4.0, 4.0, 4.0, 500.0], f"param1 {told}")
@@ -215,7 +204,6 @@ class FenceRules(PlanClient):
     @book.rule(f"{SERVICE}, Geofence")
     def exclusions_survive(self) -> None:
         """Areas to stay out of come back as such, beside one to stay in."""
-        self.get_ready()
         (inside,) = self.circle()
         (hole,) = self.circle(10.0)
         circle = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
@@ -228,7 +216,6 @@ class FenceRules(PlanClient):
     @book.rule(f"{SERVICE}, Geofence")
     def broken_fence_is_refused(self) -> None:
         """A polygon that tells more vertices than it has is refused, and the old fence stays."""
-        self.get_ready()
         self.require_upload(self.circle(), mav.FENCE)
         require(self.upload(self.polygon(told=7.0), mav.FENCE) != 0, "accepted")
         found = self.download(mav.FENCE)
@@ -238,7 +225,6 @@ class FenceRules(PlanClient):
     @book.rule(SERVICE)
     def mission_item_in_a_fence_is_refused(self) -> None:
         """A waypoint is no part of a fence: UNSUPPORTED, or another error."""
-        self.get_ready()
         require(self.upload([self.waypoint_home()], mav.FENCE) != 0, "accepted")
 
     @book.rule(f"{SERVICE}, Geofence", effect=FLIES)

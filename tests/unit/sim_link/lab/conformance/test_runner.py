@@ -59,7 +59,7 @@ class Samples(FakeProbe):
         """It changes something."""
         assume(False, "no occasion")
 
-    @book.rule("a page", effect=Effect.FLIES, harms=True, says="It flies, and nothing else.")
+    @book.rule("a page", effect=Effect.FLIES, harms=True)
     def flies(self) -> None:
         """It flies."""
         raise Violation("it fell")
@@ -122,10 +122,6 @@ def test_verdicts() -> None:
     assert [o.verdict.value for o in outcomes] == ["PASS", "FAIL", "SKIP", "FAIL"]
     assert outcomes[0].duration_s == 2.0
     assert outcomes[1].detail == "seen otherwise"
-
-
-def test_a_statement_may_be_longer_than_a_docstring() -> None:
-    assert book.rules[-1].statement == "It flies, and nothing else."
 
 
 def test_a_rule_says_what_allows_it() -> None:
