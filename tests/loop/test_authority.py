@@ -186,7 +186,7 @@ def test_a_second_sender_is_given_way_to(
     flavour: FlavourName, faults: LinkFaults, rate_hz: float, limit_s: float
 ) -> None:
     loop = flying(flavour, faults)
-    inject(loop, SecondSender(rate_hz=rate_hz, east_m=60.0, north_m=-40.0))
+    inject(loop, SecondSender(rate_hz=rate_hz, east_m=60.0, north_m=-40.0, duration_s=8.0))
     loop.run_until(lambda: loop.phase is Phase.HOLD, limit_s)
     held_s = loop.now_s
     loop.run_until(lambda: loop.phase is Phase.YIELD, 5.0)
