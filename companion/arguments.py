@@ -39,20 +39,21 @@ examples:
   companion replay walk.csv --config configs/companion/wifi_rtt.yaml --json walk.json"""
 
 
-class _Parser(argparse.ArgumentParser):
+class ComplaintParser(argparse.ArgumentParser):
     """Raises what argparse would print, so that every complaint is one line."""
 
     def error(self, message: str) -> NoReturn:
-        raise ConfigError(f"{message} (companion --help shows how)")
+        """Refuse the arguments."""
+        raise ConfigError(f"{message} ({self.prog} --help shows how)")
 
 
 Options = argparse._ActionsContainer
-Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
+Commands: TypeAlias = "argparse._SubParsersAction[ComplaintParser]"
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """What the command understands; a complaint is a `ConfigError`."""
-    parser = _Parser(
+    parser = ComplaintParser(
         prog="companion",
         description=DESCRIPTION,
         epilog=EPILOG,

@@ -48,6 +48,13 @@ def _without_reader(stream: io.TextIOWrapper) -> io.TextIOWrapper:
     )
 
 
+def is_interrupt(error: BaseException | None) -> bool:
+    """Whether it comes of a Ctrl-C: compiled code turns that into a SystemError of its own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 def main() -> int:
     """Load the command and run it; the exit code is that of `companion.cli.main`.
 

@@ -14,7 +14,8 @@ from typing import get_args
 import msgspec
 
 from companion import __version__
-from companion.entry import outlive_readers
+from companion.arguments import ComplaintParser
+from companion.entry import is_interrupt, outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.links.transports import Transport, UdpConnect, parse_transport
 from companion.io.shell import Clock, Shell
@@ -23,7 +24,6 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.console import ComplaintParser, is_interrupt
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.fleet.vehicles import (
     Fleet,

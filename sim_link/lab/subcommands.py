@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Protocol
 
-from sim_link.fleet.console import ComplaintParser
+from companion.arguments import ComplaintParser
 from sim_link.lab import radio_follower
 from sim_link.lab.faults import proxy
 from sim_link.lab.mission import mission_cli

@@ -23,7 +23,7 @@ SPEED = 2.0
 """A stall of the machine lasts as many times longer for the vehicle and its companion."""
 HOP = """\
 name: hop
-autopilot: {flavour: %s}
+autopilot: {flavour: %s, parameters: {COM_OBL_RC_ACT: 5}}
 time_limit_s: 400
 companion: {mission: {altitude_m: 8}}
 steps:
@@ -94,19 +94,24 @@ name: taken
 %s
 steps: [connect, wait_ready, arm, {pilot_override: {mode: position}}]
 """
+STICK_DOWN = """\
+rc: {is_present: true}
+incidents: [{kind: pilot_sticks, start_s: 0, up: -1, duration_s: 1000}]
+"""
 
 
 @pytest.mark.parametrize(
-    ("autopilots", "reason"),
+    ("autopilots", "scenario", "reason"),
     [
-        ("autopilots: [px4]", "the script is for px4, and this is ardupilot"),
-        ("", "in position mode the throttle stick, now at 1000 us, would not hold the height"),
+        ("autopilots: [px4]", "", "the script is for px4, and this is ardupilot"),
+        ("", "", "position mode needs a transmitter, and the autopilot hears none"),
+        ("", STICK_DOWN, "in position mode the throttle stick, now at 1000 us, would not hold"),
     ],
 )
 def test_a_vehicle_that_a_script_does_not_fit_is_left_alone(
-    autopilots: str, reason: str, tmp_path: Path
+    autopilots: str, scenario: str, reason: str, tmp_path: Path
 ) -> None:
-    result = flown_on_a_vehicle_of_others(TAKEN % autopilots, "", tmp_path)
+    result = flown_on_a_vehicle_of_others(TAKEN % autopilots, scenario, tmp_path)
     assert reason in result.record.skipped
     assert result.verdicts == ()
     assert not result.record.situation.vehicle.is_armed

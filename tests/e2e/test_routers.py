@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -93,13 +94,18 @@ def hears_the_vehicle(port: int) -> bool:
 
 
 def wait_for(process: subprocess.Popen[str], words: str) -> None:
-    """Read what a command says, up to these words."""
+    """Read what a command says, up to these words; without them it is killed in the end."""
     assert process.stderr is not None
     said = []
-    for line in process.stderr:
-        said.append(line)
-        if words in line:
-            return
+    patience = threading.Timer(PATIENCE_S, process.kill)
+    patience.start()
+    try:
+        for line in process.stderr:
+            said.append(line)
+            if words in line:
+                return
+    finally:
+        patience.cancel()
     raise AssertionError(f"`{words}` never came: {said}")
 
 
@@ -126,7 +132,7 @@ def test_three_programs_share_a_port_behind_mavproxy_and_find_the_emitter(
         stack.enter_context(running(tmp_path, *radio))
         own = ["companion", *block.commands["companion"], "--once"]
         companion = stack.enter_context(running(tmp_path, *own))
-        wait_for(companion, "standby")
+        wait_for(companion, "ready: switch to")
         for command, answer in TO_OFFBOARD[flavour]:
             router.ask(command, answer) if command else router.expect(answer)
         wait_for(companion, "LOCALISED")

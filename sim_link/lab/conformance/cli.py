@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 from companion import __version__
+from companion.arguments import ComplaintParser
 from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
@@ -32,7 +33,6 @@ from companion.io.links.transports import (
 )
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
-from sim_link.fleet.console import ComplaintParser
 from sim_link.lab.conformance import companion_identity_rules, companion_setpoint_rules
 from sim_link.lab.conformance.rule_run import RuleRun, RunOptions
 from sim_link.lab.conformance.rules import (

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TextIO
 from xml.etree import ElementTree
 
+from companion.entry import is_interrupt
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.fleet.console import is_interrupt
 from sim_link.lab.mission.batch import (
     FlightTask,
     MissionBatch,

@@ -55,6 +55,8 @@ HOME_S = 5.0
 """Real time for asking a vehicle of others to come home after a mission that failed."""
 MID_THROTTLE_US = range(1400, 1601)
 """Where neither autopilot climbs or sinks in modes for sticks, with its default dead zones."""
+TRANSMITTER_S = 10.0
+"""Of the mission; by then the companion has asked for the sticks, too."""
 Ports = namedtuple("Ports", "vehicle simulator companion operator radio")
 """UDP ports of this machine for one flight; the hub hears a simulated vehicle on the first."""
 
@@ -236,21 +238,23 @@ class _UdpFlight:
         if self._end_wall_s is not None:
             self._end()
             return
-        if self._connect is not None and not operator.is_armed:
-            self.record.skipped = self._misfit()
-        if not self.record.skipped:
-            self._check_children(now_s)
+        misfit = self._misfit(now_s)
+        self.record.skipped = misfit or ""
+        self._check_children(now_s)
+        if misfit == "":
             self._runner.tick(now_s)
             self._tell_progress()
         if self._runner.is_over or self.record.skipped:
             self._begin_end(now_s)
 
-    def _misfit(self) -> str:
-        """Why a vehicle of others is not flown by this script; empty: it is, as far as is known.
+    def _misfit(self, now_s: float) -> str | None:
+        """Why a vehicle of others is not flown by this script; empty: it is; None: not known yet.
 
         Its transmitter stays its pilot's, who alone can put the throttle where a mode for sticks
         neither climbs nor sinks; ArduPilot's simulator has it at its lowest.
         """
+        if self._connect is None or self._operator.is_armed:
+            return ""
         flavour, throttle_us = self.record.autopilot, self._telemetry.throttle_us
         steps = (step for _, step in self._mission.named_steps)
         modes = [s.mode for s in steps if isinstance(s, PilotOverrideStep) and s.needs_sticks]
@@ -259,6 +263,8 @@ class _UdpFlight:
         if not modes or throttle_us in MID_THROTTLE_US or not READY.holds(self.record.situation):
             return ""
         if throttle_us == 0:
+            if now_s < TRANSMITTER_S:
+                return None
             return f"{modes[0]} mode needs a transmitter, and the autopilot hears none"
         return (
             f"in {modes[0]} mode the throttle stick, now at {throttle_us} us, would not hold the "

@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 import pytest
 
 from companion.config.schema import CompanionConfig
+from companion.entry import is_interrupt
 from companion.errors import CompanionError, ConfigError
 from sim_link import cli
-from sim_link.fleet.console import is_interrupt
 from sim_link.lab.mission.batch import MissionBatch, fly_all, fly_task
 from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
