@@ -64,10 +64,10 @@ def test_a_hop_with_faults_of_link_vehicle_and_process(tmp_path: Path) -> None:
     assert b'"kind":"estimate"' in result.event_log
 
 
-def flown_on_a_vehicle_of_others(script: str, scenario: str, folder: Path) -> MissionResult:
-    """What becomes of a script on an ArduPilot that was there before."""
+def flown_on_a_vehicle_of_others(flavour: str, script: str, folder: Path) -> MissionResult:
+    """What becomes of a script on a vehicle that was there before, and has no radio."""
     path = folder / "foreign.yaml"
-    path.write_text(f"autopilot: {{flavour: ardupilot}}\n{scenario}\n")
+    path.write_text(f"autopilot: {{flavour: {flavour}}}\npayload: {{max_range_m: 0.001}}\n")
     port = free_port()
     command = [sys.executable, "-m", "sim_link", "--scenario", str(path), "--speed", str(SPEED)]
     command += ["--listen", f"127.0.0.1:{free_port()}", "--send-to", f"127.0.0.1:{port}"]
@@ -83,7 +83,7 @@ def flown_on_a_vehicle_of_others(script: str, scenario: str, folder: Path) -> Mi
 def test_a_vehicle_of_others_gets_a_radio_beside_it(tmp_path: Path) -> None:
     # the flavour of the script is not looked at: the vehicle says whose it is
     script = (HOP % ("px4", "")).replace(", from: autopilot", "")
-    result = flown_on_a_vehicle_of_others(script, "payload: {max_range_m: 0.001}", tmp_path)
+    result = flown_on_a_vehicle_of_others("ardupilot", script, tmp_path)
     assert result.failed == [], result.record.steps
     assert result.flavour == "ardupilot"
     assert [str(violated) for violated in result.record.violations] == []
@@ -94,24 +94,20 @@ name: taken
 %s
 steps: [connect, wait_ready, arm, {pilot_override: {mode: position}}]
 """
-STICK_DOWN = """\
-rc: {is_present: true}
-incidents: [{kind: pilot_sticks, start_s: 0, up: -1, duration_s: 1000}]
-"""
 
 
 @pytest.mark.parametrize(
-    ("autopilots", "scenario", "reason"),
+    ("flavour", "autopilots", "reason"),
     [
-        ("autopilots: [px4]", "", "the script is for px4, and this is ardupilot"),
-        ("", "", "position mode needs a transmitter, and the autopilot hears none"),
-        ("", STICK_DOWN, "in position mode the throttle stick, now at 1000 us, would not hold"),
+        ("ardupilot", "autopilots: [px4]", "the script is for px4, and this is ardupilot"),
+        ("ardupilot", "", "in position mode the throttle stick, now at 1000 us, would not hold"),
+        ("px4", "", "position mode needs a transmitter, and the autopilot hears none"),
     ],
 )
 def test_a_vehicle_that_a_script_does_not_fit_is_left_alone(
-    autopilots: str, scenario: str, reason: str, tmp_path: Path
+    flavour: str, autopilots: str, reason: str, tmp_path: Path
 ) -> None:
-    result = flown_on_a_vehicle_of_others(TAKEN % autopilots, scenario, tmp_path)
+    result = flown_on_a_vehicle_of_others(flavour, TAKEN % autopilots, tmp_path)
     assert reason in result.record.skipped
     assert result.verdicts == ()
     assert not result.record.situation.vehicle.is_armed
