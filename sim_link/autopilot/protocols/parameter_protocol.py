@@ -148,7 +148,7 @@ class Parameters:
             return []
         if spec.kind.is_integer:
             value = _wrapped(value, spec.kind)
-        self.store.set(name, value, is_checked=False)
+        self.store.set(name, value)
         return [Outgoing(self._value(index, is_named=True))] * rules.echoes
 
     def _tell_read_only(self, index: int, partner: Partner) -> list[Outgoing]:

@@ -1,8 +1,8 @@
 """Typed parameters: what there is, what it may be, what it is.
 
 The set is fixed when a store is made, as the guide wants: names and indices never change at run
-time. A value is refused rather than clipped. What differs from the defaults is kept as lines
-`NAME VALUE`, the form that ArduPilot's tools write too.
+time. A scenario's value is refused rather than clipped, a client's is not. What differs from the
+defaults is kept as lines `NAME VALUE`, the form that ArduPilot's tools write too.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
 
-from companion.errors import ConfigError, LocalProtocolError
+from companion.errors import ConfigError
 from companion.mav.param_encoding import (
     NAME_LENGTH,
     ParamEncoding,
@@ -102,7 +102,7 @@ class ParameterStore:
             if not 0 < len(spec.name) <= NAME_LENGTH or not spec.name.isascii():
                 raise ConfigError(f"parameter `{spec.name}`: needs 1 to 16 ASCII characters")
             value = initial.get(spec.name, spec.default)
-            self._defaults.append(self._checked(spec, value, f"parameter {spec.name}"))
+            self._defaults.append(_checked(spec, value, f"parameter {spec.name}"))
         for name in initial:
             if name not in self._index:
                 raise ConfigError(f"parameter {name}: there is no such parameter")
@@ -119,21 +119,12 @@ class ParameterStore:
         """The index of a name; None if there is no such parameter."""
         return self._index.get(name)
 
-    def set(self, name: str, value: float, *, is_checked: bool = True) -> None:
-        """Change a value, read-only or not; `LocalProtocolError`: no such parameter, or value.
-
-        Unchecked, any value of the parameter's type may be.
-        """
-        index = self._index.get(name)
-        if index is None:
-            raise LocalProtocolError(f"parameter {name}: there is no such parameter")
-        try:
-            where = f"parameter {name}"
-            checked = self._checked(self.specs[index], value, where, is_strict=is_checked)
-        except ConfigError as error:
-            raise LocalProtocolError(str(error)) from None
-        if checked != self._values[index]:
-            self._values[index] = checked
+    def set(self, name: str, value: float) -> None:
+        """Change a parameter that exists, read-only or not, to any value that its type can hold."""
+        index = self._index[name]
+        stored = _stored(self.specs[index], value)
+        if stored != self._values[index]:
+            self._values[index] = stored
             self.revision += 1
 
     def raw_at(self, index: int, encoding: ParamEncoding) -> bytes:
@@ -188,16 +179,22 @@ class ParameterStore:
             value = float(number)
         except ValueError:
             raise ConfigError(f"{where}: {name} must be a number, not `{number[:40]}`") from None
-        return index, self._checked(spec, value, f"{where}: {name}", is_strict=False)
+        spec = replace(spec, minimum=None, maximum=None)
+        if not (spec.kind.is_integer or math.isfinite(value)):
+            return index, _stored(spec, value)
+        return index, _checked(spec, value, f"{where}: {name}")
 
-    @staticmethod
-    def _checked(spec: ParamSpec, value: float, where: str, *, is_strict: bool = True) -> float:
-        checked = spec if is_strict else replace(spec, minimum=None, maximum=None)
-        is_any = not (is_strict or spec.kind.is_integer)
-        problem = None if is_any else checked.problem_with(value)
-        if problem is not None:
-            raise ConfigError(f"{where}: {value:g} is {problem}")
-        return int(value) if spec.kind.is_integer else nearest_real32(value)
+
+def _checked(spec: ParamSpec, value: float, where: str) -> float:
+    """The value as it is stored; `ConfigError`: it may not be."""
+    problem = spec.problem_with(value)
+    if problem is not None:
+        raise ConfigError(f"{where}: {value:g} is {problem}")
+    return _stored(spec, value)
+
+
+def _stored(spec: ParamSpec, value: float) -> float:
+    return int(value) if spec.kind.is_integer else nearest_real32(value)
 
 
 def _shortest(value: float) -> str:

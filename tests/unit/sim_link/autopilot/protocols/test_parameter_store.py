@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.errors import ConfigError, LocalProtocolError
+from companion.errors import ConfigError
 from companion.mav.param_encoding import ParamEncoding, ParamType
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import ARDUPILOT_PARAMETERS
 from sim_link.autopilot.flavours.px4.firmware_profile import PX4_PARAMETERS
@@ -37,16 +37,15 @@ def test_a_change_raises_the_revision_and_an_equal_value_does_not(store: Paramet
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -0.1, 80.1, 1e39])
 def test_a_real_that_may_not_be_is_refused(store: ParameterStore, value: float) -> None:
-    with pytest.raises(LocalProtocolError):
-        store.set("ALTITUDE", value)
-    assert store["ALTITUDE"] == 2.5
+    with pytest.raises(ConfigError, match="parameter ALTITUDE"):
+        ParameterStore(store.specs, {"ALTITUDE": value})
 
 
 @pytest.mark.parametrize("value", [2.5, -1, 6])
 def test_an_integer_that_may_not_be_is_refused(store: ParameterStore, value: float) -> None:
     assert ACTION.problem_with(value) is not None
-    with pytest.raises(LocalProtocolError):
-        store.set("ACTION", value)
+    with pytest.raises(ConfigError, match="parameter ACTION"):
+        ParameterStore(store.specs, {"ACTION": value})
 
 
 def test_the_bounds_of_a_type_hold_where_none_are_given() -> None:
@@ -106,6 +105,7 @@ def test_commas_comments_and_blank_lines_are_read(store: ParameterStore) -> None
         ("ACTION six", "must be a number"),
         ("ACTION 3000000000", "not within"),
         ("ACTION nan", "not a number"),
+        ("ALTITUDE 1e300", "not within"),
         ("ACTION 1.5", "not a whole number"),
         ("FLOWN 1", "read-only"),
     ],
