@@ -279,24 +279,14 @@ def raw_imu(vehicle: SimVehicle) -> Fields:
 
 
 def scaled_imu2(vehicle: SimVehicle) -> Fields:
-    """The second sensor shows what the first one does."""
+    """Any further sensor shows what the first one does."""
     _, *axes, _, temperature = raw_imu(vehicle)
     return (boot_ms(vehicle), *axes, temperature)
-
-
-def scaled_imu3(vehicle: SimVehicle) -> Fields:
-    """The third, too."""
-    return scaled_imu2(vehicle)
 
 
 def scaled_pressure(vehicle: SimVehicle) -> Fields:
     """Of the standard atmosphere."""
     return (boot_ms(vehicle), _pressure_hpa(vehicle), 0.0, round(1e2 * TEMPERATURE_C))
-
-
-def scaled_pressure2(vehicle: SimVehicle) -> Fields:
-    """The second sensor shows what the first one does."""
-    return scaled_pressure(vehicle)
 
 
 def terrain_report(vehicle: SimVehicle) -> Fields:

@@ -207,12 +207,13 @@ _BUILDERS: tuple[Builder, ...] = (
     *(motion.position_target_local_ned, motion.position_target_global_int),
     *(motion.attitude_target, motion.highres_imu, motion.servo_output_raw, motion.raw_imu),
     *(motion.scaled_pressure, motion.power_status, motion.vibration, motion.distance_sensor),
-    *(motion.gps_raw_int, motion.scaled_imu2, motion.scaled_imu3, motion.scaled_pressure2),
-    *(motion.terrain_report, fence_status),
+    *(motion.gps_raw_int, motion.scaled_imu2, motion.terrain_report, fence_status),
 )
 """Each named as its message."""
 _CLASSES = {getattr(mavlink, f"MAVLink_{build.__name__}_message"): build for build in _BUILDERS} | {
-    MAVLink_ekf_status_report_message: ekf_status_report
+    MAVLink_ekf_status_report_message: ekf_status_report,
+    mavlink.MAVLink_scaled_imu3_message: motion.scaled_imu2,
+    mavlink.MAVLink_scaled_pressure2_message: motion.scaled_pressure,
 }
 BUILDERS = {int(message.id): (message, build) for message, build in _CLASSES.items()}
 """What can be told; a firmware's rates say which of these it has."""

@@ -38,9 +38,17 @@ MAX_INTERVAL_US = 3600e6
 OFF, DEFAULT = -1.0, 0.0
 
 
+IDS = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
+
+
+def message_id(name: str) -> int:
+    """The id of a message by its name."""
+    return IDS[name]
+
+
 def message_ids(names: str) -> tuple[int, ...]:
     """The ids of messages by their names, with blanks between."""
-    return tuple(getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in names.split())
+    return tuple(map(message_id, names.split()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What ArduCopter 4.5 is, how it is set up and how it speaks; it sends no streams unasked.
+"""What ArduCopter 4.5 is, how it is set up and how it speaks; `streams.csv` has what it sends.
 
 `parameters.csv` has its parameters. Names, types and defaults were compared one by one with what an
 ArduCopter 4.5.5 shows, and with SITL's `copter.parm` (battery monitor, flight modes, fence radius,
@@ -11,25 +11,25 @@ from __future__ import annotations
 import math
 
 from companion.mav.codec import CRC_EXTRA_BY_ID
-from companion.mav.dialect import (
-    MAVLink_command_cancel_message,
-    MAVLink_ekf_status_report_message,
-    MAVLink_radio_ranging_message,
-    MAVLink_target_estimate_message,
-    mavlink,
-)
+from companion.mav.dialect import mavlink
 from companion.mav.param_encoding import ParamEncoding
 from sim_link.autopilot.flavours.base import ACCEPTED, DENIED, FAILED, Firmware
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.command_protocol import CommandForms
-from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules, message_ids
+from sim_link.autopilot.protocols.message_streams import (
+    RequestRules,
+    StreamRules,
+    message_id,
+    message_ids,
+)
 from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
-from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_specs
+from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.protocols.plan_items import PlanType
 from sim_link.autopilot.protocols.plan_rules import PlanChecks, PlanRules, commands_named
 from sim_link.autopilot.scenario import Scenario
 
-ARDUPILOT_PARAMETERS = read_specs("sim_link.autopilot.flavours.ardupilot")
+PACKAGE = "sim_link.autopilot.flavours.ardupilot"
+ARDUPILOT_PARAMETERS = read_specs(PACKAGE)
 
 
 def ardupilot_parameters(scenario: Scenario) -> ParameterStore:
@@ -46,38 +46,18 @@ def ardupilot_parameters(scenario: Scenario) -> ParameterStore:
     return ParameterStore(ARDUPILOT_PARAMETERS, initial | scenario.autopilot.parameters)
 
 
-EKF_STATUS_REPORT = MAVLink_ekf_status_report_message.id
-ON_REQUEST = message_ids(
-    "SYS_STATUS SYSTEM_TIME EXTENDED_SYS_STATE LOCAL_POSITION_NED ATTITUDE ATTITUDE_QUATERNION "
-    "GLOBAL_POSITION_INT POSITION_TARGET_LOCAL_NED POSITION_TARGET_GLOBAL_INT GPS_RAW_INT VFR_HUD "
-    "NAV_CONTROLLER_OUTPUT RC_CHANNELS SERVO_OUTPUT_RAW RAW_IMU SCALED_PRESSURE POWER_STATUS "
-    "VIBRATION ATTITUDE_TARGET MISSION_CURRENT BATTERY_STATUS HOME_POSITION GPS_GLOBAL_ORIGIN "
-    "AUTOPILOT_VERSION SCALED_IMU2 SCALED_IMU3 SCALED_PRESSURE2 FENCE_STATUS TERRAIN_REPORT"
-)
+STREAM_ROWS = read_rows(PACKAGE, "streams.csv")
 DATA_STREAMS: dict[int, tuple[int, ...]] = {
-    mavlink.MAV_DATA_STREAM_RAW_SENSORS: message_ids(
-        "RAW_IMU SCALED_IMU2 SCALED_IMU3 SCALED_PRESSURE SCALED_PRESSURE2"
-    ),
-    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: message_ids(
-        "SYS_STATUS POWER_STATUS MISSION_CURRENT GPS_RAW_INT NAV_CONTROLLER_OUTPUT FENCE_STATUS"
-    ),
-    mavlink.MAV_DATA_STREAM_RC_CHANNELS: message_ids("SERVO_OUTPUT_RAW RC_CHANNELS"),
-    mavlink.MAV_DATA_STREAM_POSITION: message_ids("LOCAL_POSITION_NED GLOBAL_POSITION_INT"),
-    mavlink.MAV_DATA_STREAM_EXTRA1: message_ids("ATTITUDE"),
-    mavlink.MAV_DATA_STREAM_EXTRA2: message_ids("VFR_HUD"),
-    mavlink.MAV_DATA_STREAM_EXTRA3: (
-        *message_ids("SYSTEM_TIME BATTERY_STATUS VIBRATION TERRAIN_REPORT"),
-        EKF_STATUS_REPORT,
-    ),
+    getattr(mavlink, f"MAV_DATA_STREAM_{group}"): tuple(
+        message_id(row["message"]) for row in STREAM_ROWS if row["group"] == group
+    )
+    for group in dict.fromkeys(row["group"] for row in STREAM_ROWS if row["group"])
 }
 """Messages of each MAV_DATA_STREAM group, ArduPilot `GCS_Mavlink.cpp`."""
 
-NOT_ITS_OWN = (
-    *message_ids("MISSION_CHECKSUM RADIO_RC_CHANNELS AVAILABLE_MODES CURRENT_MODE"),
-    *message_ids("AVAILABLE_MODES_MONITOR GNSS_INTEGRITY RANGING_BEACON"),
-    MAVLink_command_cancel_message.id,
-    MAVLink_radio_ranging_message.id,
-    MAVLink_target_estimate_message.id,
+NOT_ITS_OWN = message_ids(
+    "MISSION_CHECKSUM RADIO_RC_CHANNELS AVAILABLE_MODES CURRENT_MODE AVAILABLE_MODES_MONITOR "
+    "GNSS_INTEGRITY RANGING_BEACON COMMAND_CANCEL RADIO_RANGING TARGET_ESTIMATE"
 )
 """Known here, but neither to common.xml nor to ardupilotmega.xml of that version."""
 VENDORS = (range(150, 227), range(10001, 10152), range(11000, 11061))
@@ -110,8 +90,7 @@ FIRMWARE = Firmware(
         capabilities_need_one=True,
     ),
     streams=StreamRules(
-        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0, mavlink.MAVLINK_MSG_ID_TIMESYNC: 0.1}
-        | dict.fromkeys((*ON_REQUEST, EKF_STATUS_REPORT), 0.0),
+        {message_id(row["message"]): float(row["hz"]) for row in STREAM_ROWS},
         STEP_S,
         fixed=frozenset(),
         groups=DATA_STREAMS,

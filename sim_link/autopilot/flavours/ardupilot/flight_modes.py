@@ -85,13 +85,10 @@ _TABLE = (
 MODES: dict[int, CopterMode] = {mode.number: mode for mode in _TABLE}
 STABILIZE, ALT_HOLD, AUTO, GUIDED, LOITER = (MODES[number] for number in (0, 2, 3, 4, 5))
 RTL, LAND, BRAKE, SMART_RTL = (MODES[number] for number in (6, 9, 17, 21))
-NEVER_ENTERED = dict(
-    zip(
-        (14, 15, 18, 22, 23, 25, 27),
-        ("FLIP", "AUTOTUNE", "THROW", "FLOWHOLD", "FOLLOW", "SYSTEMID", "AUTO_RTL"),
-        strict=True,
-    )
-)
+NEVER_ENTERED = {
+    **{14: "FLIP", 15: "AUTOTUNE", 18: "THROW", 22: "FLOWHOLD"},
+    **{23: "FOLLOW", 25: "SYSTEMID", 27: "AUTO_RTL"},
+}
 """Modes that refuse to begin; the real one's THROW waits for a throw."""
 BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {
     mode.mode: mode for mode in _TABLE if mode.number in (0, 1, 2, 3, 4, 5, 6, 9, 17)

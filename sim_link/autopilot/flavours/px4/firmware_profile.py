@@ -16,7 +16,7 @@ from companion.mav.param_encoding import ParamEncoding
 from sim_link.autopilot.flavours.base import DENIED, FAILED, Firmware
 from sim_link.autopilot.pilot import STEP_S, SpeedLimits
 from sim_link.autopilot.protocols.command_protocol import CommandForms, CommandResult
-from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules, message_ids
+from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules, message_id
 from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.protocols.plan_items import PlanType
@@ -56,7 +56,7 @@ def px4_parameters(scenario: Scenario) -> ParameterStore:
 def _rates_hz(link: str) -> dict[int, float]:
     """Of a kind of link by message id; 0 for what comes only on request."""
     rows = read_rows("sim_link.autopilot.flavours.px4", "streams.csv")
-    return {message_ids(row["message"])[0]: float(row[f"{link}_hz"]) for row in rows}
+    return {message_id(row["message"]): float(row[f"{link}_hz"]) for row in rows}
 
 
 ONBOARD_HZ = _rates_hz("onboard")
