@@ -3,7 +3,7 @@
 Each flight draws a rate, and one to three slips from its first climb to its end. Good: a report
 within 1.5 m, nobody outside of the fence, no hold on a stale position of more than 6 s, and no slip
 that is taken for a restart or for somebody else's setpoints. Exit code 1 if a flight was not good,
-each with the command that flies it again.
+each with the command that flies it again; 130 after Ctrl-C, with what was flown until then.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ MOST_SLIPS = 3
 FLIGHT_S, FENCE_M = 180.0, 150.0
 LONGEST_HOLD_S, WORST_ERROR_M = 6.0, 1.5
 FALSE_ALARMS = ("autopilot restarted", "control yielded", "second source", "control lost")
+INTERRUPTED = 130
 REPLAY = "python tools/clock_campaign.py --replay"
 
 
@@ -193,10 +194,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(bool(flight.faults))
     names = [f"{flavour}:{seed}" for seed in range(arguments.flights) for flavour in FLAVOURS]
     flights: dict[int, ClockFlight] = {}
-    with shown(len(names), sys.stderr) as done, open_pool(jobs=arguments.jobs) as pool:
-        for number, flight in pool.results(fly, names):
-            flights[number] = flight
-            done(1.0)
+    try:
+        with shown(len(names), sys.stderr) as done, open_pool(jobs=arguments.jobs) as pool:
+            for number, flight in pool.results(fly, names):
+                flights[number] = flight
+                done(1.0)
+    except KeyboardInterrupt:
+        report([flights[number] for number in sorted(flights)])
+        return INTERRUPTED
     return report([flights[number] for number in sorted(flights)])
 
 

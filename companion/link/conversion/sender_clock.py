@@ -377,7 +377,7 @@ class VehicleClock:
         """Local time of one of its stamps that arrived at `now_s`, both in seconds."""
         has_slipped = self._follow_exchange(now_s)
         lateness = self.sync.lateness(now_s)
-        is_prompt = self._is_same_clock and lateness is Lateness.NONE
+        is_prompt = self.sync.round_trip_s is not None and lateness is Lateness.NONE
         reading = self._stamps.read(
             remote_s,
             now_s,
