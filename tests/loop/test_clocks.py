@@ -6,6 +6,8 @@ import random
 
 import pytest
 
+from companion.config.schema import CompanionConfig
+from companion.guidance.authority.state_machine import Phase
 from sim_link.autopilot.incidents import AutopilotStall, ClockRate, ClockSlip, Incident
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from tests.loop.loop_helpers import AUTO, Loop, outside
@@ -54,6 +56,32 @@ def test_a_slow_or_fast_clock_costs_nothing(flavour: FlavourName, rate: float) -
     check(loop)
     assert holds_s(loop) == []
     assert not loop.said("slipped")
+
+
+@pytest.mark.parametrize("rate", [0.95, 0.988, 1.05])
+def test_on_the_ground_setpoints_flow_for_minutes_by_any_clock(rate: float) -> None:
+    scenario = Scenario(incidents=(ClockRate(rate=rate),))
+    loop = Loop(CompanionConfig(), scenario)
+    loop.run(100.0)
+    assert loop.phase is Phase.STANDBY
+    assert len(loop.setpoints_since(40.0)) == pytest.approx(1200, abs=5)
+    assert not loop.said("not ready")
+
+
+def test_setpoints_that_stop_on_the_ground_say_why_at_once() -> None:
+    loop = Loop(CompanionConfig(), Scenario())
+    loop.run(5.0)
+    loop.is_link_up = False
+    loop.run(0.7)
+    stopped_s = loop.now_s
+    assert loop.said("not ready: own position is stale; setpoints stopped")
+    loop.run(10.0)
+    assert loop.setpoints_since(stopped_s) == []
+    assert loop.said("not ready: autopilot link lost")
+    loop.is_link_up = True
+    loop.run(6.0)
+    assert loop.said("ready again: switch to offboard mode")
+    assert loop.setpoints_since(loop.now_s - 1.0)
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)

@@ -194,7 +194,7 @@ def test_a_flight_on_a_computer_that_is_too_slow_replays_to_the_bit(tmp_path: Pa
             text = "the computer is too slow: 44 control ticks missed in 10 s"
             flight.companion.tell(ProcessNoted(flight.now_s, Severity.WARNING, text))
 
-        for at_s in (2.0, 18.0, 24.0, 31.0):
+        for at_s in (18.0, 24.0, 31.0):
             flight.at(at_s, partial(flight.suspend_companion, 0.9))
             flight.at(at_s + 1.5, complain)
 
@@ -203,7 +203,8 @@ def test_a_flight_on_a_computer_that_is_too_slow_replays_to_the_bit(tmp_path: Pa
     assert replay.first_difference is None
     assert replay.verdict.startswith("IDENTICAL")
     said = [line["text"] for line in event_lines(tmp_path / EVENTS) if line["kind"] == "text"]
-    assert sum("the computer is too slow" in str(text) for text in said) == 4
+    assert sum("the computer is too slow" in str(text) for text in said) == 3
+    assert len(replay.recorded.setpoints) > 400
     assert any("control loop stalled" in str(text) for text in said)
 
 
