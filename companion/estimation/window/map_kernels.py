@@ -60,16 +60,17 @@ def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingMode
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
     ground2 = de * de + dn * dn
-    u = np.empty((3, rows.shape[0]))
-    u[0] = rows[:, 3] - range_factor(mean, model) * np.sqrt(ground2 + du * du) - mean[2]
+    u = np.zeros((3, rows.shape[0]))
+    slant = np.sqrt(ground2 + du * du)
+    short = (rows[:, 3] - range_factor(mean, model) * slant - mean[2]) / sigmas[0]
+    u[0] = np.where(np.isnan(short), 0.0, short)
     turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
-    u[1] = turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)
+    turn = (turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)) / sigmas[1]
+    u[1] = np.where(np.isnan(turn), 0.0, turn)
     if has_elevation(rows):
-        u[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
-    else:
-        u[2] = 0.0
-    u = u / sigmas
-    return np.where(np.isnan(u), 0.0, u)
+        rise = (rows[:, 5] - np.arctan2(du, np.sqrt(ground2))) / sigmas[2]
+        u[2] = np.where(np.isnan(rise), 0.0, rise)
+    return u
 
 
 @kernel

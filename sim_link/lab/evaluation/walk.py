@@ -23,10 +23,10 @@ The paper's objective over a whole run, solved now and then (system `map`). A fi
 every measurement once, where it stood at the time, and may be carried away for good by what it took
 in while it was wrong. Whenever the history has grown by a share, the objective over all of it is
 minimised from the filter's mean and from one fresh start, which turns around the path from solution
-to solution. The lower minimum becomes the filter's mean, with the curvature there as its
-information. The minimum is that of the companion's window (paper, eq. 9), which is never full here,
-without what makes the tracker's covariance honest (sandwich, rivals, older evidence): the system
-`tracker` is the companion's own.
+to solution, and ends where it comes near the first minimum. The lower minimum becomes the filter's
+mean, with the curvature there as its information. The minimum is that of the companion's window
+(paper, eq. 9), which is never full here, without what makes the tracker's covariance honest
+(sandwich, rivals, older evidence): the system `tracker` is the companion's own.
 """
 
 from __future__ import annotations
@@ -41,7 +41,14 @@ from companion.estimation.filters.kalman import admm_update
 from companion.estimation.filters.robust_update import robust_update
 from companion.estimation.measurement_model import RangingModel
 from companion.estimation.window import map_kernels
-from companion.estimation.window.map_kernels import map_minimum, normal_equations, row_sigmas
+from companion.estimation.window.map_kernels import (
+    DAMPING_START,
+    MAX_ITERATIONS,
+    map_step,
+    normal_equations,
+    row_sigmas,
+)
+from companion.estimation.window.window_map import SAME_PLACE_M
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing import reactive_step
 from companion.planning.crossing_kernels import LATCH_SIZE, LatchRule, latched_step, overshoot_m
@@ -177,6 +184,8 @@ EARLY_GROWTH, LATE_GROWTH = 0.15, 0.5
 """The history is solved whenever it has grown by this share, up to `EARLY_COUNT` and after it."""
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 LEAST_RANGE_M = 1.0
+EARLY_TOLERANCE_M, LATE_TOLERANCE_M = 1e-2, 1e-3
+"""A step shorter than this ends a solution, up to `EARLY_COUNT` and after it."""
 BETTER_COST = 1e-6
 """A fresh start's minimum wins if it is lower by this: rounding must not decide."""
 
@@ -208,21 +217,52 @@ def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
 
 
 @kernel
+def descended(rows: Matrix, start: Vector, known: Vector, belief: Belief) -> Vector:
+    """The minimum (4,) that `start` leads to, or the `known` one as soon as it comes near that.
+
+    The next solution of an early history follows soon, so that it need not be as exact.
+    """
+    limits, bounds, model = belief.thresholds, belief.bounds, belief.model
+    information, pull = belief.information, belief.pull
+    tolerance_m = EARLY_TOLERANCE_M if rows.shape[0] < EARLY_COUNT else LATE_TOLERANCE_M
+    mean: Vector = np.minimum(np.maximum(start, bounds[0]), bounds[1])
+    damping = DAMPING_START
+    for _ in range(MAX_ITERATIONS):
+        moved, damping = map_step(rows, mean, damping, limits, bounds, information, pull, model)
+        step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
+        if math.hypot(moved[0] - known[0], moved[1] - known[1]) < SAME_PLACE_M:
+            return known
+        mean = moved
+        if step_m < tolerance_m:
+            break
+    return mean
+
+
+@kernel
 def solved(rows: Matrix, mean: Vector, turn: int, belief: Belief) -> tuple[Vector, Matrix]:
     """The lower of two minima, (4,), and its covariance, (4, 4).
 
     The history so far is (k, 10), the filter's mean (4,); the turn says where the fresh start lies.
     """
-    limits, bounds, model = belief.thresholds, belief.bounds, belief.model
-    information, pull = belief.information, belief.pull
     start = fresh_start(rows, turn, belief.prior_mean)
-    best, cost = map_minimum(rows, mean, limits, bounds, information, pull, model)
-    other, other_cost = map_minimum(rows, start, limits, bounds, information, pull, model)
-    if other_cost < cost - BETTER_COST:
-        best = other
-    sigmas = row_sigmas(rows, best, model)
-    curvature, _, _ = normal_equations(rows, best, sigmas, limits, information, pull, model)
+    best = descended(rows, mean, np.full(4, np.nan), belief)
+    other = descended(rows, start, best, belief)
+    curvature, cost = curvature_at(rows, best, belief)
+    if other[0] != best[0]:
+        bent, other_cost = curvature_at(rows, other, belief)
+        if other_cost < cost - BETTER_COST:
+            best, curvature = other, bent
     return best, np.ascontiguousarray(np.linalg.inv(curvature))
+
+
+@kernel
+def curvature_at(rows: Matrix, mean: Vector, belief: Belief) -> tuple[Matrix, float]:
+    """Curvature (4, 4) and cost of the objective at `mean`."""
+    sigmas = row_sigmas(rows, mean, belief.model)
+    curvature, _, cost = normal_equations(
+        rows, mean, sigmas, belief.thresholds, belief.information, belief.pull, belief.model
+    )
+    return curvature, cost
 
 
 @kernel
