@@ -310,7 +310,7 @@ def _run(arguments: argparse.Namespace) -> int:
             run.run(rules)
         finally:
             _close(run, arguments, say)
-    return exit_code(run.outcomes, run.left_behind)
+    return exit_code(run.outcomes, run.problems)
 
 
 def _close(run: RuleRun, arguments: argparse.Namespace, say: Callable[[str], None]) -> None:
@@ -318,8 +318,8 @@ def _close(run: RuleRun, arguments: argparse.Namespace, say: Callable[[str], Non
     if not run.outcomes:
         return
     if arguments.json is not None:
-        write_json_atomic(arguments.json, record(run.outcomes, arguments.url, run.left_behind))
-    for text in [*run.left_behind, summary(run.outcomes)]:
+        write_json_atomic(arguments.json, record(run.outcomes, arguments.url, run.problems))
+    for text in [*run.problems, summary(run.outcomes)]:
         say(text)
 
 

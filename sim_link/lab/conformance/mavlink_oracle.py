@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.lab.conformance.rules import Flavour
+from sim_link.lab.conformance.rules import Flavour, autopilot_notes
 
 OBSERVED_PX4 = "PX4 1.15, observed in SITL"
 OBSERVED_ARDUPILOT = "ArduCopter 4.5, observed in SITL"
@@ -203,39 +203,6 @@ def cut(data: bytes) -> list[bytes]:
     return frames
 
 
-PX4_MAIN_SUB = {
-    "manual": (1, 0),
-    "altitude": (2, 0),
-    "position": (3, 0),
-    "takeoff": (4, 2),
-    "hold": (4, 3),
-    "mission": (4, 4),
-    "return": (4, 5),
-    "land": (4, 6),
-    "acro": (5, 0),
-    "offboard": (6, 0),
-    "stabilized": (7, 0),
-}
-ARDUCOPTER = {
-    "stabilized": 0,
-    "acro": 1,
-    "altitude": 2,
-    "mission": 3,
-    "offboard": 4,
-    "loiter": 5,
-    "return": 6,
-    "land": 9,
-    "position": 16,
-    "hold": 17,
-}
-"""`offboard` is GUIDED and `hold` BRAKE."""
-PX4_BASE_MODE = dict.fromkeys(("hold", "takeoff", "mission", "return", "land"), 29)
-PX4_BASE_MODE |= {"position": 81, "altitude": 81}
-"""HEARTBEAT.base_mode disarmed, as observed on PX4 1.15."""
-ARDUCOPTER_BASE_MODE = dict.fromkeys(("stabilized", "altitude", "land"), 0x51) | dict.fromkeys(
-    ("mission", "offboard", "loiter", "return", "position", "hold"), 0x59
-)
-"""HEARTBEAT.base_mode disarmed, as observed on ArduCopter 4.5."""
 AUTOPILOT_OF = {
     Flavour.PX4: mavlink.MAV_AUTOPILOT_PX4,
     Flavour.ARDUPILOT: mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
@@ -245,16 +212,13 @@ CUSTOM = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 def custom_mode(flavour: Flavour, mode: str) -> int:
     """HEARTBEAT.custom_mode of a mode; KeyError: the autopilot has no such mode."""
-    if flavour is Flavour.ARDUPILOT:
-        return ARDUCOPTER[mode]
-    main, sub = PX4_MAIN_SUB[mode]
-    return main << 16 | sub << 24
+    main, sub = autopilot_notes()[flavour].modes[mode]
+    return main if flavour is Flavour.ARDUPILOT else main << 16 | sub << 24
 
 
 def set_mode_params(flavour: Flavour, mode: str) -> tuple[float, float, float]:
     """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE."""
-    is_px4 = flavour is Flavour.PX4
-    main, sub = PX4_MAIN_SUB[mode] if is_px4 else (ARDUCOPTER[mode], 0)
+    main, sub = autopilot_notes()[flavour].modes[mode]
     return (float(CUSTOM), float(main), float(sub))
 
 

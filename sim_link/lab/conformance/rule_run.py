@@ -138,12 +138,18 @@ class RuleRun:
         """Why the rest cannot be run."""
         self._is_in_order = True
         self._failed_landings = 0
-        self._problems: list[str] = []
+        self._silences: list[str] = []
 
     @property
     def left_behind(self) -> list[str]:
         """What is not as it was on the vehicle, and what to do about it."""
-        return self._baseline.leftovers() + self._problems
+        told = self._baseline.leftovers()
+        return told if self._is_in_order else [*told, "not in order: land and disarm the vehicle"]
+
+    @property
+    def problems(self) -> list[str]:
+        """What is worth telling beside the outcomes."""
+        return self._silences + self.left_behind
 
     def run(self, rules: Iterable[Rule]) -> None:
         """Try the rules that bind the peer; `NotApplicable`: nobody is there."""
@@ -219,6 +225,9 @@ class RuleRun:
                 return probe
         except NotApplicable as silence:
             self._tell(f"{silence}: waiting {COME_BACK_S:g} s for it to come back")
+            before = self.outcomes[-1].rule.rule_id if self.outcomes else "the beginning"
+            self._silences.append(f"it fell silent after {before}")
+            self._is_in_order = not self._is_vehicle
             if not probe.is_heard(COME_BACK_S):
                 raise NotApplicable(f"the {self._options.role.value} is silent") from None
         if self._is_vehicle:
@@ -246,6 +255,7 @@ class RuleRun:
         try:
             if not self._is_in_order:
                 caretaker.put_in_order()
+                self._is_in_order = True
             caretaker.leave()
         except Violation as problem:
-            self._problems.append(f"the vehicle is not as it was: {problem}")
+            self._tell(f"not all is as it was: {problem}")

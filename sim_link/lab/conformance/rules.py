@@ -82,6 +82,14 @@ class AutopilotNotes(msgspec.Struct, frozen=True):
     version: str
     deviates: dict[str, str]
     asks: dict[str, str]
+    modes: dict[str, tuple[int, int]] = {}  # msgspec copies it
+    """Main and sub mode; ArduPilot has no sub modes, its `offboard` is GUIDED and `hold` BRAKE."""
+    base_modes: dict[str, int] = {}
+    """HEARTBEAT.base_mode, disarmed."""
+    parameters: list[str] = []
+    """What clients ask for by name."""
+    rates_hz: dict[str, float] = {}
+    """What clients stand on flows at least this often, on a ground station's link, too."""
 
 
 @cache
@@ -268,10 +276,10 @@ FURTHER = {
 EXIT_PASSED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOTED = range(4)
 
 
-def exit_code(outcomes: Iterable[RuleOutcome], leftovers: Sequence[str] = ()) -> int:
+def exit_code(outcomes: Iterable[RuleOutcome], problems: Sequence[str] = ()) -> int:
     """0: all that was tried passed; 3: it deviates, only as noted; 1: anything else."""
     verdicts = {outcome.verdict for outcome in outcomes} - {RuleVerdict.PASS, RuleVerdict.SKIP}
-    if leftovers or verdicts - {RuleVerdict.NOTED}:
+    if problems or verdicts - {RuleVerdict.NOTED}:
         return EXIT_FAILED
     return EXIT_NOTED if verdicts else EXIT_PASSED
 
@@ -302,14 +310,14 @@ def listing(rules: Iterable[Rule]) -> list[str]:
 
 
 def record(
-    outcomes: Sequence[RuleOutcome], peer: str, leftovers: Sequence[str] = ()
+    outcomes: Sequence[RuleOutcome], peer: str, problems: Sequence[str] = ()
 ) -> dict[str, object]:
-    """All outcomes, and what is left behind on the vehicle, as JSON values."""
+    """All outcomes, and what is worth telling beside them, as JSON values."""
     return {
         "peer": peer,
         "summary": summary(outcomes),
-        "exit_code": exit_code(outcomes, leftovers),
-        "left_behind": list(leftovers),
+        "exit_code": exit_code(outcomes, problems),
+        "problems": list(problems),
         "rules": [
             {
                 "id": outcome.rule.rule_id,

@@ -16,12 +16,14 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import Triple
 from sim_link.lab.conformance.rules import (
+    AutopilotNotes,
     Flavour,
     NotApplicable,
     NotReady,
     Role,
     Violation,
     assume,
+    autopilot_notes,
     require,
 )
 from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat, source_of
@@ -123,6 +125,11 @@ class VehicleProbe(Station):
                 self.flavour = flavour
 
     @property
+    def notes(self) -> AutopilotNotes:
+        """What the real one does."""
+        return autopilot_notes()[self.flavour]
+
+    @property
     def is_px4(self) -> bool:
         """Whether it is a PX4."""
         return self.flavour is Flavour.PX4
@@ -166,7 +173,7 @@ class VehicleProbe(Station):
                 other.send(heartbeat(kind))
             if other.is_heard(SECOND_CLIENT_S):
                 return other
-        self.baseline.serves_one_client = True
+        self.baseline.serves_one_client |= self.is_heard(SECOND_CLIENT_S)
         raise NotApplicable("this link serves one client only")
 
     def command(self, number: int, *params: float, confirmation: int = 0) -> int:
@@ -333,19 +340,18 @@ class VehicleProbe(Station):
 
     def get_ready(self) -> None:
         """Wait until it can be armed, in the mode that flights begin in."""
-        self._begin_flight()
+        self.set_mode("hold" if self.is_px4 else "offboard")
+        self.watch(mav.SysStatus, 0.2)
+        self.await_prearm()
+        self.watch(mav.LocalPosition)
+
+    def _get_charged(self) -> None:
         percent = self.latest(mav.SysStatus).battery_remaining
         if 0 <= percent < SPENT_PERCENT:
             if not self.baseline.allows_harm:
                 raise NotReady(f"battery at {percent} %: charge it (--allow-harm reboots for it)")
             self.reboot()
-            self._begin_flight()
-        self.await_prearm()
-        self.watch(mav.LocalPosition)
-
-    def _begin_flight(self) -> None:
-        self.set_mode("hold" if self.is_px4 else "offboard")
-        self.watch(mav.SysStatus, 0.2)
+            self.get_ready()
 
     def reboot(self) -> None:
         """Restart the autopilot; a simulated one has a fresh battery then."""
@@ -391,6 +397,7 @@ class VehicleProbe(Station):
     def arm(self) -> None:
         """Get ready and arm; `NotReady`: it is refused again and again."""
         self.get_ready()
+        self._get_charged()
         if self.baseline.start_e7 is None:
             self.baseline.start_e7 = self.where_e7()
         mark, last_s = self.mark, self.now_s + ARM_S

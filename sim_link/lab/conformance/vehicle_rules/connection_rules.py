@@ -7,7 +7,15 @@ import itertools
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.protocol_clients import ParameterClient
-from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, assume, require
+from sim_link.lab.conformance.rules import (
+    ARDUPILOT,
+    CHANGES,
+    FLIES,
+    PX4,
+    RuleBook,
+    assume,
+    require,
+)
 from sim_link.lab.conformance.station import Station, brief, heartbeat, source_of
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe, is_ready
 
@@ -67,15 +75,15 @@ class HeartbeatRules(VehicleProbe):
         base_mode = self.heartbeat().base_mode
         require(bool(base_mode & mav.CUSTOM), f"base_mode {base_mode}")
 
-    def _require_modes(self, table: dict[str, int], *modes: str) -> None:
-        """Choose modes, disarmed; HEARTBEAT must show each with its base_mode in a table."""
+    def _require_modes(self, *modes: str) -> None:
+        """Choose modes, disarmed; HEARTBEAT must show each with the base_mode that is noted."""
         self.require_disarmed()
         try:
             for mode in modes:
                 self.require_mode(mode)
                 self.await_mode(mode, 3.0)
                 shown = self.heartbeat().base_mode & ~mavlink.MAV_MODE_FLAG_HIL_ENABLED
-                wanted = table[mode]
+                wanted = self.notes.base_modes[mode]
                 require(shown == wanted, f"{mode}: base_mode {shown:#x}, not {wanted:#x}")
         finally:
             self.set_mode("hold" if self.is_px4 else "stabilized")
@@ -83,12 +91,12 @@ class HeartbeatRules(VehicleProbe):
     @book.rule(PX4_MODES, effect=CHANGES, flavours=PX4)
     def px4_modes_are_packed(self) -> None:
         """custom_mode is main << 16 | sub << 24, and base_mode has the flags that PX4 sends."""
-        self._require_modes(mav.PX4_BASE_MODE, "hold", "land", "return", "takeoff")
+        self._require_modes("hold", "land", "return", "takeoff")
 
     @book.rule(PX4_MODES, effect=CHANGES, flavours=PX4)
     def px4_stick_modes_are_packed(self) -> None:
         """POSCTL and ALTCTL are shown with the manual-input and stabilise flags."""
-        self._require_modes(mav.PX4_BASE_MODE, "position", "altitude")
+        self._require_modes("position", "altitude")
 
     @book.rule(
         f"ArduPilot ArduCopter/mode.h; {mav.OBSERVED_ARDUPILOT}", effect=CHANGES, flavours=ARDUPILOT
@@ -96,16 +104,16 @@ class HeartbeatRules(VehicleProbe):
     def ardupilot_modes_are_numbered(self) -> None:
         """custom_mode is ArduCopter's mode number, and base_mode has the flags that it sends."""
         self.get_ready()
-        modes = [mode for mode in mav.ARDUCOPTER_BASE_MODE if mode != "mission"]
-        self._require_modes(mav.ARDUCOPTER_BASE_MODE, *modes)
+        self._require_modes(*[mode for mode in self.notes.base_modes if mode != "mission"])
 
     @book.rule(mav.OBSERVED_ARDUPILOT, effect=CHANGES, flavours=ARDUPILOT)
     def mode_change_is_told_at_once(self) -> None:
         """A changed mode is told by a HEARTBEAT of its own, without waiting for the next second."""
+        self.get_ready()
         self.set_mode("stabilized")
         self.heartbeat()
         self.run(0.2)
-        number = mav.ARDUCOPTER["altitude"]
+        number = mav.custom_mode(self.flavour, "altitude")
         self.set_mode("altitude")
         mark = self.asked
         self.expect(mav.Heartbeat, lambda m: m.custom_mode == number, within_s=0.4, mark=mark)

@@ -13,15 +13,6 @@ from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleB
 SERVICE = "MAVLink guide, Parameter Protocol"
 STRICT = f"{SERVICE} (stricter than the real one)"
 ERRORS = "MAVLink common, PARAM_ERROR; MAVSDK 4.1 reports it"
-NEEDED_ON_PX4 = (
-    "MIS_TAKEOFF_ALT",
-    "RTL_RETURN_ALT",
-    "COM_OF_LOSS_T",
-    "COM_OBL_RC_ACT",
-    "MPC_XY_VEL_MAX",
-    "SYS_AUTOSTART",
-)
-NEEDED_ON_ARDUPILOT = ("RTL_ALT", "FENCE_ENABLE", "FS_GCS_ENABLE", "GUID_TIMEOUT", "SYSID_MYGCS")
 NOBODYS = "NO_SUCH_PARAM"
 
 
@@ -72,7 +63,7 @@ class ParameterRules(ParameterClient):
     @book.rule("PX4 and ArduPilot parameter references; MAVSDK and ground stations ask for these")
     def needed_parameters_exist(self) -> None:
         """The parameters that clients ask for by name are there."""
-        for name in NEEDED_ON_PX4 if self.is_px4 else NEEDED_ON_ARDUPILOT:
+        for name in self.notes.parameters:
             self.read(name)
 
     @book.rule(SERVICE)

@@ -8,7 +8,7 @@ from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import GlobalSetpoint, LocalSetpoint
 from sim_link.lab.conformance.protocol_clients import ParameterClient, PlanClient, SetpointClient
-from sim_link.lab.conformance.rules import ARDUPILOT, FLIES, PX4, RuleBook, require
+from sim_link.lab.conformance.rules import ARDUPILOT, FLIES, PX4, Flavour, RuleBook, require
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe, require_unmoved
 from sim_link.lab.conformance.vehicle_rules.setpoint_rules import invalid_setpoints
 
@@ -149,7 +149,7 @@ PX4_PAGE = "PX4 user guide, Offboard Mode"
 OFFBOARD = f"{PX4_PAGE}; {OFFBOARD_OBSERVED}"
 LOSS_ACTION = "COM_OBL_RC_ACT"
 LOSS_MODES = {0: "position", 3: "return", 4: "land", 5: "hold"}
-OFFBOARD_NUMBER = mav.PX4_MAIN_SUB["offboard"][0] << 16
+OFFBOARD_NUMBER = mav.custom_mode(Flavour.PX4, "offboard")
 
 
 class OffboardLossRules(SetpointClient, ParameterClient):

@@ -14,21 +14,6 @@ from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 DATA_STREAM = f"MAVLink common, REQUEST_DATA_STREAM; {mav.OBSERVED_ARDUPILOT}"
 INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
 COMMON = "MAVLink common"
-NEEDED_HZ = {
-    "HEARTBEAT": 1.0,
-    "SYS_STATUS": 1.0,
-    "EXTENDED_SYS_STATE": 1.0,
-    "ATTITUDE": 10.0,
-    "ATTITUDE_QUATERNION": 5.0,
-    "LOCAL_POSITION_NED": 10.0,
-    "GLOBAL_POSITION_INT": 10.0,
-    "GPS_RAW_INT": 1.0,
-    "VFR_HUD": 1.0,
-    "BATTERY_STATUS": 0.5,
-    "HOME_POSITION": 0.5,
-    "MISSION_CURRENT": 1.0,
-}
-"""What clients stand on, at least this often."""
 UNASKED_ON_ARDUPILOT = {"HEARTBEAT", "TIMESYNC", "STATUSTEXT", "COMMAND_ACK"}
 CAPABILITIES = {
     "MISSION_INT": 4,
@@ -73,7 +58,7 @@ class StreamRules(VehicleProbe):
         """Unasked, what clients stand on flows at its least rate."""
         self.await_prearm()
         counts = self._rates()
-        for name, rate_hz in NEEDED_HZ.items():
+        for name, rate_hz in self.notes.rates_hz.items():
             least = rate_hz * LISTEN_S * (1.0 - RATE_TOLERANCE) - 1.0
             require(counts[name] >= least, f"{name}: {counts[name] / LISTEN_S:.1f} Hz")
 

@@ -175,4 +175,4 @@ def test_record() -> None:
     assert isinstance(rules, list)
     assert rules[1]["verdict"] == RuleVerdict.FAIL.value
     assert told["exit_code"] == 1
-    assert told["left_behind"] == ["COM_X is not restored"]
+    assert told["problems"] == ["COM_X is not restored"]
