@@ -1,0 +1,56 @@
+"""Commands that pages have for copying are understood, and give no port to two programs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from companion.arguments import ComplaintParser, argument_parser
+from companion.io.links.transports import parse_flight_link, parse_transport
+from companion.link.interface import LinkRole
+from sim_link.lab import radio_follower
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
+BLOCK = re.compile(r"^```\w*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+LISTENING = re.compile(r"--(?:connect|ranging|follow|master)[ =]udp(?:in)?:([\w.]+:\d+)")
+
+
+def blocks_of(page: Path) -> list[list[str]]:
+    """The commands of each block, without remarks; a backslash at the end goes on."""
+    texts = (text.replace("\\\n", " ") for text in BLOCK.findall(page.read_text(encoding="utf-8")))
+    return [text.splitlines() for text in texts]
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """Every companion and every radio of a page, as words."""
+    lines = [line.removesuffix("&") for block in blocks_of(page) for line in block]
+    own = [line for line in lines if re.match(r"companion --|sim-link radio --", line)]
+    return [shlex.split(line, comments=True) for line in own]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.name))
+def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> None:
+    for words in commands_of(page):
+        if words[0] == "companion":
+            arguments = argument_parser().parse_args(words[1:])
+            for url in (arguments.connect, *arguments.ranging, *arguments.gcs):
+                assert parse_flight_link(url, LinkRole.VEHICLE)
+        else:
+            parser = ComplaintParser()
+            radio_follower.add_arguments(parser)
+            arguments = parser.parse_args(words[2:])
+            assert parse_transport(arguments.follow)
+            assert parse_transport(f"udpout:{arguments.send_to}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.name))
+def test_no_two_programs_of_a_block_listen_on_one_port(page: Path) -> None:
+    for block in blocks_of(page):
+        if any("sim-link radio" in line or "mavproxy.py" in line for line in block):
+            ports = Counter(port for line in block for port in LISTENING.findall(line))
+            assert not [port for port, count in ports.items() if count > 1]
