@@ -53,15 +53,8 @@ from companion.mav.framing import sender_of
 
 __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
 
-FLIGHT_COMMANDS = {
-    number: mavlink.enums["MAV_CMD"][number].name.removeprefix("MAV_CMD_")
-    for number in (
-        mavlink.MAV_CMD_DO_REPOSITION,
-        mavlink.MAV_CMD_OVERRIDE_GOTO,
-        mavlink.MAV_CMD_DO_CHANGE_ALTITUDE,
-        mavlink.MAV_CMD_DO_ORBIT,
-    )
-}
+_NAMES = ("DO_REPOSITION", "OVERRIDE_GOTO", "DO_CHANGE_ALTITUDE", "DO_ORBIT")
+FLIGHT_COMMANDS = {getattr(mavlink, f"MAV_CMD_{name}"): name for name in _NAMES}
 """By which a ground station sends a vehicle somewhere."""
 RECORD_PERIOD_S = 10.0
 """How often the health of the links goes to the event log."""

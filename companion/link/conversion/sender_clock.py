@@ -166,6 +166,8 @@ class Timebase:
     ) -> None:
         self.known_rate = rate
         """Better than by arrival; None: nobody knows."""
+        self.max_late_s = MAX_LATE_S
+        """How late the last stamp of a sender that restarted may have been."""
         self.rate = rate or NO_RATE
         """How fast the offset grows, as the last stamp was read."""
         self._offset_s = offset_s
@@ -181,14 +183,8 @@ class Timebase:
             return None
         return self._offset_s + self.rate.growth * (time_s - self._updated_s)
 
-    def read(
-        self, remote_s: float, now_s: float, *, max_late_s: float = MAX_LATE_S
-    ) -> StampReading:
-        """Local time of a remote stamp that arrived at `now_s`, both in seconds.
-
-        Args:
-            max_late_s: How late the last stamp of a sender that restarted may have been.
-        """
+    def read(self, remote_s: float, now_s: float) -> StampReading:
+        """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
         raw_s, remote_s = remote_s, self._unwrapped(remote_s)
         self.rate = self.known_rate or self._arrivals.rate
         before_s = self.offset_at_s(now_s)
@@ -196,7 +192,7 @@ class Timebase:
             return self._start(remote_s, now_s, now_s - remote_s)
         if remote_s < self._newest_remote_s - BACKWARD_S:
             if self._is_new_clock(raw_s, now_s) and self._new_clock is not None:
-                is_young = raw_s <= now_s - self._updated_s + max_late_s
+                is_young = raw_s <= now_s - self._updated_s + self.max_late_s
                 is_far = self._newest_remote_s - remote_s > REBOOT_BACKWARD_S
                 step = ClockStep.RESTART if is_young and is_far else ClockStep.SLIP
                 self._wraps = 0
@@ -286,21 +282,15 @@ class SenderClock:
         self._gains.clear()
 
     def read(
-        self,
-        remote_s: float,
-        now_s: float,
-        *,
-        late_confirm_s: float = LATE_CONFIRM_S,
-        max_late_s: float = MAX_LATE_S,
+        self, remote_s: float, now_s: float, *, late_confirm_s: float = LATE_CONFIRM_S
     ) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds.
 
         Args:
             late_confirm_s: How long stamps must be late before they are those of a new clock.
-            max_late_s: How late the last stamp of a sender that restarted may have been.
         """
         before_s = self.timebase.offset_at_s(now_s)
-        reading = self.timebase.read(remote_s, now_s, max_late_s=max_late_s)
+        reading = self.timebase.read(remote_s, now_s)
         if reading.step is ClockStep.NONE:
             self._note_gain(before_s, now_s)
         else:
@@ -378,12 +368,9 @@ class VehicleClock:
         has_slipped = self._follow_exchange(now_s)
         lateness = self.sync.lateness(now_s)
         is_prompt = self.sync.round_trip_s is not None and lateness is Lateness.NONE
-        reading = self._stamps.read(
-            remote_s,
-            now_s,
-            late_confirm_s=LATE_CONFIRM_S_OF[lateness],
-            max_late_s=PROMPT_LATE_S if is_prompt else MAX_LATE_S,
-        )
+        self._stamps.timebase.max_late_s = PROMPT_LATE_S if is_prompt else MAX_LATE_S
+        late_confirm_s = LATE_CONFIRM_S_OF[lateness]
+        reading = self._stamps.read(remote_s, now_s, late_confirm_s=late_confirm_s)
         if reading.step is not ClockStep.NONE:
             self.slips += 1
             self._slipped_s = now_s
