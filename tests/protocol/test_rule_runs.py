@@ -11,7 +11,7 @@ import pytest
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import AutopilotStall, Incident, VehicleReboot
 from sim_link.autopilot.protocols.addressing import LinkSetup
-from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, Scenario
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.cli import all_rules
 from sim_link.lab.conformance.protocol_clients import PlanClient, SetpointClient
@@ -50,10 +50,16 @@ class MemoryRun:
         allowed: frozenset[str] = EVERYTHING,
         ready_after_s: float = 2.0,
         stop_s: float = math.inf,
+        has_one_peer: bool = False,
+        charge: float = 1.0,
     ) -> None:
-        autopilot = AutopilotParams(flavour=flavour.value, ready_after_s=ready_after_s)
-        scenario = Scenario(autopilot=autopilot, incidents=incidents)
-        self.vehicle = SimEndpoint(scenario, SEED, links=[LinkSetup("station")])
+        scenario = Scenario(
+            autopilot=AutopilotParams(flavour=flavour.value, ready_after_s=ready_after_s),
+            battery=BatteryParams(start_share=charge),
+            incidents=incidents,
+        )
+        setup = LinkSetup("station", has_one_peer=has_one_peer)
+        self.vehicle = SimEndpoint(scenario, SEED, links=[setup])
         self.stored = self.vehicle.parameters_text
         self.link = MemoryHub(self.vehicle).connect()
         if stop_s < math.inf:
@@ -206,6 +212,25 @@ def test_plans_and_the_mode_are_as_they_were(flavour: Flavour) -> None:
     after.attach()
     after.require_stored(wanted)
     assert after.heartbeat().custom_mode == before
+
+
+@FLAVOURS
+def test_rules_with_two_clients_are_left_out_where_one_is_served(flavour: Flavour) -> None:
+    trial = MemoryRun(flavour, has_one_peer=True)
+    verdicts = trial.try_rules(*select(RULES, Role.VEHICLE, "routing.*"))
+    assert verdicts.count("SKIP") >= 8
+    assert "FAIL" not in verdicts
+    reasons = {each.detail for each in trial.run.outcomes if each.verdict.value == "SKIP"}
+    assert reasons == {"this link serves one client only"}
+
+
+@FLAVOURS
+def test_nothing_flies_on_an_empty_battery_unless_a_simulator_may_restart(flavour: Flavour) -> None:
+    careful = MemoryRun(flavour, charge=0.2, allowed=EVERYTHING - {HARM_FLAG})
+    assert careful.try_rules(FAILS, HEARTBEAT) == ["NOT RUN", "PASS"]
+    assert "battery at 20 %: charge it" in careful.run.outcomes[0].detail
+    careful.require_left_in_order()
+    assert MemoryRun(flavour, charge=0.2).try_rules(FAILS) == ["FAIL"]
 
 
 def incidents_of(number: int) -> tuple[list[Incident], float, float]:

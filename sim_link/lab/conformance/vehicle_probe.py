@@ -71,8 +71,8 @@ class Baseline:
     """Told what is waited for."""
     custom_mode: int | None = None
     parameters: dict[str, Parameter] = field(default_factory=dict)
-    plans: dict[int, list[Any]] = field(default_factory=dict)
-    """The items of each MAV_MISSION_TYPE."""
+    plans: dict[int, list[Any] | None] = field(default_factory=dict)
+    """The items of each MAV_MISSION_TYPE; None: they could not be read."""
     intervals: set[int] = field(default_factory=set)
     """Messages whose rates are not the link's own any more."""
     home: tuple[int, int, float] | None = None
@@ -88,7 +88,8 @@ class Baseline:
             f"{p.name} is not restored: set it to {p.value:.9g}" for p in self.parameters.values()
         ]
         told += [
-            f"plan of type {kind} is not restored: it had {len(items)} items"
+            f"plan of type {kind} is not restored: "
+            + ("it could not be read before" if items is None else f"it had {len(items)} items")
             for kind, items in self.plans.items()
         ]
         return told + (["home is not restored: set it again"] if self.home else [])

@@ -38,17 +38,6 @@ class FlightRules(VehicleProbe):
         height_m = -self.place()[2] + self.home().z
         require(abs(height_m - 12.0) < 1.0, f"{height_m:.1f} m above home")
 
-    @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}", flavours=PX4)
-    def takeoff_without_altitude_uses_the_parameter(self) -> None:
-        """NAV_TAKEOFF with NaN for its altitude climbs to MIS_TAKEOFF_ALT."""
-        self.arm()
-        before = self.place()[2]
-        self.require_result(ACCEPTED, TAKE_OFF)
-        self.await_mode("hold", 30.0)
-        self.run(1.0)
-        climbed_m = before - self.place()[2]
-        require(1.5 < climbed_m < 11.0, f"climbed {climbed_m:.1f} m")
-
     @book.rule(f"{mav.OBSERVED_ARDUPILOT} {STRICT}", flavours=ARDUPILOT, harms=True)
     def takeoff_without_altitude_is_refused(self) -> None:
         """NAV_TAKEOFF with NaN, zero or less is refused: it would climb without end."""

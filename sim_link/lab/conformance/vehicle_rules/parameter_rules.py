@@ -183,19 +183,6 @@ class ParameterRules(ParameterClient):
         require(all(each.raw == before.raw for each in told), "another value is told")
         require(self.read(before.name).raw == before.raw, "it was stored")
 
-    @book.rule(f"{SERVICE} (a text)")
-    def unknown_name_is_told_in_words(self) -> None:
-        """Reading or setting a name that there is not is answered by a STATUSTEXT, too."""
-        for message in (
-            mav.ParamRead(*self.target, NOBODYS.encode(), -1),
-            mav.ParamSet(*self.target, NOBODYS.encode(), 1.0, REAL32),
-        ):
-            self.send(message)
-            self.run(ANSWER_S)
-            told = any(NOBODYS in text.text for text in self.heard(mav.StatusText, self.asked))
-            require(told or not self.is_px4, f"{message.get_type()}: no text")
-        self.require_hearing()
-
     @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}", effect=CHANGES, flavours=PX4)
     def wrong_type_is_refused(self) -> None:
         """A value of another type is not stored."""
