@@ -18,6 +18,7 @@ import numpy as np
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk, Endpoint
 from sim_link.lab.conformance.mavlink_oracle import FrameSpec, build_raw
+from sim_link.lab.conformance.rules import Flavour
 
 PEER = ("127.0.0.1", 50_001)
 VEHICLE_SYSTEM = 1
@@ -57,6 +58,7 @@ HANDLED: tuple[type[Message], ...] = (
 """What an autopilot acts on; the other half of the frames is any message of the dialect."""
 COMMANDS = (16, 20, 21, 22, 92, 176, 178, 179, 192, 193, 224, 241, 246, 300, 400, 410, 510, 511)
 COMMANDS_ALL = (*COMMANDS, 512, 519, 520, 31_999)
+COMMAND_IDS = (75, 76)
 COMMAND_OFFSET = 28
 """Of the command's number in the payload of COMMAND_LONG and COMMAND_INT."""
 
@@ -82,10 +84,13 @@ class FrameFuzzer:
 
     Args:
         rng: Where all of it comes from.
+        flavour: Whom they are for: PX4 refuses commands for others, ArduPilot stands in for
+            components of its system, so that these concern the vehicle too.
     """
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, flavour: Flavour) -> None:
         self._rng = rng
+        self._flavour = flavour
         self._kinds = [
             kind for number, kind in mavlink.mavlink_map.items() if number not in NEVER_SENT
         ]
@@ -106,7 +111,7 @@ class FrameFuzzer:
         meant = Meant.VEHICLE
         if "target_system" in kind.fieldnames:
             meant = self._address(kind, payload)
-        if kind.id in (75, 76):
+        if kind.id in COMMAND_IDS:
             number = COMMANDS_ALL[int(self._rng.integers(len(COMMANDS_ALL)))]
             payload[COMMAND_OFFSET : COMMAND_OFFSET + 2] = number.to_bytes(2, "little")
         self._sequence = (self._sequence + 1) % 256
@@ -143,7 +148,10 @@ class FrameFuzzer:
             )
         elif draw > 0.7 and "target_component" in kind.fieldnames:
             component = FOREIGN_COMPONENTS[int(self._rng.integers(len(FOREIGN_COMPONENTS)))]
-            meant = Meant.OTHERS
+            is_stand_in = self._flavour is Flavour.ARDUPILOT
+            meant = Meant.VEHICLE if is_stand_in else Meant.OTHERS
+        if kind.id in COMMAND_IDS and self._flavour is Flavour.PX4:
+            meant = Meant.VEHICLE
         _set_field(kind, payload, "target_system", system)
         if "target_component" in kind.fieldnames:
             _set_field(kind, payload, "target_component", component)
@@ -204,11 +212,13 @@ class FuzzCampaign:
     """Feeds two twins.
 
     Args:
-        make_endpoint: A new vehicle; called twice, both of the same seed.
+        make_endpoint: A new vehicle of a flavour; called twice, both of the same seed.
     """
 
-    def __init__(self, make_endpoint: Callable[[], Endpoint], rng: np.random.Generator) -> None:
-        self._fuzzer = FrameFuzzer(rng)
+    def __init__(
+        self, make_endpoint: Callable[[], Endpoint], rng: np.random.Generator, flavour: Flavour
+    ) -> None:
+        self._fuzzer = FrameFuzzer(rng, flavour)
         self._tried, self._spared = make_endpoint(), make_endpoint()
         self.now_s = 0.0
         self.frames = 0

@@ -51,7 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def fuzz(flavour: Flavour, frames: int, seed: int) -> bool:
     """Send so many frames to one simulator; whether it stayed well."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
-    campaign = FuzzCampaign(lambda: SimEndpoint(scenario, seed), np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    campaign = FuzzCampaign(lambda: SimEndpoint(scenario, seed), rng, flavour)
     started_s = time.monotonic()
     settled: tuple[float, int] | None = None
     try:

@@ -23,13 +23,15 @@ FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour:
 def test_random_frames_break_nothing_and_those_for_others_change_nothing(
     flavour: Flavour, seed: int
 ) -> None:
-    campaign = FuzzCampaign(lambda: simulator(flavour), np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    campaign = FuzzCampaign(lambda: simulator(flavour), rng, flavour)
     campaign.run(FRAMES)
     assert campaign.answers > FRAMES / 10
 
 
-def test_frames_have_right_checksums_unless_they_are_broken() -> None:
-    fuzzer, codec = FrameFuzzer(np.random.default_rng(1)), MavCodec(1, 1)
+@FLAVOURS
+def test_frames_have_right_checksums_unless_they_are_broken(flavour: Flavour) -> None:
+    fuzzer, codec = FrameFuzzer(np.random.default_rng(1), flavour), MavCodec(1, 1)
     pieces = [fuzzer.next() for _ in range(2_000)]
     whole = [piece for piece in pieces if piece.meant is not Meant.NOBODY]
     for piece in whole:
@@ -45,10 +47,10 @@ def test_a_vehicle_that_obeys_what_is_for_others_is_found() -> None:
     def make() -> Tampered:
         nonlocal count
         count += 1
-        return Tampered(simulator(Flavour.PX4), set_byte(76, 30, 1))
+        return Tampered(simulator(Flavour.ARDUPILOT), set_byte(76, 30, 1))
 
     with pytest.raises(FuzzFailure, match="somebody else"):
-        FuzzCampaign(make, np.random.default_rng(1)).run(FRAMES)
+        FuzzCampaign(make, np.random.default_rng(1), Flavour.ARDUPILOT).run(FRAMES)
     assert count == 2
 
 
@@ -59,11 +61,13 @@ def test_a_vehicle_that_raises_is_found() -> None:
             if b"\xff" in chunk.data:
                 raise ValueError("too many ones")
 
+    rng = np.random.default_rng(1)
+    campaign = FuzzCampaign(lambda: Fragile(simulator(Flavour.PX4)), rng, Flavour.PX4)
     with pytest.raises(FuzzFailure, match="ValueError: too many ones"):
-        FuzzCampaign(lambda: Fragile(simulator(Flavour.PX4)), np.random.default_rng(1)).run(FRAMES)
+        campaign.run(FRAMES)
 
 
 def test_signing_setup_is_left_out() -> None:
-    fuzzer, codec = FrameFuzzer(np.random.default_rng(3)), MavCodec(1, 1)
+    fuzzer, codec = FrameFuzzer(np.random.default_rng(3), Flavour.PX4), MavCodec(1, 1)
     heard = [m for _ in range(3_000) for m in codec.decode(fuzzer.next().data)]
     assert not [m for m in heard if isinstance(m, mavlink.MAVLink_setup_signing_message)]
