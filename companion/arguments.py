@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
@@ -98,7 +99,9 @@ def _add_links(parser: Options) -> None:
 def _add_flight(parser: Options) -> None:
     _file(parser, "--config", "configuration YAML", dest="fly_config")
     text = "seconds of a simulator per real second (default 1)"
-    _option(parser, "--speed", "X", text, dest="fly_speed", type=_speed)
+    _option(
+        parser, "--speed", "X", text, dest="fly_speed", type=number_in(0.0, MAX_SPEED, is_open=True)
+    )
     text = "QGroundControl .plan or .kml with the fence, instead of the configuration's"
     _file(parser, "--fence", text)
     text = "MAVLink 2 signing with the key in FILE (64 hexadecimal digits, mode 0600)"
@@ -125,8 +128,15 @@ def _add_demo(commands: Commands) -> None:
         help="fly the canonical search on the simulator and watch it",
         description="Start sim-link, fly the canonical search over UDP, and show how well it went.",
     )
-    _option(demo, "--seed", "N", "of the simulator", type=_seed, default=1)
-    _option(demo, "--speed", "X", "times real time", type=_speed, default=1.0)
+    _option(demo, "--seed", "N", "of the simulator", type=number_in(0, kind=int), default=1)
+    _option(
+        demo,
+        "--speed",
+        "X",
+        "times real time",
+        type=number_in(0.0, MAX_SPEED, is_open=True),
+        default=1.0,
+    )
     _file(demo, "--scenario", "scenario for sim-link")
     text = "which autopilot to fly (default: the scenario's, px4)"
     demo.add_argument("--autopilot", choices=("px4", "ardupilot"), help=text)
@@ -149,7 +159,14 @@ def _add_doctor(commands: Commands) -> None:
     _file(doctor, "--config", "companion configuration")
     _file(doctor, "--signing-key", "as in flight", dest="key")
     _switch(doctor, "--insecure", "as in flight", dest="is_insecure")
-    _option(doctor, "--seconds", "S", "to count streams (default 5)", type=_seconds, default=5.0)
+    _option(
+        doctor,
+        "--seconds",
+        "S",
+        "to count streams (default 5)",
+        type=number_in(1.0, MAX_SECONDS),
+        default=5.0,
+    )
     _switch(doctor, "--json", "print the results as JSON")
 
 
@@ -173,7 +190,7 @@ def _add_replay(commands: Commands) -> None:
     )
     replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv", type=Path)
     text = "of a flight, times real time (default: as fast as possible)"
-    _option(replay, "--speed", "X", text, type=_speed)
+    _option(replay, "--speed", "X", text, type=number_in(0.0, MAX_SPEED, is_open=True))
     text = "show a flight on the live map, at --speed 1 unless given (default port 8080)"
     _option(replay, "--web", "[HOST:]PORT", text, dest="replay_web", nargs="?", const="8080")
     _file(replay, "--config", "companion configuration")
@@ -191,31 +208,23 @@ def _add_report(commands: Commands) -> None:
     _file(report, "--output", "instead of report.html there")
 
 
-def _speed(text: str) -> float:
-    speed = _number(text)
-    if not 0.0 < speed <= MAX_SPEED:
-        raise argparse.ArgumentTypeError(f"`{text}` is not above 0 and at most {MAX_SPEED:g}")
-    return speed
+def number_in(
+    least: float, most: float = math.inf, *, kind: type[float] = float, is_open: bool = False
+) -> Callable[[str], float]:
+    """The type of an argument: a number (int: a whole one) from `least` (open: above it) on."""
+    wanted = f"{'above' if is_open else 'from'} {least:g}" + f" to {most:g}" * (most < math.inf)
 
+    def parsed(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most or (is_open and value == least):
+            what = "whole number" if kind is int else "number"
+            raise argparse.ArgumentTypeError(f"`{text}` is not a {what} {wanted}")
+        return value
 
-def _seconds(text: str) -> float:
-    seconds = _number(text)
-    if not 1.0 <= seconds <= MAX_SECONDS:
-        raise argparse.ArgumentTypeError(f"`{text}` is not 1 to {MAX_SECONDS:g}")
-    return seconds
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"`{text}` is not a whole number from 0 up")
-    return int(text)
+    return parsed
 
 
 FLIGHT_OPTIONS = "connect ranging gcs cot fence signing_key insecure fresh once"

@@ -14,7 +14,7 @@ from typing import get_args
 import msgspec
 
 from companion import __version__
-from companion.arguments import ComplaintParser
+from companion.arguments import ComplaintParser, number_in
 from companion.entry import is_interrupt, outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.links.transports import Transport, UdpConnect, parse_transport
@@ -105,14 +105,16 @@ def _add_scene(add: Callable[..., object]) -> None:
     add("--scenario", metavar="FILE", type=Path, help=scenario)
     autopilot = "which autopilot to be (default: the scenario's, px4)"
     add("--autopilot", choices=("px4", "ardupilot"), help=autopilot)
-    add("--seed", metavar="N", type=int, default=0, help="seed of all randomness (default 0)")
+    seed = "seed of all randomness (default 0)"
+    add("--seed", metavar="N", type=number_in(0, kind=int), default=0, help=seed)
     speed = "simulated seconds per real second (default 1)"
-    add("--speed", metavar="X", type=float, default=1.0, help=speed)
+    above_zero = number_in(0.0, MAX_SPEED, is_open=True)
+    add("--speed", metavar="X", type=above_zero, default=1.0, help=speed)
     ready = "seconds after boot until it can be armed (default: the scenario's, 2; the real PX4 "
     ready += "takes 34, ArduPilot 41)"
-    add("--ready-after", metavar="S", type=float, help=ready)
+    add("--ready-after", metavar="S", type=number_in(0.0, MAX_BOOT_S), help=ready)
     vehicles = "fly N of them: system ids and ports count up, 14550 is for all (default 1)"
-    add("--vehicles", metavar="N", type=int, help=vehicles)
+    add("--vehicles", metavar="N", type=number_in(1, MAX_VEHICLES, kind=int), help=vehicles)
 
 
 def _add_links(add: Callable[..., object]) -> None:
@@ -181,18 +183,13 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
-    seed, speed = arguments.seed, arguments.speed
-    if seed < 0:
-        raise ConfigError(f"--seed {seed}: give a number that is not negative")
-    if not 0.0 < speed <= MAX_SPEED:
-        raise ConfigError(f"--speed {speed:g}: give 0 to {MAX_SPEED:g}, 1 for real time")
     report: Path | None = arguments.report
     if report is not None and not report.name:
         raise ConfigError(f"--report {report}: give the name of a file")
     return FleetOptions(
         scenario=_scenario(arguments),
-        seed=seed,
-        speed=speed,
+        seed=arguments.seed,
+        speed=arguments.speed,
         listen=_address("--listen", arguments.listen),
         send_to=tuple(_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO),
         links=tuple(map(_link, arguments.link)),
@@ -207,10 +204,6 @@ def _scenario(arguments: argparse.Namespace) -> Scenario:
     """The scenario of the command line, which has the last word."""
     scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
     vehicles, ready_after_s = arguments.vehicles, arguments.ready_after
-    if vehicles is not None and not 1 <= vehicles <= MAX_VEHICLES:
-        raise ConfigError(f"--vehicles {vehicles}: give 1 to {MAX_VEHICLES}")
-    if ready_after_s is not None and not 0.0 <= ready_after_s <= MAX_BOOT_S:
-        raise ConfigError(f"--ready-after {ready_after_s:g}: give 0 to {MAX_BOOT_S:g}")
     given = {"flavour": arguments.autopilot, "ready_after_s": ready_after_s}
     chosen = {name: value for name, value in given.items() if value is not None}
     return msgspec.structs.replace(

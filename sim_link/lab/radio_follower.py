@@ -22,6 +22,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from companion.arguments import number_in
 from companion.domain import PositionEnu
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin, Projection, enu_from_ned
@@ -254,9 +255,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--send-to", metavar="HOST:PORT", help="where measurements go (default: back to the link)")
     add("--scenario", metavar="FILE", type=Path, help="channel, payload, obstacles and emitters")
-    add("--rate", metavar="HZ", type=float, help="measurements per second")
-    add("--seed", metavar="N", type=int, default=0, help="of all randomness")
-    add("--speed", metavar="X", type=float, default=1.0, help="of the simulator")
+    add(
+        "--rate",
+        metavar="HZ",
+        type=number_in(0.0, 50.0, is_open=True),
+        help="measurements per second",
+    )
+    add("--seed", metavar="N", type=number_in(0, kind=int), default=0, help="of all randomness")
+    above_zero = number_in(0.0, 1000.0, is_open=True)
+    add("--speed", metavar="X", type=above_zero, default=1.0, help="of the simulator")
     add("--stop-on-eof", action="store_true", help="stop when standard input ends")
 
 
@@ -267,7 +274,7 @@ def run(arguments: argparse.Namespace) -> int:
         ConfigError: An argument is wrong.
         LinkError: A link cannot be opened.
     """
-    follower, links, clock = _follower(arguments), _links(arguments), _clock(arguments.speed)
+    follower, links, clock = _follower(arguments), _links(arguments), Clock(arguments.speed)
     print(f"sim-link: radio on {arguments.follow}", flush=True)
     shell = Shell(follower, links, clock, _hints(follower, arguments.follow))
     if arguments.stop_on_eof:
@@ -279,12 +286,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _follower(arguments: argparse.Namespace) -> RadioFollower:
     scenario = Scenario() if arguments.scenario is None else load_scenario(arguments.scenario)
-    if arguments.seed < 0:
-        raise ConfigError(f"--seed {arguments.seed}: give a number that is not negative")
     payload = scenario.payload
     if arguments.rate is not None:
-        if not 0.0 < arguments.rate <= 50.0:
-            raise ConfigError(f"--rate {arguments.rate:g}: give 0 to 50")
         payload = msgspec.structs.replace(payload, rate_hz=arguments.rate)
     emitters: list[Emitter | GeodeticEmitter] = [
         parse_emitter(text, number) for number, text in enumerate(arguments.emitter, 1)
@@ -323,13 +326,6 @@ def _links(arguments: argparse.Namespace) -> list[Transport]:
             problem = f"--send-to {arguments.send_to}: give HOST:PORT, for example 127.0.0.1:14600"
             raise ConfigError(problem) from None
     return links
-
-
-def _clock(speed: float) -> Clock:
-    try:
-        return Clock(speed)
-    except ValueError:
-        raise ConfigError(f"--speed {speed:g}: give a number above 0") from None
 
 
 def _stop_at_eof(shell: Shell) -> None:

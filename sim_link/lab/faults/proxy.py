@@ -26,6 +26,7 @@ import msgspec
 import numpy as np
 import yaml
 
+from companion.arguments import number_in
 from companion.config.loader import load_yaml
 from companion.errors import ConfigError, LinkError
 from companion.mav.endpoint import Address
@@ -208,16 +209,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--companion", default="127.0.0.1:14550", metavar="HOST:PORT")
     parser.add_argument("--fault", action="append", default=[], metavar="MAPPING")
     parser.add_argument("--faults", type=Path, metavar="FILE", help="faults as YAML")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--for", dest="for_s", type=float, metavar="SECONDS", help="then end")
+    parser.add_argument("--seed", type=number_in(0, kind=int), default=1)
+    above_zero = number_in(0.0, is_open=True)
+    parser.add_argument("--for", dest="for_s", type=above_zero, metavar="SECONDS", help="then end")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry datagrams until asked to stop; a ConfigError or LinkError for what is bad input."""
     schedule = _schedule(arguments.fault, arguments.faults)
     listen, companion = _address(arguments.listen), _address(arguments.companion)
-    if arguments.seed < 0 or (arguments.for_s is not None and arguments.for_s <= 0.0):
-        raise ConfigError("--seed must not be negative, --for must be above 0")
     with FaultProxy(listen, companion, schedule, arguments.seed) as proxy:
         host, port = proxy.vehicle_side
         print(f"proxy: vehicle to {host}:{port}, companion {arguments.companion}", flush=True)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TextIO
 from xml.etree import ElementTree
 
+from companion.arguments import number_in
 from companion.entry import is_interrupt
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
@@ -257,9 +258,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     autopilot = "in place of the scripts' own; what does not fit it is skipped"
     add("--autopilot", choices=("px4", "ardupilot"), help=autopilot)
     add("--connect", metavar="URL", help="fly the vehicle on this link instead of a simulated one")
-    add("--seed", metavar="N", type=int, default=0, help="first seed (default 0)")
-    add("--repeat", metavar="N", type=int, default=1, help="with so many seeds (default 1)")
-    add("--jobs", metavar="J", type=int, default=1, help="so many at once")
+    add(
+        "--seed", metavar="N", type=number_in(0, kind=int), default=0, help="first seed (default 0)"
+    )
+    repeat = "with so many seeds (default 1)"
+    add("--repeat", metavar="N", type=number_in(1, kind=int), default=1, help=repeat)
+    add("--jobs", metavar="J", type=number_in(1, kind=int), default=1, help="so many at once")
     add("--backend", metavar="URL", default=LOCAL, help="fly on a cluster: dask://HOST:PORT")
     add("--junit", metavar="FILE", type=Path, help="write JUnit XML")
     add("--report", metavar="DIR", type=Path, help="write a report and logs of every flight")
@@ -324,11 +328,6 @@ def _in_order(
 
 
 def _campaign(arguments: argparse.Namespace) -> MissionBatch:
-    if arguments.seed < 0:
-        raise ConfigError(f"--seed {arguments.seed}: give a number that is not negative")
-    for option in ("repeat", "jobs"):
-        if getattr(arguments, option) < 1:
-            raise ConfigError(f"--{option} {getattr(arguments, option)}: give at least 1")
     if arguments.connect is not None and arguments.autopilot is not None:
         raise ConfigError("--autopilot: with --connect the autopilot is whoever answers")
     if arguments.connect is not None and arguments.jobs > 1:
