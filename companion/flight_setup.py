@@ -40,12 +40,9 @@ from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
 from companion.planning.fim import FimPlanner
 from companion.planning.planner import Planner
 from companion.planning.search import (
-    ExpandingSquare,
-    Lawnmower,
-    Pattern,
+    SearchParams,
     SearchPlanner,
     SearchThenCross,
-    SectorSearch,
 )
 
 
@@ -54,7 +51,7 @@ def build_planner(config: CompanionConfig) -> Planner[Any]:
     planner = config.planner
     if planner.search is None:
         return _build_one(planner.kind, config)
-    search = SearchPlanner(_build_pattern(planner.search, planner))
+    search = SearchPlanner(_pattern(planner.search, planner))
     return SearchThenCross(search, _build_one(planner.kind, config), planner.lost_after_s)
 
 
@@ -69,17 +66,17 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
             bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
             return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad)
         case _:
-            return SearchPlanner(_build_pattern(kind, planner))
+            return SearchPlanner(_pattern(kind, planner))
 
 
-def _build_pattern(kind: PatternKind, config: PlannerConfig) -> Pattern:
+def _pattern(kind: PatternKind, config: PlannerConfig) -> SearchParams:
     match kind:
         case "lawnmower":
-            return Lawnmower(config.lawnmower)
+            return config.lawnmower
         case "expanding_square":
-            return ExpandingSquare(config.expanding_square)
+            return config.expanding_square
         case "sector":
-            return SectorSearch(config.sector)
+            return config.sector
 
 
 def build_session(config: CompanionConfig) -> GuidanceSession:

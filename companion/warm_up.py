@@ -30,7 +30,7 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
     if not IS_COMPILED:
         return
     rng = np.random.default_rng(0)
-    memory = planner.initial_memory()
+    memory: Any = None
     for has_range, has_bearing in ((True, True), (True, False), (False, True)):
         tracker = TargetTracker(params)
         for step in range(params.window.size + 60):

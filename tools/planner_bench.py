@@ -41,7 +41,7 @@ import numpy as np
 
 from companion.estimation.filters.kalman import KINDS
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
-from companion.planning.crossing_kernels import LATCH_SIZE
+from companion.planning.crossing_kernels import NO_LATCH
 from sim_link.lab.evaluation.campaign import run_trial
 from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured, stream
 from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
@@ -128,7 +128,7 @@ def retraced(
         picks: (steps,) draws of its planner.
     """
     places = track_enu_m[1:].copy()
-    sensor, latch = np.zeros(3), np.zeros(LATCH_SIZE)
+    sensor, latch = np.zeros(3), NO_LATCH
     sensor[:2] = track_enu_m[0]
     mean, covariance = first_fix(sensor[0], sensor[1], z[0, 0], z[0, 1], belief)
     if steering.planner != FIXED:
@@ -163,7 +163,7 @@ def decided(
     places = np.empty((track_enu_m.shape[0] - 1, 2))
     sensor = np.zeros(3)
     for _ in range(passes):
-        latch = np.zeros(LATCH_SIZE)
+        latch = NO_LATCH
         for step in range(places.shape[0]):
             sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
             places[step, 0], places[step, 1], latch = next_place(

@@ -33,7 +33,6 @@ from companion.planning.fim import FimParams
 from companion.planning.planner import PlanRequest
 from companion.planning.search import (
     ExpandingSquareParams,
-    Lawnmower,
     LawnmowerParams,
     SectorParams,
 )
@@ -305,4 +304,4 @@ def _has_lanes(config: CompanionConfig) -> bool:
         limits.fence_margin_m,
         keep_out_enu_m=limits.keep_out_enu_m,
     )
-    return bool(Lawnmower(planner.lawnmower).track(request, limits.fence_enu_m[0], 0))
+    return bool(planner.lawnmower.track(request, limits.fence_enu_m[0], 0))

@@ -30,24 +30,15 @@ and the leg to it are kept in free space.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-
-import numpy as np
 
 from companion.domain import NonNegative, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
-from companion.kernel import Vector, kernel
+from companion.kernel import kernel
 from companion.planning.crossing_kernels import (
-    CROSSINGS,
-    DIRECTION_EAST,
-    ESTIMATE_EAST,
     GOLDEN_ANGLE_RAD,
-    IS_SET,
     KEPT,
-    LATCH_SIZE,
-    OVERSHOOT,
-    POINT_EAST,
-    START_EAST,
+    NO_LATCH,
+    Latch,
     LatchRule,
     altitude_offset_m,
     direction,
@@ -73,8 +64,6 @@ DIRECTIONS_TRIED = 5
 """Directions tried before a crossing cut short by the fence is accepted."""
 HEIGHT_SHARE = 0.5
 """A crossing is at its height within this share of the swing."""
-PUSHED_M = 0.01
-"""Farther beyond the estimate than its overshoot by this, a crossing point was pushed there."""
 LONG_ENOUGH_SHARE = 0.9
 """A crossing with this much of its overshoot is not cut short."""
 
@@ -103,51 +92,6 @@ class LatchedCrossingParams(Params, frozen=True):
         return LatchRule(*(getattr(self, name) for name in LatchRule._fields))
 
 
-@dataclass(frozen=True, slots=True)
-class Latch:
-    """The crossing being flown; `crossing_kernels` says what its numbers mean."""
-
-    point_enu_m: Point
-    estimate_enu_m: Point
-    direction: Point
-    start_enu_m: Point
-    overshoot_m: float
-    crossings: int
-
-    @classmethod
-    def of(cls, array: Vector) -> Latch:
-        """The latch in a kernel's array."""
-        v = array.tolist()
-        return cls(
-            point_enu_m=(v[POINT_EAST], v[POINT_EAST + 1]),
-            estimate_enu_m=(v[ESTIMATE_EAST], v[ESTIMATE_EAST + 1]),
-            direction=(v[DIRECTION_EAST], v[DIRECTION_EAST + 1]),
-            start_enu_m=(v[START_EAST], v[START_EAST + 1]),
-            overshoot_m=v[OVERSHOOT],
-            crossings=int(v[CROSSINGS]),
-        )
-
-    @property
-    def pushed_m(self) -> float:
-        """How far beyond the estimate the point is if a keep-out pushed it there, otherwise 0."""
-        (point_east, point_north), (east, north) = self.point_enu_m, self.estimate_enu_m
-        beyond_m = (point_east - east) * self.direction[0]
-        beyond_m += (point_north - north) * self.direction[1]
-        return beyond_m if beyond_m > self.overshoot_m + PUSHED_M else 0.0
-
-    def array(self) -> Vector:
-        """The same latch as the kernels take it."""
-        array = np.zeros(LATCH_SIZE)
-        array[POINT_EAST : POINT_EAST + 2] = self.point_enu_m
-        array[ESTIMATE_EAST : ESTIMATE_EAST + 2] = self.estimate_enu_m
-        array[DIRECTION_EAST : DIRECTION_EAST + 2] = self.direction
-        array[START_EAST : START_EAST + 2] = self.start_enu_m
-        array[OVERSHOOT] = self.overshoot_m
-        array[CROSSINGS] = self.crossings
-        array[IS_SET] = 1.0
-        return array
-
-
 class LatchedCrossing:
     """The default planner."""
 
@@ -157,10 +101,6 @@ class LatchedCrossing:
         self.params = params
         self._rule = params.rule()
 
-    def initial_memory(self) -> Latch | None:
-        """No crossing chosen yet."""
-        return None
-
     def plan(self, request: PlanRequest, memory: Latch | None) -> Plan[Latch | None]:
         """The crossing in flight, or the next one."""
         if request.estimate is None:
@@ -168,18 +108,17 @@ class LatchedCrossing:
         vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
         (a, b), (_, c) = request.estimate.covariance_m2
         over_m = overshoot_m(a, b, c, request.baseline_m, self._rule)
-        array = np.zeros(LATCH_SIZE) if memory is None else memory.array()
+        before = NO_LATCH if memory is None else memory
         behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
         is_at_height = self._is_at_height(request, memory)
-        verdict = latch_verdict(array, *vehicle, *target, behind_m, is_at_height, self._rule)
+        verdict = latch_verdict(before, *vehicle, *target, behind_m, is_at_height, self._rule)
         if memory is not None and verdict == KEPT:
             return Plan(self._waypoint(request, memory), memory)
-        heading = next_direction(array, verdict, *vehicle, *target)
+        heading = next_direction(before, verdict, *vehicle, *target)
         chosen = self._best_point(request, target, heading, over_m)
         if chosen is None:
             return Plan(hold_position(request, "no way to any side of the estimate"), memory)
-        fresh = new_latch(array, verdict, *chosen, *vehicle, *target, over_m, self._rule)
-        latch = Latch.of(fresh)
+        latch = new_latch(before, verdict, *chosen, *vehicle, *target, over_m, self._rule)
         return Plan(self._waypoint(request, latch), latch)
 
     def _is_at_height(self, request: PlanRequest, memory: Latch | None) -> bool:
@@ -187,7 +126,7 @@ class LatchedCrossing:
         swing_m, offset_m = self.params.altitude_swing_m, request.altitude_offset_m
         if swing_m == 0.0 or offset_m is None or memory is None:
             return True
-        wanted_m = altitude_offset_m(float(memory.crossings), swing_m)
+        wanted_m = altitude_offset_m(memory.crossings, swing_m)
         return abs(offset_m - wanted_m) <= HEIGHT_SHARE * swing_m
 
     def _best_point(
@@ -223,7 +162,7 @@ class LatchedCrossing:
         is_approach = is_ahead and math.dist(vehicle, estimate) > latch.overshoot_m
         reason = WaypointReason.APPROACH if is_approach else WaypointReason.CROSSING
         detail = f"crossing {latch.crossings + 1}, {latch.overshoot_m:.1f} m beyond the estimate"
-        offset_m = altitude_offset_m(float(latch.crossings), self.params.altitude_swing_m)
+        offset_m = altitude_offset_m(latch.crossings, self.params.altitude_swing_m)
         return route_to(request, Waypoint(latch.point_enu_m, reason, detail, offset_m))
 
 
@@ -270,9 +209,6 @@ class ReactiveCrossing:
 
     def __init__(self, params: ReactiveCrossingParams) -> None:
         self.params = params
-
-    def initial_memory(self) -> None:
-        """Nothing to remember."""
 
     def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
         """One step of the printed algorithm."""

@@ -1,9 +1,8 @@
 """The arithmetic of crossing planners, as kernels: directions, and the latch as one small array.
 
 Directions in the plane are unit vectors as two numbers. A latch is what `LatchedCrossing` remembers
-of the crossing being flown, a float64 array of `LATCH_SIZE` numbers; all zeros: none yet.
-`latched_step` is the whole planner where no fence limits it; with a fence the class chooses among
-directions, by the same kernels. Source: see `crossing`.
+of the crossing being flown. `latched_step` is the whole planner where no fence limits it; with a
+fence the class chooses among directions, by the same kernels. Source: see `crossing`.
 """
 
 from __future__ import annotations
@@ -11,12 +10,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from companion.kernel import Vector, kernel
+from companion.kernel import kernel
 
 MIN_DISTANCE_M = 1e-9
 """Closer than this there is no direction from one point to another."""
+PUSHED_M = 0.01
+"""Farther beyond the estimate than its overshoot by this, a crossing point was pushed there."""
 
 
 @kernel
@@ -40,19 +39,32 @@ def turned(east: float, north: float, angle_rad: float) -> tuple[float, float]:
 
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 
-POINT_EAST, POINT_NORTH = 0, 1
-"""The crossing point."""
-ESTIMATE_EAST, ESTIMATE_NORTH = 2, 3
-"""The estimate when the crossing was chosen."""
-DIRECTION_EAST, DIRECTION_NORTH = 4, 5
-"""Unit vector from the estimate to the far side."""
-START_EAST, START_NORTH = 6, 7
-"""Where the vehicle was when the crossing was chosen."""
-OVERSHOOT = 8
-CROSSINGS = 9
-"""Crossings flown to their end so far."""
-IS_SET = 10
-LATCH_SIZE = 11
+
+class Latch(NamedTuple):
+    """The crossing being flown."""
+
+    point_enu_m: tuple[float, float]
+    """Where it ends."""
+    estimate_enu_m: tuple[float, float]
+    """The estimate when it was chosen."""
+    direction: tuple[float, float]
+    """Unit vector from the estimate to the far side."""
+    start_enu_m: tuple[float, float]
+    """Where the vehicle was when it was chosen."""
+    overshoot_m: float
+    crossings: int
+    """Flown to their end so far."""
+
+    @property
+    def pushed_m(self) -> float:
+        """How far beyond the estimate the point is if a keep-out pushed it there, otherwise 0."""
+        (point_east, point_north), (east, north) = self.point_enu_m, self.estimate_enu_m
+        beyond_m = (point_east - east) * self.direction[0]
+        beyond_m += (point_north - north) * self.direction[1]
+        return beyond_m if beyond_m > self.overshoot_m + PUSHED_M else 0.0
+
+
+NO_LATCH = Latch((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 0.0, -1)
 
 FIRST, KEPT, FLOWN, MOVED = 0, 1, 2, 3
 """Verdicts: no latch yet, fly on, choose the next crossing, aim the same one anew."""
@@ -90,7 +102,7 @@ def overshoot_m(
 
 @kernel
 def latch_verdict(
-    latch: Vector,
+    latch: Latch,
     east_m: float,
     north_m: float,
     target_east_m: float,
@@ -105,27 +117,25 @@ def latch_verdict(
     one would only cost time, so a crossing is also flown once the estimate lies behind by the
     present overshoot. Neither counts before the vehicle is at the height of the crossing.
     """
-    if latch[IS_SET] == 0.0:
+    if latch.crossings < 0:
         return FIRST
-    to_point_m = math.hypot(latch[POINT_EAST] - east_m, latch[POINT_NORTH] - north_m)
-    d_east, d_north = latch[DIRECTION_EAST], latch[DIRECTION_NORTH]
-    started_m = (latch[START_EAST] - target_east_m) * d_east
-    started_m += (latch[START_NORTH] - target_north_m) * d_north
+    point, start, estimate = latch.point_enu_m, latch.start_enu_m, latch.estimate_enu_m
+    to_point_m = math.hypot(point[0] - east_m, point[1] - north_m)
+    d_east, d_north = latch.direction
+    started_m = (start[0] - target_east_m) * d_east + (start[1] - target_north_m) * d_north
     beyond_m = (east_m - target_east_m) * d_east + (north_m - target_north_m) * d_north
     is_over = started_m < over_m <= beyond_m
     if is_at_height and (is_over or to_point_m <= rule.arrival_radius_m):
         return FLOWN
-    moved_m = math.hypot(
-        target_east_m - latch[ESTIMATE_EAST], target_north_m - latch[ESTIMATE_NORTH]
-    )
-    if moved_m > max(rule.reaim_distance_m, 0.5 * latch[OVERSHOOT]):
+    moved_m = math.hypot(target_east_m - estimate[0], target_north_m - estimate[1])
+    if moved_m > max(rule.reaim_distance_m, 0.5 * latch.overshoot_m):
         return MOVED
     return KEPT
 
 
 @kernel
 def next_direction(
-    latch: Vector,
+    latch: Latch,
     verdict: int,
     east_m: float,
     north_m: float,
@@ -135,15 +145,14 @@ def next_direction(
     """The direction of the crossing that follows a verdict: at the estimate, turned, or kept."""
     if verdict == FIRST:
         return direction(east_m, north_m, target_east_m, target_north_m)
-    d_east, d_north = float(latch[DIRECTION_EAST]), float(latch[DIRECTION_NORTH])
     if verdict == FLOWN:
-        return turned(d_east, d_north, GOLDEN_ANGLE_RAD)
-    return d_east, d_north
+        return turned(latch.direction[0], latch.direction[1], GOLDEN_ANGLE_RAD)
+    return latch.direction
 
 
 @kernel
 def new_latch(
-    latch: Vector,
+    latch: Latch,
     verdict: int,
     point: tuple[float, float],
     heading: tuple[float, float],
@@ -153,26 +162,18 @@ def new_latch(
     target_north_m: float,
     over_m: float,
     rule: LatchRule,
-) -> Vector:
+) -> Latch:
     """The latch on a point; one that is reached already turns on with the next crossing."""
-    fresh = np.empty(LATCH_SIZE)
-    fresh[POINT_EAST], fresh[POINT_NORTH] = point
-    fresh[ESTIMATE_EAST], fresh[ESTIMATE_NORTH] = target_east_m, target_north_m
-    fresh[DIRECTION_EAST], fresh[DIRECTION_NORTH] = heading
     if math.hypot(point[0] - east_m, point[1] - north_m) <= rule.arrival_radius_m:
-        fresh[DIRECTION_EAST], fresh[DIRECTION_NORTH] = turned(
-            heading[0], heading[1], GOLDEN_ANGLE_RAD
-        )
-    fresh[START_EAST], fresh[START_NORTH] = east_m, north_m
-    fresh[OVERSHOOT] = over_m
-    fresh[CROSSINGS] = latch[CROSSINGS] + 1.0 if verdict == FLOWN else latch[CROSSINGS]
-    fresh[IS_SET] = 1.0
-    return fresh
+        heading = turned(heading[0], heading[1], GOLDEN_ANGLE_RAD)
+    flown = max(latch.crossings, 0) + (1 if verdict == FLOWN else 0)
+    estimate, start = (target_east_m, target_north_m), (east_m, north_m)
+    return Latch(point, estimate, heading, start, over_m, flown)
 
 
 @kernel
 def latched_step(
-    latch: Vector,
+    latch: Latch,
     east_m: float,
     north_m: float,
     target_east_m: float,
@@ -180,8 +181,8 @@ def latched_step(
     over_m: float,
     is_at_height: bool,
     rule: LatchRule,
-) -> Vector:
-    """The latch to fly next, where no fence limits it: the same one, or a new array.
+) -> Latch:
+    """The latch to fly next, where no fence limits it: the same one, or a new one.
 
     In the plane a vehicle always `is_at_height` of the crossing.
     """
@@ -198,6 +199,6 @@ def latched_step(
 
 
 @kernel
-def altitude_offset_m(crossings: float, swing_m: float) -> float:
+def altitude_offset_m(crossings: int, swing_m: float) -> float:
     """Height of a crossing against the search altitude: above and below it by turns."""
-    return swing_m if crossings % 2.0 == 0.0 else 0.0 - swing_m
+    return swing_m if crossings % 2 == 0 else 0.0 - swing_m

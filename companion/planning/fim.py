@@ -162,9 +162,6 @@ class FimPlanner:
             math.radians(params.bearing_offset_sigma_deg) ** 2,
         )
 
-    def initial_memory(self) -> None:
-        """Nothing to remember."""
-
     def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
         """The best candidate about the vehicle."""
         if request.estimate is None:

@@ -76,11 +76,8 @@ class Planner(Protocol[Memory]):
     def search_after_s(self) -> float | None:
         """How long without contact until it searches; None: never, 0: it needs no contact."""
 
-    def initial_memory(self) -> Memory:
-        """The memory before the first request."""
-
-    def plan(self, request: PlanRequest, memory: Memory) -> Plan[Memory]:
-        """The next waypoint; the straight leg to it stays in the free space of the request."""
+    def plan(self, request: PlanRequest, memory: Memory | None) -> Plan[Memory]:
+        """The next waypoint, reached in the free space of the request; at first without memory."""
 
 
 SLACK_M = 1e-6

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Generic, Literal, Protocol, TypeVar
+from typing import Annotated, ClassVar, Generic, Literal, TypeVar
 
 import msgspec
 
@@ -51,12 +51,21 @@ Spacing = Annotated[float, msgspec.Meta(ge=1.0)]
 
 
 class SearchParams(Params, frozen=True):
-    """What every pattern has."""
+    """A way to lay out a search, and what every one of them has."""
 
+    name: ClassVar[str]
+    """As the operator knows it."""
     spacing_m: Spacing = 20.0
     """Distance between neighbouring legs: not more than twice what the radio surely hears."""
     arrival_radius_m: Positive = 1.5
     """The end of a leg counts as reached within this distance."""
+
+    def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
+        """The legs of a sweep (0: the first time over the area); none: nothing to search.
+
+        The datum is where the vehicle was when the search began.
+        """
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,33 +92,14 @@ class SearchMemory:
         return self.track[self.index]
 
 
-class Pattern(Protocol):
-    """A way to lay out a search."""
-
-    @property
-    def params(self) -> SearchParams:
-        """What every pattern has."""
-
-    @property
-    def name(self) -> str:
-        """As the operator knows it."""
-
-    def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The legs of a sweep (0: the first time over the area); none: nothing to search."""
-
-
 class SearchPlanner:
     """Flies a pattern again and again, whatever the estimate."""
 
     search_after_s: float | None = 0.0
 
-    def __init__(self, pattern: Pattern) -> None:
+    def __init__(self, pattern: SearchParams) -> None:
         self.pattern = pattern
-        self._arrival_m = pattern.params.arrival_radius_m
-
-    def initial_memory(self) -> SearchMemory | None:
-        """Not begun."""
-        return None
+        self._arrival_m = pattern.arrival_radius_m
 
     def plan(self, request: PlanRequest, memory: SearchMemory | None) -> Plan[SearchMemory | None]:
         """The end of the leg, or the way to its start."""
@@ -143,7 +133,7 @@ class SearchPlanner:
                 memory = replace(memory, is_on_leg=True)
                 continue
             here = nearest_on_segment(leg.start_enu_m, leg.end_enu_m, vehicle)
-            if math.dist(here, vehicle) > max(0.5 * self.pattern.params.spacing_m, self._arrival_m):
+            if math.dist(here, vehicle) > max(0.5 * self.pattern.spacing_m, self._arrival_m):
                 left = self.interrupted(memory)
                 return memory if left is None else left
             if math.dist(here, leg.end_enu_m) > self._arrival_m:
@@ -187,6 +177,7 @@ Corner = Literal["nearest", "south_west", "south_east", "north_west", "north_eas
 class LawnmowerParams(SearchParams, frozen=True):
     """Parallel lanes over a polygon (IAMSAR: parallel track)."""
 
+    name: ClassVar[str] = "lawnmower"
     area_enu_m: tuple[Point, ...] | None = None
     """Corners of the area to search; null: all that the fence leaves."""
     lane_heading_deg: HeadingDeg | None = None
@@ -205,6 +196,28 @@ class LawnmowerParams(SearchParams, frozen=True):
         if math.dist(*_extent(area)) > MOST_LEGS * self.spacing_m:
             raise ValueError(f"area_enu_m would take more than {MOST_LEGS} lanes at this spacing_m")
 
+    def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
+        """The lanes; crossed by those of the sweep before. Empty without an area and a fence."""
+        del datum_enu_m
+        spaces = _spaces(request)
+        if self.area_enu_m is not None:
+            area: Polygon = self.area_enu_m
+            inset_m, spaces = 0.0, [FreeSpace(area), *spaces]
+        elif request.fence_enu_m is not None:
+            area, inset_m = request.fence_enu_m, request.fence_margin_m
+        else:
+            return ()
+        heading_rad = (
+            heading_of_fewest_lanes_rad(area)
+            if self.lane_heading_deg is None
+            else math.radians(self.lane_heading_deg)
+        )
+        heading_rad += 0.5 * math.pi * (sweep % 2)
+        entry = request.vehicle_enu_m
+        if sweep == 0 and self.start_corner != "nearest":
+            entry = _corner_of(area, self.start_corner)
+        return parallel_track(area, inset_m, self.spacing_m, heading_rad, spaces, entry)
+
 
 def _extent(area: Polygon) -> tuple[Point, Point]:
     """The south-western and the north-eastern corner of the box around an area."""
@@ -220,10 +233,14 @@ class DatumSearchParams(SearchParams, frozen=True):
     heading_deg: HeadingDeg = 0.0
     """Of the first leg, clockwise from north."""
 
+    def _datum(self, began_enu_m: Point) -> Point:
+        return began_enu_m if self.datum_enu_m is None else self.datum_enu_m
+
 
 class ExpandingSquareParams(DatumSearchParams, frozen=True):
     """A square spiral (IAMSAR: SS), for a target that is probably close to the datum."""
 
+    name: ClassVar[str] = "expanding square"
     radius_m: Positive = 100.0
     """Half the width of the whole square."""
 
@@ -234,75 +251,25 @@ class ExpandingSquareParams(DatumSearchParams, frozen=True):
         if 4.0 * self.radius_m > MOST_LEGS * self.spacing_m:
             raise ValueError(f"radius_m would take more than {MOST_LEGS} legs at this spacing_m")
 
+    def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
+        """The spiral, turned by 45 degrees against the sweep before."""
+        datum, spaces = self._datum(datum_enu_m), _spaces(request)
+        heading_rad = math.radians(self.heading_deg + 45.0 * sweep)
+        return expanding_square(datum, self.spacing_m, self.radius_m, heading_rad, spaces)
+
 
 class SectorParams(DatumSearchParams, frozen=True):
     """Three triangles about the datum (IAMSAR: VS), for a target that is almost surely there."""
 
+    name: ClassVar[str] = "sector search"
     radius_m: Positive = 60.0
     """Of the circle, and length of every leg."""
 
-
-class Lawnmower:
-    """Parallel lanes over a polygon."""
-
-    name = "lawnmower"
-
-    def __init__(self, params: LawnmowerParams) -> None:
-        self.params = params
-
-    def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The lanes; crossed by those of the sweep before. Empty without an area and a fence."""
-        del datum_enu_m
-        p, spaces = self.params, _spaces(request)
-        if p.area_enu_m is not None:
-            area: Polygon = p.area_enu_m
-            inset_m, spaces = 0.0, [FreeSpace(area), *spaces]
-        elif request.fence_enu_m is not None:
-            area, inset_m = request.fence_enu_m, request.fence_margin_m
-        else:
-            return ()
-        heading_rad = (
-            heading_of_fewest_lanes_rad(area)
-            if p.lane_heading_deg is None
-            else math.radians(p.lane_heading_deg)
-        )
-        heading_rad += 0.5 * math.pi * (sweep % 2)
-        entry = request.vehicle_enu_m
-        if sweep == 0 and p.start_corner != "nearest":
-            entry = _corner_of(area, p.start_corner)
-        return parallel_track(area, inset_m, p.spacing_m, heading_rad, spaces, entry)
-
-
-class ExpandingSquare:
-    """A square spiral about a datum."""
-
-    name = "expanding square"
-
-    def __init__(self, params: ExpandingSquareParams) -> None:
-        self.params = params
-
-    def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The spiral, turned by 45 degrees against the sweep before."""
-        p = self.params
-        datum = datum_enu_m if p.datum_enu_m is None else p.datum_enu_m
-        heading_rad = math.radians(p.heading_deg + 45.0 * sweep)
-        return expanding_square(datum, p.spacing_m, p.radius_m, heading_rad, _spaces(request))
-
-
-class SectorSearch:
-    """Three triangles about a datum."""
-
-    name = "sector search"
-
-    def __init__(self, params: SectorParams) -> None:
-        self.params = params
-
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
         """The triangles, turned by 30 degrees against the sweep before."""
-        p = self.params
-        datum = datum_enu_m if p.datum_enu_m is None else p.datum_enu_m
-        heading_rad = math.radians(p.heading_deg + 30.0 * sweep)
-        return sector_search(datum, p.radius_m, heading_rad, _spaces(request))
+        heading_rad = math.radians(self.heading_deg + 30.0 * sweep)
+        datum = self._datum(datum_enu_m)
+        return sector_search(datum, self.radius_m, heading_rad, _spaces(request))
 
 
 def _spaces(request: PlanRequest) -> list[FreeSpace]:
@@ -325,8 +292,8 @@ Crossing = TypeVar("Crossing")
 class SearchThenCrossMemory(Generic[Crossing]):
     """What both planners remember, and which of them flies."""
 
-    search: SearchMemory | None
-    crossing: Crossing
+    search: SearchMemory | None = None
+    crossing: Crossing | None = None
     is_crossing: bool = False
 
 
@@ -345,25 +312,18 @@ class SearchThenCross(Generic[Crossing]):
         self._search = search
         self._crossing = crossing
 
-    def initial_memory(self) -> SearchThenCrossMemory[Crossing]:
-        """Neither has begun."""
-        return SearchThenCrossMemory(self._search.initial_memory(), self._crossing.initial_memory())
-
     def plan(
-        self, request: PlanRequest, memory: SearchThenCrossMemory[Crossing]
+        self, request: PlanRequest, memory: SearchThenCrossMemory[Crossing] | None
     ) -> Plan[SearchThenCrossMemory[Crossing]]:
         """The waypoint of the planner whose turn it is."""
+        memory = memory or SearchThenCrossMemory()
         if self._has_contact(request, memory):
             crossed = self._crossing.plan(request, memory.crossing)
-            return Plan(
-                crossed.waypoint, SearchThenCrossMemory(memory.search, crossed.memory, True)
-            )
+            following = SearchThenCrossMemory(memory.search, crossed.memory, is_crossing=True)
+            return Plan(crossed.waypoint, following)
         search = self._search.interrupted(memory.search) if memory.is_crossing else memory.search
         searched = self._search.plan(request, search)
-        return Plan(
-            searched.waypoint,
-            SearchThenCrossMemory(searched.memory, self._crossing.initial_memory(), False),
-        )
+        return Plan(searched.waypoint, SearchThenCrossMemory(searched.memory))
 
     def _has_contact(self, request: PlanRequest, memory: SearchThenCrossMemory[Crossing]) -> bool:
         if request.estimate is None:

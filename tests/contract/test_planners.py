@@ -25,14 +25,11 @@ from companion.planning.crossing import (
 from companion.planning.fim import FimParams, FimPlanner
 from companion.planning.planner import NO_ROOM, SLACK_M, START_TOLERANCE_M, Planner, PlanRequest
 from companion.planning.search import (
-    ExpandingSquare,
     ExpandingSquareParams,
-    Lawnmower,
     LawnmowerParams,
     SearchPlanner,
     SearchThenCross,
     SectorParams,
-    SectorSearch,
 )
 
 HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
@@ -49,21 +46,19 @@ CROSSING: dict[str, Planner[Any]] = {
     "fim, printed": FimPlanner(FimParams(near_target_terms=False), 0.5, 0.01),
 }
 SEARCHING: dict[str, Planner[Any]] = {
-    "lawnmower": SearchPlanner(Lawnmower(LawnmowerParams())),
+    "lawnmower": SearchPlanner(LawnmowerParams()),
     "lawnmower, hook": SearchPlanner(
-        Lawnmower(
-            LawnmowerParams(area_enu_m=HOOK, lane_heading_deg=30.0, start_corner="north_east")
-        )
+        LawnmowerParams(area_enu_m=HOOK, lane_heading_deg=30.0, start_corner="north_east")
     ),
-    "expanding square": SearchPlanner(ExpandingSquare(ExpandingSquareParams(spacing_m=15.0))),
-    "sector": SearchPlanner(SectorSearch(SectorParams(datum_enu_m=(10.0, -20.0)))),
+    "expanding square": SearchPlanner(ExpandingSquareParams(spacing_m=15.0)),
+    "sector": SearchPlanner(SectorParams(datum_enu_m=(10.0, -20.0))),
 }
 BOTH: dict[str, Planner[Any]] = {
     "lawnmower, then latched": SearchThenCross(
-        SearchPlanner(Lawnmower(LawnmowerParams())), LatchedCrossing(LatchedCrossingParams()), 5.0
+        SearchPlanner(LawnmowerParams()), LatchedCrossing(LatchedCrossingParams()), 5.0
     ),
     "square, then reactive": SearchThenCross(
-        SearchPlanner(ExpandingSquare(ExpandingSquareParams())),
+        SearchPlanner(ExpandingSquareParams()),
         ReactiveCrossing(ReactiveCrossingParams()),
         5.0,
     ),
@@ -206,7 +201,7 @@ def test_every_waypoint_and_every_leg_keeps_the_margin(
     space = ground.space
     has_room = space.nearest_allowed(deepest_point(ground.fence)) is not None
     for planner in PLANNERS.values():
-        memory = planner.initial_memory()
+        memory: Any = None
         for vehicle, estimate, time_s in flown:
             plan = planner.plan(ground.request(vehicle, estimate, time_s), memory)
             memory, waypoint = plan.memory, plan.waypoint
@@ -248,7 +243,7 @@ def test_the_same_memory_and_request_give_the_same_plan(
     ground: Ground, flown: list[tuple[Point, TargetEstimate | None, float]]
 ) -> None:
     for planner in PLANNERS.values():
-        memory = planner.initial_memory()
+        memory: Any = None
         seen = []
         for vehicle, estimate, time_s in flown:
             request = ground.request(vehicle, estimate, time_s)
@@ -265,7 +260,8 @@ def test_flying_only_its_waypoints_stays_in_free_space(planner: Planner[Any]) ->
     square = ((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))
     house = ((-10.0, 10.0), (20.0, 10.0), (20.0, 25.0), (-10.0, 25.0))
     ground = Ground(square, 5.0, (house,))
-    vehicle, memory = (-50.0, 0.0), planner.initial_memory()
+    vehicle: Point = (-50.0, 0.0)
+    memory: Any = None
     for step in range(200):
         estimate = an_estimate((70.0 * math.cos(step), 50.0), sigma_m=20.0)
         plan = planner.plan(ground.request(vehicle, estimate, float(step % 20)), memory)
@@ -276,7 +272,8 @@ def test_flying_only_its_waypoints_stays_in_free_space(planner: Planner[Any]) ->
 def test_around_a_house_it_gets_to_the_far_side(crossing: Planner[Any]) -> None:
     """The target is behind a wall-like keep-out; every crossing planner comes to it or parks."""
     wall = ((0.0, -30.0), (4.0, -30.0), (4.0, 30.0), (0.0, 30.0))
-    vehicle, memory, nearest_m = (-25.0, 0.0), crossing.initial_memory(), math.inf
+    vehicle, nearest_m = (-25.0, 0.0), math.inf
+    memory: Any = None
     reasons = set()
     for _ in range(60):
         request = PlanRequest(
@@ -293,7 +290,7 @@ def test_around_a_house_it_gets_to_the_far_side(crossing: Planner[Any]) -> None:
 
 def test_without_a_fence_nothing_is_cut_short(crossing: Planner[Any]) -> None:
     request = PlanRequest((0.0, 0.0), an_estimate((1000.0, 0.0)))
-    plan = crossing.plan(request, crossing.initial_memory())
+    plan = crossing.plan(request, None)
     assert plan.waypoint.position_enu_m[0] > 0.0 or plan.waypoint.reason is WaypointReason.HOLD
     if not isinstance(crossing, FimPlanner):
         assert plan.waypoint.position_enu_m[0] > 0.0
@@ -303,7 +300,7 @@ def test_without_a_fence_nothing_is_cut_short(crossing: Planner[Any]) -> None:
 def test_without_an_estimate_crossing_holds_and_searching_searches(planner: Planner[Any]) -> None:
     square = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))
     request = PlanRequest((7.0, 8.0), None, square, 3.0)
-    waypoint = planner.plan(request, planner.initial_memory()).waypoint
+    waypoint = planner.plan(request, None).waypoint
     if planner.search_after_s is None:
         assert waypoint == Waypoint((7.0, 8.0), WaypointReason.HOLD, "no estimate yet")
     else:
@@ -330,7 +327,8 @@ def test_whatever_it_is_told_the_waypoint_is_a_place(
     square = ((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))
     house = ((25.0, 25.0), (40.0, 25.0), (40.0, 40.0), (25.0, 40.0))
     ground = Ground(square, 3.0, (house,))
-    vehicle, memory = (7.0, 7.0), planner.initial_memory()
+    vehicle: Point = (7.0, 7.0)
+    memory: Any = None
     joint = frozen(np.diag([1e12, 0.0, 0.0, 0.0]))
     for _ in range(5):
         request = replace(
@@ -349,9 +347,7 @@ def test_whatever_it_is_told_the_waypoint_is_a_place(
 
 def test_a_fence_without_room_sends_to_its_deepest_point(planner: Planner[Any]) -> None:
     polygon = ((0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0))
-    plan = planner.plan(
-        PlanRequest((50.0, 0.0), an_estimate((90.0, 0.0)), polygon, 20.0), planner.initial_memory()
-    )
+    plan = planner.plan(PlanRequest((50.0, 0.0), an_estimate((90.0, 0.0)), polygon, 20.0), None)
     assert plan.waypoint.position_enu_m == deepest_point(polygon)
     assert plan.waypoint.reason is WaypointReason.HOLD
 
@@ -360,7 +356,7 @@ def test_a_vehicle_in_a_keep_out_takes_the_shortest_way_out(planner: Planner[Any
     house = ((-20.0, -10.0), (20.0, -10.0), (20.0, 10.0), (-20.0, 10.0))
     square = ((-90.0, -90.0), (90.0, -90.0), (90.0, 90.0), (-90.0, 90.0))
     request = Ground(square, 2.0, (house,)).request((3.0, 8.0), an_estimate((60.0, -60.0)))
-    waypoint = planner.plan(request, planner.initial_memory()).waypoint
+    waypoint = planner.plan(request, None).waypoint
     assert waypoint.position_enu_m == pytest.approx((3.0, 12.0), abs=1e-5)
 
 
@@ -376,7 +372,7 @@ def test_behind_walls_on_all_sides_it_stays_and_says_why(planner: Planner[Any]) 
     request = PlanRequest(
         (0.0, 0.0), an_estimate((40.0, 0.0), sigma_m=0.1), tight, 0.5, keep_out_enu_m=walls
     )
-    plan = planner.plan(request, planner.initial_memory())
+    plan = planner.plan(request, None)
     place, memory = plan.waypoint.position_enu_m, plan.memory
     for _ in range(20):
         assert max(map(abs, place)) <= 15.5

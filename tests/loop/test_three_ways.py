@@ -34,7 +34,7 @@ from companion.link.interface import EndpointParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
-from companion.planning.crossing_kernels import LATCH_SIZE
+from companion.planning.crossing_kernels import NO_LATCH
 from companion.planning.planner import Plan, Planner, PlanRequest
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
@@ -115,9 +115,6 @@ class WatchedPlanner:
         self.asked: list[tuple[PlanRequest, Plan[Any]]] = []
         self.search_after_s = planner.search_after_s
         self._planner = planner
-
-    def initial_memory(self) -> Any:
-        return self._planner.initial_memory()
 
     def plan(self, request: PlanRequest, memory: Any) -> Plan[Any]:
         plan = self._planner.plan(request, memory)
@@ -244,7 +241,8 @@ def test_every_decision_of_a_flight_is_the_planner_objects(
 ) -> None:
     """Asked as the studies ask: without fence, setpoint or height."""
     fresh = build_planner(CompanionConfig(planner=PlannerConfig(kind=KINDS[planner])))
-    memory, reasons = fresh.initial_memory(), set()
+    memory: Any = None
+    reasons = set()
     asked = decisions(planner, estimation)
     for request, in_flight in asked:
         bare = PlanRequest(
@@ -268,7 +266,7 @@ def test_every_decision_of_a_flight_is_the_planner_objects(
 def test_every_decision_of_a_flight_is_the_studys(planner: PlannerName) -> None:
     """By its pilot and by its kernel, each with a memory of its own, from the same estimates."""
     system = System("asymmetric_huber", planner)
-    steer, latch = pilot_of(CASE, system), np.zeros(LATCH_SIZE)
+    steer, latch = pilot_of(CASE, system), NO_LATCH
     belief, steering = belief_of(CASE, system), steering_of(CASE, system)
     moves = 0
     for step, (request, in_flight) in enumerate(decisions(planner, FILTER_ALONE)):

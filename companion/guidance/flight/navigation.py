@@ -46,7 +46,7 @@ class FlightPlan:
         self.waypoint: Waypoint | None = None
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
-        self._memory = self._planner.initial_memory()
+        self._memory: Any = None
 
     def use(self, planner: Planner[Any], altitude_m: float) -> None:
         """Go on with another planner of the same kind, from what the one before remembered."""

@@ -23,7 +23,7 @@ import numpy as np
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_bytes_atomic
 from companion.kernel import IS_COMPILED
-from companion.planning.crossing_kernels import LATCH_SIZE
+from companion.planning.crossing_kernels import NO_LATCH
 from sim_link.lab.evaluation import campaign, filterpy_ekf, walk
 from sim_link.lab.evaluation import case as cases
 from sim_link.lab.evaluation.campaign import RunSeries
@@ -78,8 +78,7 @@ def _warm_window(case: Case, system: System) -> None:
     rows = walk.history_of(STEPS, belief)
     rows[:, :2], rows[:, 2], rows[:, 3:6] = cases.track_of(case), 0.0, _views(STEPS)
     walk.solved(rows, mean, 1, belief)
-    sensor, latch = np.zeros(3), np.zeros(LATCH_SIZE)
-    walk.next_place(sensor, mean, covariance, 0.0, latch, belief, steering)
+    walk.next_place(np.zeros(3), mean, covariance, 0.0, NO_LATCH, belief, steering)
     draws, truth, _ = cases.run_inputs(case, 0)
     cases.measured_in(draws[0], 0.0, 0.0, truth, cases.scene_of(case), NO_MEMORY)
 

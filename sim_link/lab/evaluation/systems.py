@@ -102,7 +102,7 @@ def steer_along(track_enu_m: Matrix) -> Steer:
 
 def steer_by_planner(planner: Planner[Any], step_m: float) -> Steer:
     """Flies a step towards the waypoint of a planner, or to it where that is nearer."""
-    memory = planner.initial_memory()
+    memory: Any = None
 
     def steer(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
         """Ask the planner anew at every step."""

@@ -51,7 +51,13 @@ from companion.estimation.window.map_kernels import (
 from companion.estimation.window.window_map import SAME_PLACE_M
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing import reactive_step
-from companion.planning.crossing_kernels import LATCH_SIZE, LatchRule, latched_step, overshoot_m
+from companion.planning.crossing_kernels import (
+    NO_LATCH,
+    Latch,
+    LatchRule,
+    latched_step,
+    overshoot_m,
+)
 from companion.planning.fim import MIN_DISTANCE_M, STAY, best_candidate
 from sim_link.lab.evaluation.case import RunTruth, Scene, measured_in, stepped
 from sim_link.world.environment import NO_MEMORY
@@ -271,10 +277,10 @@ def next_place(
     mean: Vector,
     covariance: Matrix,
     pick: float,
-    latch: Vector,
+    latch: Latch,
     belief: Belief,
     steering: WalkSteering,
-) -> tuple[float, float, Vector]:
+) -> tuple[float, float, Latch]:
     """Where a planner that follows the estimate flies next, and its latch.
 
     Both FIM planners fly to the end of the best candidate, or nowhere.
@@ -292,7 +298,9 @@ def next_place(
             covariance[0, 0], covariance[0, 1], covariance[1, 1], 0.0, steering.latch
         )
         latch = latched_step(latch, east_m, north_m, mean[0], mean[1], over_m, True, steering.latch)
-        east_m, north_m = stepped(east_m, north_m, latch[0], latch[1], steering.step_m)
+        east_m, north_m = stepped(
+            east_m, north_m, latch.point_enu_m[0], latch.point_enu_m[1], steering.step_m
+        )
         return east_m, north_m, latch
     ring_m, sigma = steering.ring_m, belief.sigma
     if steering.planner == PRINTED_FIM:
@@ -339,7 +347,7 @@ def walked(
     record = np.empty((steps, COLUMNS))
     mean, covariance = first_fix(0.0, 0.0, 1.0, 0.0, belief)
     mean[:2] = start
-    latch = np.zeros(LATCH_SIZE)
+    latch = NO_LATCH
     east_m, north_m = float(track[0, 0]), float(track[0, 1])
     z, sensor = np.full(3, np.nan), np.zeros(3)
     memory = NO_MEMORY

@@ -17,7 +17,8 @@ from companion.estimation.screening.measurement_screen import Objection, RejectR
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.geometry.polygons import Point
-from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing_kernels import Latch
 from companion.planning.planner import PlanRequest
 from tests.unit.companion.estimation.tracker_helpers import (
     HEIGHT_M,

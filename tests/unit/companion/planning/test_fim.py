@@ -162,9 +162,9 @@ def test_candidates_behind_a_wall_are_left_out() -> None:
 
 
 def test_it_remembers_nothing_and_holds_without_an_estimate() -> None:
-    planner = FimPlanner(FimParams())
-    assert planner.initial_memory() is None  # type: ignore[func-returns-value]
-    assert planner.plan(PlanRequest((1.0, 2.0)), None).waypoint.reason is WaypointReason.HOLD
+    plan = FimPlanner(FimParams()).plan(PlanRequest((1.0, 2.0)), None)
+    assert plan.memory is None
+    assert plan.waypoint.reason is WaypointReason.HOLD
 
 
 @pytest.mark.skipif(not hasattr(best_candidate, "py_func"), reason="numba is not installed")

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
-from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
-from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD
+from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD, Latch
 from companion.planning.planner import Plan, PlanRequest
 
 PLANNER = LatchedCrossing(LatchedCrossingParams())
@@ -195,10 +195,6 @@ def test_a_crossing_that_is_reached_at_once_is_not_flown_forever() -> None:
     assert len(points) > 3
     assert memory is not None
     assert memory.crossings > 3
-
-
-def test_it_remembers_nothing_at_first() -> None:
-    assert PLANNER.initial_memory() is None
 
 
 def test_an_empty_band_of_overshoots_is_refused() -> None:

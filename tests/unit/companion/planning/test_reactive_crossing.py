@@ -71,10 +71,6 @@ def test_parking_outside_the_fence_is_parking_inside() -> None:
     assert abs(north) < 1.0
 
 
-def test_it_remembers_nothing() -> None:
-    assert ReactiveCrossing(ReactiveCrossingParams()).initial_memory() is None  # type: ignore[func-returns-value]
-
-
 def test_without_an_estimate_it_holds() -> None:
     plan = ReactiveCrossing(ReactiveCrossingParams()).plan(PlanRequest((3.0, 4.0)), None)
     assert plan.waypoint.position_enu_m == (3.0, 4.0)

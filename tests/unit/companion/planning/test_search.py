@@ -10,20 +10,17 @@ from companion.geometry.polygons import Point
 from companion.planning.planner import PlanRequest
 from companion.planning.search import (
     Corner,
-    ExpandingSquare,
     ExpandingSquareParams,
-    Lawnmower,
     LawnmowerParams,
     SearchMemory,
     SearchPlanner,
     SectorParams,
-    SectorSearch,
 )
 from companion.planning.search_tracks import Track
 
 FIELD = ((0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0))
 PARAMS = LawnmowerParams(area_enu_m=FIELD, spacing_m=20.0)
-PLANNER = SearchPlanner(Lawnmower(PARAMS))
+PLANNER = SearchPlanner(PARAMS)
 STEP_M = 2.0
 
 
@@ -36,7 +33,7 @@ class Flight:
         self.planner = planner
         self.place = start
         self.request = request or PlanRequest(start)
-        self.memory: SearchMemory | None = planner.initial_memory()
+        self.memory: SearchMemory | None = None
         self.details: list[str] = []
         self.places: list[Point] = []
 
@@ -116,7 +113,7 @@ def test_a_leg_without_a_way_to_it_is_passed_over() -> None:
     wall = ((-50.0, 18.0), (150.0, 18.0), (150.0, 22.0), (-50.0, 22.0))
     yard = ((-20.0, -20.0), (120.0, -20.0), (120.0, 80.0), (-20.0, 80.0))
     request = PlanRequest((50.0, 50.0), None, yard, 1.0, keep_out_enu_m=(wall,))
-    planner = SearchPlanner(Lawnmower(LawnmowerParams(area_enu_m=FIELD, start_corner="south_west")))
+    planner = SearchPlanner(LawnmowerParams(area_enu_m=FIELD, start_corner="south_west"))
     plan = planner.plan(request, None)
     assert plan.waypoint.detail == "to lawnmower, leg 2 of 3"
     flight = Flight(planner, (50.0, 50.0), request)
@@ -138,7 +135,7 @@ def test_where_no_leg_can_be_reached_it_holds() -> None:
 
 
 def test_without_an_area_and_a_fence_there_is_nothing_to_search() -> None:
-    planner = SearchPlanner(Lawnmower(LawnmowerParams()))
+    planner = SearchPlanner(LawnmowerParams())
     plan = planner.plan(PlanRequest((0.0, 0.0)), None)
     assert plan.waypoint.reason is WaypointReason.HOLD
     assert plan.waypoint.detail == "lawnmower: nothing to search"
@@ -146,7 +143,7 @@ def test_without_an_area_and_a_fence_there_is_nothing_to_search() -> None:
 
 
 def test_without_an_area_it_searches_what_the_fence_leaves() -> None:
-    planner = SearchPlanner(Lawnmower(LawnmowerParams()))
+    planner = SearchPlanner(LawnmowerParams())
     request = PlanRequest((0.0, 0.0), None, FIELD, 10.0)
     memory = planner.plan(request, None).memory
     assert memory is not None
@@ -167,13 +164,13 @@ def test_without_an_area_it_searches_what_the_fence_leaves() -> None:
 )
 def test_the_start_corner(corner: Corner, start: Point) -> None:
     params = LawnmowerParams(area_enu_m=FIELD, start_corner=corner)
-    track = Lawnmower(params).track(PlanRequest((99.0, 59.0)), (0.0, 0.0), 0)
+    track = params.track(PlanRequest((99.0, 59.0)), (0.0, 0.0), 0)
     assert track[0].start_enu_m == pytest.approx(start, abs=1e-6)
 
 
 def test_the_heading_of_the_lanes() -> None:
     params = LawnmowerParams(area_enu_m=FIELD, lane_heading_deg=0.0)
-    track = Lawnmower(params).track(PlanRequest((0.0, 0.0)), (0.0, 0.0), 0)
+    track = params.track(PlanRequest((0.0, 0.0)), (0.0, 0.0), 0)
     assert len(track) == 5
     assert all(leg.length_m == pytest.approx(60.0) for leg in track)
 
@@ -185,8 +182,8 @@ def _first_heading_deg(track: Track) -> float:
 
 def test_patterns_about_a_datum_begin_at_it_and_turn_with_every_sweep() -> None:
     here, request = (7.0, 9.0), PlanRequest((7.0, 9.0))
-    square = ExpandingSquare(ExpandingSquareParams(heading_deg=10.0))
-    sector = SectorSearch(SectorParams(heading_deg=10.0))
+    square = ExpandingSquareParams(heading_deg=10.0)
+    sector = SectorParams(heading_deg=10.0)
     for pattern, turn_deg in ((square, 45.0), (sector, 30.0)):
         for sweep in range(3):
             track = pattern.track(request, here, sweep)
@@ -194,14 +191,14 @@ def test_patterns_about_a_datum_begin_at_it_and_turn_with_every_sweep() -> None:
             assert _first_heading_deg(track) == pytest.approx(10.0 + turn_deg * sweep)
     there = (1.0, 2.0)
     for named in (
-        ExpandingSquare(ExpandingSquareParams(datum_enu_m=there)),
-        SectorSearch(SectorParams(datum_enu_m=there)),
+        ExpandingSquareParams(datum_enu_m=there),
+        SectorParams(datum_enu_m=there),
     ):
         assert named.track(request, here, 0)[0].start_enu_m == there
 
 
 def test_the_datum_is_where_the_search_began_even_in_later_sweeps() -> None:
-    planner = SearchPlanner(SectorSearch(SectorParams(radius_m=20.0)))
+    planner = SearchPlanner(SectorParams(radius_m=20.0))
     flight = Flight(planner, (30.0, 40.0))
     flight.until("sector search, leg 1 of 9, sweep 2")
     assert flight.memory is not None
@@ -210,7 +207,7 @@ def test_the_datum_is_where_the_search_began_even_in_later_sweeps() -> None:
 
 
 def test_legs_within_the_arrival_radius_are_passed_a_few_at_a_time() -> None:
-    tiny = ExpandingSquare(ExpandingSquareParams(spacing_m=1.0, radius_m=1.0))
+    tiny = ExpandingSquareParams(spacing_m=1.0, radius_m=1.0)
     plan = SearchPlanner(tiny).plan(PlanRequest((0.0, 0.0)), None)
     assert plan.waypoint.reason is WaypointReason.SEARCH
     assert plan.memory is not None
@@ -219,7 +216,7 @@ def test_legs_within_the_arrival_radius_are_passed_a_few_at_a_time() -> None:
 
 def test_a_square_that_leaves_the_fence_is_cut_by_it() -> None:
     request = PlanRequest((50.0, 30.0), None, FIELD, 3.0)
-    flight = Flight(SearchPlanner(ExpandingSquare(ExpandingSquareParams())), (50.0, 30.0), request)
+    flight = Flight(SearchPlanner(ExpandingSquareParams()), (50.0, 30.0), request)
     for _ in range(600):
         flight.step()
     assert all(2.99 <= e <= 97.01 and 2.99 <= n <= 57.01 for e, n in flight.places)

@@ -4,10 +4,10 @@ import pytest
 
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
-from companion.planning.crossing import Latch, LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing_kernels import Latch
 from companion.planning.planner import Plan, PlanRequest
 from companion.planning.search import (
-    Lawnmower,
     LawnmowerParams,
     SearchPlanner,
     SearchThenCross,
@@ -16,7 +16,7 @@ from companion.planning.search import (
 
 FIELD = ((0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0))
 PLANNER = SearchThenCross(
-    SearchPlanner(Lawnmower(LawnmowerParams(area_enu_m=FIELD))),
+    SearchPlanner(LawnmowerParams(area_enu_m=FIELD)),
     LatchedCrossing(LatchedCrossingParams()),
     lost_after_s=10.0,
 )
@@ -40,7 +40,7 @@ def _plan(
 
 
 def _on_a_lane() -> Memory:
-    memory = _plan((0.0, 10.0), PLANNER.initial_memory()).memory
+    memory = _plan((0.0, 10.0), SearchThenCrossMemory()).memory
     return _plan((30.0, 10.0), memory).memory
 
 
