@@ -82,8 +82,8 @@ def test_an_estimate_survives_a_kill_and_is_localised_long_before_a_cold_one() -
 def test_a_companion_killed_in_control_never_engages_by_itself(
     flavour: str, killed_after_s: float
 ) -> None:
-    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))  # type: ignore[arg-type]
-    loop, _ = in_control(AUTO, scenario)
+    autopilot = AutopilotParams(flavour=flavour, offboard_loss_action="hold")  # type: ignore[arg-type]
+    loop, _ = in_control(AUTO, Scenario(autopilot=autopilot))
     loop.run(killed_after_s)
     loop.flight.kill_companion()
     loop.run(2.0)
