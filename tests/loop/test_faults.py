@@ -11,7 +11,7 @@ from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import AUTO, LinkFaults, Loop, outside
 
@@ -21,8 +21,11 @@ PlannerKind = Literal["latched_crossing", "reactive_crossing"]
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 
 
-def in_control(faults: LinkFaults | None = None, config: CompanionConfig = AUTO) -> Loop:
-    loop = Loop(config, faults=faults or LinkFaults())
+HOLDS = Scenario(autopilot=AutopilotParams(offboard_loss_action="hold"))
+
+
+def in_control(config: CompanionConfig = AUTO, scenario: Scenario | None = None) -> Loop:
+    loop = Loop(config, scenario)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     loop.run(2.0)
     return loop
@@ -52,7 +55,7 @@ def test_a_short_cut_is_survived() -> None:
     loop.is_link_up = False
     loop.run(3.0)
     assert loop.phase is Phase.HOLD
-    assert loop.mode is FlightMode.HOLD  # the autopilot's own failsafe
+    assert loop.mode is FlightMode.POSITION  # the autopilot's own failsafe: it sinks
     loop.is_link_up = True
     loop.run_until(lambda: bool(loop.notes.results), 60.0)
     assert loop.error_m <= 1.5
@@ -61,7 +64,7 @@ def test_a_short_cut_is_survived() -> None:
 
 @pytest.mark.slow
 def test_a_long_cut_leaves_the_vehicle_to_its_failsafe() -> None:
-    loop = in_control()
+    loop = in_control(scenario=HOLDS)
     loop.is_link_up = False
     cut_s = loop.now_s
     loop.run(30.0)
@@ -77,7 +80,7 @@ def test_a_long_cut_leaves_the_vehicle_to_its_failsafe() -> None:
 
 @pytest.mark.slow
 def test_control_can_be_given_back_after_a_long_cut() -> None:
-    loop = in_control()
+    loop = in_control(scenario=HOLDS)
     loop.is_link_up = False
     loop.run(30.0)
     loop.is_link_up = True
