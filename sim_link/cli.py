@@ -17,9 +17,9 @@ from companion import __version__
 from companion.arguments import ComplaintParser, number_in
 from companion.entry import is_interrupt, outlive_readers
 from companion.errors import CompanionError, ConfigError
-from companion.io.links.transports import Transport, UdpConnect, parse_transport
+from companion.io.links.transports import Transport, parse_transport, udp_address
 from companion.io.shell import Clock, Shell
-from companion.mav.endpoint import Address, Endpoint
+from companion.mav.endpoint import Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkMode
@@ -190,8 +190,10 @@ def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
         scenario=_scenario(arguments),
         seed=arguments.seed,
         speed=arguments.speed,
-        listen=_address("--listen", arguments.listen),
-        send_to=tuple(_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO),
+        listen=udp_address("--listen", arguments.listen),
+        send_to=tuple(
+            udp_address("--send-to", text) for text in arguments.send_to or DEFAULT_SEND_TO
+        ),
         links=tuple(map(_link, arguments.link)),
         shares_ports=arguments.share_ports,
         parameters=arguments.parameters,
@@ -231,16 +233,6 @@ def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], no
             endpoint.apply_incident(msgspec.json.decode(line, type=Incident), now_s)
         except (msgspec.DecodeError, ValueError) as error:
             print(f"sim-link: {line!r} is no incident: {error}", file=sys.stderr)
-
-
-def _address(option: str, text: str) -> Address:
-    try:
-        target = parse_transport(f"udpout:{text}")
-    except ConfigError:
-        problem = f"{option} {text}: give HOST:PORT, for example 127.0.0.1:14550"
-        raise ConfigError(problem) from None
-    assert isinstance(target, UdpConnect)
-    return (target.host, target.port)
 
 
 def _link(text: str) -> tuple[Transport, LinkMode | None]:

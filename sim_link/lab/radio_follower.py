@@ -26,7 +26,7 @@ from companion.arguments import number_in
 from companion.domain import PositionEnu
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin, Projection, enu_from_ned
-from companion.io.links.transports import Transport, parse_transport
+from companion.io.links.transports import Transport, UdpConnect, parse_transport, udp_address
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -320,11 +320,7 @@ def parse_emitter(text: str, number: int) -> GeodeticEmitter:
 def _links(arguments: argparse.Namespace) -> list[Transport]:
     links = [parse_transport(arguments.follow)]
     if arguments.send_to is not None:
-        try:
-            links.append(parse_transport(f"udpout:{arguments.send_to}"))
-        except ConfigError:
-            problem = f"--send-to {arguments.send_to}: give HOST:PORT, for example 127.0.0.1:14600"
-            raise ConfigError(problem) from None
+        links.append(UdpConnect(*udp_address("--send-to", arguments.send_to)))
     return links
 
 

@@ -137,6 +137,17 @@ def parse_transport(text: str) -> Transport:
     return _parse_host_and_port(text, scheme, rest)
 
 
+def udp_address(option: str, text: str) -> Address:
+    """The address in the `HOST:PORT` of an option; a `ConfigError` shows a right one."""
+    try:
+        peer = parse_transport(f"udpout:{text}")
+    except ConfigError:
+        example = f"{OWN_HOST}:14550"
+        raise ConfigError(f"{option} {text}: give HOST:PORT, for example {example}") from None
+    assert isinstance(peer, UdpConnect)
+    return peer.host, peer.port
+
+
 def _parse_host_and_port(text: str, scheme: str, rest: str) -> Transport:
     kind = _PORTS[scheme]
     host, separator, port_text = rest.rstrip("/").rpartition(":")

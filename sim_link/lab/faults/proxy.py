@@ -29,6 +29,7 @@ import yaml
 from companion.arguments import number_in
 from companion.config.loader import load_yaml
 from companion.errors import ConfigError, LinkError
+from companion.io.links.transports import udp_address
 from companion.mav.endpoint import Address
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults import fault_models as faults
@@ -217,7 +218,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry datagrams until asked to stop; a ConfigError or LinkError for what is bad input."""
     schedule = _schedule(arguments.fault, arguments.faults)
-    listen, companion = _address(arguments.listen), _address(arguments.companion)
+    listen = udp_address("--listen", arguments.listen)
+    companion = udp_address("--companion", arguments.companion)
     with FaultProxy(listen, companion, schedule, arguments.seed) as proxy:
         host, port = proxy.vehicle_side
         print(f"proxy: vehicle to {host}:{port}, companion {arguments.companion}", flush=True)
@@ -245,10 +247,3 @@ def _schedule(texts: list[str], path: Path | None) -> faults.Schedule:
             kind = fault.__struct_config__.tag
             raise ConfigError(f"{kind} happens to a vehicle or a process, not to a link")
     return faults.Schedule(faults=tuple(found))
-
-
-def _address(text: str) -> Address:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65_535:
-        raise ConfigError(f"{text!r} is no HOST:PORT")
-    return host, int(port)
