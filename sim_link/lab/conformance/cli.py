@@ -317,10 +317,10 @@ def _close(run: RuleRun, arguments: argparse.Namespace, say: Callable[[str], Non
     """Tell and write how it went, however it ended."""
     if not run.outcomes:
         return
-    if arguments.json is not None:
-        write_json_atomic(arguments.json, record(run.outcomes, arguments.url, run.problems))
     for text in [*run.problems, summary(run.outcomes)]:
         say(text)
+    if arguments.json is not None:
+        write_json_atomic(arguments.json, record(run.outcomes, arguments.url, run.problems))
 
 
 def _allowed(arguments: argparse.Namespace) -> frozenset[str]:

@@ -156,16 +156,18 @@ class RuleRun:
 
     def run(self, rules: Iterable[Rule]) -> None:
         """Try the rules that bind the peer; `NotApplicable`: nobody is there."""
+        rest, is_there = list(rules), False
         self._first = self._probe(VehicleProbe if self._is_vehicle else CompanionProbe)
-        self._first.attach()
-        rest = [rule for rule in rules if self._first.flavour in rule.flavours]
         try:
+            self._first.attach()
+            is_there = True
+            rest = [rule for rule in rest if self._first.flavour in rule.flavours]
             while rest:
                 self._report(self._outcome_of(rest[0]))
                 del rest[0]
         except KeyboardInterrupt:
             self._lost = "stopped"
-            self._is_in_order = False
+            self._is_in_order = not is_there
             self._tell("stopped: putting the vehicle in order (once more to leave it as it is)")
         with suppress(KeyboardInterrupt):
             self._finish()
