@@ -15,7 +15,10 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Mapping
-from typing import Any, ClassVar, NamedTuple
+from importlib.resources import files
+from typing import Any, ClassVar, NamedTuple, get_type_hints
+
+import msgspec
 
 from companion.domain import FlightMode, LandedState, PositionEnu
 from companion.mav.dialect import mavlink
@@ -156,10 +159,34 @@ class Firmware(NamedTuple):
     """1 where item 0 is home."""
     home_orientation: tuple[float, float, float, float]
     """HOME_POSITION.q."""
+    answers_for_others: bool
+    """Obeys what is for a component of its system that was never heard, and answers as itself."""
     dialect: Container[int] | None = None
     """Ids of the messages that it knows; it does not pass on others. None: it passes on all."""
-    answers_for_others: bool = False
-    """Obeys what is for a component of its system that was never heard, and answers as itself."""
+
+
+def read_firmware(
+    package: str, streams: StreamRules, dialect: Container[int] | None = None
+) -> Firmware:
+    """What a package's `firmware.yaml` says; names of MAVLink's constants are their values."""
+    text = files(package).joinpath("firmware.yaml").read_bytes()
+    kinds = get_type_hints(Firmware)
+    told = {
+        name: msgspec.convert(_with_values(value), kinds[name])
+        for name, value in msgspec.yaml.decode(text).items()
+    }
+    return Firmware(**told, streams=streams, dialect=dialect)
+
+
+def _with_values(told: object) -> object:
+    match told:
+        case str():
+            return getattr(mavlink, told, told)
+        case list():
+            return [_with_values(each) for each in told]
+        case dict():
+            return {key: _with_values(each) for key, each in told.items()}
+    return told
 
 
 class HeartbeatState(NamedTuple):

@@ -1,4 +1,4 @@
-"""What PX4 1.15 is, how it is set up and how it speaks: identity, parameters, streams, protocols.
+"""What PX4 1.15 is, how it is set up and how it speaks; `firmware.yaml` has its rules.
 
 `parameters.csv` has its parameters. Names, types, defaults and ranges of COM_*, NAV_*_ACT, GF_* and
 MPC_* were compared with the sources of its modules; the rest is set after the sense of its
@@ -12,18 +12,14 @@ its narrow one, or (mode Custom) nothing but HEARTBEAT.
 from __future__ import annotations
 
 from companion.mav.dialect import mavlink
-from companion.mav.param_encoding import ParamEncoding
-from sim_link.autopilot.flavours.base import DENIED, FAILED, Firmware
+from sim_link.autopilot.flavours.base import read_firmware
 from sim_link.autopilot.pilot import STEP_S, SpeedLimits
-from sim_link.autopilot.protocols.command_protocol import CommandForms, CommandResult
-from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules, message_id
-from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
+from sim_link.autopilot.protocols.message_streams import StreamRules, message_id
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
-from sim_link.autopilot.protocols.plan_items import PlanType
-from sim_link.autopilot.protocols.plan_rules import PlanChecks, PlanRules, commands_named
 from sim_link.autopilot.scenario import LossAction, Scenario
 
-PX4_PARAMETERS = read_specs("sim_link.autopilot.flavours.px4")
+PACKAGE = "sim_link.autopilot.flavours.px4"
+PX4_PARAMETERS = read_specs(PACKAGE)
 OFFBOARD_LOSS_ACTION: dict[LossAction, int] = {
     **{"position": 0, "return": 3, "land": 4},
     **{"hold": 5, "disarm": 7},
@@ -55,7 +51,7 @@ def px4_parameters(scenario: Scenario) -> ParameterStore:
 
 def _rates_hz(link: str) -> dict[int, float]:
     """Of a kind of link by message id; 0 for what comes only on request."""
-    rows = read_rows("sim_link.autopilot.flavours.px4", "streams.csv")
+    rows = read_rows(PACKAGE, "streams.csv")
     return {message_id(row["message"]): float(row[f"{link}_hz"]) for row in rows}
 
 
@@ -81,50 +77,4 @@ STREAMS = StreamRules(
     stopped_interval_us=0,
 )
 
-FIRMWARE = Firmware(
-    autopilot=mavlink.MAV_AUTOPILOT_PX4,
-    version=0x010F_02FF,  # 1.15.2, official release: the one whose behaviour is simulated
-    capabilities=0xE8FF,  # without SET_POSITION_TARGET_GLOBAL_INT, which it obeys
-    refusal=DENIED,
-    frame_refusal=CommandResult.UNSUPPORTED_MAV_FRAME,
-    busy=CommandResult.TEMPORARILY_REJECTED,
-    calibrates_at_once=False,
-    termination=(mavlink.MAV_SEVERITY_CRITICAL, "Flight termination: motors stopped"),
-    keeps_given_home=True,
-    commands=CommandForms(),
-    requests=RequestRules(
-        no_message=DENIED,
-        no_stream=FAILED,
-        no_interval=CommandResult.ACCEPTED,
-        not_on_request=frozenset({mavlink.MAVLINK_MSG_ID_SYS_STATUS}),
-    ),
-    streams=STREAMS,
-    # Measured: 897 values in 0.84 s.
-    parameters=ParameterRules(
-        ParamEncoding.BYTEWISE,
-        checks_type=True,
-        echoes=2,
-        tells_index_of_named=True,
-        stores_nan=True,
-        has_hash_check=True,
-        list_rate_hz=1000.0,
-    ),
-    plans=PlanRules(
-        capacity={PlanType.MISSION: 2000, PlanType.FENCE: 64, PlanType.RALLY: 32},
-        checks=PlanChecks(
-            more_positions=commands_named("NAV_LOITER_TO_ALT DO_SET_HOME"),
-            more_others=commands_named("SET_CAMERA_ZOOM SET_CAMERA_FOCUS"),
-        ),
-        retry_s=0.265,
-        timeout_s=5.0,
-    ),
-    rejects_for_others=True,
-    empty_calibration=CommandResult.ACCEPTED,
-    names_timesync_target=True,
-    answers_ping=True,
-    tells_mode_at_once=False,
-    obeys_rc_override=False,
-    takes_origin=True,
-    first_mission_item=0,
-    home_orientation=(1.0, 0.0, 0.0, 0.0),
-)
+FIRMWARE = read_firmware(PACKAGE, STREAMS)
