@@ -96,7 +96,8 @@ class MissionBatch:
         """Every flight, checked as far as can be without flying; CompanionError: one is wrong."""
         loaded = [(str(path), mission) for path in self.files for mission in self._load(path)]
         for file, mission in loaded:
-            check_flyable(mission, file)
+            if not mission.misfit(mission.autopilot.flavour):
+                check_flyable(mission, file)
             if self.speed is not None and self.connect is None:
                 check_faults(mission, file)
         if self.speed is not None:
@@ -118,7 +119,7 @@ class MissionBatch:
         mission = load_mission(path)
         flavours = flavours_of(mission, str(path))
         if self.connect is not None:
-            return [mission]
+            return [with_autopilot(mission, flavours[0])]
         wanted = flavours if self.autopilot is None else (self.autopilot,)
         return [with_autopilot(mission, flavour) for flavour in wanted]
 

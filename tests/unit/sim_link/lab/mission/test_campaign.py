@@ -145,8 +145,9 @@ def test_a_flight_that_cannot_be_flown_is_an_error_and_the_others_are_flown(
 def test_a_script_for_another_autopilot_is_skipped_with_the_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    only_px4 = script(tmp_path, "only.yaml", "name: only\nautopilots: [px4]\nsteps: [connect]\n")
-    files = [only_px4, script(tmp_path, "m.yaml")]
+    text = "name: only\nautopilots: [px4]\nsteps: [connect]\n"
+    text += "autopilot: {parameters: {COM_OBL_RC_ACT: 5}}\n"
+    files = [script(tmp_path, "only.yaml", text), script(tmp_path, "m.yaml")]
     junit = tmp_path / "j.xml"
     assert run(*files, "--autopilot", "ardupilot", "--junit", junit, "--report", tmp_path) == 0
     first, second, *_, last = capsys.readouterr().out.splitlines()
