@@ -178,6 +178,21 @@ class FlightMode(Enum):
     UNKNOWN = "unknown"
 
 
+ARDUPILOT_NAMES: dict[FlightMode, str] = {
+    FlightMode.OFFBOARD: "GUIDED",
+    FlightMode.HOLD: "BRAKE",
+    FlightMode.LAND: "LAND",
+    FlightMode.RETURN: "RTL",
+    FlightMode.MISSION: "AUTO",
+    FlightMode.POSITION: "LOITER",
+    FlightMode.ALTITUDE: "ALT_HOLD",
+    FlightMode.STABILIZED: "STABILIZE",
+    FlightMode.ACRO: "ACRO",
+}
+"""What ArduPilot calls those that it has. BRAKE is HOLD: LOITER obeys the throttle stick, which
+may be down."""
+
+
 class LandedState(Enum):
     """EXTENDED_SYS_STATE.landed_state."""
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import TypeVar
 
 from companion.doctor.autopilot_settings import needed_parameters
 from companion.doctor.findings import AutopilotFacts, LinkFacts, StreamRate
@@ -46,7 +47,7 @@ SETTLE_S = 2.5
 PARAMETER_RETRY_S = 0.7
 PARAMETER_TRIES = 4
 HEARTBEAT_HZ = 1.0
-EstimatorStatus = mavlink.MAVLink_estimator_status_message | MAVLink_ekf_status_report_message
+M = TypeVar("M", bound=Message)
 NAMES = {number: mavlink.mavlink_map[number].msgname for number in STREAM_INTERVAL_S}
 
 
@@ -174,7 +175,7 @@ class DoctorProbe:
         assert isinstance(heartbeat, mavlink.MAVLink_heartbeat_message)
         mode = mode_of(heartbeat, binding.autopilot)
         other = other_mode_name(heartbeat, binding.autopilot)
-        fix = newest.get("GPS_RAW_INT")
+        fix = self._newest_of(mavlink.MAVLink_gps_raw_int_message)
         return AutopilotFacts(
             autopilot=binding.autopilot,
             system_id=binding.system_id or 0,
@@ -188,7 +189,7 @@ class DoctorProbe:
             has_home="HOME_POSITION" in newest,
             origin=self._origin(),
             estimator_flags=self._estimator_flags(),
-            gps_fix=fix.fix_type if isinstance(fix, mavlink.MAVLink_gps_raw_int_message) else None,
+            gps_fix=None if fix is None else fix.fix_type,
             battery_pct=self._battery_pct(),
             round_trip_s=self._clock.round_trip_s,
             clock_offset_s=self._clock.offset_at_s(self._now_s),
@@ -205,27 +206,26 @@ class DoctorProbe:
             StreamRate(name, hertz, self._counts[name], seconds) for name, hertz in asked.items()
         )
 
+    def _newest_of(self, kind: type[M]) -> M | None:
+        message = self._newest.get(kind.msgname)
+        return message if isinstance(message, kind) else None
+
     def _origin(self) -> LocalOrigin | None:
-        message = self._newest.get("GPS_GLOBAL_ORIGIN")
-        if not isinstance(message, mavlink.MAVLink_gps_global_origin_message):
-            return None
-        return origin_of(message, self._binding.autopilot)
+        message = self._newest_of(mavlink.MAVLink_gps_global_origin_message)
+        return None if message is None else origin_of(message, self._binding.autopilot)
 
     def _estimator_flags(self) -> int | None:
-        status = self._newest.get("ESTIMATOR_STATUS") or self._newest.get("EKF_STATUS_REPORT")
-        return int(status.flags) if isinstance(status, EstimatorStatus) else None
+        px4 = self._newest_of(mavlink.MAVLink_estimator_status_message)
+        status = px4 or self._newest_of(MAVLink_ekf_status_report_message)
+        return None if status is None else int(status.flags)
 
     def _has_rc(self) -> bool | None:
-        status = self._newest.get("SYS_STATUS")
-        if not isinstance(status, mavlink.MAVLink_sys_status_message):
-            return None
-        return hears_transmitter(status)
+        status = self._newest_of(mavlink.MAVLink_sys_status_message)
+        return None if status is None else hears_transmitter(status)
 
     def _battery_pct(self) -> int | None:
-        status = self._newest.get("SYS_STATUS")
-        if not isinstance(status, mavlink.MAVLink_sys_status_message):
-            return None
-        return status.battery_remaining if status.battery_remaining >= 0 else None
+        status = self._newest_of(mavlink.MAVLink_sys_status_message)
+        return None if status is None or status.battery_remaining < 0 else status.battery_remaining
 
     # In and out
 

@@ -6,7 +6,7 @@ ArduCopter sends its mode number (ArduPilot `ArduCopter/mode.h`).
 
 from __future__ import annotations
 
-from companion.domain import Autopilot, FlightMode
+from companion.domain import ARDUPILOT_NAMES, Autopilot, FlightMode
 from companion.mav.dialect import mavlink
 
 PX4_MAIN_AND_SUB: dict[FlightMode, tuple[int, int]] = {
@@ -23,18 +23,6 @@ PX4_MAIN_AND_SUB: dict[FlightMode, tuple[int, int]] = {
     FlightMode.OFFBOARD: (6, 0),
     FlightMode.STABILIZED: (7, 0),
 }
-ARDUCOPTER_NUMBER: dict[FlightMode, int] = {
-    FlightMode.STABILIZED: 0,
-    FlightMode.ACRO: 1,
-    FlightMode.ALTITUDE: 2,
-    FlightMode.MISSION: 3,
-    FlightMode.OFFBOARD: 4,
-    FlightMode.POSITION: 5,
-    FlightMode.RETURN: 6,
-    FlightMode.LAND: 9,
-    FlightMode.HOLD: 17,
-}
-"""GUIDED is our OFFBOARD. BRAKE is our HOLD: LOITER obeys the throttle stick, which may be down."""
 _ARDUCOPTER_NAMES = (
     "STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE MODE_8 LAND MODE_10 DRIFT MODE_12 SPORT "
     "FLIP AUTOTUNE POSHOLD BRAKE THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG "
@@ -42,6 +30,8 @@ _ARDUCOPTER_NAMES = (
 )
 ARDUCOPTER_NAMES = dict(enumerate(_ARDUCOPTER_NAMES.split()))
 """By number, also of modes that are no `FlightMode`."""
+_NUMBER = {name: number for number, name in ARDUCOPTER_NAMES.items()}
+ARDUCOPTER_NUMBER = {mode: _NUMBER[name] for mode, name in ARDUPILOT_NAMES.items()}
 
 _PX4_MODE = {packed: mode for mode, packed in PX4_MAIN_AND_SUB.items()}
 _ARDUCOPTER_MODE = {number: mode for mode, number in ARDUCOPTER_NUMBER.items()}

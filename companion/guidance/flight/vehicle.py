@@ -13,23 +13,11 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from companion.domain import Autopilot, FlightMode, LandedState, PositionEnu
+from companion.domain import ARDUPILOT_NAMES, Autopilot, FlightMode, LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
 from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
-
-ARDUPILOT_NAMES: dict[FlightMode, str] = {
-    FlightMode.OFFBOARD: "GUIDED",
-    FlightMode.HOLD: "BRAKE",
-    FlightMode.LAND: "LAND",
-    FlightMode.RETURN: "RTL",
-    FlightMode.MISSION: "AUTO",
-    FlightMode.POSITION: "LOITER",
-    FlightMode.ALTITUDE: "ALT_HOLD",
-    FlightMode.STABILIZED: "STABILIZE",
-    FlightMode.ACRO: "ACRO",
-}
 
 
 def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:

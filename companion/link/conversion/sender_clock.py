@@ -249,17 +249,10 @@ class SenderClock:
     `Timebase` knows a restart by a stamp that goes back. After a silence longer than the sender's
     former uptime the stamps of the new clock are ahead of the old ones, and every reading would
     be late, for good: that is a restart too, unless the link itself is as late.
-
-    Args:
-        rate: If it is known better than by arrival.
-        offset_s: Local minus remote time, with the shortest delay; None: by the first stamp.
-        now_s: When that is so.
     """
 
-    def __init__(
-        self, rate: Rate | None = None, offset_s: float | None = None, now_s: float = 0.0
-    ) -> None:
-        self.timebase = Timebase(rate, offset_s, now_s)
+    def __init__(self, timebase: Timebase | None = None) -> None:
+        self.timebase = timebase or Timebase()
         """Begun anew by a clock that did so without a stamp that goes back."""
         self._late_since_s: float | None = None
         self._prompt_s: float | None = None
@@ -417,7 +410,7 @@ class VehicleClock:
             self._apart_since_s = now_s
         if not self.sync.agrees_since(self._apart_since_s):
             return False
-        self._stamps = SenderClock(self.sync.rate, offset_s + self._delay_s, now_s)
+        self._stamps = SenderClock(Timebase(self.sync.rate, offset_s + self._delay_s, now_s))
         self._apart_since_s = None
         self._resets = self.sync.resets
         self._slipped_s = now_s
