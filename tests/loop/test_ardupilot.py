@@ -9,7 +9,10 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
+from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Chunk
+from sim_link.autopilot.control_inputs import LocalTarget
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from tests.loop.loop_helpers import AUTO, LinkFaults, Loop
 
@@ -137,3 +140,39 @@ def test_a_companion_that_dies_leaves_the_vehicle_at_its_last_target() -> None:
     loop.run(30.0)
     assert loop.mode is FlightMode.OFFBOARD
     assert math.dist(loop.sim.vehicle.body.position_enu_m, target) < 1.0
+
+
+def test_a_heartbeat_that_somebody_stopped_is_asked_for_and_a_pilots_mode_is_seen() -> None:
+    loop = flying()
+    stop = mavlink.MAVLink_command_long_message(
+        1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, 0.0, -1.0, 0, 0, 0, 0, 0
+    )
+    loop.sim.receive(Chunk(0, MavCodec(255, 190).encode(stop), None), loop.now_s)
+    begun = len(loop.vehicle_bytes)
+    loop.run(12.0)
+    heard = MavCodec(255, 190).decode(bytes(loop.vehicle_bytes[begun:]))
+    shown = [m for m in heard if m.get_type() == "HEARTBEAT" and m.get_srcComponent() == 1]
+    assert 3 <= len(shown) <= 6
+    assert loop.phase is Phase.NORMAL
+    loop.choose(FlightMode.POSITION)
+    loop.run(0.5)
+    left_s = loop.now_s
+    loop.run(5.0)
+    assert loop.setpoints_since(left_s) == []
+    assert loop.mode is FlightMode.POSITION
+
+
+@pytest.mark.slow
+def test_everything_that_is_sent_would_be_sane_on_an_autopilot_that_checks_nothing() -> None:
+    """The real one obeys 0/0, infinite heights, foreign frames and a take-off to NaN."""
+    loop = copter()
+    loop.run_until(lambda: bool(loop.notes.results), 90.0)
+    sent = MavCodec(1, 1).decode(bytes(loop.companion_bytes))
+    setpoints = [m for m in sent if isinstance(m, LocalTarget)]
+    assert {(m.coordinate_frame, m.type_mask) for m in setpoints} <= {(1, 0xDF8), (1, 0x9F8)}
+    assert all(math.isfinite(value) for m in setpoints for value in (m.x, m.y, m.z, m.yaw))
+    assert max(math.hypot(m.x, m.y) for m in setpoints) < 200.0
+    assert all(-60.0 <= m.z < -2.0 for m in setpoints)
+    asked = [m for m in sent if m.get_type() == "COMMAND_LONG" and m.command == TAKEOFF]
+    assert asked
+    assert all(3.0 <= m.param7 <= 60.0 for m in asked)
