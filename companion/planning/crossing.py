@@ -111,14 +111,14 @@ class LatchedCrossing:
         before = NO_LATCH if memory is None else memory
         behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
         is_at_height = self._is_at_height(request, memory)
-        verdict = latch_verdict(before, *vehicle, *target, behind_m, is_at_height, self._rule)
+        verdict = latch_verdict(before, vehicle, target, behind_m, is_at_height, self._rule)
         if memory is not None and verdict == KEPT:
             return Plan(self._waypoint(request, memory), memory)
-        heading = next_direction(before, verdict, *vehicle, *target)
+        heading = next_direction(before, verdict, vehicle, target)
         chosen = self._best_point(request, target, heading, over_m)
         if chosen is None:
             return Plan(hold_position(request, "no way to any side of the estimate"), memory)
-        latch = new_latch(before, verdict, *chosen, *vehicle, *target, over_m, self._rule)
+        latch = new_latch(before, verdict, *chosen, vehicle, target, over_m, self._rule)
         return Plan(self._waypoint(request, latch), latch)
 
     def _is_at_height(self, request: PlanRequest, memory: Latch | None) -> bool:
@@ -151,12 +151,12 @@ class LatchedCrossing:
                 best, best_length_m = (point, heading), length_m
                 if length_m >= LONG_ENOUGH_SHARE * over_m:
                     break
-            heading = turned(*heading, GOLDEN_ANGLE_RAD)
+            heading = turned(heading, GOLDEN_ANGLE_RAD)
         return best
 
     def _waypoint(self, request: PlanRequest, latch: Latch) -> Waypoint:
         vehicle, estimate = request.vehicle_enu_m, latch.estimate_enu_m
-        ahead = direction(*vehicle, *latch.point_enu_m)
+        ahead = direction(vehicle, latch.point_enu_m)
         to_estimate = (estimate[0] - vehicle[0], estimate[1] - vehicle[1])
         is_ahead = to_estimate[0] * ahead[0] + to_estimate[1] * ahead[1] > 0.0
         is_approach = is_ahead and math.dist(vehicle, estimate) > latch.overshoot_m
@@ -181,24 +181,19 @@ class ReactiveCrossingParams(Params, frozen=True):
 
 @kernel
 def reactive_step(
-    east_m: float,
-    north_m: float,
-    target_east_m: float,
-    target_north_m: float,
-    step_m: float,
-    crossing_distance_m: float,
-    stop_distance_m: float,
-) -> tuple[float, float]:
+    vehicle: Point, target: Point, step_m: float, crossing_distance_m: float, stop_distance_m: float
+) -> Point:
     """The next place of a vehicle; its own where it is closer than the stop distance.
 
     Paper: Algorithm 1.
     """
+    (east_m, north_m), (target_east_m, target_north_m) = vehicle, target
     if math.hypot(target_east_m - east_m, target_north_m - north_m) < stop_distance_m:
-        return east_m, north_m
-    d_east, d_north = direction(east_m, north_m, target_east_m, target_north_m)
+        return vehicle
+    d_east, d_north = direction(vehicle, target)
     crossing_east_m = target_east_m + crossing_distance_m * d_east
     crossing_north_m = target_north_m + crossing_distance_m * d_north
-    v_east, v_north = direction(east_m, north_m, crossing_east_m, crossing_north_m)
+    v_east, v_north = direction(vehicle, (crossing_east_m, crossing_north_m))
     return east_m + step_m * v_east, north_m + step_m * v_north
 
 
@@ -216,9 +211,8 @@ class ReactiveCrossing:
             return Plan(hold_position(request, "no estimate yet"), memory)
         p, vehicle = self.params, request.vehicle_enu_m
         estimate = request.estimate.position_enu_m
-        target = reactive_step(
-            *vehicle, *estimate, p.step_m, p.crossing_distance_m, p.stop_distance_m
-        )
+        far_m, stop_m = p.crossing_distance_m, p.stop_distance_m
+        target = reactive_step(vehicle, estimate, p.step_m, far_m, stop_m)
         if target == vehicle:
             return Plan(hold_position(request, "close to the estimate"), memory)
         target = kept_inside(target, vehicle, request)

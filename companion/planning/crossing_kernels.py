@@ -1,6 +1,6 @@
-"""The arithmetic of crossing planners, as kernels: directions, and the latch as one small array.
+"""The arithmetic of crossing planners, as kernels.
 
-Directions in the plane are unit vectors as two numbers. A latch is what `LatchedCrossing` remembers
+Points and unit vectors are east and north, metres. A latch is what `LatchedCrossing` remembers
 of the crossing being flown. `latched_step` is the whole planner where no fence limits it; with a
 fence the class chooses among directions, by the same kernels. Source: see `crossing`.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from companion.geometry.polygons import Point
 from companion.kernel import kernel
 
 MIN_DISTANCE_M = 1e-9
@@ -19,11 +20,9 @@ PUSHED_M = 0.01
 
 
 @kernel
-def direction(
-    from_east_m: float, from_north_m: float, to_east_m: float, to_north_m: float
-) -> tuple[float, float]:
+def direction(start: Point, end: Point) -> Point:
     """Unit vector from one point to another; east where they coincide."""
-    east, north = to_east_m - from_east_m, to_north_m - from_north_m
+    east, north = end[0] - start[0], end[1] - start[1]
     distance = math.hypot(east, north)
     if distance < MIN_DISTANCE_M:
         return 1.0, 0.0
@@ -31,9 +30,9 @@ def direction(
 
 
 @kernel
-def turned(east: float, north: float, angle_rad: float) -> tuple[float, float]:
+def turned(vector: Point, angle_rad: float) -> Point:
     """A vector turned counter-clockwise."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    (east, north), c, s = vector, math.cos(angle_rad), math.sin(angle_rad)
     return c * east - s * north, s * east + c * north
 
 
@@ -43,13 +42,13 @@ GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 class Latch(NamedTuple):
     """The crossing being flown."""
 
-    point_enu_m: tuple[float, float]
+    point_enu_m: Point
     """Where it ends."""
-    estimate_enu_m: tuple[float, float]
+    estimate_enu_m: Point
     """The estimate when it was chosen."""
-    direction: tuple[float, float]
+    direction: Point
     """Unit vector from the estimate to the far side."""
-    start_enu_m: tuple[float, float]
+    start_enu_m: Point
     """Where the vehicle was when it was chosen."""
     overshoot_m: float
     crossings: int
@@ -102,14 +101,7 @@ def overshoot_m(
 
 @kernel
 def latch_verdict(
-    latch: Latch,
-    east_m: float,
-    north_m: float,
-    target_east_m: float,
-    target_north_m: float,
-    over_m: float,
-    is_at_height: bool,
-    rule: LatchRule,
+    latch: Latch, vehicle: Point, target: Point, over_m: float, is_at_height: bool, rule: LatchRule
 ) -> int:
     """What is to become of a latch.
 
@@ -119,34 +111,28 @@ def latch_verdict(
     """
     if latch.crossings < 0:
         return FIRST
-    point, start, estimate = latch.point_enu_m, latch.start_enu_m, latch.estimate_enu_m
-    to_point_m = math.hypot(point[0] - east_m, point[1] - north_m)
+    (east, north), (target_east, target_north), start = vehicle, target, latch.start_enu_m
+    point, estimate = latch.point_enu_m, latch.estimate_enu_m
     d_east, d_north = latch.direction
-    started_m = (start[0] - target_east_m) * d_east + (start[1] - target_north_m) * d_north
-    beyond_m = (east_m - target_east_m) * d_east + (north_m - target_north_m) * d_north
+    started_m = (start[0] - target_east) * d_east + (start[1] - target_north) * d_north
+    beyond_m = (east - target_east) * d_east + (north - target_north) * d_north
     is_over = started_m < over_m <= beyond_m
+    to_point_m = math.hypot(point[0] - east, point[1] - north)
     if is_at_height and (is_over or to_point_m <= rule.arrival_radius_m):
         return FLOWN
-    moved_m = math.hypot(target_east_m - estimate[0], target_north_m - estimate[1])
+    moved_m = math.hypot(target_east - estimate[0], target_north - estimate[1])
     if moved_m > max(rule.reaim_distance_m, 0.5 * latch.overshoot_m):
         return MOVED
     return KEPT
 
 
 @kernel
-def next_direction(
-    latch: Latch,
-    verdict: int,
-    east_m: float,
-    north_m: float,
-    target_east_m: float,
-    target_north_m: float,
-) -> tuple[float, float]:
+def next_direction(latch: Latch, verdict: int, vehicle: Point, target: Point) -> Point:
     """The direction of the crossing that follows a verdict: at the estimate, turned, or kept."""
     if verdict == FIRST:
-        return direction(east_m, north_m, target_east_m, target_north_m)
+        return direction(vehicle, target)
     if verdict == FLOWN:
-        return turned(latch.direction[0], latch.direction[1], GOLDEN_ANGLE_RAD)
+        return turned(latch.direction, GOLDEN_ANGLE_RAD)
     return latch.direction
 
 
@@ -154,48 +140,34 @@ def next_direction(
 def new_latch(
     latch: Latch,
     verdict: int,
-    point: tuple[float, float],
-    heading: tuple[float, float],
-    east_m: float,
-    north_m: float,
-    target_east_m: float,
-    target_north_m: float,
+    point: Point,
+    heading: Point,
+    vehicle: Point,
+    target: Point,
     over_m: float,
     rule: LatchRule,
 ) -> Latch:
     """The latch on a point; one that is reached already turns on with the next crossing."""
-    if math.hypot(point[0] - east_m, point[1] - north_m) <= rule.arrival_radius_m:
-        heading = turned(heading[0], heading[1], GOLDEN_ANGLE_RAD)
+    if math.hypot(point[0] - vehicle[0], point[1] - vehicle[1]) <= rule.arrival_radius_m:
+        heading = turned(heading, GOLDEN_ANGLE_RAD)
     flown = max(latch.crossings, 0) + (1 if verdict == FLOWN else 0)
-    estimate, start = (target_east_m, target_north_m), (east_m, north_m)
-    return Latch(point, estimate, heading, start, over_m, flown)
+    return Latch(point, target, heading, vehicle, over_m, flown)
 
 
 @kernel
 def latched_step(
-    latch: Latch,
-    east_m: float,
-    north_m: float,
-    target_east_m: float,
-    target_north_m: float,
-    over_m: float,
-    is_at_height: bool,
-    rule: LatchRule,
+    latch: Latch, vehicle: Point, target: Point, over_m: float, is_at_height: bool, rule: LatchRule
 ) -> Latch:
     """The latch to fly next, where no fence limits it: the same one, or a new one.
 
     In the plane a vehicle always `is_at_height` of the crossing.
     """
-    verdict = latch_verdict(
-        latch, east_m, north_m, target_east_m, target_north_m, over_m, is_at_height, rule
-    )
+    verdict = latch_verdict(latch, vehicle, target, over_m, is_at_height, rule)
     if verdict == KEPT:
         return latch
-    heading = next_direction(latch, verdict, east_m, north_m, target_east_m, target_north_m)
-    point = (target_east_m + over_m * heading[0], target_north_m + over_m * heading[1])
-    return new_latch(
-        latch, verdict, point, heading, east_m, north_m, target_east_m, target_north_m, over_m, rule
-    )
+    heading = next_direction(latch, verdict, vehicle, target)
+    point = (target[0] + over_m * heading[0], target[1] + over_m * heading[1])
+    return new_latch(latch, verdict, point, heading, vehicle, target, over_m, rule)
 
 
 @kernel

@@ -287,20 +287,18 @@ def next_place(
     """
     east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
     de_m, dn_m = mean[0] - east_m, mean[1] - north_m
+    place, target = (east_m, north_m), (mean[0], mean[1])
     if steering.planner == REACTIVE:
         crossing_m, stop_m = steering.crossing_distance_m, steering.stop_distance_m
-        east_m, north_m = reactive_step(
-            east_m, north_m, mean[0], mean[1], steering.step_m, crossing_m, stop_m
-        )
+        east_m, north_m = reactive_step(place, target, steering.step_m, crossing_m, stop_m)
         return east_m, north_m, latch
     if steering.planner == LATCHED:
         over_m = overshoot_m(
             covariance[0, 0], covariance[0, 1], covariance[1, 1], 0.0, steering.latch
         )
-        latch = latched_step(latch, east_m, north_m, mean[0], mean[1], over_m, True, steering.latch)
-        east_m, north_m = stepped(
-            east_m, north_m, latch.point_enu_m[0], latch.point_enu_m[1], steering.step_m
-        )
+        latch = latched_step(latch, place, target, over_m, True, steering.latch)
+        point = latch.point_enu_m
+        east_m, north_m = stepped(east_m, north_m, point[0], point[1], steering.step_m)
         return east_m, north_m, latch
     ring_m, sigma = steering.ring_m, belief.sigma
     if steering.planner == PRINTED_FIM:

@@ -59,7 +59,7 @@ def test_stepped_by_the_kernel_it_flies_as_the_class_does(
         plan = PLANNER.plan(request, memory)
         memory = plan.memory
         over_m = overshoot_m(variance_m2, 0.3 * variance_m2, 0.5 * variance_m2, 0.0, rule)
-        latch = latched_step(latch, *vehicle, *target, over_m, True, rule)
+        latch = latched_step(latch, vehicle, target, over_m, True, rule)
         point = latch.point_enu_m
         assert memory == latch
         assert plan.waypoint.position_enu_m == point
@@ -73,8 +73,8 @@ def test_stepped_by_the_kernel_it_flies_as_the_class_does(
 
 def test_a_kept_latch_is_the_same() -> None:
     rule = PARAMS.rule()
-    first = latched_step(NO_LATCH, -30.0, 0.0, 0.0, 0.0, 6.0, True, rule)
-    assert latched_step(first, -25.0, 0.0, 0.0, 0.0, 6.0, True, rule) == first
+    first = latched_step(NO_LATCH, (-30.0, 0.0), (0.0, 0.0), 6.0, True, rule)
+    assert latched_step(first, (-25.0, 0.0), (0.0, 0.0), 6.0, True, rule) == first
 
 
 @settings(deadline=None)
@@ -92,9 +92,9 @@ def test_crossings_alternate_in_height() -> None:
 
 
 def test_directions() -> None:
-    assert direction(1.0, 1.0, 4.0, 5.0) == pytest.approx((0.6, 0.8))
-    assert direction(1.0, 1.0, 1.0, 1.0) == (1.0, 0.0)
-    assert turned(1.0, 0.0, 0.5 * math.pi) == pytest.approx((0.0, 1.0))
+    assert direction((1.0, 1.0), (4.0, 5.0)) == pytest.approx((0.6, 0.8))
+    assert direction((1.0, 1.0), (1.0, 1.0)) == (1.0, 0.0)
+    assert turned((1.0, 0.0), 0.5 * math.pi) == pytest.approx((0.0, 1.0))
 
 
 @pytest.mark.skipif(not hasattr(latched_step, "py_func"), reason="numba is not installed")
@@ -104,6 +104,6 @@ def test_compiled_and_plain_agree() -> None:
     one = other = NO_LATCH
     for _ in range(200):
         e, n, target_e, target_n, over_m = rng.uniform(-20.0, 20.0, 5).tolist()
-        one = latched_step(one, e, n, target_e, target_n, over_m, True, rule)
-        other = plain(other, e, n, target_e, target_n, over_m, True, rule)
+        one = latched_step(one, (e, n), (target_e, target_n), over_m, True, rule)
+        other = plain(other, (e, n), (target_e, target_n), over_m, True, rule)
         assert np.hstack(one) == pytest.approx(np.hstack(other), abs=1e-12)
