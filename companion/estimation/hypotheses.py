@@ -69,33 +69,53 @@ def first_hypotheses(
     params: HypothesisParams,
 ) -> tuple[Hypothesis, ...]:
     """Where the target may be after its first measurement."""
-    if measurement.range_m is not None and measurement.bearing_enu_rad is not None:
-        return _fix(measurement, sensor_enu_m, filter_params)
-    if measurement.range_m is not None:
-        return _ring(measurement.range_m, measurement, sensor_enu_m, filter_params)
-    return _ray(measurement, sensor_enu_m, filter_params, params)
+    range_m, bearing_rad = measurement.range_m, measurement.bearing_enu_rad
+    if range_m is None:
+        assert bearing_rad is not None
+        placed = _along_ray(bearing_rad, filter_params, params)
+    else:
+        rise_m = sensor_enu_m[2] - filter_params.target_height_m
+        ground_m = math.sqrt(max(range_m**2 - rise_m**2, 1.0))
+        if bearing_rad is None:
+            placed = _on_ring(ground_m, filter_params)
+        else:
+            placed = [(bearing_rad, ground_m, np.eye(2) * filter_params.position_sigma_m**2)]
+    hypotheses = []
+    for direction_rad, distance_m, position_covariance in placed:
+        mean, sigmas = filter_params.prior
+        mean[0] = sensor_enu_m[0] + distance_m * math.cos(direction_rad)
+        mean[1] = sensor_enu_m[1] + distance_m * math.sin(direction_rad)
+        P = np.diag(sigmas**2)
+        P[:2, :2] = position_covariance
+        hypotheses.append(Hypothesis(0.0, FilterState.of(measurement.measured_at_s, mean, P)))
+    return tuple(hypotheses)
 
 
-def _ground_range_m(range_m: float, sensor_enu_m: PositionEnu, target_height_m: float) -> float:
-    rise_m = sensor_enu_m[2] - target_height_m
-    return math.sqrt(max(range_m**2 - rise_m**2, 1.0))
+_Placed = list[tuple[float, float, Matrix]]
+"""Direction from the sensor, distance along the ground, and the position's covariance (2, 2)."""
 
 
-def _at(
-    direction_rad: float,
-    distance_m: float,
-    position_covariance: Matrix,
-    measurement: RangingMeasurement,
-    sensor_enu_m: PositionEnu,
-    params: FilterParams,
-) -> Hypothesis:
-    """A target so far from the sensor along the ground; the rest of its state is the prior's."""
-    mean, sigmas = params.prior
-    mean[0] = sensor_enu_m[0] + distance_m * math.cos(direction_rad)
-    mean[1] = sensor_enu_m[1] + distance_m * math.sin(direction_rad)
-    P = np.diag(sigmas**2)
-    P[:2, :2] = position_covariance
-    return Hypothesis(0.0, FilterState.of(measurement.measured_at_s, mean, P))
+def _on_ring(ground_m: float, params: FilterParams) -> _Placed:
+    radial_m = math.hypot(params.range_offset_sigma_m, params.range_sigma_m, 0.25 * ground_m)
+    across_m = math.pi * ground_m / RING_SIZE
+    directions_rad = [2.0 * math.pi * index / RING_SIZE for index in range(RING_SIZE)]
+    return [
+        (direction_rad, ground_m, _polar_covariance(direction_rad, radial_m, across_m))
+        for direction_rad in directions_rad
+    ]
+
+
+def _along_ray(
+    bearing_rad: float, filter_params: FilterParams, params: HypothesisParams
+) -> _Placed:
+    sigma_rad = math.radians(
+        math.hypot(filter_params.bearing_offset_sigma_deg, 2 * filter_params.bearing_sigma_deg)
+    )
+    distances_m = [params.nearest_m * RAY_GROWTH**index for index in range(RAY_SIZE)]
+    return [
+        (bearing_rad, far_m, _polar_covariance(bearing_rad, 0.35 * far_m, far_m * sigma_rad))
+        for far_m in distances_m
+    ]
 
 
 def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_m: float) -> Matrix:
@@ -103,52 +123,6 @@ def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_
     axes = np.array([[c, -s], [s, c]])
     rotated: Matrix = axes @ np.diag([radial_sigma_m**2, across_sigma_m**2]) @ axes.T
     return rotated
-
-
-def _fix(
-    measurement: RangingMeasurement, sensor_enu_m: PositionEnu, params: FilterParams
-) -> tuple[Hypothesis, ...]:
-    assert measurement.range_m is not None
-    assert measurement.bearing_enu_rad is not None
-    ground_m = _ground_range_m(measurement.range_m, sensor_enu_m, params.target_height_m)
-    covariance = np.eye(2) * params.position_sigma_m**2
-    seen = (measurement, sensor_enu_m, params)
-    return (_at(measurement.bearing_enu_rad, ground_m, covariance, *seen),)
-
-
-def _ring(
-    range_m: float, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, params: FilterParams
-) -> tuple[Hypothesis, ...]:
-    ground_m = _ground_range_m(range_m, sensor_enu_m, params.target_height_m)
-    radial_m = math.hypot(params.range_offset_sigma_m, params.range_sigma_m, 0.25 * ground_m)
-    across_m = math.pi * ground_m / RING_SIZE
-    hypotheses = []
-    for index in range(RING_SIZE):
-        direction_rad = 2.0 * math.pi * index / RING_SIZE
-        covariance = _polar_covariance(direction_rad, radial_m, across_m)
-        seen = (measurement, sensor_enu_m, params)
-        hypotheses.append(_at(direction_rad, ground_m, covariance, *seen))
-    return tuple(hypotheses)
-
-
-def _ray(
-    measurement: RangingMeasurement,
-    sensor_enu_m: PositionEnu,
-    filter_params: FilterParams,
-    params: HypothesisParams,
-) -> tuple[Hypothesis, ...]:
-    bearing_rad = measurement.bearing_enu_rad
-    assert bearing_rad is not None
-    hypotheses = []
-    for index in range(RAY_SIZE):
-        ground_m = params.nearest_m * RAY_GROWTH**index
-        across_m = ground_m * math.radians(
-            math.hypot(filter_params.bearing_offset_sigma_deg, 2 * filter_params.bearing_sigma_deg)
-        )
-        covariance = _polar_covariance(bearing_rad, 0.35 * ground_m, across_m)
-        seen = (measurement, sensor_enu_m, filter_params)
-        hypotheses.append(_at(bearing_rad, ground_m, covariance, *seen))
-    return tuple(hypotheses)
 
 
 def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:

@@ -145,10 +145,7 @@ class MotionWatch:
             self._reset()
 
     def _spans(self) -> list[Matrix]:
-        """The measurements of the spans, (n, 10) each, in order of time.
-
-        A span is left out that holds too little, or no more than the one before.
-        """
+        """Measurements in order of time, (n, 10) each; spans that hold too little are left out."""
         rows = np.array(self._rows)
         rows = rows[np.argsort(rows[:, SEQUENCE], kind="stable")]
         times_s = rows[:, SEQUENCE]
@@ -160,10 +157,7 @@ class MotionWatch:
         ]
 
     def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> Motion | None:
-        """The motion of the shortest span in which it is significant, or else the most significant.
-
-        None: nothing says that the target walks.
-        """
+        """The motion of the shortest span in which it is significant, or the most significant."""
         best: Motion | None = None
         for rows in self._spans():
             motion = motion_of(window_map, rows, mean)
@@ -181,23 +175,19 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | Non
 
     The rows are those of `map_kernels`, with the time in place of the sequence number.
     """
+    still, walk = _Still(window_map, rows), _Walk(window_map, rows)
     try:
         with np.errstate(all="ignore"):
-            return _motion(_Still(window_map, rows), _Walk(window_map, rows), mean)
+            place = np.concatenate([still.minimum(mean), np.zeros(2)])
+            if not walk.may_begin(place):
+                return None
+            walking = walk.minimum(place)
+            covariance, inflation = walk.covariance(walking)
+            velocity = walking[-2:]
+            significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
+            fall = 2.0 * (walk.cost(place) - walk.cost(walking)) / inflation
     except np.linalg.LinAlgError:
         return None
-
-
-def _motion(still: _Still, walk: _Walk, mean: Vector) -> Motion | None:
-    """What the fit of a target that walks says beside that of one that lies still."""
-    place = np.concatenate([still.minimum(mean), np.zeros(2)])
-    if not walk.may_begin(place):
-        return None
-    walking = walk.minimum(place)
-    covariance, inflation = walk.covariance(walking)
-    velocity = walking[-2:]
-    significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
-    fall = 2.0 * (walk.cost(place) - walk.cost(walking)) / inflation
     if not math.isfinite(fall + significance):
         return None
     return Motion(velocity_mps=velocity, significance=min(fall, significance))

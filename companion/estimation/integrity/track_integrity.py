@@ -108,12 +108,6 @@ class Agreement:
         self.is_hopeless = False
         """Whether that has lasted so long that the estimate should be given up."""
 
-    def clear(self) -> None:
-        """Forget everything, because the estimate is another one."""
-        self._window.clear()
-        self._agreed = 0
-        self.is_proven = self.is_lost = self.is_hopeless = False
-
     def add(self, time_s: float, *, agrees: bool) -> None:
         """Take in a measurement."""
         self._agreed += agrees
@@ -217,13 +211,6 @@ class NisWindow:
         self._above_since_s: float | None = None
         self._above_count = 0
 
-    def clear(self) -> None:
-        """Forget everything, because the estimate is another one."""
-        self._values.clear()
-        self._dof = 0
-        self._above_since_s = None
-        self._above_count = 0
-
     def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
         """Take in an update; whether the NIS has been above its band for too long.
 
@@ -249,9 +236,8 @@ class NisWindow:
             self._above_since_s = time_s
         self._above_count += 1
         has_lasted = time_s - self._above_since_s >= OUT_OF_BAND_S
-        is_over = (
-            statistics.median(values[-NEWEST_COUNT:]) <= band
-        )  # the window is slow to see that
+        # the window is slow to see that it is over
+        is_over = statistics.median(values[-NEWEST_COUNT:]) <= band
         return has_lasted and self._above_count >= OUT_OF_BAND_COUNT and not is_over
 
 
@@ -267,21 +253,6 @@ def _normalised_squares(report: UpdateReport, inflation: Inflation) -> list[floa
     return squares
 
 
-class RestartCounter:
-    """How often the estimate was started anew lately."""
-
-    def __init__(self) -> None:
-        self._times_s: deque[float] = deque(maxlen=MAX_RESTARTS)
-
-    def add(self, time_s: float) -> None:
-        """Count a restart."""
-        self._times_s.append(time_s)
-
-    def is_too_many(self, now_s: float) -> bool:
-        """Whether there were `MAX_RESTARTS` within `RESTART_MEMORY_S`."""
-        return len(self._times_s) == MAX_RESTARTS and now_s - self._times_s[0] <= RESTART_MEMORY_S
-
-
 class TrackIntegrity:
     """Counts how measurements agree with the estimate that they meet."""
 
@@ -290,12 +261,17 @@ class TrackIntegrity:
         """How old each kind of measurement is, and how many agreed since the last gap."""
         self.restarts = 0
         """How often the estimate was given up."""
+        self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
+        """When, of the last ones."""
+        self._recovered_at = 0
+        """Measurements accepted until the estimate is believed again."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was counted for and against the estimate, because it is another one."""
         self.agreement = Agreement()
         self._contradiction = Contradiction()
         self._nis = NisWindow()
-        self._recent_restarts = RestartCounter()
-        self._recovered_at = 0
-        """Measurements accepted until the estimate is believed again."""
         self._inflation_at_loss: Inflation | None = None
         """Shown when agreement was lost; None: it is not."""
 
@@ -332,7 +308,7 @@ class TrackIntegrity:
     def give_up(self, time_s: float, accepted: int) -> None:
         """The estimate is started anew; what was counted against the old one is void."""
         self.restarts += 1
-        self._recent_restarts.add(time_s)
+        self._restarts_s.append(time_s)
         self._recovered_at = accepted + 1 + CONTRADICTION_COUNT
         self.reset()
 
@@ -341,19 +317,13 @@ class TrackIntegrity:
         self.contact = Contact()
         self.reset()
 
-    def reset(self) -> None:
-        """Forget what was counted for and against the estimate, because it is another one."""
-        self._contradiction = Contradiction()
-        self.agreement.clear()
-        self._nis.clear()
-        self._inflation_at_loss = None
-
     def is_recovering(self, accepted: int) -> bool:
         """Whether the estimate was given up so few measurements ago that it is not believed."""
         return accepted < self._recovered_at
 
     def objection(self, now_s: float) -> Objection | None:
         """The gravest of what speaks against flying on the estimate."""
-        if self._recent_restarts.is_too_many(now_s):
+        restarts_s = self._restarts_s
+        if len(restarts_s) == MAX_RESTARTS and now_s - restarts_s[0] <= RESTART_MEMORY_S:
             return Objection.UNSTABLE
         return Objection.CONTRADICTED if self.agreement.is_lost else None

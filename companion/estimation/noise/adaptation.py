@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 
@@ -115,31 +115,20 @@ class RangeNoise:
         return (self.sigma_m, self.mean_bias_m, self.nlos_share, self.offset_m)
 
 
-@dataclass(frozen=True, slots=True)
-class RangeSums:
+class RangeSums(NamedTuple):
     """Expected sufficient statistics of the range mixture, summed over measurements."""
 
-    count: float = 0.0
+    measurements: float = 0.0
     nlos: float = 0.0
     bias_m: float = 0.0
     noise_m: float = 0.0
     """Of residual - bias."""
     noise2_m2: float = 0.0
 
-    def forgotten(self, keep: float, newest: RangeSums) -> RangeSums:
-        """These sums times `keep`, and those of the newest measurement."""
-        return RangeSums(
-            keep * self.count + newest.count,
-            keep * self.nlos + newest.nlos,
-            keep * self.bias_m + newest.bias_m,
-            keep * self.noise_m + newest.noise_m,
-            keep * self.noise2_m2 + newest.noise2_m2,
-        )
-
     def most_likely(self, prior: RangeNoise, params: AdaptationParams) -> RangeNoise:
         """The M-step, the prior counted in."""
         extra, extra_tail = params.prior_count, params.tail_prior_count
-        count, noise_m = self.count + extra, self.noise_m + extra * prior.offset_m
+        count, noise_m = self.measurements + extra, self.noise_m + extra * prior.offset_m
         noise2_m2 = self.noise2_m2 + extra * (prior.sigma_m**2 + prior.offset_m**2)
         bias_m = (self.bias_m + extra_tail * prior.mean_bias_m) / (self.nlos + extra_tail)
         share = (self.nlos + extra * prior.nlos_share) / count
@@ -154,6 +143,9 @@ class RangeSums:
         )
 
 
+NOTHING_LEARNT = RangeSums()
+
+
 @dataclass(frozen=True, slots=True)
 class AdaptiveRangeNoise:
     """One emitter's range noise, learnt measurement by measurement."""
@@ -161,7 +153,7 @@ class AdaptiveRangeNoise:
     params: AdaptationParams
     prior: RangeNoise
     noise: RangeNoise
-    learnt: RangeSums = RangeSums()
+    learnt: RangeSums = NOTHING_LEARNT
     """What the measurements said, without the prior."""
 
     @classmethod
@@ -173,7 +165,9 @@ class AdaptiveRangeNoise:
         """The noise after one more residual, measured minus predicted range."""
         shortest_m = self.noise.offset_m - SHORTEST_U * self.noise.sigma_m
         *sums, _ = range_expectations(max(residual_m, shortest_m), *self.noise.parameters)
-        learnt = self.learnt.forgotten(self.params.forgetting, RangeSums(1.0, *sums))
+        keep = self.params.forgetting
+        pairs = zip(self.learnt, (1.0, *sums), strict=True)
+        learnt = RangeSums(*(keep * before + newest for before, newest in pairs))
         noise = learnt.most_likely(self.prior, self.params)
         return AdaptiveRangeNoise(self.params, self.prior, noise, learnt)
 

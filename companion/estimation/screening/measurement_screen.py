@@ -134,10 +134,6 @@ class FrozenValue:
         self._since_enu_m: PositionEnu = (0.0, 0.0, 0.0)
         self._count = 0
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._value = None
-
     def add(self, value: float, time_s: float, sensor_enu_m: PositionEnu) -> bool:
         """Take in a value; whether it is frozen."""
         if value != self._value:
@@ -177,11 +173,6 @@ class BearingCheck:
         """Whether each bearing points elsewhere than the one before."""
         self.is_rejected = False
         """Whether bearings must not be used: either of the two."""
-
-    def clear(self) -> None:
-        """Forget everything, the judgement included."""
-        self.forget_samples()
-        self.is_quiet = self.is_random = self.is_rejected = False
 
     def forget_samples(self) -> None:
         """Forget what was measured, but not the judgement."""
@@ -243,12 +234,6 @@ class AbsurdShare:
         self.is_most = False
         """Whether it is more than a half."""
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._window.clear()
-        self._absurd_count = 0
-        self.is_most = False
-
     def add(self, time_s: float, *, is_absurd: bool) -> None:
         """Take in a value that arrived at a time."""
         self._window.append((time_s, is_absurd))
@@ -283,26 +268,22 @@ class MeasurementScreen:
         self.has_body_bearings = False
         """Whether the newest bearing came relative to the vehicle's heading."""
         self._params, self._acceptance = params, acceptance
-        self._recent: dict[Hashable, None] = {}
-        """What the last valid measurements were, oldest first."""
-        self._units = UnitCheck(params, acceptance.max_range_m)
-        self._bearings = BearingCheck()
-        self._frozen_range, self._frozen_bearing = FrozenValue(), FrozenValue()
-        self._absurd_ranges, self._absurd_bearings = AbsurdShare(), AbsurdShare()
+        self.clear()
 
     def clear(self) -> None:
         """Forget everything that was measured, and the judgements."""
-        self._recent.clear()
-        parts = (self._units, self._bearings, self._frozen_range, self._frozen_bearing)
-        for part in (*parts, self._absurd_ranges, self._absurd_bearings):
-            part.clear()
+        self._recent: dict[Hashable, None] = {}
+        """What the last valid measurements were, oldest first."""
+        self._units = UnitCheck(self._params, self._acceptance.max_range_m)
+        self._bearings = BearingCheck()
+        self._absurd_ranges, self._absurd_bearings = AbsurdShare(), AbsurdShare()
+        self.forget_motion()
 
     def forget_motion(self) -> None:
         """The vehicle's own position jumped: nothing before it is compared with what follows."""
         self._units.forget_samples()
         self._bearings.forget_samples()
-        self._frozen_range.clear()
-        self._frozen_bearing.clear()
+        self._frozen_range, self._frozen_bearing = FrozenValue(), FrozenValue()
 
     @property
     def objection(self) -> Objection | None:

@@ -70,36 +70,21 @@ class _Window:
     """(n, 3)"""
 
 
-@dataclass(frozen=True, slots=True)
 class _Moments:
-    """Ranges beside the distances to places, which is all that a factor's cost depends on."""
+    """Ranges, (n,), beside distances to places, (places, n): what a factor's cost depends on."""
 
-    count: int
-    """n."""
-    range_m: float
-    """Mean of the ranges, as the radio has them."""
-    distance_m: Vector
-    """Means of the distances, (places,)."""
-    range_about_m: Vector
-    """The ranges about their mean, (n,)."""
-    distance_about_m: Matrix
-    """The distances about theirs, (places, n)."""
-    range2: float
-    """Sum of squares of the ranges about their mean."""
-    distance2: Vector
-    """The same of the distances, (places,)."""
-    product: Vector
-    """Sums of the products of the two, (places,)."""
-
-    @staticmethod
-    def of(range_m: Vector, distances_m: Matrix) -> _Moments:
-        """Of ranges, (n,), and distances, (places, n)."""
-        ranged, far = float(range_m.mean()), np.asarray(distances_m.mean(axis=1))
-        about, off = range_m - ranged, distances_m - far[:, None]
-        distance2 = np.einsum("ij,ij->i", off, off)
-        return _Moments(
-            len(range_m), ranged, far, about, off, float(about @ about), distance2, off @ about
+    def __init__(self, range_m: Vector, distances_m: Matrix) -> None:
+        self.count = len(range_m)
+        self.range_m = float(range_m.mean())
+        """Mean of the ranges, as the radio has them."""
+        self.distance_m: Vector = np.asarray(distances_m.mean(axis=1))
+        self._range_about_m = range_m - self.range_m
+        self._distance_about_m = distances_m - self.distance_m[:, None]
+        self._range2 = float(self._range_about_m @ self._range_about_m)
+        self._distance2: Vector = np.einsum(
+            "ij,ij->i", self._distance_about_m, self._distance_about_m
         )
+        self._product: Vector = self._distance_about_m @ self._range_about_m
 
     def residual2(self, factor: float | Vector) -> Vector:
         """Sum of squares that a factor on the distances leaves at each of the places, (places,).
@@ -107,15 +92,15 @@ class _Moments:
         Rounding of the sums is a millionth of `LEAST_NOISE_M` squared where ranges spread by up to
         `MAX_SPREAD_M`; wider ones are not flown on anyhow.
         """
-        left = self.range2 + factor * (factor * self.distance2 - 2.0 * self.product)
+        left = self._range2 + factor * (factor * self._distance2 - 2.0 * self._product)
         return np.asarray(np.maximum(left, 0.0))
 
     @property
     def independent(self) -> float:
         """How many independent measurements the window is worth, about its best linear fit."""
-        slope = self.product / np.maximum(self.distance2, 1e-12)
+        slope = self._product / np.maximum(self._distance2, 1e-12)
         best = int(np.argmin(self.residual2(slope)))
-        residual = self.range_about_m - slope[best] * self.distance_about_m[best]
+        residual = self._range_about_m - slope[best] * self._distance_about_m[best]
         total = float(residual @ residual)
         if total <= 0.0:
             return float(self.count)
@@ -143,12 +128,6 @@ class UnitCheck:
         """Whether ranges scatter by more than anything that is flown on may."""
         self.is_rejected = False
         """Whether ranges must not be used: either of the two."""
-
-    def clear(self) -> None:
-        """Forget everything, the judgement included."""
-        self.forget_samples()
-        self.factor = None
-        self.is_wild = self.is_rejected = False
 
     def forget_samples(self) -> None:
         """Forget what was measured, but not the judgement."""
@@ -212,7 +191,7 @@ class UnitCheck:
         It only lowers the ratio, so one below `limit` is not looked at any closer.
         """
         places = self._around_m + window.sensor_enu_m[:, :2].mean(axis=0)
-        tried = _Moments.of(window.range_m, self._distances_m(places, window.sensor_enu_m))
+        tried = _Moments(window.range_m, self._distances_m(places, window.sensor_enu_m))
         count = tried.independent
         costs = [float(self._costs(tried, each, count).min()) for each in factors]
         best = int(np.argmin(costs))
@@ -222,7 +201,7 @@ class UnitCheck:
             return factors[best], log_ratio
         starts = places[np.argsort(in_metres)[:REFINED]]
         distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
-        refined = _Moments.of(window.range_m, distances_m)
+        refined = _Moments(window.range_m, distances_m)
         best_in_metres = float(self._costs(refined, 1.0, count).min())
         return factors[best], min(log_ratio, best_in_metres - costs[best])
 

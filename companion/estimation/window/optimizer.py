@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -108,52 +108,28 @@ class MeasurementWindow:
     """
 
     def __init__(self, size: int) -> None:
-        self._rows = np.full((size, COLUMNS), np.nan)
-        self._count = 0
-        self._sequence = 0
-
-    def __len__(self) -> int:
-        """Measurements held."""
-        return self._count
-
-    @property
-    def rows(self) -> Matrix:
+        self.rows: Matrix = np.empty((0, COLUMNS))
         """The measurements, (n, 10), oldest first."""
-        return self._rows[: self._count]
+        self._size = size
+        self._sequence = 0
 
     @property
     def has_bearings(self) -> bool:
         """Whether any measurement held is a bearing."""
         return not bool(np.isnan(self.rows[:, VALUES + BEARING]).all())
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._count = 0
-        self._sequence = 0
-
-    def change(self, changed: Callable[[Matrix], Matrix]) -> None:
-        """Put other rows in the place of those held."""
-        self._rows[: self._count] = changed(self.rows)
-
-    def believe(self, range_sigma_m: float, bearing_sigma_rad: float) -> None:
-        """Take all ranges and bearings held to have this thermal noise."""
-        self.rows[:, SIGMAS + RANGE] = range_sigma_m
-        self.rows[:, SIGMAS + BEARING] = bearing_sigma_rad
-
     def add(self, row: Row, target_enu_m: Point) -> Matrix:
         """Take in a measurement; the ones that had to go, (m, 10), mostly none.
 
         A full window is thinned first; where the target is believed to be decides what is alike.
         """
-        dropped = self._rows[:0]
-        if self._count == len(self._rows):
-            is_kept = kept_by_thinning(self._rows, int(KEPT_SHARE * len(self._rows)), target_enu_m)
-            dropped = self._rows[~is_kept]
-            self._count = int(is_kept.sum())
-            self._rows[: self._count] = self._rows[is_kept]
+        dropped = self.rows[:0]
+        if len(self.rows) == self._size:
+            is_kept = kept_by_thinning(self.rows, int(KEPT_SHARE * self._size), target_enu_m)
+            dropped, self.rows = self.rows[~is_kept], self.rows[is_kept]
         sensor_enu_m, z, sigma = row
-        self._rows[self._count] = (*sensor_enu_m, *z, *sigma, self._sequence)
-        self._count += 1
+        newest = np.array([[*sensor_enu_m, *z, *sigma, self._sequence]])
+        self.rows = np.concatenate([self.rows, newest])
         self._sequence += 1
         return dropped
 
@@ -215,24 +191,25 @@ class WindowOptimizer:
     def __init__(self, filter_params: FilterParams, params: WindowParams) -> None:
         self._filter_params = filter_params
         self._params = params
-        self.window = MeasurementWindow(params.size)
         self.map = WindowMap(filter_params)
-        self._older = OlderEvidence.none(self.map.size)
         self.latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
         """The measurements of late, those included that were no part of the window."""
         self._turn = 0
-        self._due_at = MIN_MEASUREMENTS
         self._fresh_at = MIN_MEASUREMENTS
-        self.noise: Inflation | None = None
-        """How much worse than thermal the best optimum found each modality; None: not solved."""
+        self.clear()
 
     def clear(self) -> None:
         """Forget everything measured."""
         self.latest.clear()
-        self.window.clear()
-        self.noise = None
+        self._begin(MIN_MEASUREMENTS)
+
+    def _begin(self, due_at: int) -> None:
+        """An empty window, to be solved after so many measurements."""
+        self.window = MeasurementWindow(self._params.size)
+        self.noise: Inflation | None = None
+        """How much worse than thermal the best optimum found each modality; None: not solved."""
         self._older = OlderEvidence.none(self.map.size)
-        self._due_at = MIN_MEASUREMENTS
+        self._due_at = due_at
 
     def begin_from(self, hypothesis: Hypothesis) -> None:
         """Take a hypothesis for what was measured before the first measurement."""
@@ -242,24 +219,23 @@ class WindowOptimizer:
         """Move all evidence along with the vehicle's navigation, which jumped."""
         self.latest.clear()
         self._older = self._older.moved(step)
-        self.window.change(lambda rows: shift_rows(rows, shift_enu_m, step, self._filter_params))
+        window = self.window
+        window.rows = shift_rows(window.rows, shift_enu_m, step, self._filter_params)
 
     def begin_with_latest(self) -> None:
         """Forget what led to an estimate that was given up, all but the latest measurements."""
-        self._older = OlderEvidence.none(self.map.size)
-        self.window.clear()
+        self._begin(0)
+        self._fresh_at = 0
         for row in self.latest:
             self.window.add(row, row[0][:2])
-        self.noise = None
-        self._due_at = self._fresh_at = 0
 
     def retune(self, filter_params: FilterParams) -> None:
         """Believe in other noise and thresholds, for what was measured already, too."""
         self._filter_params = filter_params
         self.map = WindowMap(filter_params)
-        self.window.believe(
-            filter_params.range_sigma_m, math.radians(filter_params.bearing_sigma_deg)
-        )
+        rows = self.window.rows
+        rows[:, SIGMAS + RANGE] = filter_params.range_sigma_m
+        rows[:, SIGMAS + BEARING] = math.radians(filter_params.bearing_sigma_deg)
 
     def add(self, row: Row, hypotheses: Sequence[Hypothesis], *, is_white: bool) -> None:
         """Take in a measurement; what must leave the window becomes older evidence.
@@ -296,7 +272,7 @@ class WindowOptimizer:
         """
         grown = max(1, int(EARLY_SHARE * accepted))
         self._due_at = accepted + min(self._params.every, grown)
-        if len(self.window) < MIN_MEASUREMENTS or not hypotheses:
+        if len(self.window.rows) < MIN_MEASUREMENTS or not hypotheses:
             return hypotheses
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
@@ -322,7 +298,7 @@ class WindowOptimizer:
 
     def observability(self, mean: Vector) -> Observability | None:
         """What the window can tell about a target at `mean`; None before the first measurement."""
-        if not len(self.window):
+        if not len(self.window.rows):
             return None
         rows = self.window.rows
         return observability_of(rows, self.map.scores(rows, mean))
@@ -366,7 +342,7 @@ class WindowOptimizer:
 
         A window that is far from full, as after a restart, does not know how wrong it is itself.
         """
-        if len(self.window) < CONTRADICTING_SHARE * self._params.size:
+        if len(self.window.rows) < CONTRADICTING_SHARE * self._params.size:
             return False
         alone = self.map.optima(self.window.rows, [best.mean])
         if not alone:

@@ -51,5 +51,3 @@ def test_an_estimate_proves_itself_by_what_agrees_with_it() -> None:
     assert not agreement.is_proven
     agreement.add(99.0, agrees=True)
     assert agreement.is_proven
-    agreement.clear()
-    assert not agreement.is_proven

@@ -17,8 +17,9 @@ from companion.estimation.integrity.track_integrity import (
     NIS_WINDOW_COUNT,
     RESTART_MEMORY_S,
     NisWindow,
-    RestartCounter,
+    TrackIntegrity,
 )
+from companion.estimation.screening.measurement_screen import Objection
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 
@@ -94,7 +95,7 @@ def test_what_is_over_is_forgiven() -> None:
 def test_it_takes_a_full_window_to_tell() -> None:
     window = NisWindow()
     assert _first_alarm(window, [_report(9.0, 9.0)] * (NIS_WINDOW_COUNT - 1), 0.0, 1.0) is None
-    window.clear()
+    window = NisWindow()
     assert _first_alarm(window, [_report(9.0, 9.0)] * (NIS_WINDOW_COUNT + 8), 0.0, 1.0) is None
     assert _first_alarm(window, [_report(9.0, 9.0)] * 3, 50.0, 1.0) is not None
 
@@ -106,12 +107,12 @@ def test_an_update_without_a_word_about_the_estimate_counts_for_nothing() -> Non
 
 
 def test_two_restarts_within_a_minute_are_too_many() -> None:
-    counter = RestartCounter()
-    counter.add(100.0)
-    assert not counter.is_too_many(100.0)
-    counter.add(130.0)
-    assert counter.is_too_many(130.0)
-    assert counter.is_too_many(100.0 + RESTART_MEMORY_S)
-    assert not counter.is_too_many(100.1 + RESTART_MEMORY_S)
-    counter.add(170.0)
-    assert counter.is_too_many(189.0)
+    integrity = TrackIntegrity()
+    integrity.give_up(100.0, accepted=0)
+    assert integrity.objection(100.0) is None
+    integrity.give_up(130.0, accepted=0)
+    assert integrity.objection(130.0) is Objection.UNSTABLE
+    assert integrity.objection(100.0 + RESTART_MEMORY_S) is Objection.UNSTABLE
+    assert integrity.objection(100.1 + RESTART_MEMORY_S) is None
+    integrity.give_up(170.0, accepted=0)
+    assert integrity.objection(189.0) is Objection.UNSTABLE

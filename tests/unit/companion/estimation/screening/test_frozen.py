@@ -31,7 +31,6 @@ def test_a_new_value_is_no_frozen_one() -> None:
     value = FrozenValue()
     assert any(_fed(value, [51.0] * 20, 5.0))
     assert not value.add(51.3, 3.0, (15.0, 0.0, 20.0))
-    value.clear()
     assert not any(_fed(value, [51.0] * 5, 5.0))
 
 

@@ -295,7 +295,10 @@ def test_other_noise_is_believed_of_what_was_measured_already() -> None:
     rows = walk(np.random.default_rng(1))
     optimizer = _fed(rows)
     (before,) = _optimized(optimizer)
+    held = optimizer.window.rows.copy()
     optimizer.retune(params(range_sigma_m=5.0, bearing_sigma_deg=20.0))
+    held[:, 6], held[:, 7] = 5.0, math.radians(20.0)
+    np.testing.assert_array_equal(optimizer.window.rows, held)
     (after,) = _optimized(optimizer)
     assert _sigma_m(after) > 1.5 * _sigma_m(before)
 
