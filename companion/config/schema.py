@@ -7,7 +7,7 @@ single record can see.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -92,14 +92,7 @@ class LimitsConfig(Params, frozen=True):
         A `ValueError`, where they contradict each other, begins with the name of one.
         """
         fence = self._fence(self.fence_enu_m if self.is_fence_local else _roomy(self))
-        envelope = Envelope(
-            altitude_min_m=self.altitude_min_m,
-            altitude_max_m=self.altitude_max_m,
-            speed_mps=self.speed_mps,
-            climb_mps=self.climb_mps,
-            acceleration_mps2=self.acceleration_mps2,
-            step_m=self.step_m,
-        )
+        envelope = Envelope(**{each.name: getattr(self, each.name) for each in fields(Envelope)})
         stopping = Stopping(self.latency_s, self.acceleration_mps2, self.navigation_sigma_m)
         distance_m = math.inf if self.distance_home_m is None else self.distance_home_m
         reserve = None

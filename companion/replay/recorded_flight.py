@@ -68,7 +68,6 @@ class CourseJournal:
 
     def __init__(self) -> None:
         self.course = Course()
-        self.texts: list[tuple[float, Severity, str]] = []
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Frames are collected where they are sent."""
@@ -81,8 +80,7 @@ class CourseJournal:
             self.course.estimates.append(line)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Keep a text."""
-        self.texts.append((now_s, severity, text))
+        """What is said is for the views."""
 
     def result(self, report: ReportResult, now_s: float) -> None:
         """Keep when a target was reported first."""

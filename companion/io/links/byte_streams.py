@@ -28,6 +28,7 @@ import termios
 import tty
 from abc import abstractmethod
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Protocol
 
@@ -344,13 +345,6 @@ def tune(stream: socket.socket) -> None:
 LOOK_S = 0.05
 
 
-class _Kept:
-    """A descriptor that outlives the streams on it."""
-
-    def close(self) -> None:
-        """Leave it open: the next to open the port comes by the same master."""
-
-
 class PtyLink(StreamLink):
     """A pseudo terminal under a given path, for one program at a time."""
 
@@ -409,7 +403,8 @@ class PtyLink(StreamLink):
         if is_hung_up:
             self._look = asyncio.get_running_loop().call_later(LOOK_S, self._wait)
         else:
-            self._use_stream(_Kept(), self._master)
+            # the master outlives its streams: the next to open the port comes by the same one
+            self._use_stream(ExitStack(), self._master)
 
     def _forget(self, reason: str) -> None:
         super()._forget(reason)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import socket
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
@@ -73,6 +74,14 @@ class Link(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release everything; a second call does nothing."""
+
+
+def bound_address(bound: socket.socket | None) -> Address:
+    """Host and port that an open socket has; `("", 0)` without one."""
+    if bound is None:
+        return ("", 0)
+    host, port = bound.getsockname()[:2]
+    return (str(host), int(port))
 
 
 def bind_problem(kind: str, host: str, port: int, error: OSError) -> str:

@@ -12,7 +12,7 @@ from abc import abstractmethod
 
 from companion.errors import LinkError
 from companion.io.links.byte_streams import ByteStream, StreamLink, tune
-from companion.io.links.link import Link, Received, bind_problem, logger
+from companion.io.links.link import Link, Received, bind_problem, bound_address, logger
 from companion.io.links.udp import resolve
 from companion.mav.endpoint import Address, Chunk
 
@@ -31,10 +31,7 @@ class TcpListener(Link):
     @property
     def local_address(self) -> Address:
         """Host and port that the open socket has; `("", 0)` while closed."""
-        if self._listener is None:
-            return ("", 0)
-        host, port = self._listener.getsockname()[:2]
-        return (str(host), int(port))
+        return bound_address(self._listener)
 
     async def open(self) -> None:
         """Bind and listen."""

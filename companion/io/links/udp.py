@@ -30,7 +30,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from companion.errors import LinkError
-from companion.io.links.link import MAX_READS, Link, Received, bind_problem
+from companion.io.links.link import MAX_READS, Link, Received, bind_problem, bound_address
 from companion.mav.endpoint import Address, Chunk
 
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
@@ -105,10 +105,7 @@ class UdpLink(Link):
     @property
     def local_address(self) -> Address:
         """Host and port that the open socket has; `("", 0)` while closed."""
-        if self._socket is None:
-            return ("", 0)
-        host, port = self._socket.getsockname()[:2]
-        return (str(host), int(port))
+        return bound_address(self._socket)
 
     @property
     def is_open(self) -> bool:
@@ -116,13 +113,15 @@ class UdpLink(Link):
         return self._socket is not None or self._reopening is not None
 
     async def open(self) -> None:
-        """Bind."""
+        """Bind, or fix the remote."""
         self._address = await resolve(self.name, self._host, self._port)
         try:
             self._start()
         except OSError as error:
-            raise LinkError(bind_problem("udp", self._host, self._port, error)) from error
-        self._address = self.local_address  # the same port when it is opened again
+            raise LinkError(self._problem(error)) from error
+
+    def _problem(self, error: OSError) -> str:
+        return bind_problem("udp", self._host, self._port, error)
 
     def _start(self) -> None:
         """Open the socket; an `OSError` if it cannot be attached to its address."""
@@ -139,6 +138,7 @@ class UdpLink(Link):
 
     def _attach(self, opened: socket.socket) -> None:
         opened.bind(self._address)
+        self._address = bound_address(opened)  # the same port when it is opened again
 
     def _handle_refusal(self, error: OSError) -> None:
         """The system refused; a socket whose network is gone is opened again after a while."""
@@ -275,13 +275,8 @@ class UdpConnectLink(UdpLink):
         super().__init__(host, port, index, received)
         self.name = f"udpout {host}:{port}"
 
-    async def open(self) -> None:
-        """Fix the remote."""
-        self._address = await resolve(self.name, self._host, self._port)
-        try:
-            self._start()
-        except OSError as error:
-            raise LinkError(f"{self.name}: no way there ({error.strerror}); check host") from error
+    def _problem(self, error: OSError) -> str:
+        return f"{self.name}: no way there ({error.strerror}); check host"
 
     def _attach(self, opened: socket.socket) -> None:
         opened.connect(self._address)
