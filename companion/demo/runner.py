@@ -17,7 +17,6 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import SimulatorProcess
-from companion.domain import TargetEstimate
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
@@ -113,20 +112,6 @@ class DemoWatch(FlightView):
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class DemoResult:
-    """How the flight ended."""
-
-    is_localised: bool
-    estimate: TargetEstimate | None
-    ended: str
-    time_s: float
-    """Of the companion, at the report or at the end."""
-    wall_s: float
-    error_m: float | None
-    """Of the estimate, against the truth."""
-
-
 def run_demo(
     options: DemoOptions,
     config: CompanionConfig,
@@ -153,8 +138,13 @@ def run_demo(
             flight_options = FlightOptions(views=views, at_end=at_end)
             endpoint = fly(config, links, Clock(options.speed), flight_options)
             simulator.stop()
-            result = _result(options, watch, endpoint, _emitter_enu_m(truth))
-            _conclude(options, config, watch, result, simulator.report())
+            result = DemoResult(options, watch, endpoint, simulator.report())
+            _say(result.summary)
+            if options.json is not None:
+                write_json_atomic(options.json, result.as_json())
+                _say(f"result: {options.json}")
+            if options.plot is not None:
+                result.draw(options.plot, config)
     return result.is_localised
 
 
@@ -207,25 +197,6 @@ def _demo_config(
     )
 
 
-def _result(
-    options: DemoOptions, watch: DemoWatch, endpoint: CompanionEndpoint, truth: Point
-) -> DemoResult:
-    session = endpoint.session
-    report = session.result
-    estimate = session.estimate if report is None else report.estimate
-    ended = watch.ended or "interrupted"
-    if ended.startswith("the autopilot left"):
-        ended += busy_hint(options.speed, watch.worst_gap_s)
-    return DemoResult(
-        is_localised=report is not None,
-        estimate=estimate,
-        ended=ended,
-        time_s=watch.time_s if report is None else report.estimate.time_s,
-        wall_s=watch.wall_s,
-        error_m=None if estimate is None else math.dist(estimate.position_enu_m, truth),
-    )
-
-
 def busy_hint(speed: float, late_s: float) -> str:
     """What to do about a mode lost because a wake-up was `late_s` of flight late; or nothing."""
     if speed <= 1.0 or late_s <= LATE_S:
@@ -234,92 +205,97 @@ def busy_hint(speed: float, late_s: float) -> str:
     return f"; this computer is too busy for --speed {speed:g} ({late}): try --speed 1"
 
 
-def _conclude(
-    options: DemoOptions,
-    config: CompanionConfig,
-    watch: DemoWatch,
-    result: DemoResult,
-    report: Mapping[str, Any],
-) -> None:
-    _say(_summary(result, report))
-    if options.json is not None:
-        write_json_atomic(options.json, _as_json(options, result, report))
-        _say(f"result: {options.json}")
-    if options.plot is not None and result.estimate is not None:
-        _draw(options, config, watch, result.estimate, report)
+class DemoResult:
+    """How the flight ended, and what is told of it; the `report` is the simulator's."""
 
+    def __init__(
+        self,
+        options: DemoOptions,
+        watch: DemoWatch,
+        endpoint: CompanionEndpoint,
+        report: Mapping[str, Any],
+    ) -> None:
+        session = endpoint.session
+        found = session.result
+        self._options, self._watch, self._report = options, watch, report
+        self.is_localised = found is not None
+        self.estimate = session.estimate if found is None else found.estimate
+        self.time_s = watch.time_s if found is None else found.estimate.time_s
+        """Of the companion, at the report or at the end."""
+        self.wall_s = watch.wall_s
+        self.ended = watch.ended or "interrupted"
+        if self.ended.startswith("the autopilot left"):
+            self.ended += busy_hint(options.speed, watch.worst_gap_s)
+        self.truth_enu_m = _emitter_enu_m(report)
+        self.error_m = None
+        if self.estimate is not None:
+            self.error_m = math.dist(self.estimate.position_enu_m, self.truth_enu_m)
 
-def _summary(result: DemoResult, report: Mapping[str, Any]) -> str:
-    if result.estimate is None:
-        return f"NOT LOCALISED ({result.ended}): no measurement was used"
-    head = "LOCALISED" if result.is_localised else f"NOT LOCALISED ({result.ended})"
-    east, north = result.estimate.position_enu_m
-    return (
-        f"{head}: east {east:.2f} m, north {north:.2f} m, R95 {result.estimate.r95_m:.2f} m, "
-        f"error against the truth {result.error_m:.2f} m\n"
-        f"after {result.time_s:.1f} s and {report['distance_m']:.0f} m of flight, "
-        f"{result.wall_s:.1f} s of real time"
-    )
+    @property
+    def summary(self) -> str:
+        """What is said at the end."""
+        if self.estimate is None:
+            return f"NOT LOCALISED ({self.ended}): no measurement was used"
+        head = "LOCALISED" if self.is_localised else f"NOT LOCALISED ({self.ended})"
+        east, north = self.estimate.position_enu_m
+        return (
+            f"{head}: east {east:.2f} m, north {north:.2f} m, R95 {self.estimate.r95_m:.2f} m, "
+            f"error against the truth {self.error_m:.2f} m\n"
+            f"after {self.time_s:.1f} s and {self._report['distance_m']:.0f} m of flight, "
+            f"{self.wall_s:.1f} s of real time"
+        )
 
+    def as_json(self) -> dict[str, object]:
+        """Plain values for `--json`."""
+        estimate = self.estimate
+        east_m, north_m = (None, None) if estimate is None else estimate.position_enu_m
+        return {
+            "seed": self._options.seed,
+            "speed": self._options.speed,
+            "scenario": self._report["scenario"],
+            "state": "searching" if estimate is None else estimate.state.value,
+            "localised": self.is_localised,
+            "ended": self.ended,
+            "final_error_m": self.error_m,
+            "r95_m": getattr(estimate, "r95_m", None),
+            "east_m": east_m,
+            "north_m": north_m,
+            "range_offset_m": getattr(estimate, "range_offset_m", None),
+            "bearing_offset_rad": getattr(estimate, "bearing_offset_rad", None),
+            "time_s": self.time_s,
+            "distance_m": self._report["distance_m"],
+            "wall_s": self.wall_s,
+            "setpoints": self._report["setpoints_received"],
+        }
 
-def _as_json(
-    options: DemoOptions, result: DemoResult, report: Mapping[str, Any]
-) -> dict[str, object]:
-    estimate = result.estimate
-    east_m, north_m = (None, None) if estimate is None else estimate.position_enu_m
-    return {
-        "seed": options.seed,
-        "speed": options.speed,
-        "scenario": report["scenario"],
-        "state": "searching" if estimate is None else estimate.state.value,
-        "localised": result.is_localised,
-        "ended": result.ended,
-        "final_error_m": result.error_m,
-        "r95_m": None if estimate is None else estimate.r95_m,
-        "east_m": east_m,
-        "north_m": north_m,
-        "range_offset_m": None if estimate is None else estimate.range_offset_m,
-        "bearing_offset_rad": None if estimate is None else estimate.bearing_offset_rad,
-        "time_s": result.time_s,
-        "distance_m": report["distance_m"],
-        "wall_s": result.wall_s,
-        "setpoints": report["setpoints_received"],
-    }
-
-
-def _draw(
-    options: DemoOptions,
-    config: CompanionConfig,
-    watch: DemoWatch,
-    estimate: TargetEstimate,
-    report: Mapping[str, Any],
-) -> None:
-    try:
-        from companion.demo.track_plot import Obstacle, PlottedFlight, draw
-    except ImportError:
-        _say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
-        return
-    truth = _emitter_enu_m(report)
-    error_m = math.dist(estimate.position_enu_m, truth)
-    flight = PlottedFlight(
-        track_enu_m=[(point[1], point[2]) for point in report["track"]],
-        estimates=watch.estimates,
-        crossings_enu_m=watch.crossings_enu_m,
-        fence_enu_m=config.limits.fence_enu_m,
-        obstacles=[
-            Obstacle(obstacle["name"], obstacle["corners_enu_m"], obstacle["height_m"])
-            for obstacle in report["obstacles"]
-        ],
-        truth_enu_m=truth,
-        final=estimate,
-        title=f"{report['scenario']}, seed {options.seed}: error {error_m:.2f} m",
-    )
-    assert options.plot is not None
-    try:
-        draw(options.plot, flight)
-    except OSError as error:
-        raise CompanionError(f"{options.plot}: cannot be written: {error.strerror}") from error
-    _say(f"picture: {options.plot}")
+    def draw(self, path: Path, config: CompanionConfig) -> None:
+        """The picture for `--plot`, if there is an estimate and matplotlib."""
+        if self.estimate is None:
+            return
+        try:
+            from companion.demo.track_plot import Obstacle, PlottedFlight, draw
+        except ImportError:
+            _say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
+            return
+        report = self._report
+        flight = PlottedFlight(
+            track_enu_m=[(point[1], point[2]) for point in report["track"]],
+            estimates=self._watch.estimates,
+            crossings_enu_m=self._watch.crossings_enu_m,
+            fence_enu_m=config.limits.fence_enu_m,
+            obstacles=[
+                Obstacle(obstacle["name"], obstacle["corners_enu_m"], obstacle["height_m"])
+                for obstacle in report["obstacles"]
+            ],
+            truth_enu_m=self.truth_enu_m,
+            final=self.estimate,
+            title=f"{report['scenario']}, seed {self._options.seed}: error {self.error_m:.2f} m",
+        )
+        try:
+            draw(path, flight)
+        except OSError as error:
+            raise CompanionError(f"{path}: cannot be written: {error.strerror}") from error
+        _say(f"picture: {path}")
 
 
 def _say(line: str) -> None:

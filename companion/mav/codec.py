@@ -137,21 +137,18 @@ class MavCodec:
         other._mav.seq = self._mav.seq
         return other
 
-    def encode(
-        self, message: Message, component_id: int | None = None, *, is_mavlink1: bool = False
-    ) -> bytes:
+    def encode(self, message: Message, *, is_mavlink1: bool = False) -> bytes:
         """The frame of `message`, with the link's next sequence number, signed if signing is on.
 
-        A `component_id` sends as another component of ours; MAVLink 1 is for peers without MAVLink
-        2. A `LocalProtocolError` if a field does not fit its type on the wire, or the frame has no
-        form in MAVLink 1 (a message id over 255, or a signature).
+        MAVLink 1 is for peers without MAVLink 2. A `LocalProtocolError` if a field does not fit its
+        type on the wire, or the frame has no form in MAVLink 1 (an id over 255, or a signature).
         """
         if is_mavlink1 and (message.get_msgId() > MAX_MAVLINK1_ID or self.signing is not None):
             raise LocalProtocolError(f"{message.get_type()} cannot be sent in MAVLink 1")
-        mav, sender = self._mav, self.component_id if component_id is None else component_id
-        mav.srcSystem, mav.srcComponent = self.system_id, sender
+        mav, own = self._mav, (self.system_id, self.component_id)
+        mav.srcSystem, mav.srcComponent = own
         try:
-            frame = None if is_mavlink1 else pack_plain(message, mav.seq, self.system_id, sender)
+            frame = None if is_mavlink1 else pack_plain(message, mav.seq, *own)
             if frame is None:
                 frame = bytes(message.pack(mav, force_mavlink1=is_mavlink1))
         except Exception as error:  # struct.error, TypeError, OverflowError: always our mistake

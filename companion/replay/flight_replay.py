@@ -227,14 +227,14 @@ class MapOfReplay:
         self._last = (endpoint, now_s)
         self._view.update(endpoint, now_s)
 
-    def linger(self, is_over: Callable[[], bool] = lambda: False) -> None:
+    def linger(self) -> None:
         """Show the last moment until Ctrl-C, so that the page does not call it old."""
         if self._last is None:
             return
         endpoint, ended_s = self._last
         began_s = time.monotonic()
         try:
-            while not is_over():
+            while True:
                 # The page gets its pictures by the flight's clock, which therefore goes on.
                 self._view.show(endpoint, ended_s, ended_s + time.monotonic() - began_s)
                 time.sleep(REFRESH_S)

@@ -118,27 +118,29 @@ class SvgPlot:
         )
 
     def _grid(self) -> str:
+        x, y = self.x, self.y
         parts = []
-        for value in self.x.ticks():
-            px = self.x.at(value)
-            parts.append(f'<path class="grid" d="M{px:.1f} {self.y.end:.1f}V{self.y.start:.1f}"/>')
-            parts.append(
-                f'<text class="tick" text-anchor="middle" x="{px:.1f}" '
-                f'y="{self.y.start + 16:.1f}">{value:g}</text>'
-            )
-        for value in self.y.ticks():
-            py = self.y.at(value)
-            parts.append(f'<path class="grid" d="M{self.x.start:.1f} {py:.1f}H{self.x.end:.1f}"/>')
-            parts.append(
-                f'<text class="tick" text-anchor="end" x="{self.x.start - 6:.1f}" '
-                f'y="{py + 4:.1f}">{value:g}</text>'
-            )
+        for value in x.ticks():
+            px = x.at(value)
+            line = f"M{px:.1f} {y.end:.1f}V{y.start:.1f}"
+            parts.append(_tick(line, "middle", (px, y.start + 16), value))
+        for value in y.ticks():
+            py = y.at(value)
+            line = f"M{x.start:.1f} {py:.1f}H{x.end:.1f}"
+            parts.append(_tick(line, "end", (x.start - 6, py + 4), value))
         return "".join(parts)
 
     def _places(self, points: Iterable[Point]) -> str:
         return " ".join(
             f"{self.x.at(px):.1f},{self.y.at(py):.1f}" for px, py in thin_points(list(points))
         )
+
+
+def _tick(line: str, anchor: str, at: Point, value: float) -> str:
+    return (
+        f'<path class="grid" d="{line}"/><text class="tick" text-anchor="{anchor}" '
+        f'x="{at[0]:.1f}" y="{at[1]:.1f}">{value:g}</text>'
+    )
 
 
 def thin_points(points: Sequence[Point]) -> Sequence[Point]:

@@ -188,11 +188,11 @@ def _wrong(text: str, scheme: str, problem: str) -> ConfigError:
     return ConfigError(f"link `{text}`: {problem}, for example {_EXAMPLES[scheme]}")
 
 
-def shared(transport: Transport, remotes: tuple[Address, ...] = ()) -> Transport:
-    """The same for a server of everybody who comes; by UDP it sends to `remotes` unasked."""
+def shared(transport: Transport) -> Transport:
+    """The same for a server of everybody who comes."""
     match transport:
         case UdpBind():
-            return UdpFanOut(transport.host, transport.port, remotes)
+            return UdpFanOut(transport.host, transport.port)
         case TcpServer():
             return TcpFanOut(transport.host, transport.port)
     return transport

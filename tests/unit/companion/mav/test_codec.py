@@ -29,16 +29,9 @@ def test_frames_are_mavlink_2_and_carry_our_identity() -> None:
     assert (frame[0], frame[5], frame[6]) == (0xFD, 7, 191)
 
 
-def test_another_component_of_ours_shares_the_sequence_of_the_link() -> None:
+def test_every_frame_has_the_next_number_of_the_link() -> None:
     codec = MavCodec(1, 191)
-    frames = [
-        codec.encode(heartbeat()),
-        codec.encode(heartbeat(), component_id=198),
-        codec.encode(heartbeat()),
-    ]
-    assert [frame[6] for frame in frames] == [191, 198, 191]
-    assert [frame[4] for frame in frames] == [0, 1, 2]
-    assert codec.component_id == 191
+    assert [codec.encode(heartbeat())[4] for _ in range(3)] == [0, 1, 2]
 
 
 def test_an_adopted_system_id_is_sent_from_then_on() -> None:
@@ -62,7 +55,7 @@ def test_an_adopted_system_id_is_sent_from_then_on() -> None:
 def test_a_value_that_does_not_fit_is_our_mistake_and_costs_no_number(message: Message) -> None:
     codec = MavCodec(1, 191)
     with pytest.raises(LocalProtocolError, match=message.get_type()):
-        codec.encode(message, component_id=198)
+        codec.encode(message)
     assert codec.encode(heartbeat())[4:7] == bytes((0, 1, 191))
 
 
