@@ -25,20 +25,12 @@ from pymavlink.dialects.v20 import development as mavlink
 
 Message = mavlink.MAVLink_message
 
-Uint8 = Annotated[int, "uint8_t"]
-Uint16 = Annotated[int, "uint16_t"]
-Uint32 = Annotated[int, "uint32_t"]
-Uint64 = Annotated[int, "uint64_t"]
-Int32 = Annotated[int, "int32_t"]
-Float = Annotated[float, "float"]
-_CODE = {
-    "uint8_t": "B",
-    "uint16_t": "H",
-    "uint32_t": "I",
-    "uint64_t": "Q",
-    "int32_t": "i",
-    "float": "f",
-}
+Uint8 = Annotated[int, "uint8_t", "B"]
+Uint16 = Annotated[int, "uint16_t", "H"]
+Uint32 = Annotated[int, "uint32_t", "I"]
+Uint64 = Annotated[int, "uint64_t", "Q"]
+Int32 = Annotated[int, "int32_t", "i"]
+Float = Annotated[float, "float", "f"]
 _NONE: Mapping[str, str] = MappingProxyType({})
 
 
@@ -62,17 +54,17 @@ class DeclaredMessage(mavlink.MAVLink_message):
     ) -> None:
         hints = inspect.get_annotations(cls, eval_str=True)
         names = list(hints)
-        types = {name: hint.__metadata__[0] for name, hint in hints.items()}
-        size = {name: struct.calcsize(f"<{_CODE[types[name]]}") for name in names}
+        code = {name: hint.__metadata__[1] for name, hint in hints.items()}
+        size = {name: struct.calcsize(f"<{code[name]}") for name in names}
         core = names[: len(names) - extensions]
         ordered = [*sorted(core, key=lambda name: -size[name]), *names[len(core) :]]
-        layout = "<" + "".join(_CODE[types[name]] for name in ordered)
+        layout = "<" + "".join(code[name] for name in ordered)
         starts = accumulate((size[name] for name in ordered), initial=0)
         offsets = dict(zip(ordered, starts, strict=False))
         cls.id = number
         cls.msgname = cls.__name__.removeprefix("MAVLink_").removesuffix("_message").upper()
         cls.fieldnames, cls.ordered_fieldnames = names, ordered
-        cls.fieldtypes = list(types.values())
+        cls.fieldtypes = [hint.__metadata__[0] for hint in hints.values()]
         cls.fielddisplays_by_name = dict(displays)
         cls.fieldenums_by_name, cls.fieldunits_by_name = dict(enums), dict(units)
         cls.native_format = bytearray(layout, "ascii")

@@ -57,15 +57,7 @@ class ParamEncoding(Enum):
     C_CAST = "C cast"
 
 
-_FORMATS = {
-    ParamType.UINT8: struct.Struct("<B"),
-    ParamType.INT8: struct.Struct("<b"),
-    ParamType.UINT16: struct.Struct("<H"),
-    ParamType.INT16: struct.Struct("<h"),
-    ParamType.UINT32: struct.Struct("<I"),
-    ParamType.INT32: struct.Struct("<i"),
-    ParamType.REAL32: struct.Struct("<f"),
-}
+_FORMATS = {k: struct.Struct(f"<{code}") for k, code in zip(ParamType, "BbHhIif", strict=True)}
 _REAL32 = _FORMATS[ParamType.REAL32]
 MAX_REAL32 = float(_REAL32.unpack(b"\xff\xff\x7f\x7f")[0])
 

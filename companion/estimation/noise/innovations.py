@@ -274,8 +274,6 @@ FIRST_NLOS_SHARE = 0.5
 """What is believed of reflections before anything is learnt."""
 WIDE_RATIO = 3.0
 """How much wider gross bearing errors are taken to be before anything is learnt."""
-MAX_LEARNT_PRIOR_SHARE = 1.0
-"""Innovations that are more of the state's own uncertainty than this are not learnt from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,4 +334,4 @@ class NoiseLearner:
 
 
 def _is_noise(report: ModalityReport | None) -> bool:
-    return report is not None and report.prior_share <= MAX_LEARNT_PRIOR_SHARE
+    return report is not None and report.prior_share <= MAX_PRIOR_SHARE

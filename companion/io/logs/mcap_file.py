@@ -19,9 +19,10 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from companion.errors import CompanionError, ConfigError
-from companion.geometry.coordinates import LocalOrigin, Projection
+from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
 from companion.io.files import plain
@@ -132,7 +133,8 @@ class McapLog(WriterThread[Message]):
         """Keep an event; an estimate becomes poses, a place on the map and residuals, too."""
         self._put_json("/events", {"t_s": round(now_s, 4), "kind": kind, **fields}, now_s)
         if kind == "origin":
-            self._origin = _origin(fields)
+            values: Any = fields
+            self._origin = LocalOrigin(**values)
         elif kind == "estimate":
             self._put_estimate(fields, now_s)
 
@@ -250,16 +252,6 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
         file.close()
 
     return write, finish
-
-
-def _origin(fields: Mapping[str, object]) -> LocalOrigin | None:
-    values = [fields.get(name) for name in ("latitude_deg", "longitude_deg", "altitude_m")]
-    numbers = [value for value in values if isinstance(value, float)]
-    if len(numbers) != len(values):
-        return None
-    latitude_deg, longitude_deg, altitude_m = numbers
-    projection = Projection(fields.get("projection", Projection.ELLIPSOID))
-    return LocalOrigin(latitude_deg, longitude_deg, altitude_m, projection)
 
 
 def _pose(stamp: Json, place: tuple[float, ...]) -> Json:

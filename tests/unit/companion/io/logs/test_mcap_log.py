@@ -21,7 +21,12 @@ ESTIMATE = {
     "range_innovation": 7.0,
     "range_weight": 0.3,
 }
-ORIGIN = {"latitude_deg": 47.4, "longitude_deg": 8.5, "altitude_m": 488.0}
+ORIGIN = {
+    "latitude_deg": 47.4,
+    "longitude_deg": 8.5,
+    "altitude_m": 488.0,
+    "offset_enu_m": (0.0, 5.0, 0.0),
+}
 
 
 def messages(path: Path) -> dict[str, list[Any]]:
@@ -42,7 +47,7 @@ def test_an_estimate_is_a_place_poses_residuals_and_an_outline(tmp_path: Path) -
     log.close(10.0)
     found = messages(tmp_path / "f.mcap")
     (fix,) = found["/estimate/fix"]
-    assert fix["latitude"] == pytest.approx(47.4 + 20.0 / 111_180, abs=1e-6)
+    assert fix["latitude"] == pytest.approx(47.4 + 15.0 / 111_180, abs=1e-6)
     assert fix["position_covariance"] == [4.0, 1.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0]
     assert fix["timestamp"] == {"sec": 1_800_000_001, "nsec": 250_000_000}
     assert found["/vehicle/pose"][0]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 30.0}
