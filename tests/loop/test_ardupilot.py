@@ -173,6 +173,7 @@ def test_everything_that_is_sent_would_be_sane_on_an_autopilot_that_checks_nothi
     assert all(math.isfinite(value) for m in setpoints for value in (m.x, m.y, m.z, m.yaw))
     assert max(math.hypot(m.x, m.y) for m in setpoints) < 200.0
     assert all(-60.0 <= m.z < -2.0 for m in setpoints)
-    asked = [m for m in sent if m.get_type() == "COMMAND_LONG" and m.command == TAKEOFF]
+    commands = [m for m in sent if isinstance(m, mavlink.MAVLink_command_long_message)]
+    asked = [m for m in commands if m.command == TAKEOFF]
     assert asked
     assert all(3.0 <= m.param7 <= 60.0 for m in asked)

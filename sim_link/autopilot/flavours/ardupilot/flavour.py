@@ -35,12 +35,7 @@ from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     WARNING,
     CopterMode,
 )
-from sim_link.autopilot.flavours.ardupilot.guided import (
-    Guided,
-    GuidedState,
-    TargetKind,
-    target_from,
-)
+from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState, target_from
 from sim_link.autopilot.flavours.base import ACCEPTED, FAILED, FenceState, Flavour, HeartbeatState
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
@@ -217,13 +212,13 @@ class ArduPilotFlavour(Flavour):
         if isinstance(message, AttitudeTarget):
             return
         target = target_from(message, self.aircraft)
-        is_refused = target is None or target.kind is TargetKind.STOP
-        self.setpoints.take(None if target is None or is_refused else target.setpoint, now_s)
+        self.setpoints.take(None if target is None else target.setpoint, now_s)
         if target is None or self.copter_mode is not GUIDED or not self.is_armed:
             return
         if target.text:
             self.aircraft.say(WARNING, target.text)
-        place, up_m = target.setpoint.position_en_m, target.setpoint.up_m
+        setpoint = target.setpoint or Setpoint()
+        place, up_m = setpoint.position_en_m, setpoint.up_m
         if place is not None and up_m is not None and self.fence_margin_m((*place, up_m)) < 0.0:
             return
         self.guided.take(target, now_s, is_on_ground=self.aircraft.body.is_on_ground)

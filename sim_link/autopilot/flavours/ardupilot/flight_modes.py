@@ -16,7 +16,7 @@ from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED
 from sim_link.autopilot.control_inputs import Setpoint
-from sim_link.autopilot.flavours.ardupilot.guided import OUT_OF_SIGHT_M, Target, TargetKind
+from sim_link.autopilot.flavours.ardupilot.guided import OUT_OF_SIGHT_M, Target
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,
@@ -160,8 +160,8 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
         return FAILED
     yaw = command.params[3]
     setpoint = Setpoint(goal[:2], goal[2], yaw_ned_rad=yaw if math.isfinite(yaw) else None)
-    target, is_on_ground = Target(TargetKind.POSITION, setpoint), aircraft.body.is_on_ground
-    flavour.guided.take(target, aircraft.time_s, is_on_ground=is_on_ground)
+    is_on_ground = aircraft.body.is_on_ground
+    flavour.guided.take(Target(setpoint), aircraft.time_s, is_on_ground=is_on_ground)
     return ACCEPTED
 
 

@@ -16,8 +16,9 @@ SITL; parameter GUID_TIMEOUT.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
+from typing import NamedTuple
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import enu_from_ned, wrap_pi
@@ -48,31 +49,20 @@ OUT_OF_SIGHT_M = 1e9
 """Stands for an infinite height."""
 BODY_FRAMES = (BODY_NED, BODY_OFFSET_NED)
 TERRAIN_FRAMES = (mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT, mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT)
-NO_SETPOINT = Setpoint()
 
 
-class TargetKind(Enum):
-    """What becomes of a target."""
-
-    POSITION = "position"
-    """Latched: flown to and held for ever, once its velocity has timed out."""
-    MOTION = "motion"
-    """Velocity or acceleration: times out after GUID_TIMEOUT."""
-    STOP = "stop"
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(NamedTuple):
     """A target as understood."""
 
-    kind: TargetKind
-    setpoint: Setpoint = NO_SETPOINT
+    setpoint: Setpoint | None
+    """A position is held for ever, once its velocity has timed out; without one it times out after
+    GUID_TIMEOUT. None: stop."""
     text: str = ""
     """What to tell the operators about a refusal."""
 
 
 def _refused(why: str) -> Target:
-    return Target(TargetKind.STOP, text=f"Guided: {why}, stopping")
+    return Target(None, f"Guided: {why}, stopping")
 
 
 def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
@@ -144,7 +134,7 @@ def _target(
     given += (message.afx, message.afy, message.afz) if has_acceleration else ()
     is_understood = has_velocity or (place is not None) is not has_acceleration
     if not is_understood or not all(map(math.isfinite, given)):
-        return Target(TargetKind.STOP)
+        return Target(None)
     if yaw is not None:
         yaw = wrap_pi(yaw if body_yaw_rad is None else yaw + body_yaw_rad)
     east, north, climb_mps = enu_of(message.vx, message.vy, message.vz, body_yaw_rad)
@@ -158,7 +148,7 @@ def _target(
         yaw_ned_rad=yaw,
         yaw_rate_ned_radps=yaw_rate,
     )
-    return Target(TargetKind.MOTION if place is None else TargetKind.POSITION, setpoint)
+    return Target(setpoint)
 
 
 def _run_on(setpoint: Setpoint, dt_s: float) -> Setpoint:
@@ -189,7 +179,6 @@ class Guided:
     def __init__(self) -> None:
         self.state = GuidedState.IDLE
         self.setpoint = Setpoint()
-        self._kind = TargetKind.STOP
         self._taken_s = 0.0
 
     @property
@@ -225,7 +214,6 @@ class Guided:
         """Stay in place until something is asked, as when the mode begins."""
         self.state = GuidedState.IDLE
         self.setpoint = Setpoint()
-        self._kind = TargetKind.STOP
 
     def turn_to(self, yaw_ned_rad: float) -> None:
         """Another heading for whatever is flown."""
@@ -240,28 +228,26 @@ class Guided:
         """A target arrived; on the ground it has no effect, because a take-off comes first."""
         if is_on_ground:
             return
-        if target.kind is TargetKind.STOP:
+        if target.setpoint is None:
             self.stop()
             return
         self.state = GuidedState.FOLLOWING
         self.setpoint = target.setpoint
-        self._kind = target.kind
         self._taken_s = now_s
 
     def watch(self, now_s: float, timeout_s: float, *, is_on_ground: bool) -> None:
         """Let a motion time out, and a target end on the ground."""
         if self.state is not GuidedState.FOLLOWING:
             return
-        is_old = now_s - self._taken_s >= timeout_s
-        if is_on_ground or (is_old and self._kind is TargetKind.MOTION):
+        is_old, setpoint = now_s - self._taken_s >= timeout_s, self.setpoint
+        if is_on_ground or (is_old and setpoint.position_en_m is None):
             self.stop()
         elif is_old:
-            setpoint = self.setpoint
             self.setpoint = Setpoint(
                 setpoint.position_en_m, setpoint.up_m, yaw_ned_rad=setpoint.yaw_ned_rad
             )
         elif self._is_moving:
-            self.setpoint = _run_on(self.setpoint, STEP_S)
+            self.setpoint = _run_on(setpoint, STEP_S)
 
     @property
     def _is_moving(self) -> bool:
