@@ -166,11 +166,7 @@ def _check_outputs(options: DemoOptions) -> None:
 def _demo_config(
     config: CompanionConfig, truth: Mapping[str, Any], state_directory: str
 ) -> CompanionConfig:
-    """The configuration, engaging by itself, fenced in around the scenario's area.
-
-    It keeps out of the obstacles that reach its altitude, as an operator would configure it. The
-    simulator has no key, and nothing is taken up from an earlier run or left for a later one.
-    """
+    """The configuration, engaging by itself, fenced, off the obstacles, without key or memory."""
     low = -FENCE_AROUND_AREA_M
     east, north = (float(size) + FENCE_AROUND_AREA_M for size in truth["area_m"])
     keep_out = tuple(

@@ -126,10 +126,7 @@ def update_hypotheses(
     told: Inflation,
     shown: Inflation,
 ) -> BankUpdate:
-    """All hypotheses after a measurement, its bearing in ENU, made at `sensor_enu_m`.
-
-    The filter is `told` an inflation; what the run has `shown` is what the gate goes by.
-    """
+    """All hypotheses after a measurement by the inflation `told`; the gate goes by that `shown`."""
     before, survivors, reports = [], [], []
     thresholds = target_filter.params.thresholds.tolist()
     for hypothesis in hypotheses:

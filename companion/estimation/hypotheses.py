@@ -134,10 +134,7 @@ def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
 
 
 def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
-    """The hypotheses worth keeping, best first: improbable ones dropped, close ones made one.
-
-    Of two that are close the better one stays and takes over the other's weight.
-    """
+    """The hypotheses worth keeping, best first; of two that are close the better has the weight."""
     ordered = sorted(hypotheses, key=lambda h: -h.log_weight)
     best = ordered[0].log_weight
     kept: list[Hypothesis] = []
@@ -168,10 +165,7 @@ JUMP_SIGMA_RAD = math.radians(2.0)
 
 
 def state_step(params: FilterParams, shift_enu_m: PositionEnu, turn_rad: float) -> Vector:
-    """By how much each component of a state moves, (n,), when the reported position jumps.
-
-    Bearings turn by `turn_rad`, counter-clockwise.
-    """
+    """By how much a state (n,) moves in a jump; bearings turn by `turn_rad`, counter-clockwise."""
     step = np.zeros(len(params.prior[0]))
     step[EAST], step[NORTH], step[BEARING_OFFSET] = *shift_enu_m[:2], turn_rad
     height = params.model.height_index

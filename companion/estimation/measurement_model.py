@@ -88,10 +88,7 @@ def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector
 
 @kernel
 def jacobian(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Matrix:
-    """Partials of range, bearing and elevation by the state, (3, n).
-
-    The position part is zero where a direction has no meaning: at the target and above it.
-    """
+    """Partials by the state, (3, n); the position's are zero where a direction has no meaning."""
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])
     du = target_height_m(mean, model) - float(sensor_enu_m[2])

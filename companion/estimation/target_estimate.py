@@ -44,11 +44,7 @@ def estimate_of(
     *,
     is_diverged: bool,
 ) -> TargetEstimate:
-    """What the hypotheses add up to: at least one, best first.
-
-    The state is `localised` while R95 is at most `localised_r95_m`; `is_diverged` says whether the
-    filter was started anew a short while ago.
-    """
+    """What hypotheses, best first, add up to; `is_diverged`: the filter was started anew lately."""
     weights, best = probabilities(hypotheses), hypotheses[0]
     covariances = [position_covariance_m2(h, model.own_sigma_m) for h in hypotheses]
     r95_m = _r95_m(hypotheses, weights, covariances)
@@ -74,10 +70,7 @@ def estimate_of(
 
 
 def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix:
-    """The filter's covariance, not below what the window found, plus the own position's, (2, 2).
-
-    All measurements share the error of the own position.
-    """
+    """The filter's or, if wider, the window's covariance, plus the own position's error, (2, 2)."""
     covariance = hypothesis.state.covariance[:2, :2]
     least = hypothesis.least_covariance_m2
     if least is not None and least[0, 0] + least[1, 1] > covariance[0, 0] + covariance[1, 1]:

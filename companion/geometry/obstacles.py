@@ -312,10 +312,7 @@ def _directions(arc: Arc, edge: Segment, keep_m: float) -> Iterator[float]:
 
 
 def leashed(start: Point, goal: Point, home: Point, reach_m: float) -> Point:
-    """The farthest point of a straight way that is not too far from home.
-
-    From a start that is too far already only what is nearer counts.
-    """
+    """The farthest point of a straight way within reach of home, or nearer to it than the start."""
     radius_m = max(reach_m, math.dist(start, home))
     de, dn = goal[0] - start[0], goal[1] - start[1]
     he, hn = start[0] - home[0], start[1] - home[1]

@@ -199,10 +199,7 @@ class Ellipse:
 
 
 def ellipse_95(centre_enu_m: Point, covariance_m2: Covariance) -> Ellipse:
-    """The ellipse that holds 95 % of a plane normal distribution, east first.
-
-    Rounding that makes an axis negative counts as zero.
-    """
+    """The ellipse that holds 95 % of a plane normal; an axis below zero by rounding is zero."""
     (east, cross), (_, north) = covariance_m2
     middle, half = 0.5 * (east + north), 0.5 * (east - north)
     reach = math.hypot(half, cross)

@@ -83,10 +83,7 @@ class WayFinder:
 
 
 def _corner_nodes(border: tuple[Point, ...], radius_m: float) -> Iterator[Point]:
-    """Nodes about the corners of a border that stick out into free space, on its left.
-
-    Legs between them do not cut the arcs of `radius_m`.
-    """
+    """Nodes about corners that stick out to the left; legs between them do not cut the arcs."""
     for index, corner in enumerate(border):
         before, after = border[index - 1], border[(index + 1) % len(border)]
         incoming = (corner[0] - before[0], corner[1] - before[1])

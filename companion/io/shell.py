@@ -127,12 +127,7 @@ class Shell:
         self._failure: BaseException | None = None
 
     async def run(self) -> None:
-        """Open the links and drive the endpoint until it is finished or told to stop.
-
-        Raises:
-            LinkError: A link cannot be opened; those opened before it are closed again.
-            Exception: Whatever the endpoint or `on_wakeup` raised.
-        """
+        """Drive the endpoint to its end; raises what it raises, or a `LinkError` for a link."""
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
         try:
             for link in self.links:

@@ -111,10 +111,7 @@ MAX_MAVLINK1_ID = 255
 
 
 class MavCodec:
-    """Encodes with one identity (ids from 1 to 255) and decodes what arrives on one link.
-
-    `signing` signs what is sent and verifies what arrives; None does neither.
-    """
+    """Encodes with one identity (ids 1 to 255) and decodes one link, both with `signing` if any."""
 
     def __init__(
         self, system_id: int, component_id: int, signing: LinkSigning | None = None

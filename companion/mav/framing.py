@@ -49,10 +49,7 @@ class FrameCounters:
 
 
 class FrameSplitter:
-    """Cuts a byte stream or datagrams into CRC-checked frames.
-
-    It knows CRC_EXTRA of every message of the dialect, and may keep what looks like others.
-    """
+    """Cuts a stream or datagrams into CRC-checked frames; may keep what looks like unknown ones."""
 
     def __init__(self, crc_extra_by_id: Mapping[int, int], *, keeps_unknown: bool = False) -> None:
         self.counters = FrameCounters()

@@ -6,15 +6,13 @@ component and link id. A frame is believed only if, in this order, its signature
 timestamp is newer than its stream's last one, and, for a stream not heard before, at most a
 minute behind ours. Nothing that a frame says is remembered before its signature was found right: a
 forger can then neither lock out the real sender with a timestamp from the future nor fill the
-table of streams. pymavlink stores the stream's timestamp first and looks at the signature after,
-and lets its callback accept badly signed frames; that is why frames are verified here.
+table of streams. (pymavlink, which stores the timestamp first, could not promise that.)
 
 `SigningRules` may be stricter than the guide, for who hears each component over one link only. A
-frame recorded on another link of the same component is there the first of a stream of its own, so
-the guide lets it in for a minute; with one stream per component it is a replay. And a sender whose
-clock is far ahead, though it has the key, would push ours ahead for good; it is refused instead.
-A new stream is then compared with our own clock and not with the newest timestamp, which peers
-move: one sender that is almost a minute ahead would make another, whose clock is right, too old.
+frame recorded on another link of a component is not let in as the first of a stream of its own, but
+is a replay. A sender with the key whose clock is far ahead is refused, for it would push ours ahead
+for good. And a new stream is compared with our own clock, not with the newest timestamp, by which
+one sender almost a minute ahead would make another, whose clock is right, too old.
 
 An unsigned frame, MAVLink 1 among them, is a downgrade: with a key it is refused unless its
 message is on the short list of those that cannot be signed (RADIO_STATUS, which radios inject) or
@@ -197,10 +195,7 @@ class Signing:
         return SignatureVerdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
 
     def sign(self, frame: bytes, link_id: int, crc_extra: int) -> bytes:
-        """An unsigned MAVLink 2 frame of ours, signed with a timestamp newer than every one before.
-
-        Different links get different ids, 0 to 255.
-        """
+        """Our unsigned MAVLink 2 frame, signed with a new timestamp; each link has its own id."""
         if frame[0] != MAGIC_V2 or is_signed(frame):
             raise LocalProtocolError("only an unsigned MAVLink 2 frame can be signed")
         self.timestamp += 1

@@ -183,10 +183,7 @@ class ReactiveCrossingParams(Params, frozen=True):
 def reactive_step(
     vehicle: Point, target: Point, step_m: float, crossing_distance_m: float, stop_distance_m: float
 ) -> Point:
-    """The next place of a vehicle; its own where it is closer than the stop distance.
-
-    Paper: Algorithm 1.
-    """
+    """The next place; the vehicle's own within the stop distance. Paper: Algorithm 1."""
     (east_m, north_m), (target_east_m, target_north_m) = vehicle, target
     if math.hypot(target_east_m - east_m, target_north_m - north_m) < stop_distance_m:
         return vehicle

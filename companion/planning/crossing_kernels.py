@@ -87,10 +87,7 @@ def overshoot_m(
     baseline_m: float,
     rule: LatchRule,
 ) -> float:
-    """How far beyond the estimate a crossing goes: the worst direction's sigmas, within limits.
-
-    Never shorter than the base line of `PlanRequest`, within the upper limit.
-    """
+    """How far beyond the estimate: the worst direction's sigmas or the base line, within limits."""
     half_trace = 0.5 * (variance_east_m2 + variance_north_m2)
     half_gap = 0.5 * (variance_east_m2 - variance_north_m2)
     largest_m2 = half_trace + math.hypot(half_gap, covariance_m2)
@@ -158,10 +155,7 @@ def new_latch(
 def latched_step(
     latch: Latch, vehicle: Point, target: Point, over_m: float, is_at_height: bool, rule: LatchRule
 ) -> Latch:
-    """The latch to fly next, where no fence limits it: the same one, or a new one.
-
-    In the plane a vehicle always `is_at_height` of the crossing.
-    """
+    """The latch to fly next where no fence limits it; in the plane it always `is_at_height`."""
     verdict = latch_verdict(latch, vehicle, target, over_m, is_at_height, rule)
     if verdict == KEPT:
         return latch

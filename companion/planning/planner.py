@@ -142,10 +142,7 @@ def cut_by_fence(point: Point, anchor: Point, request: PlanRequest) -> Point:
 
 
 def pushed_beyond(point: Point, heading: Point, request: PlanRequest) -> Point:
-    """`point`, or the first allowed point that lies beyond it in a direction.
-
-    Where there is none within `FARTHEST_BEYOND_M`, it is `point` still.
-    """
+    """`point`, or the first allowed one beyond it, if there is one within `FARTHEST_BEYOND_M`."""
     finder = way_finder(request)
     if finder is None or finder.space.allows(point):
         return point

@@ -61,10 +61,7 @@ class SearchParams(Params, frozen=True):
     """The end of a leg counts as reached within this distance."""
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The legs of a sweep (0: the first time over the area); none: nothing to search.
-
-        The datum is where the vehicle was when the search began.
-        """
+        """The legs of a sweep (0: the first), if any; the datum is where the search began."""
         raise NotImplementedError
 
 
@@ -298,11 +295,7 @@ class SearchThenCrossMemory(Generic[Crossing]):
 
 
 class SearchThenCross(Generic[Crossing]):
-    """Two planners and the rule that hands over between them.
-
-    `search` flies while there is no contact; without a usable measurement for `lost_after_s` it is
-    lost.
-    """
+    """Two planners: one crosses while there is contact, one searches `lost_after_s` after it."""
 
     def __init__(
         self, search: SearchPlanner, crossing: Planner[Crossing], lost_after_s: float

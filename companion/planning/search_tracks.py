@@ -96,10 +96,7 @@ def expanding_square(
     heading_rad: float,
     spaces: Sequence[FreeSpace],
 ) -> Track:
-    """A square spiral, with a spacing between neighbouring legs that is the length of the first.
-
-    `radius_m` is half the width of the square that it closes, rounded down to spacings.
-    """
+    """A square spiral, evenly spaced; `radius_m`, half its width, is rounded down to spacings."""
     legs, place = [], datum_enu_m
     rings = math.floor(radius_m / spacing_m + 1e-9)
     for index in range(4 * rings + 1):

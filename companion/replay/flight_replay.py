@@ -173,10 +173,7 @@ def replay_flight(
     on_input: OnInput | None = None,
     views: Sequence[FlightView] = (),
 ) -> FlightReplay:
-    """Run a recorded flight (its folder, a file in it, or an MCAP file) again; see `rerun`.
-
-    `config` is another configuration; None: the flight's own.
-    """
+    """Run a flight (its folder, a file in it, or MCAP) again; None: with its own configuration."""
     recording = open_recording(path)
     facts = recording.facts
     used = facts.config if config is None else config
@@ -250,10 +247,7 @@ def replay_on_map(
     speed: float,
     done: Callable[[FlightReplay], None],
 ) -> FlightReplay:
-    """Run a recorded flight again on the live map, and stay there until Ctrl-C.
-
-    There are no buttons, whatever the settings say. `done` gets the result as soon as it is there.
-    """
+    """Run a flight again on the live map, without buttons, until Ctrl-C; `done` has it earlier."""
     used = open_recording(path).facts.config if config is None else config
     view = WebView(settings, used)
     try:

@@ -96,10 +96,7 @@ def rerun(
     on_input: OnInput | None = None,
     views: Sequence[FlightView] = (),
 ) -> Course:
-    """Run a flight again, with its configuration or another one to compare with.
-
-    `on_input` sees the endpoint after every input; views hear what it reports.
-    """
+    """Run a flight again; `on_input` follows every input, views hear what is reported."""
     journal = CourseJournal()
     tunables = Tunables(config, build_planner)
     if config == facts.config:
@@ -176,10 +173,7 @@ def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
 
 
 def inputs_of_tlog(records: list[TlogRecord]) -> list[Input]:
-    """Inputs for a log that has none: its frames, and ticks at 20 Hz between them.
-
-    The flight's own ticks came at other instants, so a replay of these is close, not the same.
-    """
+    """Inputs for a log that has none: frames, and ticks at 20 Hz instead of the flight's own."""
     if not records:
         return []
     start_us = records[0].unix_us

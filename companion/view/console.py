@@ -26,10 +26,7 @@ CLOSE_TIMEOUT_S = 0.3
 
 
 class _LineWriter(WriterThread[str]):
-    """Writes lines to a stream; one with a descriptor past its own buffer.
-
-    A writer that hangs would otherwise keep the buffer's lock through the end of the process.
-    """
+    """Writes lines past the stream's buffer, whose lock a writer that hangs would keep."""
 
     def __init__(self, stream: TextIO | io.TextIOBase) -> None:
         self._stream = stream

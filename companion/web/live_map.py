@@ -127,10 +127,7 @@ class WebProcess:
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
     ) -> list[OperatorCommand]:
-        """Send a picture if one is due and the pipe has room; the buttons pressed meanwhile.
-
-        The picture is made only when it goes out; if it may not be sent now, it waits.
-        """
+        """Send a picture if one is due and may and can be sent; the buttons pressed meanwhile."""
         if self._is_over:
             return []
         self._flush()

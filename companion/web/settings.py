@@ -74,10 +74,7 @@ class Access:
         return urlsplit(f"//{host_header}").hostname in {name.strip("[]") for name in LOCAL_NAMES}
 
     def is_origin_ours(self, origin: str | None, host_header: str) -> bool:
-        """Whether a WebSocket comes from a page of the same host; without an Origin it does.
-
-        Browsers always send one (RFC 6455 section 10.2), other clients need not.
-        """
+        """Whether a WebSocket is of a page of this host; browsers always say (RFC 6455, 10.2)."""
         return origin is None or urlsplit(origin).netloc == host_header
 
 

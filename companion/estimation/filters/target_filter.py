@@ -93,10 +93,7 @@ class TargetFilter(Protocol):
 
     @property
     def params(self) -> FilterParams:
-        """What it believes: noise, thresholds, prior and bounds, as they are in force.
-
-        The window, the likelihood of the hypotheses and the noise monitor believe the same.
-        """
+        """What it believes, as in force; window, likelihood and noise monitor believe the same."""
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
         """The state at a later time."""

@@ -171,10 +171,7 @@ class MotionWatch:
 
 
 def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | None:
-    """How a target walks that is believed to lie at `mean`, (k,); None: nothing says that it does.
-
-    The rows are those of `map_kernels`, with the time in place of the sequence number.
-    """
+    """How a target believed to lie at `mean` (k,) walks, if it does; rows end with their time."""
     still, walk = _Still(window_map, rows), _Walk(window_map, rows)
     try:
         with np.errstate(all="ignore"):
@@ -270,11 +267,7 @@ class _Walk(_Still):
         return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
 
     def may_begin(self, still: Vector) -> bool:
-        """Whether the first step away from a target that lies still is worth the others.
-
-        Noise counts as white here, and the walk as noise: this spares the second fit while nothing
-        happens.
-        """
+        """Whether a first step away from lying still, with white noise, is worth the second fit."""
         scores = self.scores(still)
         A = curvature(scores) + self._information
         A_inverse = np.asarray(np.linalg.inv(A))

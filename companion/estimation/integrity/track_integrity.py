@@ -138,10 +138,7 @@ BEHIND = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """How many measurements in a row contradicted in the same way.
-
-    Ranges and bearings are counted apart, because they may come one by one.
-    """
+    """How many measurements in a row contradicted in the same way, ranges and bearings apart."""
 
     bearings: int = 0
     side: float = 0.0
@@ -212,10 +209,7 @@ class NisWindow:
         self._above_count = 0
 
     def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
-        """Take in an update; whether the NIS has been above its band for too long.
-
-        The `inflation` is what the run has shown, whether or not the filter was told.
-        """
+        """Take in an update, by the inflation shown; whether the NIS has been too high too long."""
         squares = _normalised_squares(report, inflation)
         if not squares:
             return False

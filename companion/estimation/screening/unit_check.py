@@ -185,11 +185,7 @@ class UnitCheck:
     def _likeliest(
         self, window: _Window, factors: tuple[float, ...], limit: float
     ) -> tuple[float, float]:
-        """The likeliest of some factors, and the log of how much more so than 1 it is.
-
-        Metres get the better search: no place between those that are tried may be missed for them.
-        It only lowers the ratio, so one below `limit` is not looked at any closer.
-        """
+        """The likeliest of some factors, and the log of how much more so than 1 it is."""
         places = self._around_m + window.sensor_enu_m[:, :2].mean(axis=0)
         tried = _Moments(window.range_m, self._distances_m(places, window.sensor_enu_m))
         count = tried.independent
@@ -199,6 +195,7 @@ class UnitCheck:
         log_ratio = float(in_metres.min()) - costs[best]
         if log_ratio < limit:
             return factors[best], log_ratio
+        # no place between those tried may be missed for metres; this only lowers the ratio
         starts = places[np.argsort(in_metres)[:REFINED]]
         distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
         refined = _Moments(window.range_m, distances_m)

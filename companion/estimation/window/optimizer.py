@@ -1,11 +1,8 @@
 """Checks and corrects the hypotheses by solving a window of measurements now and then.
 
-The window is a bounded memory, spread over the views of the target that the measurements are.
-
 Every optimum replaces the hypotheses near it, because it holds all that they have seen, and is not
-linearised where they stood at the time. What no longer fits into the window is held as a Gaussian
-prior; where window and prior contradict each other, the prior was expanded about a wrong place,
-and is forgotten.
+linearised where they stood at the time. A prior of older evidence that the window contradicts was
+expanded about a wrong place, and is forgotten.
 
 How much more probable one optimum is than another. The difference of their costs is a
 log-likelihood ratio if the noise is what the loss believes. It is divided by the inflation, because
@@ -102,10 +99,7 @@ KEPT_SHARE = 0.95
 
 
 class MeasurementWindow:
-    """Up to `size` measurements, spread over the views of the target that they are.
-
-    Rows are laid out as in `map_kernels`.
-    """
+    """Up to `size` measurements, spread over views of the target, in the rows of `map_kernels`."""
 
     def __init__(self, size: int) -> None:
         self.rows: Matrix = np.empty((0, COLUMNS))
@@ -135,10 +129,7 @@ class MeasurementWindow:
 
 
 def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.bool_]:
-    """Which of the rows stay, (n,): at most `target`, taken away where views are most alike.
-
-    Alike are views of the centre from the same sector and about the same distance.
-    """
+    """Which rows stay, (n,), at most `target`: fewer where sector and distance are alike."""
     east, north = rows[:, 0] - centre[0], rows[:, 1] - centre[1]
     sector = np.floor((np.arctan2(north, east) / (2.0 * math.pi) + 0.5) * SECTORS) % SECTORS
     ring = np.floor(np.log2(np.maximum(np.hypot(east, north) / NEAREST_RING_M, 1.0)))
@@ -158,11 +149,7 @@ def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.boo
 
 
 def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
-    """Indices of at most `count` members, spread evenly over the time that they span.
-
-    The member with the nearest neighbours goes first. Picking every other one would forget: what
-    survived many thinnings is sparse already.
-    """
+    """At most `count` members, evenly over their time: those with near neighbours go first."""
     kept = np.arange(len(sequence))
     while len(kept) > max(count, 2):
         gaps = sequence[kept[2:]] - sequence[kept[:-2]]
@@ -327,10 +314,7 @@ class WindowOptimizer:
     def _trimmed(
         self, optima: list[Optimum], starts: Sequence[Vector], *, is_white: bool
     ) -> list[Optimum]:
-        """The optima without gross errors, if there are any: not even a linear loss outvotes many.
-
-        Where most measurements look wrong, it is rather the optimum, and nothing is left out.
-        """
+        """The optima without gross errors, if any: not even a linear loss outvotes many."""
         rows = self.map.without_gross(self.window.rows, optima[0])
         if rows is None:
             return optima
@@ -338,10 +322,7 @@ class WindowOptimizer:
         return self.map.optima(rows, starts, self._older, is_white=is_white) or optima
 
     def _is_contradicted(self, best: Optimum) -> bool:
-        """Whether the window alone leads elsewhere than with the older evidence.
-
-        A window that is far from full, as after a restart, does not know how wrong it is itself.
-        """
+        """Whether the window, if full enough to know, leads elsewhere than with older evidence."""
         if len(self.window.rows) < CONTRADICTING_SHARE * self._params.size:
             return False
         alone = self.map.optima(self.window.rows, [best.mean])

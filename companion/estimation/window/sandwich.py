@@ -188,11 +188,7 @@ def curvature(scores: Scores) -> Matrix:
 
 
 def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) -> Matrix:
-    """B with pooled second moments, (k, k).
-
-    `repetition` (3,) is what each modality's residuals count more for repeating each other; ones:
-    they know nothing of each other.
-    """
+    """B with pooled second moments, (k, k), of each modality times its `repetition` (3,)."""
     k = scores.H.shape[1]
     B = np.zeros((k, k))
     for m in scores.measured:

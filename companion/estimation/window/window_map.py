@@ -20,8 +20,7 @@ What leaves the window is expanded to second order about the estimate of that ti
 
     rho(u(x)) ~ const - psi H^T (x - x0) + 1/2 (x - x0)^T psi' H H^T (x - x0)
 
-That is for residuals that know nothing of each other. Where they repeat each other, a measurement
-that was left out says little that its neighbours in the window do not.
+Where residuals repeat each other, what was left out says little that its neighbours do not.
 
 Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle lingered longest
 instead of dropping the oldest, because old measurements often hold the only view from the other
@@ -226,11 +225,7 @@ class WindowMap:
         *,
         is_white: bool = False,
     ) -> list[Optimum]:
-        """The distinct minima reached from states (k,), best first.
-
-        `older` is what no longer fits into the rows. `is_white`: residuals know nothing of each
-        other.
-        """
+        """The distinct minima reached from states (k,), best first, `older` evidence counted in."""
         found: list[tuple[float, Vector]] = []
         for start in starts:
             solution = self.solve(rows, start, older)
@@ -286,10 +281,7 @@ class WindowMap:
         return Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
 
     def without_gross(self, rows: Matrix, optimum: Optimum) -> Matrix | None:
-        """The rows without ranges that are too short, and bearings too far off, for any noise.
-
-        They are NaN where something was taken out; None: nothing was, or more than a half.
-        """
+        """The rows, NaN for gross errors; None: there are none, or they are more than a half."""
         u = self.scores(rows, optimum.mean).u
         bearing_noise = min(optimum.noise[BEARING], MAX_BEARING_NOISE)
         is_short = u[RANGE] < -GROSS_SIGMAS

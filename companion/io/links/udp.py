@@ -5,14 +5,12 @@ per loop; here a refusal is counted at once and a wake-up reads a bounded batch.
 without SO_REUSEADDR and SO_REUSEPORT: with them a second listener on a port starts without an
 error and one of the two silently gets nothing.
 
-A socket can outlive the interface or the address that it was opened on, and then refuses for ever
-(network down, address gone). It is closed and opened again, ever more slowly until it works.
+A socket can outlive the interface or the address that it was opened on, and then refuses for ever.
+It is closed and opened again, ever more slowly until it works.
 
-The filter lets the kernel drop what unknown peers send before it fills the socket's buffer.
-In a flood the buffer overflows between two looks at it, and the autopilot's frames are lost with
-the rest, however quickly the rest is thrown away here. A classic BPF program on the socket, which
-needs no privilege on Linux, drops by source address and port as packets arrive. Elsewhere there is
-no such thing, and nothing is filtered.
+In a flood of unknown peers the socket's buffer overflows between two looks at it, and the
+autopilot's frames are lost with the rest. So on Linux a classic BPF program on the socket, which
+needs no privilege, drops by source address and port as packets arrive.
 
 Source: Linux kernel documentation, "Linux Socket Filtering".
 """
@@ -232,10 +230,7 @@ class UdpLink(Link):
 
 
 class UdpFanOutLink(UdpLink):
-    """A bound socket that sends chunks without a peer to fixed remotes and to everyone heard.
-
-    Of the senders heard, the most recent 16 are kept.
-    """
+    """A bound socket; without a peer it sends to fixed remotes and to the last 16 senders."""
 
     def __init__(
         self, host: str, port: int, remotes: Sequence[Address], index: int, received: Received
@@ -287,13 +282,10 @@ class UdpConnectLink(UdpLink):
 
 
 async def resolve(name: str, host: str, port: int) -> Address:
-    """The IPv4 address of a host.
+    """The IPv4 address of a host; a `LinkError`, which begins with `name`, if it is unknown.
 
     Names are looked up in a daemon thread and not in the loop's executor: the loop waits for its
     executor when it ends, and a slow name server must not hold up an exit.
-
-    Raises:
-        LinkError: It is unknown; the message begins with `name`.
     """
     try:
         return (str(ipaddress.IPv4Address(host)), port)

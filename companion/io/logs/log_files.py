@@ -174,15 +174,12 @@ class InputLog(BackgroundFile):
 
 
 def read_inputs(path: Path) -> Iterator[Input]:
-    """The inputs of a flight, in order, but for a torn last record (a power cut).
-
-    A `ConfigError` says what else is wrong: no file of ours, or records that are missing.
-    """
+    """The inputs in a file; see `parse_inputs`."""
     return parse_inputs(read_file(path), str(path))
 
 
 def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
-    """The inputs in some bytes, and what is wrong with them; see `read_inputs`."""
+    """The inputs of a flight, without a torn last one; a `ConfigError` if any are missing."""
     if FORMAT not in data[:MAGIC_WITHIN] and FAMILY in data[:MAGIC_WITHIN]:
         raise ConfigError(f"{name}: of another version; replay it with the companion that flew")
     offset, number = 0, 0

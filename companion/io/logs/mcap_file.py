@@ -103,11 +103,8 @@ Message = tuple[str, bytes, int]
 class McapLog(WriterThread[Message]):
     """Writes one flight's MCAP file; a journal for the endpoint.
 
-    `flight_json`, how the flight is flown, is kept as metadata, for a replay. At `max_bytes` the
-    file ends, and the rest is lost.
-
-    Raises:
-        CompanionError: It cannot be opened, or the extra `mcap` is not installed.
+    `flight_json`, how the flight is flown, is kept for a replay; beyond `max_bytes` all is lost. A
+    `CompanionError` if it cannot be opened, or the extra `mcap` is not installed.
     """
 
     def __init__(

@@ -106,10 +106,7 @@ class _Slot(msgspec.Struct, frozen=True):
 
 
 class SigningStore:
-    """The two slots of one key, `NAME.time-0` and `NAME.time-1` beside its file.
-
-    A `ConfigError` if they are there and none of them can be read.
-    """
+    """The two slots `NAME.time-0` and `-1` beside a key; a `ConfigError` if none can be read."""
 
     def __init__(self, key_file: Path, key: SigningKey) -> None:
         self.paths = tuple(key_file.with_name(f"{key_file.name}.time-{n}") for n in range(SLOTS))

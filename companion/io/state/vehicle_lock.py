@@ -29,11 +29,7 @@ from companion.io.links.transports import Pty, SerialPort, Transport
 
 
 def state_directory(configured: str | None, environment: Mapping[str, str]) -> Path:
-    """The state directory; it need not exist yet.
-
-    Unless configured it is systemd's StateDirectory, or the place that the XDG base directory
-    specification says (`~/.local/state/companion`).
-    """
+    """The state directory, which need not exist: as configured, systemd's, or that of XDG."""
     if configured is not None:
         return Path(configured).expanduser()
     of_service = environment.get("STATE_DIRECTORY", "").partition(":")[0]
@@ -106,10 +102,7 @@ class VehicleLock:
 
 
 def place_of(link: Transport) -> str:
-    """What a link's address means, the same for every spelling: its host's number, its device.
-
-    A name that nobody can look up soon stands for itself.
-    """
+    """What a link's address means, the same for every spelling; an unknown name is itself."""
     kind = type(link).__name__
     match link:
         case SerialPort():
