@@ -192,7 +192,7 @@ class Pilot:
         limits = self.limits
         limit_mps = limits.horizontal_mps if speed_mps is None else speed_mps
         speed = math.hypot(east, north)
-        scale = 1.0 if speed <= limit_mps else limit_mps / speed
+        scale = limit_mps / speed if speed > limit_mps >= 0.0 else 1.0
         return (east * scale, north * scale, max(-limits.descent_mps, min(limits.climb_mps, up)))
 
     def _land(self, body: PointMass) -> PositionEnu:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import pytest
 
@@ -342,3 +343,25 @@ def test_nothing_protects_the_vehicle_from_a_setpoint_far_away(station: GroundSt
     station.run(5.0)
     report = station.last(mavlink.MAVLink_local_position_ned_message)
     assert report.vx == pytest.approx(10.0, abs=0.1)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e9, -1e9])
+def test_senseless_parameters_are_stored_and_harm_nobody_but_the_flight(value: float) -> None:
+    station = GroundStation()
+    station.fly_offboard()
+    store = station.sim.vehicle.flavour.parameters
+    for spec in store.specs:
+        kind = int(spec.kind)
+        if spec.kind.is_integer:
+            whole = int(value) if math.isfinite(value) else -1
+            raw = struct.unpack("<f", struct.pack("<i", whole))[0]
+            station.send(mavlink.MAVLink_param_set_message(1, 1, spec.name.encode(), raw, kind))
+        else:
+            station.send(mavlink.MAVLink_param_set_message(1, 1, spec.name.encode(), value, kind))
+    for mode in (FlightMode.RETURN, FlightMode.TAKEOFF, FlightMode.LAND, FlightMode.OFFBOARD):
+        station.set_mode(mode)
+        station.run(3.0)
+    station.stream = None
+    station.run(3.0)
+    assert all(map(math.isfinite, station.sim.vehicle.body.position_enu_m))
+    assert station.sim.parameters_text.count("\n") > 50
