@@ -18,7 +18,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -45,8 +45,7 @@ def areas_of_plan(text: str) -> list[NamedArea]:
     if not isinstance(fence, dict):
         raise ValueError("geoFence: is missing; draw a fence in QGroundControl and save the plan")
     _check_version(fence, "geoFence", FENCE_VERSION)
-    polygons = [_polygon(area, path) for area, path in _areas_listed(fence, "polygons")]
-    return polygons + [_circle(area, path) for area, path in _areas_listed(fence, "circles")]
+    return [*_areas_listed(fence, "polygons", _polygon), *_areas_listed(fence, "circles", _circle)]
 
 
 def _without_repeats(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -59,7 +58,9 @@ def _without_repeats(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return found
 
 
-def _areas_listed(fence: dict[str, object], key: str) -> Iterator[tuple[dict[str, object], str]]:
+def _areas_listed(
+    fence: dict[str, object], key: str, read: Callable[[dict[str, object], str], GeoArea]
+) -> Iterator[NamedArea]:
     listed = fence.get(key, [])
     if not isinstance(listed, list):
         raise ValueError(f"geoFence.{key}: is not a list")
@@ -68,7 +69,10 @@ def _areas_listed(fence: dict[str, object], key: str) -> Iterator[tuple[dict[str
         if not isinstance(area, dict):
             raise ValueError(f"{path}: is not an object")
         _check_version(area, path, AREA_VERSION)
-        yield area, path
+        found, is_inclusion = read(area, path), area.get("inclusion")
+        if not isinstance(is_inclusion, bool):
+            raise ValueError(f"{path}.inclusion: is not true or false")
+        yield NamedArea(path, is_inclusion, found)
 
 
 def _check_version(element: dict[str, object], path: str, version: int) -> None:
@@ -80,28 +84,21 @@ def _check_version(element: dict[str, object], path: str, version: int) -> None:
         )
 
 
-def _is_inclusion(area: dict[str, object], path: str) -> bool:
-    is_inclusion = area.get("inclusion")
-    if not isinstance(is_inclusion, bool):
-        raise ValueError(f"{path}.inclusion: is not true or false")
-    return is_inclusion
-
-
-def _polygon(area: dict[str, object], path: str) -> NamedArea:
+def _polygon(area: dict[str, object], path: str) -> GeoArea:
     corners = area.get("polygon")
     if not isinstance(corners, list):
         raise ValueError(f"{path}.polygon: is not a list of corners")
     places = tuple(_plan_place(c, f"{path}.polygon[{index}]") for index, c in enumerate(corners))
-    return NamedArea(path, _is_inclusion(area, path), GeoArea(places))
+    return GeoArea(places)
 
 
-def _circle(area: dict[str, object], path: str) -> NamedArea:
+def _circle(area: dict[str, object], path: str) -> GeoArea:
     circle = area.get("circle")
     if not isinstance(circle, dict):
         raise ValueError(f"{path}.circle: is missing")
     centre = _plan_place(circle.get("center"), f"{path}.circle.center")
     radius_m = _number(circle.get("radius"), f"{path}.circle.radius")
-    return NamedArea(path, _is_inclusion(area, path), GeoArea((centre,), radius_m))
+    return GeoArea((centre,), radius_m)
 
 
 def _plan_place(value: object, path: str) -> LatLon:

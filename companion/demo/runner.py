@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from companion.config.schema import CompanionConfig
-from companion.demo.simulator_process import SimulatorProcess
+from companion.demo.simulator_process import STOP_TIMEOUT_S, SimulatorProcess
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
@@ -137,7 +137,7 @@ def run_demo(
             views = [watch, *make_views(config, _emitter_enu_m(truth))]
             flight_options = FlightOptions(views=views, at_end=at_end)
             endpoint = fly(config, links, Clock(options.speed), flight_options)
-            simulator.stop()
+            simulator.stop(STOP_TIMEOUT_S)  # it writes its report first
             result = DemoResult(options, watch, endpoint, simulator.report())
             _say(result.summary)
             if options.json is not None:

@@ -43,11 +43,7 @@ class SimulatorProcess(ChildProcess):
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
-        """End the process; it writes its report first."""
-        super().stop(timeout_s)
+        self.stop(STOP_TIMEOUT_S)
 
     def started_report(self) -> dict[str, Any]:
         """The report, with the truth, of a simulator that started; a `CompanionError` otherwise."""

@@ -14,6 +14,7 @@ import functools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.robust_update import asymmetric_huber_loss
@@ -34,8 +35,7 @@ LONG_SIGMAS = 25.0
 """Reflections reach 20 of the inflated standard deviations now and then."""
 
 
-@dataclass(frozen=True, slots=True)
-class Gate:
+class Gate(NamedTuple):
     """What became of one measurement at the gate."""
 
     passes_range: bool = True
@@ -68,16 +68,11 @@ class Gate:
 
     def unarmed(self) -> Gate:
         """The same judgement with nothing kept out, while the estimate has yet to prove itself."""
-        return replace(self, passes_range=True, passes_bearing=True)
+        return self._replace(passes_range=True, passes_bearing=True)
 
     def joined(self, other: Gate) -> Gate:
         """The judgement of two hypotheses: what either can explain is no outlier."""
-        return Gate(
-            self.passes_range or other.passes_range,
-            self.passes_bearing or other.passes_bearing,
-            self.agrees_in_range or other.agrees_in_range,
-            self.agrees_in_bearing or other.agrees_in_bearing,
-        )
+        return Gate(*(mine or its for mine, its in zip(self, other, strict=True)))
 
     @property
     def reject_reason(self) -> RejectReason:

@@ -84,7 +84,8 @@ def parallel_track(
     rows: list[Track] = []
     for index in range(count):
         offset_m = low_m + (index + 0.5) * width_m / count
-        ends = (_placed(along, aside, along_m, offset_m) for along_m in (min(reach), max(reach)))
+        east_m, north_m = offset_m * aside[0], offset_m * aside[1]
+        ends = ((m * along[0] + east_m, m * along[1] + north_m) for m in (min(reach), max(reach)))
         rows.append(clipped([Leg(*ends)], spaces))
     return _joined(_cells(rows, along), entry_enu_m)
 
@@ -182,10 +183,6 @@ def _unit(heading_rad: float) -> Point:
 def _moved(place: Point, heading_rad: float, by_m: float) -> Point:
     east, north = _unit(heading_rad)
     return (place[0] + by_m * east, place[1] + by_m * north)
-
-
-def _placed(along: Point, aside: Point, along_m: float, aside_m: float) -> Point:
-    return (along_m * along[0] + aside_m * aside[0], along_m * along[1] + aside_m * aside[1])
 
 
 def _dot(a: Point, b: Point) -> float:

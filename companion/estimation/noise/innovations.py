@@ -45,7 +45,11 @@ from companion.estimation.noise.adaptation import (
     RangeNoise,
     thresholds_of,
 )
-from companion.estimation.window.sandwich import Observability
+from companion.estimation.window.sandwich import (
+    MAX_CORRELATION,
+    SIGNIFICANT_SIGMAS,
+    Observability,
+)
 from companion.kernel import Matrix
 
 NOISE_FORGETTING = 1.0 - 1.0 / 300.0
@@ -54,10 +58,7 @@ PRIOR_COUNT = 8.0
 """How many measurements the monitor's prior is worth."""
 MIN_PAIRS = 12.0
 """Fewer pairs of neighbours than this tell nothing of correlation."""
-SIGNIFICANT_SIGMAS = 2.0
-"""A correlation counts from this many standard errors: white noise reaches it once in 44."""
 MAX_INFLATION = 400.0
-MAX_CORRELATION = 0.98
 NORMAL_975 = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % above it."""
 NIS_FORGETTING = 1.0 - 1.0 / 200.0
@@ -233,11 +234,6 @@ class InnovationNoise:
     def is_white(self) -> bool:
         """Whether innovations know nothing of each other, as far as can be told."""
         return all(monitor.correlation == 0.0 for monitor in self.monitors)
-
-    @property
-    def repetition(self) -> float:
-        """How many measurements say as much as one that repeats nothing, at the worst."""
-        return max(monitor.repetition for monitor in self.monitors)
 
     @property
     def nlos_share(self) -> float:

@@ -153,9 +153,7 @@ def huber_variance(k: float, wide_ratio: float, wide_share: float) -> float:
     mixture, which is `wide_ratio` as wide. The threshold k is on both sides, in narrow sigma.
     """
     slope, square = 0.0, 0.0
-    for part in range(2):
-        scale = wide_ratio if part == 1 else 1.0
-        share = wide_share if part == 1 else 1.0 - wide_share
+    for scale, share in ((1.0, 1.0 - wide_share), (wide_ratio, wide_share)):
         a = k / scale
         inside = 2.0 * normal_cdf(a) - 1.0
         slope += share * inside

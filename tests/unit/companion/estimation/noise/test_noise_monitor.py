@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from companion.estimation.noise.innovations import (
-    MAX_CORRELATION,
     MAX_INFLATION,
     MIN_PAIRS,
     NOISE_FORGETTING,
     PRIOR_COUNT,
-    SIGNIFICANT_SIGMAS,
     NoiseMonitor,
 )
+from companion.estimation.window.sandwich import MAX_CORRELATION, SIGNIFICANT_SIGMAS
 
 K = 1.5
 
