@@ -9,8 +9,7 @@ Source: OGC KML 2.3, Polygon: `outerBoundaryIs` and `innerBoundaryIs` hold rings
 is not a keep-out is the fence, and holes in it are keep-outs; so are polygons in a Placemark or
 Folder whose name begins with one of `KEEP_OUT_NAMES`. Altitudes are not looked at.
 
-An XML document that brings its own entities can grow without bound, so one with a DOCTYPE is
-refused, and nothing else can define any.
+An XML document with a DOCTYPE could bring entities that grow without bound, and is refused.
 """
 
 from __future__ import annotations

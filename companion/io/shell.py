@@ -6,15 +6,15 @@ is due, sends what the endpoint has to say and tells `on_wakeup`. The timer is l
 wake-up, so a flood of datagrams cannot keep it waiting, and it fires once however late it is: what
 to skip is for the endpoint to decide.
 
-After a stall (the process was suspended, starved, or collecting garbage) the links hold what
-arrived meanwhile. It is taken in before the timer fires, so that the first tick knows the present
-and not the moment of the stall; a flood can put that off for a tenth of a second only.
+After a stall (the process was suspended or starved) the links hold what arrived meanwhile. It is
+taken in before the timer fires, so that the first tick knows the present; a flood can put that off
+for a tenth of a second only.
 
 A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives
 it one and a half wall seconds; a second signal ends at once. Two within 0.3 s are one: timeout(1)
-and some supervisors signal the process and then its group. An exception out of the endpoint is a
-bug of ours: it ends the loop, closes the links and is raised to the caller, because a companion
-that is silent is safe (the autopilot's own failsafe takes over) and one in an unknown state is not.
+and some supervisors signal the process and then its group. An exception out of the endpoint is our
+bug: it ends the loop and is raised, because a companion that is silent is safe (the autopilot's own
+failsafe takes over) and one in an unknown state is not.
 """
 
 from __future__ import annotations

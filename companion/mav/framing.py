@@ -7,12 +7,9 @@ CRC_EXTRA, agrees; otherwise exactly one byte is given up and the search goes on
 length byte never swallows the good frame behind it. A MAVLink 2 frame with an unknown
 incompatibility flag is dropped whole, as the protocol asks, once its CRC has proved it a frame.
 
-A message that is not in the dialect cannot be proved a frame. For a router, which must pass it on,
-it is taken for one if it ends where the data ends or another frame begins and no good frame lies in
-it; it is kept apart from the proved ones.
-
-The end of a datagram ends every candidate in it; a stream keeps at most one unfinished frame
-(280 bytes), so no sequence of bytes makes the buffer grow.
+A message that is not in the dialect cannot be proved a frame. For a router it is taken for one, but
+kept apart, if it ends where the data ends or another frame begins and no good frame lies in it. The end
+of a datagram ends every candidate; a stream keeps at most one unfinished frame (280 bytes).
 
 Source: MAVLink developer guide, "Packet Serialization".
 """

@@ -4,15 +4,10 @@ Latched crossing flies over the estimate to a point on its far side, and only th
 information needs views from both sides, so the far point must really be flown to: it is *latched*
 until it is reached, until the estimate lies behind by as much as is still needed, or until the
 estimate has moved by more than the latch can mean. Its distance beyond the estimate (the overshoot)
-is clip(3 sqrt(lambda_max(P)), 2 m, 20 m): wide while little is known, tight at the end, where a
-short base line makes bearings strong. Without bearings it is not shorter than the base line that
+is clip(3 sqrt(lambda_max(P)), 2 m, 20 m), and without bearings no shorter than the base line that
 ranges need. Each new crossing turns by the golden angle, so that any number of crossings covers all
-directions evenly, without planning and at O(1) cost.
-
-In three dimensions what is crossed is the vertical plane through vehicle and estimate: the golden
-angle changes the azimuth of the view. Its elevation, seen at the same distances from one height,
-repeats itself; with an altitude swing the crossings are flown above and below the search altitude
-by turns. A crossing then ends at its height, which takes longer: level is the default.
+directions evenly, without planning and at O(1) cost. With an altitude swing the crossings are flown
+above and below the search altitude by turns, so that elevations differ, too; it takes longer.
 
 Reactive crossing, for comparison, with s the vehicle, x the estimate, step eta and distance l:
 

@@ -4,11 +4,10 @@ Contact is what was heard of the emitter lately, the age of each kind and how mu
 Agreement is whether the measurements of the last seconds fit the estimate at all; a contradiction
 is a run of them that a confident estimate cannot explain.
 
-Divergence. The contradiction needs forty measurements that all say the same. An estimate may fail
-more gently, for instance because the target moves: innovations are merely larger than they should
-be, until the measured inflation has grown to hide them. So the NIS of the last seconds is held
-against its band. The median is taken, because outliers are the gate's task, and a range that is
-taken for a reflection says nothing of the estimate.
+Divergence. An estimate may fail more gently, for instance because the target moves: innovations are
+merely larger than they should be, until the measured inflation has grown to hide them. So the NIS
+of the last seconds is held against its band: its median, because outliers are the gate's task, and
+without ranges that are taken for reflections.
 """
 
 from __future__ import annotations

@@ -12,11 +12,9 @@ probability g that there is a bias at all, the M-step the maximum of the expecte
     p = mean g    1/lambda = sum g b / sum g    mu = mean (r - g b)    sigma^2 = mean (r - b - mu)^2
 
 A prior worth a few measurements is added in every M-step, so that it never fades: in line of sight
-nothing is learnt about lambda, and it rests at its prior. The likelihood with this prior never
-falls from one batch iteration to the next, bounds included, because each bound cuts a unimodal
-objective. One measurement at a time, the sums are forgotten exponentially. Where reflections are
-nearly all there is, a free offset and the share can hardly be told apart, and EM creeps. Bearings
-have no sign: theirs is a mixture of two zero-mean normals, narrow and wide.
+nothing is learnt about lambda, and it rests at its prior. One measurement at a time, the sums are
+forgotten exponentially. Where reflections are nearly all there is, a free offset and the share can
+hardly be told apart. Bearings have no sign: theirs is a mixture of two zero-mean normals.
 
 Paper: section IV-C, "Path to Adaptive Estimation". Deviations: as said; the EM as printed, and why
 it is biased, is in `tools/printed_adaptation.py`. Sources: O. Cappe and E. Moulines, J. Royal

@@ -12,9 +12,8 @@ measured on the run's own innovations and applied to R in gain and covariance al
 well-specified white noise c = 1. A consistent filter's NIS, y^T S^-1 y, is chi-square distributed
 with as many degrees of freedom as y has components; its mean lies in a band about that number.
 
-The learner retunes the filter to one emitter's noise: innovations that are noise, and not the
-state's own uncertainty, go through the on-line EM of `adaptation`; now and then the filter gets the
-sigma and the thresholds that it has found. The radio's own report of sigma no longer counts then.
+The learner retunes the filter to one emitter's noise by the on-line EM of `adaptation`; the radio's
+own report of sigma no longer counts then.
 
 Paper: section IV-C, "Path to Adaptive Estimation", per emitter.
 Sources: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; Y. Bar-Shalom, X. R.

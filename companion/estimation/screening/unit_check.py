@@ -7,12 +7,10 @@ seconds are explained twice: in metres, and in each larger unit that is confused
     z_i = factor (|p - s_i| + offset) + e_i
 
 with the place p anywhere within the radio's reach. What counts is how little is left unexplained,
-(n / 2) log var(e) in the radio's own numbers, and the offset beside its prior; long ranges are
-reflections, so that an offset may be long for nothing. The number of measurements is that of
-independent ones. No noise is assumed: a unit that explains ranges to a centimetre while metres
-leave a metre is the right one. And no estimate is involved, which might have been made from the
-same wrong numbers. A factor is believed when it is a thousand times as probable, and until metres
-are more probable again. Hovering tells neither, unless ranges are shorter than the vehicle is high.
+(n / 2) log var(e) in the radio's own numbers for n independent ones, and the offset beside its
+prior; long ranges are reflections, so that an offset may be long for nothing. Neither a noise is
+assumed nor an estimate, which might have been made from the same wrong numbers. A factor is
+believed when it is a thousand times as probable, and until metres are more probable again.
 
 In a smaller unit the ranges, noise included, become absurdly long or scatter by hundreds of metres,
 which no reflection does. Nothing is flown on such ranges, whatever their unit may be.

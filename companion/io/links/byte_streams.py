@@ -4,15 +4,12 @@ Theory of operation. `ByteStream` owns a non-blocking descriptor: it reads a bou
 wake-up, writes at once what the system takes, and keeps a little for later (`SendQueue`), so that
 a slow line costs telemetry and neither memory nor setpoints. The system would hide a second of a
 slow serial line in its own buffer; no more is written there than the line sends in a tenth of one.
-The links above only know how to obtain a descriptor. `ReopeningLink` does so again and again with a
-growing pause; a loss is logged once, and so is a first connection that fails. A serial port must be
-there at the start, because a wrong name would otherwise never be noticed.
+The links above only know how to obtain a descriptor; `ReopeningLink` does so again and again with a
+growing pause. A serial port must be there at the start, or a wrong name would never be noticed.
 
-A pseudo terminal is a serial port without hardware, with a name of our choosing. We hold the
-terminal's master side; a link in the file system leads to the slave side, which any program opens
-as a serial port. The master reports a hang-up while nobody has the slave open; that is looked at
-twenty times a second, and until somebody comes what we send is dropped, as on a line that leads
-nowhere, so whoever opens it hears nothing stale.
+Of a pseudo terminal we hold the master side; a link in the file system leads to the slave side,
+which any program opens as a serial port. The master reports a hang-up while nobody has; that is
+looked at twenty times a second, and what we send is dropped until then: nobody hears stale bytes.
 """
 
 from __future__ import annotations

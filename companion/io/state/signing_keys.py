@@ -1,12 +1,9 @@
 """The signing key on disk, and what signing must remember from run to run.
 
-Signing remembers its timestamp, and the last one of every stream.
-
-Theory of operation. Without that memory a frame recorded before a restart would be let in after
-it. It is kept beside the key, in two slots that are written by turns, each replaced as a whole and
-with a checksum, so that a power cut costs one of them at most. What an orderly end stored is exact.
-After a crash the last seconds are missing: then every stream must first be newer than what was
-stored by `CRASH_MARGIN_S`, which is more than can have been heard since.
+Theory of operation. Without its timestamp and the last one of every stream a frame recorded before
+a restart would be let in after it. They are kept beside the key, in two slots written by turns with
+a checksum, so that a power cut costs one at most. After a crash the last seconds are missing: then
+every stream must first be newer than what was stored by `CRASH_MARGIN_S`.
 
 The memory belongs to its key: with another one it begins anew, and so a new key is also the way
 out when a clock was once far ahead.

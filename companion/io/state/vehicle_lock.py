@@ -5,10 +5,9 @@ stale lock cannot exist, and the file itself may stay. A companion bound to one 
 link's lock with those bound to others (several vehicles behind one router) and holds its id's lock
 alone; one that takes the first vehicle it hears holds the link's lock alone.
 
-The lock is named after what the address means, so that another spelling of a host or a device is
-the same link. It is not kept at a place that all users share: there anybody could take it, or leave
-a file that keeps everyone from flying. Companions of two users, state directories or computers are
-known by their frames alone, see `companion.link.outlet.OwnFrames`.
+The lock is named after what the address means, however it is spelled. At a place that all users
+share anybody could take it; so companions of two users, state directories or computers are known by
+their frames alone, see `companion.link.outlet.OwnFrames`.
 """
 
 from __future__ import annotations
