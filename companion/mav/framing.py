@@ -8,7 +8,7 @@ length byte never swallows the good frame behind it. A MAVLink 2 frame with an u
 incompatibility flag is dropped whole, as the protocol asks, once its CRC has proved it a frame.
 
 A message that is not in the dialect cannot be proved a frame. For a router it is taken for one, but
-kept apart, if it ends where the data ends or another frame begins and no good frame lies in it. The end
+kept apart, if it ends where the data ends or a frame begins and no good frame lies in it. The end
 of a datagram ends every candidate; a stream keeps at most one unfinished frame (280 bytes).
 
 Source: MAVLink developer guide, "Packet Serialization".

@@ -22,7 +22,7 @@ from companion.flight_setup import (
     facts_of_json,
     open_flight,
 )
-from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.commands import ReportResult
 from companion.io.files import EVENTS, INPUTS, TLOG, plain
 from companion.io.logs.log_files import (
     Input,
@@ -63,7 +63,7 @@ class Course:
     localised_s: float | None = None
 
 
-class CourseJournal:
+class CourseJournal(FlightView):
     """The endpoint's journal during a replay."""
 
     def __init__(self) -> None:
@@ -78,9 +78,6 @@ class CourseJournal:
             line = plain({"t_s": round(now_s, 4), "kind": kind, **fields})
             assert isinstance(line, dict)
             self.course.estimates.append(line)
-
-    def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """What is said is for the views."""
 
     def result(self, report: ReportResult, now_s: float) -> None:
         """Keep when a target was reported first."""

@@ -134,16 +134,10 @@ class Page:
     """One browser's page; without `press`, which sends a button's name, it has no buttons."""
 
     def __init__(
-        self,
-        hub: PictureFeed,
-        *,
-        tile_zooms: tuple[int, int] | None,
-        press: Press | None,
-        wall_s: Callable[[], float],
+        self, hub: PictureFeed, *, tile_zooms: tuple[int, int] | None, press: Press | None
     ) -> None:
         self._hub = hub
-        self._wall_s = wall_s
-        self._shown, self._shown_at_s = -1, wall_s()
+        self._shown, self._shown_at_s = -1, time.monotonic()
         ui.dark_mode(None)
         ui.add_css(STYLE)
         self._phase = PhaseBar()
@@ -161,7 +155,7 @@ class Page:
         ui.timer(REFRESH_S, self._refresh)
 
     def _refresh(self) -> None:
-        hub, now_s = self._hub, self._wall_s()
+        hub, now_s = self._hub, time.monotonic()
         if hub.version == self._shown:
             if now_s - self._shown_at_s > STALE_S:
                 self._phase.silent(now_s - self._shown_at_s)
@@ -251,7 +245,7 @@ def build_app(
         if not access.may_view(client, token):
             return PlainTextResponse(REFUSED, 403)
         may_press = access.may_control(client, token)
-        Page(hub, tile_zooms=zooms, press=press if may_press else None, wall_s=time.monotonic)
+        Page(hub, tile_zooms=zooms, press=press if may_press else None)
         return None
 
     if tiles is not None:

@@ -89,11 +89,7 @@ class MotionWatch:
         self._near_m = NEAR * localised_r95_m
         self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
         self._due_s = -math.inf
-        self._significant = 0
-        self._calm = 0
-        self._is_seen = False
-        self.suspected: Motion | None = None
-        """How the target seems to walk, since the first look that says so; None: it lies still."""
+        self._reset()
 
     @property
     def motion(self) -> Motion | None:
@@ -108,7 +104,8 @@ class MotionWatch:
     def _reset(self) -> None:
         self._significant = self._calm = 0
         self._is_seen = False
-        self.suspected = None
+        self.suspected: Motion | None = None
+        """How the target seems to walk, since the first look that says so; None: it lies still."""
 
     def add(self, time_s: float, row: Row) -> None:
         """Take in a measurement."""
