@@ -87,10 +87,7 @@ class LimitsConfig(Params, frozen=True):
         return self.fence_file is None and self.autopilot_fence != "use"
 
     def guard_limits(self) -> GuardLimits:
-        """The same as the guard takes them, without a fence that is not local.
-
-        A `ValueError`, where they contradict each other, begins with the name of one.
-        """
+        """As the guard takes them, a fence only if it is local; a `ValueError` names one first."""
         fence = self._fence(self.fence_enu_m if self.is_fence_local else _roomy(self))
         envelope = Envelope(**{each.name: getattr(self, each.name) for each in fields(Envelope)})
         stopping = Stopping(self.latency_s, self.acceleration_mps2, self.navigation_sigma_m)

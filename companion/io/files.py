@@ -98,10 +98,7 @@ def check_writable(path: Path) -> None:
 
 
 def new_flight_directory(root: Path, unix_s: float) -> Path:
-    """A new directory under `root`, named by the time, for example `2026-11-21T02-50-00Z`.
-
-    A second flight in the same second gets `-2`. A `CompanionError` if it cannot be made.
-    """
+    """A new directory under `root`, named by the time: `2026-11-21T02-50-00Z`, then `...-2`."""
     name = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     suffix = 1
     while True:
@@ -121,10 +118,7 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
 
 
 def delete_old_flights(root: Path, keep: int) -> list[Path]:
-    """Delete all but the newest `keep` flight directories, by their names; what was deleted.
-
-    Only what is named as `new_flight_directory` names it is touched; what cannot be deleted stays.
-    """
+    """Delete all but the newest `keep` folders that `new_flight_directory` named; what went."""
     named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
     by_age = sorted(named, key=lambda pair: (pair[0]["time"], int(pair[0]["number"] or 1)))
     deleted = []

@@ -93,10 +93,7 @@ class TimerStatistics:
 
 
 class Shell:
-    """Runs one endpoint on its links, whose places are the `link` numbers in the chunks.
-
-    `on_wakeup` is called at the end of every wake-up with its time, seconds of `clock`.
-    """
+    """Runs one endpoint on its links; `on_wakeup` gets the clock's time at the end of a wake-up."""
 
     def __init__(
         self,

@@ -36,10 +36,7 @@ _NONE: Mapping[str, str] = MappingProxyType({})
 
 @dataclass_transform()
 class DeclaredMessage(mavlink.MAVLink_message):
-    """A message class made from the fields that its body declares, in the order of the XML.
-
-    On the wire the larger types come first, and extensions last.
-    """
+    """A message class made from the fields that its body declares, in the order of the XML."""
 
     def __init_subclass__(
         cls,
@@ -57,6 +54,7 @@ class DeclaredMessage(mavlink.MAVLink_message):
         code = {name: hint.__metadata__[1] for name, hint in hints.items()}
         size = {name: struct.calcsize(f"<{code[name]}") for name in names}
         core = names[: len(names) - extensions]
+        # on the wire the larger types come first, and extensions last
         ordered = [*sorted(core, key=lambda name: -size[name]), *names[len(core) :]]
         layout = "<" + "".join(code[name] for name in ordered)
         starts = accumulate((size[name] for name in ordered), initial=0)

@@ -70,10 +70,7 @@ def raw_value(value: float, kind: ParamType, encoding: ParamEncoding) -> bytes:
 
 
 def value_from_raw(raw: bytes, kind: ParamType, encoding: ParamEncoding) -> float:
-    """The value of four bytes; NaN and infinity come out as they are.
-
-    Of integer types it is an `int` unless it is not finite; not yet compared with any bounds.
-    """
+    """The value of four bytes, an `int` of integer types; NaN and infinity come out as they are."""
     if not kind.is_integer:
         return float(_REAL32.unpack(raw)[0])
     if encoding is ParamEncoding.BYTEWISE:

@@ -112,10 +112,7 @@ def best_candidate(
     bearing_variance_rad2: float,
     near_target_terms: bool,
 ) -> int:
-    """Index of the E-optimal candidate: a row of `ring_m` (k, 2), or `STAY`, which wins a tie.
-
-    `may_fly` (k,) is whether a candidate may be flown to; the rest is as in `worst_variance_m2`.
-    """
+    """Index of the E-optimal row of `ring_m` (k, 2) that `may_fly` (k,), or, `STAY`."""
     best = STAY
     least = worst_variance_m2(
         P, de_m, dn_m, du_m, range_variance_m2, bearing_variance_rad2, near_target_terms

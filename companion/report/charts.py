@@ -121,11 +121,7 @@ class TimeCharts:
         span: Point | None = None,
         is_log: bool = False,
     ) -> Chart | None:
-        """The chart; None: there is nothing to draw.
-
-        `span` is the least and greatest value of the axis; None: what the curves need. On a
-        logarithmic axis all values are above 0.
-        """
+        """The chart; None: nothing to draw. The `span` of a logarithmic axis is above 0."""
         values = [value for curve in curves for _, value in curve.points]
         if not values:
             return None

@@ -135,10 +135,7 @@ def web_settings(
     is_view_open: bool = False,
     tiles: Path | None = None,
 ) -> WebSettings:
-    """The settings that the options add up to; without a host only this computer is served.
-
-    Beyond loopback a token is made up if none is given. A wrong option is a `ConfigError`.
-    """
+    """The settings of the options, with a token beyond loopback; a wrong one is a `ConfigError`."""
     host, _, port_text = address.rpartition(":")
     host = host.strip("[]") or LOOPBACK
     if not port_text.isdecimal() or not 0 < int(port_text) < 65536:

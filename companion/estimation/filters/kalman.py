@@ -135,10 +135,7 @@ class AsymmetricHuberEkf(RecursiveFilter):
 
 
 class HuberEkf(RecursiveFilter):
-    """The symmetric baseline: the long threshold of ranges holds on the short side, too.
-
-    Paper: eq. (8) for every modality, the "relaxed" model that ignores that b >= 0.
-    """
+    """The symmetric baseline, which ignores that b >= 0. Paper: eq. (8) for every modality."""
 
     def __init__(self, params: FilterParams) -> None:
         super().__init__(msgspec.structs.replace(params, range_k_short=params.range_k_long))

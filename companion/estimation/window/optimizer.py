@@ -113,10 +113,7 @@ class MeasurementWindow:
         return not bool(np.isnan(self.rows[:, VALUES + BEARING]).all())
 
     def add(self, row: Row, target_enu_m: Point) -> Matrix:
-        """Take in a measurement; the ones that had to go, (m, 10), mostly none.
-
-        A full window is thinned first; where the target is believed to be decides what is alike.
-        """
+        """Take in a measurement; what a full window, thinned first, lets go, (m, 10), or none."""
         dropped = self.rows[:0]
         if len(self.rows) == self._size:
             is_kept = kept_by_thinning(self.rows, int(KEPT_SHARE * self._size), target_enu_m)

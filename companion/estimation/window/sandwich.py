@@ -92,10 +92,7 @@ class Scores:
         return rows
 
     def moment(self, modality: int, parameters: int) -> float:
-        """Pooled second moment of the influence, not below thermal noise by more than chance.
-
-        Residuals much smaller than thermal noise promise nothing.
-        """
+        """Pooled second moment of the influence, not below thermal noise by more than chance."""
         n = self.counts[modality]
         thermal = self.thermal[modality]
         total = float(np.sum(self.psi[modality] ** 2))

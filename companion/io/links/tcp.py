@@ -98,10 +98,7 @@ class TcpServerLink(TcpListener, StreamLink):
 
 
 class TcpFanOutLink(TcpListener):
-    """A listening TCP port for several clients; a chunk without a peer goes to all of them.
-
-    The seventeenth client is turned away: a client that is there must not lose its place.
-    """
+    """A TCP port for 16 clients, who keep their places; a chunk without a peer goes to all."""
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(host, port, index, received)
