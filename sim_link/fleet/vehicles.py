@@ -51,14 +51,11 @@ class Fleet:
 
     def take_output(self) -> list[Chunk]:
         """What all of them send."""
-        chunks: list[Chunk] = []
-        for index, endpoint in enumerate(self.endpoints):
-            first = index * self._links_each
-            chunks += [
-                Chunk(first + c.link, c.data, c.peer, c.except_peers, c.is_datagram)
-                for c in endpoint.take_output()
-            ]
-        return chunks
+        return [
+            replace(chunk, link=index * self._links_each + chunk.link)
+            for index, endpoint in enumerate(self.endpoints)
+            for chunk in endpoint.take_output()
+        ]
 
     def request_stop(self, now_s: float) -> None:
         """Finish at once."""

@@ -69,12 +69,9 @@ class GeodeticEmitter:
 
 
 class RadioFollower:
-    """Implements `companion.mav.endpoint.Endpoint`.
+    """A `companion.mav.endpoint.Endpoint`; emitters with a place on Earth wait for the origin.
 
-    Args:
-        emitters: Whom to hear; those with a place on Earth wait until the origin is known.
-        environment: The obstacles in the local frame; None: there are none.
-        has_own_link: Whether measurements go to link 1 instead of back to the vehicle's.
+    With a link of its own measurements go to link 1 instead of back to the vehicle's.
     """
 
     def __init__(
@@ -268,12 +265,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Follow the vehicle until stopped, which is exit code 0.
-
-    Raises:
-        ConfigError: An argument is wrong.
-        LinkError: A link cannot be opened.
-    """
+    """Follow the vehicle until stopped; a ConfigError or LinkError for what is bad input."""
     follower, links, clock = _follower(arguments), _links(arguments), Clock(arguments.speed)
     print(f"sim-link: radio on {arguments.follow}", flush=True)
     shell = Shell(follower, links, clock, _hints(follower, arguments.follow))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Protocol
+from types import ModuleType
 
 from companion.arguments import ComplaintParser
 from sim_link.lab import radio_follower
@@ -17,19 +17,6 @@ def run_subcommand(argv: Sequence[str]) -> int:
     arguments = _parser().parse_args(argv)
     code: int = arguments.run(arguments)
     return code
-
-
-class _Subcommand(Protocol):
-    """A module that has a subcommand."""
-
-    DESCRIPTION: str
-    EPILOG: str
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare its arguments."""
-
-    def run(self, arguments: argparse.Namespace) -> int:
-        """Do it; the exit code."""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -47,8 +34,9 @@ def _add(
     commands: argparse._SubParsersAction[ComplaintParser],
     name: str,
     summary: str,
-    module: _Subcommand,
+    module: ModuleType,
 ) -> None:
+    """A subcommand by its module's DESCRIPTION, EPILOG, `add_arguments` and `run`."""
     parser = commands.add_parser(
         name,
         help=summary,

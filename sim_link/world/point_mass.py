@@ -70,7 +70,8 @@ class PointMass:
         ground_up_m: float = 0.0,
     ) -> None:
         self._params = params
-        self._wind = wind
+        self.wind = wind
+        """What blows; `set_wind` changes it."""
         self._gust = (0.0, 0.0)
         self._drift = self._drift_of_wind()
         self.ground_up_m = ground_up_m
@@ -80,18 +81,13 @@ class PointMass:
         self.yaw_ned_rad = 0.0
 
     @property
-    def wind(self) -> WindParams:
-        """What blows."""
-        return self._wind
-
-    @property
     def drift_mps(self) -> float:
         """Horizontal speed that the wind adds to every command."""
         return math.hypot(*self._drift)
 
     def blow(self, normals: tuple[float, float], dt_s: float) -> None:
         """Let the gusts change for `dt_s` seconds."""
-        wind = self._wind
+        wind = self.wind
         kept = math.exp(-dt_s / wind.gust_time_constant_s)
         fresh = wind.gust_sigma_mps * math.sqrt(1.0 - kept * kept)
         east, north = (
@@ -102,11 +98,11 @@ class PointMass:
 
     def set_wind(self, wind: WindParams) -> None:
         """Another wind; the present gust goes on."""
-        self._wind = wind
+        self.wind = wind
         self._drift = self._drift_of_wind()
 
     def _drift_of_wind(self) -> PositionEnu:
-        wind, (east, north) = self._wind, self._gust
+        wind, (east, north) = self.wind, self._gust
         return (
             wind.let_through * (wind.east_mps + east),
             wind.let_through * (wind.north_mps + north),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +56,7 @@ class _Character(NamedTuple):
     bearing_sigma_rad: float
 
 
+@lru_cache(maxsize=64)
 def _character_of(params: ChannelParams) -> _Character:
     bend_sigma_rad = math.radians(params.bearing_bias_sigma_deg)
     return _Character(
@@ -79,9 +81,7 @@ class RadioChannel:
         self._environment = environment
         self._surroundings: dict[PositionEnu, Surroundings] = {}
         self._memories: dict[PositionEnu, ShadowMemory] = {}
-        self._common = _character_of(params)
-        self._own: dict[int, _Character] = {}
-        """Of emitters that have a channel of their own, by id."""
+        self._params = params
 
     def prepare(self, emitter: Emitter) -> None:
         """Find the ways to `emitter`, and compile what is compiled, before time counts."""
@@ -132,12 +132,7 @@ class RadioChannel:
         )
 
     def _character(self, emitter: Emitter) -> _Character:
-        if emitter.channel is None:
-            return self._common
-        own = self._own.get(emitter.emitter_id)
-        if own is None:
-            own = self._own[emitter.emitter_id] = _character_of(emitter.channel)
-        return own
+        return _character_of(self._params if emitter.channel is None else emitter.channel)
 
     def _obstruction(
         self, drawn: Drawn, emitter: Emitter, sensor_enu_m: PositionEnu

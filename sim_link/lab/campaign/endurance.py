@@ -12,7 +12,6 @@ against invented time.
 from __future__ import annotations
 
 import gc
-import os
 import sys
 import tempfile
 import time
@@ -30,6 +29,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import frame_crc
 from companion.mav.signing import Signing, timestamp_at
+from companion.process.diagnostics import process_use
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, FlavourName, Scenario
 from sim_link.lab.campaign import flights
 from sim_link.lab.campaign.flights import STARTED_UNIX_S, Part, Trial, TrialOutcome
@@ -139,8 +139,8 @@ def _fuzz(trial: Trial) -> TrialOutcome:
         findings += [str(v) for v in around.monitor.violations if v.invariant in JUDGED]
         reached += 1
         if reached == 2:
-            settled_mb = resident_mb()
-    grown_mb = resident_mb() - settled_mb
+            settled_mb = process_use().resident_mb
+    grown_mb = process_use().resident_mb - settled_mb
     if slowest_s > SLOWEST_FRAME_S:
         findings.append(f"a frame took {slowest_s:.3f} s")
     if grown_mb > MOST_GROWTH_MB:
@@ -155,12 +155,6 @@ def _fuzz(trial: Trial) -> TrialOutcome:
 
 JUDGED = ("I6", "I8", "I9", "I11")
 """Invariants that hold whatever a vehicle says; the others need one that tells the truth."""
-
-
-def resident_mb() -> float:
-    """Resident memory of this process."""
-    fields = Path("/proc/self/statm").read_text(encoding="ascii").split()
-    return int(fields[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 HOUR_S = 3600.0
@@ -181,14 +175,15 @@ class Usage:
 
     hours: list[float] = field(default_factory=list)
     memory_mb: list[float] = field(default_factory=list)
-    descriptors: list[int] = field(default_factory=list)
+    descriptors: list[int | None] = field(default_factory=list)
     log_bytes: int = 0
 
     def sample(self, now_s: float) -> None:
         """Look at this process."""
+        used = process_use()
         self.hours.append(now_s / HOUR_S)
-        self.memory_mb.append(resident_mb())
-        self.descriptors.append(len(os.listdir("/proc/self/fd")))
+        self.memory_mb.append(used.resident_mb)
+        self.descriptors.append(used.descriptors)
 
     @property
     def slope_mb_per_h(self) -> float:

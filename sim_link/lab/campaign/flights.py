@@ -70,11 +70,6 @@ class TrialOutcome:
     story: tuple[str, ...] = ()
 
 
-def one_each(amount: float) -> tuple[int, float]:
-    """So many trials of size 1."""
-    return round(amount), 1.0
-
-
 def frames_each(frames: int) -> Callable[[float], tuple[int, float]]:
     """Trials of about so many frames each, all of one size."""
 
@@ -96,7 +91,7 @@ class Part:
     """About how long a trial of size 1 takes one core; for progress and fair shares."""
     base_cost_s: float = 0.0
     """What every trial takes beside that, whatever its size."""
-    split: Callable[[float], tuple[int, float]] = one_each
+    split: Callable[[float], tuple[int, float]] = lambda amount: (round(amount), 1.0)
     """So much of the part as a number of trials and the size of each."""
 
     def trials(self, amount: float, seed: int) -> list[Trial]:

@@ -19,9 +19,8 @@ from companion.kernel import Matrix, Vector, kernel
 from sim_link.lab.evaluation import case as cases
 from sim_link.lab.evaluation import metrics, systems, walk
 from sim_link.lab.evaluation.case import Case, RunSeed, RunTruth
-from sim_link.lab.evaluation.metrics import ChannelInformation
 from sim_link.lab.evaluation.systems import System
-from sim_link.world.environment import ChannelParams, ShadowParams
+from sim_link.world.environment import ChannelParams
 from sim_link.world.line_of_sight import Surroundings, is_blocked_in_space
 
 
@@ -49,16 +48,6 @@ class TrialResult:
     def errors_m(self) -> Vector:
         """(steps,) distance between estimate and target."""
         return np.asarray(np.hypot(*self._misses_enu_m.T))
-
-    @property
-    def range_offsets_m(self) -> Vector:
-        """(steps,) estimates."""
-        return self.record[:, walk.RANGE_OFFSET]
-
-    @property
-    def bearing_offsets_rad(self) -> Vector:
-        """(steps,) estimates."""
-        return self.record[:, walk.BEARING_OFFSET]
 
     @property
     def nees(self) -> Vector:
@@ -117,7 +106,9 @@ def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
     Behind obstacles it is known for shadows whose draws are new at every place. Detours, pulls and
     correlated draws tell of the place by themselves, so that no bound is given for them (NaN).
     """
-    if case.obstacles and not _is_memoryless(case.shadow):
+    shadow = case.shadow
+    is_memoryless = shadow.detour_share == shadow.pull_share == shadow.correlation_m == 0.0
+    if case.obstacles and not is_memoryless:
         return [np.full(len(trial.record), math.nan) for trial in trials]
     clear = metrics.channel_information(case.channel, is_joint=case.nlos_draws == "joint")
     shaded = metrics.channel_information(shadow_channel(case)) if case.obstacles else clear
@@ -128,23 +119,11 @@ def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
     bounds = []
     for trial in trials:
         track = np.ascontiguousarray(trial.track_enu_m)
-        information = _track_information(track, clear, shaded, surroundings)
-        bounds.append(metrics.position_bounds_m2(track, target, *information, prior))
+        is_shaded = shaded_places(track, surroundings)
+        by_range = np.where(is_shaded, shaded.range_per_m2, clear.range_per_m2)
+        by_bearing = np.where(is_shaded, shaded.bearing_per_rad2, clear.bearing_per_rad2)
+        bounds.append(metrics.position_bounds_m2(track, target, by_range, by_bearing, prior))
     return bounds
-
-
-def _track_information(
-    track_enu_m: Matrix,
-    clear: ChannelInformation,
-    shaded: ChannelInformation,
-    surroundings: Surroundings,
-) -> tuple[Vector, Vector]:
-    """Information of the range, 1/m^2, and the bearing, 1/rad^2, at every place, (steps,) each."""
-    is_shaded = shaded_places(track_enu_m, surroundings)
-    return (
-        np.where(is_shaded, shaded.range_per_m2, clear.range_per_m2),
-        np.where(is_shaded, shaded.bearing_per_rad2, clear.bearing_per_rad2),
-    )
 
 
 @kernel
@@ -158,10 +137,6 @@ def shaded_places(track_enu_m: Matrix, surroundings: Surroundings) -> Vector:
         ):
             is_shaded[step] = 1.0
     return is_shaded
-
-
-def _is_memoryless(shadow: ShadowParams) -> bool:
-    return shadow.detour_share == shadow.pull_share == shadow.correlation_m == 0.0
 
 
 def shadow_channel(case: Case) -> ChannelParams:
@@ -267,13 +242,15 @@ def tally_of(block: RunSeries) -> RunTally:
     trials = run_block(block.case, block.system, seeds)
     errors = np.array([trial.errors_m for trial in trials])
     inside = [trial.errors_m <= trial.r95_m for trial in trials]
+    range_offsets_m = [trial.record[:, walk.RANGE_OFFSET] for trial in trials]
+    bearing_offsets_rad = [trial.record[:, walk.BEARING_OFFSET] for trial in trials]
     return RunTally(
         runs=len(trials),
         squared_m2=np.sum(errors**2, axis=0),
         bound_m2=np.sum(bounds_m2(block.case, trials), axis=0),
         nees=np.sum([trial.nees for trial in trials], axis=0),
         inside=np.sum(inside, axis=0, dtype=np.float64),
-        range_offset_m=np.sum([trial.range_offsets_m for trial in trials], axis=0),
-        bearing_offset_rad=np.sum([trial.bearing_offsets_rad for trial in trials], axis=0),
+        range_offset_m=np.sum(range_offsets_m, axis=0),
+        bearing_offset_rad=np.sum(bearing_offsets_rad, axis=0),
         final_errors_m=errors[:, -1],
     )

@@ -44,7 +44,6 @@ SETTLED_M = 2.5
 """Paper: Time-to-Threshold."""
 DIVERGED_M = 1.0
 """A run that ends farther off than this counts as diverged."""
-POSITION_DIMENSIONS = 2
 R95_TABLE_SIZE = 513
 
 
@@ -74,13 +73,13 @@ def nees(errors_enu_m: Matrix, covariances_m2: Matrix) -> Vector:
     return np.asarray((e * e * nn - 2.0 * e * n * en + n * n * ee) / (ee * nn - en * en))
 
 
-def nees_band(runs: int, dimensions: int = POSITION_DIMENSIONS) -> tuple[float, float]:
+def nees_band(runs: int) -> tuple[float, float]:
     """Where the mean NEES over independent runs is with a probability of 95 %, if honest.
 
     Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
     Navigation (2001), section 5.4.
     """
-    low, high = 2.0 * gammaincinv(0.5 * dimensions * runs, (0.025, 0.975)) / runs  # chi-square
+    low, high = 2.0 * gammaincinv(runs, (0.025, 0.975)) / runs  # chi-square, 2 dimensions
     return float(low), float(high)
 
 

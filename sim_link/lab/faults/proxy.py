@@ -18,7 +18,7 @@ import selectors
 import signal
 import socket
 import time
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +56,7 @@ class Counters:
     attacks: int = 0
 
 
-class FaultProxy:
+class FaultProxy(AbstractContextManager["FaultProxy"]):
     """Two sockets with faults between them from the start on; `LinkError`: no such address."""
 
     def __init__(
@@ -109,9 +109,6 @@ class FaultProxy:
         self._selector.close()
         for each in (self._vehicle_side, self._companion_side, self._attack_side):
             each.close()
-
-    def __enter__(self) -> FaultProxy:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -41,20 +41,17 @@ class OnlyWithAuthority(Invariant):
 
     name = "I3"
     title = "silence within a tick of the first foreign mode, and nothing is taken back"
-
-    def __init__(self, scene: ObservedScene) -> None:
-        super().__init__(scene)
-        self.late = 0
-        """Setpoints and requests later than a tick after the frame that ended control."""
-        self.worst_late_s = 0.0
-        self._was_ours = False
-        self._ours_sent_at = (-1.0, 0)
-        self._lost_s: float | None = None
-        self._given_s = -1.0
-        """When a person gave the mode since it was lost, or since the process began."""
-        self._may_engage = True
-        self._granted_s = -math.inf
-        self._is_launching = False
+    late = 0
+    """Setpoints and requests later than a tick after the frame that ended control."""
+    worst_late_s = 0.0
+    _was_ours = False
+    _ours_sent_at = (-1.0, 0)
+    _lost_s: float | None = None
+    _given_s = -1.0
+    """When a person gave the mode since it was lost, or since the process began."""
+    _may_engage = True
+    _granted_s = -math.inf
+    _is_launching = False
 
     def started(self) -> None:
         """A process that starts beside a vehicle in the air never takes it by itself."""
@@ -243,10 +240,7 @@ class SilentWithoutTick(Invariant):
 
     name = "I8"
     title = "without the control tick there is no heartbeat and no setpoint"
-
-    def __init__(self, scene: ObservedScene) -> None:
-        super().__init__(scene)
-        self._started_s = 0.0
+    _started_s = 0.0
 
     def started(self) -> None:
         """The first tick is still to come."""

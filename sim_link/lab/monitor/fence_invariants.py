@@ -15,7 +15,7 @@ from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY
 from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import INWARDS_M, Point, is_way_clear
-from sim_link.lab.monitor.scene import Invariant, ObservedScene, SentSetpoint, TrueScene
+from sim_link.lab.monitor.scene import Invariant, SentSetpoint, TrueScene
 from sim_link.world.point_mass import PointMass, approach_velocity
 
 STEADY_S = 2.0
@@ -95,13 +95,10 @@ class SetpointsInside(Invariant):
 
     name = "I1"
     title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
-
-    def __init__(self, scene: ObservedScene) -> None:
-        super().__init__(scene)
-        self._anchor: Point | None = None
-        """Where the setpoint stands, or stood last."""
-        self._near_s = -math.inf
-        """When the vehicle was told to be beyond the border, or nearly there."""
+    _anchor: Point | None = None
+    """Where the setpoint stands, or stood last."""
+    _near_s = -math.inf
+    """When the vehicle was told to be beyond the border, or nearly there."""
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge a setpoint by where the companion believed the vehicle to be.

@@ -146,10 +146,7 @@ class FreshState(Invariant):
 
     name = "I5"
     title = "nothing moves on a stale position"
-
-    def __init__(self, scene: ObservedScene) -> None:
-        super().__init__(scene)
-        self._last: SentSetpoint | None = None
+    _last: SentSetpoint | None = None
 
     def started(self) -> None:
         """A new process begins a new stream."""
@@ -238,16 +235,13 @@ class KnownFrames(Invariant):
 
 
 class Bounded(Invariant):
-    """What is sent, written and kept in queues stays within bounds."""
+    """What is sent and written stays within bounds."""
 
     name = "I11"
     title = "frames, log lines and queues stay within bounds"
 
-    def __init__(
-        self, scene: ObservedScene, sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None
-    ) -> None:
+    def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
-        self._sizes = sizes
         self._sent: deque[tuple[float, int]] = deque()
         self._sent_bytes = 0
         self._records: deque[float] = deque()
@@ -277,12 +271,6 @@ class Bounded(Invariant):
         if len(self._records) > self.scene.rules.records_per_s * RECORD_WINDOW_S:
             self.report("too many lines in the journal", lines=float(len(self._records)))
             self._records.clear()
-
-    def ticked(self) -> None:
-        """Look at the queues."""
-        for name, (size, bound) in self._sizes().items() if self._sizes is not None else ():
-            if size > bound:
-                self.report(f"the queue of {name} grows", size=float(size), bound=float(bound))
 
 
 SYMMETRY = 1e-6

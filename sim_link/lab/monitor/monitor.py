@@ -194,8 +194,7 @@ class FrameMonitor(Observer):
 class Monitor(FrameMonitor):
     """Watches one flight of which the truth is known; I10 needs snapshots of the companion's state.
 
-    The key is the link's, where it is signed. `sizes` are of the companion's queues, `dropped`
-    is how many frames it has dropped unread so far.
+    The key is that of a signed link; `dropped` is how many frames were dropped unread so far.
     """
 
     def __init__(
@@ -206,7 +205,6 @@ class Monitor(FrameMonitor):
         estimate: message_invariants.Estimate = lambda: None,
         snapshot: message_invariants.Snapshot | None = None,
         key: SigningKey | None = None,
-        sizes: Callable[[], Mapping[str, tuple[int, int]]] | None = None,
         dropped: Callable[[], int] = lambda: 0,
     ) -> None:
         self.scene = scene = TrueScene(rules, vehicle=vehicle)
@@ -226,7 +224,7 @@ class Monitor(FrameMonitor):
             self.stream,
             authority_invariants.SilentWithoutTick(scene),
             message_invariants.HonestCovariance(scene, estimate),
-            message_invariants.Bounded(scene, sizes),
+            message_invariants.Bounded(scene),
             self.repeat,
         ]
         if snapshot is not None:

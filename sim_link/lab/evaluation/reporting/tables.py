@@ -113,22 +113,6 @@ class TableCell:
 
 
 @dataclass(frozen=True, slots=True)
-class TableRow:
-    """One system over all values."""
-
-    system: str
-    cells: tuple[TableCell, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class RowGroup:
-    """The systems of one planner."""
-
-    planner: str
-    rows: tuple[TableRow, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class TableView:
     """One metric over one parameter."""
 
@@ -137,7 +121,8 @@ class TableView:
     title: str
     parameter: str
     values: tuple[str, ...]
-    groups: tuple[RowGroup, ...]
+    groups: dict[str, dict[str, tuple[TableCell, ...]]]
+    """By planner and system, one for each value."""
     has_paper: bool
     has_bound: bool
     is_open: bool
@@ -189,8 +174,8 @@ def short(text: str) -> str:
 
 def count_verdicts(tables: Iterable[TableView]) -> dict[str, int]:
     """How many cells are ahead, level and behind."""
-    rows = (row for table in tables for group in table.groups for row in group.rows)
-    found = Counter(cell.verdict for row in rows for cell in row.cells)
+    groups = (group for table in tables for group in table.groups.values())
+    found = Counter(c.verdict for group in groups for cells in group.values() for c in cells)
     return {verdict: found[verdict] for verdict in ("ahead", "level", "behind")}
 
 
@@ -198,11 +183,11 @@ def _table(table: str, parameter: str, metric: str, own: dict[Key, ResultRow]) -
     keys = [key for key in own if key[2] == metric]
     values = tuple(dict.fromkeys(value for value, _, _ in keys))
     systems = list(dict.fromkeys(system for _, system, _ in keys))
-    planners: dict[str, list[TableRow]] = {}
+    groups: dict[str, dict[str, tuple[TableCell, ...]]] = {}
     for system in systems:
         cells = tuple(_cell(own, value, system, metric) for value in values)
         planner = system.rpartition("(")[2].rstrip(")") if system.endswith(")") else ""
-        planners.setdefault(planner, []).append(TableRow(system, cells))
+        groups.setdefault(planner, {})[system] = cells
     rows = [own[key] for key in keys]
     return TableView(
         table=table,
@@ -210,7 +195,7 @@ def _table(table: str, parameter: str, metric: str, own: dict[Key, ResultRow]) -
         title=metric_name(metric),
         parameter=parameter_name(parameter),
         values=values,
-        groups=tuple(RowGroup(name, tuple(found)) for name, found in planners.items()),
+        groups=groups,
         has_paper=any(row.paper for row in rows),
         has_bound=any(row.bound for row in rows),
         is_open=metric in OPEN,
@@ -269,8 +254,8 @@ class Assumption:
     """One open point, varied alone."""
 
     parameter: str
-    chosen: str
-    others: tuple[str, ...]
+    values: tuple[str, ...]
+    """Our choice first."""
     swings: tuple[Swing | None, ...]
     """For each system of the tornado; None: not flown."""
 
@@ -299,7 +284,14 @@ def tornado_of(results: Iterable[StudyResult]) -> Tornado | None:
         by_reach.append((reach, own, factors))
     by_reach.sort(key=lambda row: -row[0])
     span = min(max(math.exp(by_reach[0][0]), LEAST_SPAN), MOST_SPAN)
-    rows = tuple(_assumption(own, factors, span) for _, own, factors in by_reach)
+    rows = tuple(
+        Assumption(
+            own[0].parameter.replace("_", " "),
+            tuple(dict.fromkeys(cell.value for cell in own)),
+            tuple(_swing(found, span) if found else None for found in factors),
+        )
+        for _, own, factors in by_reach
+    )
     return Tornado(tuple(system.label for system in systems), rows, span)
 
 
@@ -310,12 +302,6 @@ def _factors(cells: Sequence[CellResult], system: System) -> Factors:
         return []
     found = [(value, final_m / finals[0][1]) for value, final_m in finals[1:]]
     return [(value, factor) for value, factor in found if 0.0 < factor < math.inf]
-
-
-def _assumption(cells: Sequence[CellResult], factors: Sequence[Factors], span: float) -> Assumption:
-    values = list(dict.fromkeys(cell.value for cell in cells))
-    swings = tuple(_swing(found, span) if found else None for found in factors)
-    return Assumption(cells[0].parameter.replace("_", " "), values[0], tuple(values[1:]), swings)
 
 
 def _swing(factors: Factors, span: float) -> Swing:

@@ -24,6 +24,7 @@ from sim_link.lab.evaluation.case import (
     truth_of,
 )
 from sim_link.lab.evaluation.systems import PlannerName, System, system_named
+from sim_link.lab.evaluation.walk import BEARING_OFFSET, RANGE_OFFSET
 from sim_link.world.environment import ObstacleParams, ShadowParams
 
 SHORT = Case(steps=40)
@@ -83,7 +84,7 @@ def test_first_estimates_are_the_same_both_ways(first: FirstEstimate) -> None:
 def test_the_first_estimate_is_the_first_measurement_inverted() -> None:
     trial = run_trial(msgspec.structs.replace(SHORT, steps=1), System("ekf", "passive"), SEED)
     assert trial.record[0, 6:].tolist() == [900.0, 0.0, 900.0]
-    assert trial.range_offsets_m[0] == trial.bearing_offsets_rad[0] == 0.0
+    assert trial.record[0, RANGE_OFFSET] == trial.record[0, BEARING_OFFSET] == 0.0
     assert trial.track_enu_m[0].tolist() == list(SHORT.start_enu_m)
 
 
@@ -129,6 +130,6 @@ def test_what_a_result_says() -> None:
     assert trial.errors_m.tolist() == [5.0]
     assert trial.nees.tolist() == [9.0 / 4.0 + 16.0 / 16.0]
     assert trial.track_enu_m.tolist() == [[1.0, 2.0]]
-    assert trial.range_offsets_m.tolist() == [1.4]
+    assert trial.record[:, RANGE_OFFSET].tolist() == [1.4]
     assert trial.bearing_offsets_rad.tolist() == [math.pi]
     assert 4.0 * 1.9 < trial.r95_m[0] < 4.0 * 2.5
