@@ -34,7 +34,7 @@ from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
 from sim_link.lab.evaluation.campaign import RunSeries, RunTally, joined_in_order, tally_of
-from sim_link.lab.evaluation.case import Case, Offsets, canonical_case
+from sim_link.lab.evaluation.case import PAPER_BELIEF, Case, Offsets
 from sim_link.lab.evaluation.metrics import (
     COVERAGE_BAND,
     SETTLED_STEP,
@@ -45,6 +45,7 @@ from sim_link.lab.evaluation.metrics import (
 from sim_link.lab.evaluation.reporting.study_tables import rmse_interval_m
 from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 from sim_link.lab.pool import open_pool
+from sim_link.world.environment import ChannelParams
 from tools.console import OneLineParser, non_negative, positive
 
 Part = Literal["lawnmower", "bound", "honesty"]
@@ -188,11 +189,17 @@ def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     return Figure("lawnmower", name, float(tally.rmse_m[-1]), note=note)
 
 
+def noise_case(range_sigma_m: float) -> Case:
+    """The canonical scenario with other noise of the ranges, which the filter knows."""
+    belief = msgspec.structs.replace(PAPER_BELIEF, range_sigma_m=range_sigma_m)
+    return Case(channel=ChannelParams(range_sigma_m=range_sigma_m), belief=belief)
+
+
 def bound_plan(runs: int, seed: int) -> Plan:
     """The tracker beside the Cramer-Rao bound, in the three noise regimes of the paper."""
     planners: tuple[PlannerName, ...] = ("fim", "latched")
     campaigns = [
-        RunSeries(canonical_case(range_sigma_m=sigma_m), System("tracker", planner), seed, runs)
+        RunSeries(noise_case(sigma_m), System("tracker", planner), seed, runs)
         for sigma_m in RANGE_SIGMAS_M
         for planner in planners
     ]
@@ -240,7 +247,7 @@ def honesty_plan(runs: int, seed: int) -> Plan:
 
 def honesty_case(p_nlos: float, offsets: Offsets) -> Case:
     """The canonical scenario with another share of NLOS, or with offsets drawn for each run."""
-    return msgspec.structs.replace(canonical_case(p_nlos=p_nlos), offsets=offsets)
+    return Case(channel=ChannelParams(p_nlos=p_nlos), offsets=offsets)
 
 
 def honesty_figures(campaign: RunSeries, tally: RunTally) -> list[Figure]:

@@ -1,12 +1,9 @@
 """Many items through one function: in this process, in several of this machine, or on a cluster.
 
 The function is a module's own and needs nothing but its item, so that where it runs changes no
-result. Items are given out in their order, no more at a time than keep everybody busy; results come
-as they are ready, with the positions of their items.
-
-A worker leaves Ctrl-C to the process that gives work, and ends with it. Whoever stops listening
-ends the work: a process of this machine is interrupted where it is, and cleans up; on a cluster,
-where tasks share a process, what has begun runs to its end and is forgotten.
+result. Items are given out in order, no more at a time than keep everybody busy. A worker leaves
+Ctrl-C to whoever gives work, and ends with it; who stops listening ends the work: processes are
+interrupted and clean up, what has begun on a cluster runs to its end and is forgotten.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """`sim-link radio`: a ranging radio that rides on a vehicle which is not simulated here.
 
-Theory of operation. The radio hears telemetry and sends RADIO_RANGING. It knows where the vehicle
-is by LOCAL_POSITION_NED, and measures when such a frame arrives and a measurement is due, at the
-frame's own time and place: so its stamps are the autopilot's, and no delay of the link shifts a
-measurement. It asks for the stream and for the origin of the local frame while they are missing
-(MAVLink: SET_MESSAGE_INTERVAL, REQUEST_MESSAGE). Its frames bear the vehicle's system id, as those
-of a payload on board would.
+Theory of operation. The radio measures when LOCAL_POSITION_NED arrives and a measurement is due, at
+the frame's own time and place: so its stamps are the autopilot's, and no delay of the link shifts
+one. It asks for the stream and for the origin of the local frame while they are missing. Its frames
+bear the vehicle's system id, as those of a payload on board would.
 """
 
 from __future__ import annotations

@@ -7,14 +7,12 @@ bend. In the shadow of an obstacle every path is obstructed, and both have two p
     excess = detour_share * (shortest detour - straight path) + extra,  extra exponential
     bend   = pull_share * (direction of the detour - direction of the emitter) + bias,  bias normal
 
-The first part follows from the place alone (`line_of_sight`). The second is correlated over the way
-that the sensor moves from one shadowed measurement to the next: correlation exp(-distance / L) (M.
-Gudmundson, "Correlation model for shadow fading in mobile radio systems", Electronics Letters 27,
-1991), a first-order Gauss-Markov process. An exponential variable is half the squared length of a
-pair of standard normals, and the uniform and the exponential number of a draw are such a pair in
-polar coordinates (G. E. P. Box, M. E. Muller, 1958). So the pair is the process, with twice the
-correlation length, because squaring halves it; nothing more is drawn, and with L = 0 the extra is
-the drawn exponential itself.
+The first follows from the place alone (`line_of_sight`). The second is a first-order Gauss-Markov
+process over the way that the sensor moves between shadowed measurements, correlation
+exp(-distance / L) (M. Gudmundson, Electronics Letters 27, 1991). An exponential variable is half
+the squared length of a pair of standard normals, which the uniform and the exponential number of a
+draw are in polar coordinates (G. E. P. Box, M. E. Muller, 1958): that pair is the process, with
+twice the correlation length, because squaring halves it. With L = 0 the extra is the drawn one.
 
 Obstacles stand in the way of the radio only: who flies must know of them by other means.
 """

@@ -2,25 +2,18 @@
 
 Theory of operation. An obstacle is an upright prism over a simple polygon, given by its walls, one
 row each. A straight path is blocked where it meets a wall below its top, or where one of its ends
-lies inside an obstacle. A blocked signal takes the shorter of two ways:
-
-- around: the shortest way in the plane, taut about the corners, as if every obstacle were tall.
-  What can be reached from a corner does not depend on the sensor, so the ways from every corner to
-  the emitter are found once (`ways_to`); from the sensor only the first leg is left to choose. The
-  climb is spread over the whole way, as on a string wound about the walls.
-- over: a taut string over the roofs, in the upright plane through both ends.
+lies inside an obstacle. A blocked signal takes the shorter of two ways: around, the shortest way in
+the plane, taut about the corners as if every obstacle were tall, its climb spread over the whole
+way; or over, a taut string over the roofs, in the upright plane through both ends. The ways from
+every corner to the emitter are found once (`ways_to`): they do not depend on the sensor.
 
 An obstacle lets out what is inside of it: it blocks every such path, but it makes no detour. Where
-no way is left (a yard closed on all sides) the signal goes straight through.
+no way is left (a yard closed on all sides) the signal goes straight through. A touched wall blocks;
+a path along a wall, or one that ends on it, does not meet it.
 
-At the edge of a shadow the way bends at one corner or roof by nothing, so that excess and pull
-begin at zero there. In the plane the excess is continuous everywhere outside of the obstacles, in
-space about a single convex one (among several, a roof that slips under the straight path may add to
-the way over at once). The pull jumps where the other way about becomes the shorter one.
-
-A touched wall blocks; a path along a wall, or one that ends on it, does not meet it. Corners are
-kept a hair outside (`CORNER_SLACK_M`), so that ways about them do not touch their walls.
-Positions are metres, local east, north and up.
+Excess and pull begin at zero at the edge of a shadow. The excess is continuous outside of the
+obstacles in the plane, and in space about a single convex one; the pull jumps where the other way
+about becomes the shorter one. Positions are metres, local east, north and up.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """A point-mass multicopter: velocity commands in, position out.
 
-Theory of operation. The velocity follows its command as a first-order lag, its change limited to
-the acceleration that the tilt allows; the command itself is limited to the vehicle's speed, climb
-and descent. The wind shows as the share of itself that a velocity controller lets through; its
-gusts are a first-order Gauss-Markov process per horizontal axis.
-The ground is flat: below it is nothing, and on it a vehicle stays where it is until it climbs.
+Theory of operation. The velocity follows its command, which is limited to speed, climb and descent,
+as a first-order lag whose change is limited to the acceleration that the tilt allows. The wind
+shows as the share that a velocity controller lets through; gusts are a first-order Gauss-Markov
+process per horizontal axis. The ground is flat; on it a vehicle stays until it climbs.
 
 Positions are local east-north-up metres; yaw is clockwise from north.
 """

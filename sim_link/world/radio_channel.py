@@ -1,10 +1,8 @@
 """The true radio channel: what a range or bearing suffers between emitter and vehicle.
 
 Paper, eq. (1): y = h(x; s) + delta + b + eps. One draw decides for a whole measurement whether the
-path is obstructed (NLOS). An obstructed path is longer, never shorter (range bias >= 0,
-exponential) and bent to either side (bearing bias, normal); thermal noise comes on top of both,
-and the offsets delta are constant. In the shadow of an obstacle every path is obstructed, see
-`environment`.
+path is obstructed (NLOS): then it is longer, never shorter (exponential), and bent to either side
+(normal). Thermal noise comes on top; the offsets delta are constant. For shadows see `environment`.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """Fuzzed frames and a day of flight: nothing may raise, grow or slow down.
 
-Random frames have a valid checksum, and a signature where there is a key. Half of the fields are
-random bytes, half are numbers that make more sense and do more harm. They come from the
-autopilot's own ids and address, because nobody else is listened to.
-
-In the day of flight, in minutes, the companion flies and writes its real journal to a real disk;
-landed by a low battery it would end early, so the battery is endless. What grows is measured
-against invented time.
+Random frames have a valid checksum, and a signature where there is a key, and come from the
+autopilot's own address: nobody else is listened to. Half of the fields are random bytes, half are
+numbers that make more sense and do more harm. In the day of flight the companion writes its real
+journal to a real disk; the battery is endless.
 """
 
 from __future__ import annotations

@@ -135,16 +135,10 @@ class SignedPair:
         return SimEndpoint(scenario, seed, now_s, security=security)
 
 
-LIMITS = (
-    *("fence_enu_m", "keep_out_enu_m", "altitude_min_m", "altitude_max_m", "speed_mps"),
-    *("climb_mps", "acceleration_mps2", "step_m", "latency_s", "navigation_sigma_m"),
-)
-"""What a configuration and the monitor's rules call by the same name."""
-
-
 def rules_of(config: CompanionConfig) -> Rules:
-    """What a configuration promises, as the monitor judges it."""
-    shared = {name: getattr(config.limits, name) for name in LIMITS}
+    """What a configuration promises; limits and rules have the same names."""
+    limits = msgspec.structs.asdict(config.limits)
+    shared = {name: limits[name] for name in Rules.__struct_fields__ if name in limits}
     return Rules(system_id=config.vehicle.system_id, **shared)
 
 

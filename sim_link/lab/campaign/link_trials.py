@@ -1,8 +1,7 @@
 """Trials of the link: long losses, stale positions, and floods of frames.
 
-For the gaps, a receiver that counts is all that is needed of the vehicle, so the flight is an
-endless hold: the companion is in control and waits for ranging that never comes, and the vehicle
-obeys. The floods are an attacker's on a signed link: nothing that is not proved changes anything.
+For the gaps the flight is an endless hold: the companion is in control and waits for ranging that
+never comes. The floods are an attacker's on a signed link: what is not proved changes nothing.
 """
 
 from __future__ import annotations

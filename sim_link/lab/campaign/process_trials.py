@@ -1,8 +1,7 @@
 """Trials of the process: kills, stops, damaged checkpoints and signals at random instants.
 
-Kills and stops fly in lockstep; the signals, SIGTERM and SIGKILL, reach real processes over UDP,
-with everything between: interpreter, event loop, sockets, files. There, what the companion did is
-read from its event log, what became of the vehicle from the simulator's own report.
+Kills and stops fly in lockstep; SIGTERM and SIGKILL reach real processes over UDP, judged by the
+companion's event log and the simulator's own report.
 """
 
 from __future__ import annotations

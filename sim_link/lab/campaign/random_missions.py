@@ -1,8 +1,7 @@
 """Random missions with one to four faults each, and pilot overrides at random instants.
 
-A random mission is place, vehicle, weather, link, companion, faults and people, all from one seed;
-its fence has one of several shapes, some with keep-outs. After an override nothing may follow the
-frame that shows it.
+A random mission is place, vehicle, weather, link, companion, faults and people, all from one seed.
+After an override nothing may follow the frame that shows it.
 """
 
 from __future__ import annotations

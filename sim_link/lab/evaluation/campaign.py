@@ -1,8 +1,7 @@
 """Trials of a system, bounds on the tracks they flew, and their sums in blocks.
 
-A trial is a pure function of case, system and seed. A block is a fixed range of many runs, which
-another process may do; sums are joined in the order of the runs, so that figures are the same bytes
-whatever the number of processes.
+A trial is a pure function of case, system and seed. A block is a fixed range of runs; sums are
+joined in the order of runs, so that figures are the same bytes whatever the number of processes.
 """
 
 from __future__ import annotations

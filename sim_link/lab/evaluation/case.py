@@ -1,8 +1,6 @@
 """A case of a study: the scene, the fixed track, and the randomness drawn ahead.
 
-One cell of a study is the scene, the true channel, what the filter believes, and the flight. The
-defaults are the paper's canonical scenario ("Simulation Setup"), and the choices below where the
-paper leaves something open:
+The defaults are the paper's canonical scenario ("Simulation Setup"), and where it is open:
 
     bearing noise            sigma_theta = 2 deg
     NLOS                     one draw per step decides for range and bearing together
@@ -16,11 +14,10 @@ paper leaves something open:
     eps_stop                 0
     plane                    sensor and target at one height, the sensor's place known exactly
 
-A run has three streams of its own, for the truth (offsets, first estimate), the channel and the
-planner, so that every system of a run suffers the same. What the channel draws does not depend on
-the case: with the same seed, a run with more NLOS or less noise has the same obstructed paths and
-a few more, the same bends and the same noise on another scale. The numbers are those of
-`sim_link.world.radio_channel` for the same stream.
+Truth, channel and planner of a run have streams of their own, so that every system suffers the
+same. The channel's draws do not depend on the case: of the same seed, a run with more NLOS or less
+noise has the same obstructed paths and a few more, and the same bends and noise on another scale.
+They are the numbers of `sim_link.world.radio_channel` for the same stream.
 """
 
 from __future__ import annotations
@@ -112,23 +109,6 @@ class Case(Params, frozen=True):
             raise ValueError("belief.target_height_m must be 0 and known: studies are plane")
         if self.obstacles and self.nlos_draws == "separate":
             raise ValueError("nlos_draws must be joint among obstacles: a shadow takes the path")
-
-
-def canonical_case(
-    *,
-    range_sigma_m: float = 1.5,
-    p_nlos: float = 0.9,
-    mean_bias_m: float = 8.0,
-    range_k: float = 1.5,  # k_rtt
-) -> Case:
-    """The canonical scenario with what the paper's tables vary; the filter knows the noise."""
-    channel = ChannelParams(
-        range_sigma_m=range_sigma_m, p_nlos=p_nlos, range_bias_mean_m=mean_bias_m
-    )
-    belief = msgspec.structs.replace(
-        PAPER_BELIEF, range_sigma_m=range_sigma_m, range_k_long=range_k
-    )
-    return Case(channel=channel, belief=belief)
 
 
 LANE_SLACK = 1e-9
@@ -321,14 +301,14 @@ def truth_of(case: Case, rng: np.random.Generator) -> RunTruth:
     )
 
 
-def start_of(case: Case, rng: np.random.Generator) -> Vector:
-    """Place of the first estimate, (2,), drawn over the area; NaN: from the first measurement."""
-    drawn_enu_m = rng.random(2) * np.array(case.area_m)
-    return drawn_enu_m if case.first_estimate == "uniform" else np.full(2, math.nan)
-
-
 def run_inputs(case: Case, seed: RunSeed) -> tuple[Matrix, RunTruth, Vector]:
-    """What the channel of a run draws, what is true in it, and where its first estimate is."""
+    """What the channel of a run draws, what is true in it, and where its first estimate is.
+
+    That place (2,) is drawn over the area; NaN: from the first measurement.
+    """
     rng = stream(seed, TRUTH)
     truth = truth_of(case, rng)
-    return channel_draws(case, seed), truth, start_of(case, rng)
+    start_enu_m = rng.random(2) * np.array(case.area_m)
+    if case.first_estimate == "measured":
+        start_enu_m = np.full(2, math.nan)
+    return channel_draws(case, seed), truth, start_enu_m

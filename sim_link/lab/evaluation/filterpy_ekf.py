@@ -1,15 +1,12 @@
 """filterpy's extended Kalman filter as the standard baseline, and the check of our EKF against it.
 
 Behind the companion's protocol prediction and update are filterpy's own (Joseph form, all rows at
-once). The measurement model and its variances are the companion's, per call, so that the two
-filters believe the same; what filterpy has no word for, bounds and a bearing offset within half a
-turn, is applied to its result.
+once), with the companion's measurement model and variances; bounds and a bearing offset within half
+a turn are applied to its result.
 
-The check: the compiled EKF of the tables flies. On its way, filterpy's filter takes in each
-measurement from the state that the EKF was in, and the two results are compared. It is given the
-state each time, because an EKF that has lost its target, and hovers where it believes it,
-multiplies a difference of rounding by ten every 40 steps: two copies of filterpy's filter on two
-machines would part as well.
+The check: the compiled EKF of the tables flies, and filterpy's filter takes in each measurement
+from the state that the EKF was in. It is given the state each time, because an EKF that has lost
+its target multiplies a difference of rounding by ten every 40 steps.
 """
 
 from __future__ import annotations

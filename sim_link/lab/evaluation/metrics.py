@@ -1,24 +1,20 @@
 """Errors, convergence and honesty of many runs, and the Cramer-Rao bound beside them.
 
-What no estimator can beat is the bound on a track, from the Fisher information of the true channel.
 A measurement is y = (h_r(x) + delta_r, h_b(x) + delta_b) + e. One draw decides for range and
-bearing together whether the path is obstructed, so the two errors are not independent, and their
-joint density is the mixture
+bearing together whether the path is obstructed, so the joint density of the errors is the mixture
 
     p(a, b) = (1 - p) N(a; 0, s_r^2) N(b; 0, s_b^2)
                   + p E(a; s_r, mu)  N(b; 0, s_b^2 + w^2)
 
 with E the exponentially modified Gaussian of thermal noise and NLOS bias, and w the bend of an
-obstructed path. The information that one measurement has about its location (h + delta) is the
-expectation of the score's square; the density is even in b, so range and bearing do not mix:
+obstructed path. The density is even in b, so the information about the location (h + delta) is
 
     J = diag( E[(d log p / da)^2], E[(d log p / db)^2] )
 
 and that of a track about [east, north, delta_r, delta_b] is the sum of H^T J H. The offsets are
-nuisance: the bound on the position is the position block of the inverse. For given offsets their
-priors do not count; where they are drawn from them, they do (van Trees).
-
-What is left out favours the bound: bearings do not wrap, and ranges are not cut at zero.
+nuisance: the bound is the position block of the inverse; priors of the offsets count only where
+they are drawn from them (van Trees). Bearings do not wrap and ranges are not cut at zero here, both
+in favour of the bound.
 
 Source: S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), ch. 3.
 """

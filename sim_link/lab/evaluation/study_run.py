@@ -1,13 +1,8 @@
 """Carries out studies: warm-up of the kernels, blocks of runs, and the store that keeps them.
 
-Each block of runs is done once, the longest first, and kept in a folder as soon as it is done: a
-run that was killed goes on where it was. The key of a block names all that it follows from, sources
-included: whatever has changed since gets another key, and blocks of other studies may lie in the
-same folder.
-
-Every process that runs blocks needs the same kernels; compiled once, they find them in the cache.
-The big loop waits for what it calls, so its callees come first, in two processes, and then the
-loop in one and the tracker's kernels in another.
+Blocks are done once, the longest first, and kept in a folder: a run that was killed goes on where
+it was. A block's key names all that it follows from, sources included, so that blocks of other
+studies may lie in the same folder.
 """
 
 from __future__ import annotations

@@ -35,15 +35,11 @@ class FaultEffect(Generic[F]):
     """
 
     def __init__(
-        self,
-        fault: F,
-        rng: np.random.Generator,
-        end_s: float = math.inf,
-        key: SigningKey | None = None,
+        self, fault: F, rng: np.random.Generator, began_s: float, key: SigningKey | None = None
     ) -> None:
-        self._fault = fault
+        self.fault = fault
         self._rng = rng
-        self._end_s = end_s
+        self.start_s, self.end_s = began_s + fault.start_s, began_s + fault.end_s
         self._key = key
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
@@ -64,7 +60,7 @@ class FaultEffect(Generic[F]):
 
 class _Loss(FaultEffect[faults.LinkLoss]):
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [] if self._happens(self._fault.share) else [(due_s, data)]
+        return [] if self._happens(self.fault.share) else [(due_s, data)]
 
 
 class _Blackout(FaultEffect[faults.LinkBlackout]):
@@ -77,7 +73,7 @@ class _Bursts(FaultEffect[faults.LinkBursts]):
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
         """Lose what falls into a bad time."""
-        fault = self._fault
+        fault = self.fault
         if self._until_s is None:
             self._until_s = now_s + float(self._rng.exponential(fault.mean_good_s))
         while self._until_s <= now_s:
@@ -90,13 +86,13 @@ class _Bursts(FaultEffect[faults.LinkBursts]):
 
 class _Delay(FaultEffect[faults.LinkDelay]):
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s + self._fault.delay_s, data)]
+        return [(due_s + self.fault.delay_s, data)]
 
 
 class _Jitter(FaultEffect[faults.LinkJitter]):
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
         hit, late = self._rng.random(2).tolist()
-        late_s = float(late) * self._fault.jitter_s if hit < self._fault.share else 0.0
+        late_s = float(late) * self.fault.jitter_s if hit < self.fault.share else 0.0
         return [(due_s + late_s, data)]
 
 
@@ -106,18 +102,18 @@ class _Duplicates(FaultEffect[faults.LinkDuplicates]):
         return deliveries + super().apply(deliveries, now_s)
 
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        if not self._happens(self._fault.share):
+        if not self._happens(self.fault.share):
             return []
-        late = self._rng.uniform(0.0, self._fault.spread_s, self._fault.copies)
+        late = self._rng.uniform(0.0, self.fault.spread_s, self.fault.copies)
         return [(due_s + each, data) for each in late.tolist()]
 
 
 class _Damage(FaultEffect[faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGarbage]):
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s, self._damage(data) if self._happens(self._fault.share) else data)]
+        return [(due_s, self._damage(data) if self._happens(self.fault.share) else data)]
 
     def _damage(self, data: bytes) -> bytes:
-        match self._fault:
+        match self.fault:
             case faults.LinkBitFlips(bits=bits):
                 flipped = bytearray(data)
                 for place in self._rng.integers(0, 8 * len(data), bits).tolist():
@@ -136,11 +132,11 @@ class _RateCap(FaultEffect[faults.LinkRateCap]):
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
         """Each waits for what was sent before, and is lost where the queue is full."""
-        bytes_per_s = self._fault.bits_per_s / 8.0
+        bytes_per_s = self.fault.bits_per_s / 8.0
         through: list[Delivery] = []
         for due_s, data in deliveries:
             begin_s = max(now_s, self._free_s)
-            if begin_s - now_s > self._fault.queue_bytes / bytes_per_s:
+            if begin_s - now_s > self.fault.queue_bytes / bytes_per_s:
                 continue
             self._free_s = begin_s + len(data) / bytes_per_s
             through.append((max(due_s, self._free_s), data))
@@ -149,7 +145,7 @@ class _RateCap(FaultEffect[faults.LinkRateCap]):
 
 class _Hold(FaultEffect[faults.LinkHold]):
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(max(due_s, self._end_s), data)]
+        return [(max(due_s, self.end_s), data)]
 
 
 LINK_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
@@ -207,14 +203,8 @@ REPORTS = message_ids(
     "GPS_GLOBAL_ORIGIN GPS_RAW_INT ESTIMATOR_STATUS"
 )
 CLOCK_FIELDS = frozenset({"time_boot_ms", "time_usec"})
-INTEGER_LIMITS = {
-    "int8_t": (-(2**7), 2**7 - 1),
-    "uint8_t": (0, 2**8 - 1),
-    "int16_t": (-(2**15), 2**15 - 1),
-    "uint16_t": (0, 2**16 - 1),
-    "int32_t": (-(2**31), 2**31 - 1),
-    "uint32_t": (0, 2**32 - 1),
-}
+INTEGER_LIMITS = {f"uint{bits}_t": (0, 2**bits - 1) for bits in (8, 16, 32)}
+INTEGER_LIMITS |= {f"int{bits}_t": (-(2**bits) // 2, 2**bits // 2 - 1) for bits in (8, 16, 32)}
 ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
 
 
@@ -246,7 +236,7 @@ class ContentEffect(FaultEffect[F]):
 
 class _Mute(ContentEffect[faults.StreamMute]):
     def _is_about(self, number: int) -> bool:
-        return bool(number == getattr(mavlink, f"MAVLINK_MSG_ID_{self._fault.message}", -1))
+        return bool(number == getattr(mavlink, f"MAVLINK_MSG_ID_{self.fault.message}", -1))
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:  # noqa: ARG002
         return []
@@ -257,7 +247,7 @@ class _Nonsense(ContentEffect[faults.TelemetryNonsense]):
         return number in REPORTS
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        is_hit = self._happens(self._fault.share)
+        is_hit = self._happens(self.fault.share)
         return super()._alter(data, due_s) if is_hit else [(due_s, data)]
 
     def _change(self, message: Any) -> None:
@@ -274,10 +264,10 @@ class _Nonsense(ContentEffect[faults.TelemetryNonsense]):
 
 class _Dropout(ContentEffect[faults.RangingDropout]):
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [] if self._fault.missing == "both" else super()._alter(data, due_s)
+        return [] if self.fault.missing == "both" else super()._alter(data, due_s)
 
     def _change(self, message: Any) -> None:
-        setattr(message, self._fault.missing, math.nan)
+        setattr(message, self.fault.missing, math.nan)
 
 
 class _Freeze(ContentEffect[faults.RangingFreeze]):
@@ -294,8 +284,8 @@ class _Freeze(ContentEffect[faults.RangingFreeze]):
 class _WrongUnit(ContentEffect[faults.RangingWrongUnit]):
     def _change(self, message: Any) -> None:
         for name in ("range", "bearing"):
-            if self._fault.of in (name, "both"):
-                setattr(message, name, getattr(message, name) * self._fault.factor)
+            if self.fault.of in (name, "both"):
+                setattr(message, name, getattr(message, name) * self.fault.factor)
 
 
 class _Outliers(ContentEffect[faults.RangingOutliers]):
@@ -305,34 +295,34 @@ class _Outliers(ContentEffect[faults.RangingOutliers]):
     """Answers of the present burst that are still to come."""
 
     def _change(self, message: Any) -> None:
-        if self._left == 0 and self._happens(self._fault.share):
-            self._left = self._fault.burst
+        if self._left == 0 and self._happens(self.fault.share):
+            self._left = self.fault.burst
         if self._left == 0:
             return
         self._left -= 1
-        mean_m = self._fault.excess_m
+        mean_m = self.fault.excess_m
         excess_m = math.copysign(float(self._rng.exponential(abs(mean_m))), mean_m)
         message.range = max(self.SHORTEST_M, message.range + excess_m)
-        if self._fault.is_bearing_hit:
+        if self.fault.is_bearing_hit:
             message.bearing = float(self._rng.uniform(-math.pi, math.pi))
 
 
 class _NotNumbers(ContentEffect[faults.RangingNan]):
     def _change(self, message: Any) -> None:
-        if self._happens(self._fault.share):
+        if self._happens(self.fault.share):
             message.range = NOT_A_RANGE[int(self._rng.integers(len(NOT_A_RANGE)))]
-        if self._happens(self._fault.share):
+        if self._happens(self.fault.share):
             message.bearing = NOT_A_BEARING[int(self._rng.integers(len(NOT_A_BEARING)))]
 
 
 class _Stale(ContentEffect[faults.RangingStale]):
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s + self._fault.age_s, data)]
+        return [(due_s + self.fault.age_s, data)]
 
 
 class _OutOfOrder(ContentEffect[faults.RangingOutOfOrder]):
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s + float(self._rng.uniform(0.0, self._fault.window_s)), data)]
+        return [(due_s + float(self._rng.uniform(0.0, self.fault.window_s)), data)]
 
 
 class _SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
@@ -355,13 +345,13 @@ class _SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
     def _change(self, message: Any) -> None:
         assert self._vehicle_ned_m is not None
         north, east, down = self._vehicle_ned_m
-        to_east, to_north = self._fault.east_m - east, self._fault.north_m - north
+        to_east, to_north = self.fault.east_m - east, self.fault.north_m - north
         noise_m, noise_rad = self._rng.standard_normal(2).tolist()
         message.range = math.hypot(to_east, to_north, down) + self.RANGE_SIGMA_M * noise_m
         message.bearing = math.atan2(to_east, to_north) + self.BEARING_SIGMA_RAD * noise_rad
         message.flags = 0
-        if self._fault.emitter_id is not None:
-            message.emitter_id = self._fault.emitter_id
+        if self.fault.emitter_id is not None:
+            message.emitter_id = self.fault.emitter_id
 
 
 CONTENT_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {

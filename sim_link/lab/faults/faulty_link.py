@@ -1,11 +1,9 @@
 """A link with faults, in memory on invented time, repeatable from its seed; and the attacker on it.
 
-Theory of operation. Every fault gets effects with a generator of their own, seeded by the link's
-seed and the fault's number: one per direction for a fault of the link, one for all frames of the
-vehicle and its radio for a fault of their content. A datagram passes the effects that act at the
-time it is sent, in a fixed order of kinds: first its content, then what is lost, then what is
-damaged, then copies, then what makes it late. A radio on a link of its own is touched by faults of
-content only.
+Theory of operation. Every fault gets effects with a generator of their own: one per direction for a
+fault of the link, one for all frames of the vehicle and its radio for a fault of content. A
+datagram passes those that act when it is sent, in a fixed order: first its content, then what is
+lost, damaged, copied, late. A radio on a link of its own is touched by faults of content only.
 
 An attacker on the same network hears everything. It has no key: on a signed link its own frames
 carry a signature with a key of its own, none at all, or one that was used before.
@@ -14,7 +12,6 @@ carry a signature with a key of its own, none at all, or one that was used befor
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,15 +31,8 @@ LINK_LANES = {
     "to_vehicle": (Lane.TO_VEHICLE,),
 }
 CONTENT_LANES = (Lane.TO_COMPANION, Lane.RANGING)
-LINK_ORDER = list(fault_effects.LINK_EFFECTS)
-
-
-@dataclass(frozen=True, slots=True)
-class _Acting:
-    start_s: float
-    end_s: float
-    rank: int
-    effect: fault_effects.FaultEffect[Any]
+LINK_RANKS = {kind: rank for rank, kind in enumerate(fault_effects.LINK_EFFECTS, 1)}
+"""The order in which faults of the link act, after those of content."""
 
 
 class FaultyLink:
@@ -56,38 +46,37 @@ class FaultyLink:
         self._seed = seed
         self._key = key
         self._count = 0
-        self._acting: dict[Lane, list[_Acting]] = {lane: [] for lane in Lane}
+        self._effects: dict[Lane, list[fault_effects.FaultEffect[Any]]] = {
+            lane: [] for lane in Lane
+        }
         for fault in schedule.faults:
             self.add(fault, 0.0)
 
     def add(self, fault: FaultRecord, began_s: float) -> None:
         """One more fault, its times counted from `began_s`."""
         self._count += 1
-        start_s, end_s = began_s + fault.start_s, began_s + fault.end_s
-        content = fault_effects.CONTENT_EFFECTS.get(type(fault))
-        if content is not None:
-            rng = np.random.default_rng((self._seed, self._count))
-            effect = content(fault, rng, end_s, self._key)
+        kind, seed = type(fault), (self._seed, self._count)
+        if kind in fault_effects.CONTENT_EFFECTS:
+            rng = np.random.default_rng(seed)
+            effect = fault_effects.CONTENT_EFFECTS[kind](fault, rng, began_s, self._key)
             for lane in CONTENT_LANES:
-                self._acting[lane].append(_Acting(start_s, end_s, -1, effect))
+                self._effects[lane].append(effect)
         if isinstance(fault, faults.LinkFault):
-            rank = LINK_ORDER.index(type(fault))
             for lane in LINK_LANES[fault.direction]:
-                number = LINK_LANES["both"].index(lane)
-                rng = np.random.default_rng((self._seed, self._count, number))
-                effect = fault_effects.LINK_EFFECTS[type(fault)](fault, rng, end_s)
-                self._acting[lane].append(_Acting(start_s, end_s, rank, effect))
-        for acting in self._acting.values():
-            acting.sort(key=lambda each: each.rank)
+                rng = np.random.default_rng((*seed, LINK_LANES["both"].index(lane)))
+                effect = fault_effects.LINK_EFFECTS[kind](fault, rng, began_s)
+                self._effects[lane].append(effect)
+        for effects in self._effects.values():
+            effects.sort(key=lambda effect: LINK_RANKS.get(type(effect.fault), 0))
 
     def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
         """What arrives of a datagram that is sent at `now_s`."""
         deliveries: list[Delivery] = [(now_s, data)]
-        for acting in self._acting[lane]:
-            if acting.start_s <= now_s < acting.end_s:
-                deliveries = acting.effect.apply(deliveries, now_s)
+        for effect in self._effects[lane]:
+            if effect.start_s <= now_s < effect.end_s:
+                deliveries = effect.apply(deliveries, now_s)
             else:
-                acting.effect.watch(data)
+                effect.watch(data)
         return deliveries
 
 

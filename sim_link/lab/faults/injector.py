@@ -53,10 +53,8 @@ class Injector(Observer):
         self._link.add(fault, began_s)
         start_s = began_s + fault.start_s
         match fault:
-            case VehicleFault():
+            case VehicleFault() | faults.ProcessFault():
                 self._flight.at(start_s, partial(self._happen, fault))
-            case faults.ProcessFault():
-                self._flight.at(start_s, partial(self._hit, fault))
             case faults.SecurityFault():
                 self._flight.at(start_s, partial(self._attack, fault, began_s + fault.end_s, 0.0))
 
@@ -64,7 +62,7 @@ class Injector(Observer):
         """The attacker hears everything."""
         self._attacker.overhear(frame.data)
 
-    def _happen(self, fault: VehicleFault) -> None:
+    def _happen(self, fault: VehicleFault | faults.ProcessFault) -> None:
         flight = self._flight
         match fault:
             case faults.Disarm():
@@ -75,6 +73,13 @@ class Injector(Observer):
                 self._send_other(fault, flight.now_s + fault.duration_s)
             case IncidentRecord():
                 flight.apply_incident(fault)
+            case faults.CompanionKilled():
+                flight.kill_companion()
+                flight.at(flight.now_s + fault.down_s, self._start_again)
+            case faults.CompanionStalled():
+                flight.suspend_companion(fault.duration_s)
+            case faults.CompanionTerminated():
+                flight.stop_companion()
 
     def _flap(self, fault: faults.ModeFlap, end_s: float, *, is_ours: bool) -> None:
         now_s = self._flight.now_s
@@ -99,17 +104,6 @@ class Injector(Observer):
         next_s = flight.now_s + 1.0 / fault.rate_hz
         if next_s < end_s:
             flight.at(next_s, partial(self._send_other, fault, end_s))
-
-    def _hit(self, fault: faults.ProcessFault) -> None:
-        flight = self._flight
-        match fault:
-            case faults.CompanionKilled():
-                flight.kill_companion()
-                flight.at(flight.now_s + fault.down_s, self._start_again)
-            case faults.CompanionStalled():
-                flight.suspend_companion(fault.duration_s)
-            case faults.CompanionTerminated():
-                flight.stop_companion()
 
     def _start_again(self) -> None:
         if not self._flight.is_companion_up:

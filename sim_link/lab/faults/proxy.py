@@ -2,11 +2,9 @@
 
     vehicle  <-->  vehicle_side | faults | companion_side  <-->  companion
 
-Theory of operation. The vehicle sends to the vehicle side as if that were the companion, and the
-companion hears and answers the companion side as if that were the vehicle. Every datagram passes a
-`FaultyLink`, the same as in memory, and what is late waits in a queue; attackers send to the
-companion from a socket of their own. One thread, no clock but the monotonic one. What the system
-refuses to send is counted and gone, as on any network.
+Theory of operation. Either side stands for the other one. Every datagram passes a `FaultyLink`, the
+same as in memory, and what is late waits in a queue; attackers send to the companion from a socket
+of their own. What the system refuses to send is counted and gone, as on any network.
 """
 
 from __future__ import annotations

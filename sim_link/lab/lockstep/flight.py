@@ -1,15 +1,13 @@
 """One flight in lockstep: a companion and a simulated vehicle, bytes between them, invented time.
 
-Theory of operation. Nothing moves until `run` lets time pass; then the earliest of what is due
-happens next: a datagram that arrives, an action that somebody scheduled, a physics step, the
-companion's control tick. At the same time it happens in this order: arrivals and actions in the
-order in which they were posted, physics, radio, control tick, then whatever those sent if the wire
-delivers it at once. So a flight depends on its configuration, scenario, seed, wire and actions
-only, and two of the same give the same bytes.
+Theory of operation. The earliest of what is due happens next; at the same time in this order:
+arrivals and actions in the order in which they were posted, physics, radio, control tick, then
+whatever those sent if the wire delivers it at once. So a flight depends on its configuration,
+scenario, seed, wire and actions only, and two of the same give the same bytes.
 
-The companion is treated as the process that it is: it may be killed, started anew, told to stop,
-and suspended. A suspended one gets what its socket held, in order, when it goes on; the socket
-holds no more than Linux gives it by default, and drops the rest.
+The companion is the process that it is: it may be killed, started anew, told to stop, and
+suspended. A suspended one gets what its socket held, in order, when it goes on; the socket holds
+no more than Linux gives it by default, and drops the rest.
 """
 
 from __future__ import annotations

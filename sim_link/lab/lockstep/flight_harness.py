@@ -1,8 +1,7 @@
 """What stands beside a flight in lockstep: the operator, and the checkpoints of its process.
 
-The operator is whoever arms, takes off, switches modes and grants control. Checkpoints are kept in
-memory, as the bytes that would be on disk, so that a test can damage them between a kill and the
-next start.
+Checkpoints are kept in memory, as the bytes that would be on disk, so that a test can damage them
+between a kill and the next start.
 """
 
 from __future__ import annotations

@@ -2,11 +2,6 @@
 
 Nothing here is shared with the companion's guard and codec but the key, so that a mistake in one
 does not excuse itself in the other. Points are east and north, metres.
-
-Without a key an address is all that tells two senders of the same ids apart. The first autopilot
-that is heard is followed, whatever its ids. It may come back from another address, when a router
-begins anew, so a companion has to follow after a silence; and then whoever speaks first is the
-autopilot, an attacker included. What it does from then on follows from what it had to believe.
 """
 
 from __future__ import annotations
@@ -110,7 +105,7 @@ def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
     return _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0
 
 
-SIGNATURE, TAG, STAMP = 13, 6, 6
+TAG, STAMP = 6, 6
 MAGIC_V2, SIGNED_FLAG = 0xFD, 0x01
 
 

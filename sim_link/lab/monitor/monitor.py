@@ -2,10 +2,8 @@
 
 Theory of operation. One `ObservedScene` keeps what the companion was told and what is true; twelve
 small invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the
-vehicle moved. None of them uses the companion's own guard, estimator or guidance: the frames on the
-wire and the simulator's truth are enough, and where the companion's own word is asked for (its
-phase, its estimate) it is only held against it. A `Scope` says which invariants a kind of flight
-can be judged by, and why not by the others.
+vehicle moved. None uses the companion's own guard, estimator or guidance; its own word (its phase,
+its estimate) is only held against it. A `Scope` says by which of them a kind of flight is judged.
 """
 
 from __future__ import annotations

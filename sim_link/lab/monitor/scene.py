@@ -1,10 +1,8 @@
 """What invariants are made of: rules, the observed scene, violations and the base class.
 
-Theory of operation. The companion is judged by what it could know. `ObservedState` keeps, from
-the frames that reached it and that it had to believe, the mode, the vehicle's place and the
-origin of the local frame; an attacker's frames and those that arrive damaged tell nothing. A
-report of the mode is dated by when the vehicle sent it, because frames overtake each other: an
-old one that arrives after a newer one takes nothing away and gives nothing back.
+Theory of operation. The companion is judged by what it could know: the frames that reached it and
+that it had to believe. A report of the mode is dated by when the vehicle sent it, because frames
+overtake each other: an old one that arrives late takes nothing away and gives nothing back.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """The monitor of real processes: what was recorded on the wire, played back and judged.
 
-Theory of operation. Nobody knows the truth here, so the vehicle is what it says of itself, and only
-those invariants are asked that need no more (see `monitor.WIRE`). Times are those at which frames
-passed the recorder, in another process than the sender's; on a busy machine they are late by what
-a process had to wait for its turn. Limits of time are wider by that much, and setpoints are
-compared by the stamps that the companion gave them.
+Theory of operation. The vehicle is what it says of itself, and only invariants are asked that need
+no more (see `monitor.WIRE`). Times are those at which frames passed the recorder; on a busy machine
+they are late by what a process waited for its turn. Limits of time are wider by that much, and
+setpoints are compared by the stamps that the companion gave them.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim_link.lab.evaluation.campaign import RunSeries, RunTally
-from sim_link.lab.evaluation.case import canonical_case
+from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.systems import System
 from tools.verify_estimation import (
     PARTS,
@@ -55,7 +55,7 @@ def test_the_lawnmower_asks_for_rmse_rank_and_offset() -> None:
 
 
 def test_the_bound_is_that_of_the_own_tracks() -> None:
-    campaign = RunSeries(canonical_case(), System("tracker", "fim"), 1, 200)
+    campaign = RunSeries(Case(), System("tracker", "fim"), 1, 200)
     assert bound_figure(campaign, _tally(0.25, 0.2)).is_met
     assert not bound_figure(campaign, _tally(0.27, 0.2)).is_met
 

@@ -1,12 +1,9 @@
 """What figures show, as plain numbers: taken from tallies, or flown with one seed.
 
-Among them is how much the candidates of the FIM planner differ along a flight: why it stalls in a
-shadow. Whatever flies, FIM's criterion is taken of its candidates and of staying before every step,
-in two forms: with the information in the filter at that moment and the offsets as nuisance, as
-`companion.planning.fim` has it, and as the paper prints it (`walk`). Its *gradient* is how far the
-best is ahead of the worst, as a share of the best. Where it is flat, every candidate promises the
-same. Paper: section "Robustness in Structured NLOS Environments" claims that it is flat in the
-shadow; here it is measured.
+Why FIM stalls in a shadow: before every step its criterion is taken of its candidates and of
+staying, with the information in the filter (`companion.planning.fim`) and as the paper prints it
+(`walk`). Its *gradient* is how far the best is ahead of the worst, as a share of the best. Paper:
+section "Robustness in Structured NLOS Environments" claims that it is flat there.
 """
 
 from __future__ import annotations

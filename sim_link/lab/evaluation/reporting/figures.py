@@ -125,8 +125,7 @@ def drawings_of(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]
         return [drawing for name in names for drawing in FIGURES[name](result, rows)]
 
 
-def _losses(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
-    del rows
+def _losses(result: StudyResult, _: Sequence[ResultRow]) -> list[Drawing]:
     caption = (
         "What a whitened residual costs, and how hard it pulls. A range can only be too long: the "
         "one-sided loss of the paper is linear above k = 1.5 sigma and quadratic below. Huber's is "
@@ -165,8 +164,7 @@ def _rmse(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     return found
 
 
-def _offsets(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
-    del rows
+def _offsets(result: StudyResult, _: Sequence[ResultRow]) -> list[Drawing]:
     parameter, value = _middle(result)
     cells = figure_data.cells_at(result, parameter, value)
     lines = figure_data.offset_curves(cells, bearing=False)
@@ -198,8 +196,7 @@ def _offsets(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     ]
 
 
-def _tracks(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
-    del rows
+def _tracks(result: StudyResult, _: Sequence[ResultRow]) -> list[Drawing]:
     parameter, value = _middle(result)
     case = _case_at(result, parameter, value)
     figure = tracks(figure_data.flights_of(case, result.seed), case)
@@ -213,8 +210,7 @@ def _tracks(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
     return [finished(figure, name, title, caption, wide=True)]
 
 
-def _gradients(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
-    del rows
+def _gradients(result: StudyResult, _: Sequence[ResultRow]) -> list[Drawing]:
     case = _case_at(result, *_middle(result))
     watches = figure_data.watched(case, result.seed)
     flat_m = case.belief.range_sigma_m / math.radians(case.belief.bearing_sigma_deg)

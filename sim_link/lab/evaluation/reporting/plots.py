@@ -1,12 +1,9 @@
-"""The look of figures, and figures of lines.
+"""The look of figures, and figures of lines; their files are the same bytes every time.
 
-One look for every figure: colours, lines, lettering, and files that are the same bytes. A planner
-has its colour and a filter its line, everywhere. The colours are those of M. Okabe and K. Ito,
-"Color Universal Design" (2008), the light ones darkened until they hold on white paper; no two
-planners are told apart by colour alone, because lines carry their names at their ends.
-
-On the page a figure is inline SVG whose colours are variables of the page, so that it follows a
-dark or a light theme; as a file it stands on white.
+A planner has its colour and a filter its line, everywhere. The colours are those of M. Okabe and
+K. Ito, "Color Universal Design" (2008), the light ones darkened until they hold on white paper;
+lines carry their names at their ends. On the page a figure is inline SVG whose colours are
+variables of the page's light or dark theme; as a file it stands on white.
 """
 
 from __future__ import annotations
@@ -219,20 +216,13 @@ CURVES_IN = (5.2, 3.5)
 STEP_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 METRE_TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 BOUND = typeset("Cramer-Rao")
-LOSSES: tuple[tuple[float, float, str, tuple[float, ...]], ...] = (
-    (1.5, math.inf, LATCHED, ()),
-    (math.inf, math.inf, MUTED, (5.0, 1.6)),
-    (1.5, 3.0, FIM, (2.4, 1.4)),
-    (1.5, 1.5, PASSIVE, (5.0, 1.6, 1.2, 1.6)),
+LOSSES: tuple[tuple[str, float, float, tuple[float, float], str, tuple[float, ...]], ...] = (
+    ("one-sided Huber", 1.5, math.inf, (-4.1, -4.75), LATCHED, ()),
+    ("quadratic", math.inf, math.inf, (1.6, 3.3), MUTED, (5.0, 1.6)),
+    ("asymmetric Huber", 1.5, 3.0, (-2.7, -3.2), FIM, (2.4, 1.4)),
+    ("Huber", 1.5, 1.5, (-4.9, -1.25), PASSIVE, (5.0, 1.6, 1.2, 1.6)),
 )
-"""Long and short threshold, colour and dashes of each."""
-LOSS_NAMES: tuple[tuple[str, float, float, str], ...] = (
-    ("one-sided Huber", -4.1, -4.75, LATCHED),
-    ("asymmetric Huber", -2.7, -3.2, FIM),
-    ("Huber", -4.9, -1.25, PASSIVE),
-    ("quadratic", 1.6, 3.3, MUTED),
-)
-"""Where the names stand in the panel of the influence, left ends."""
+"""Long and short threshold, left end of the name at the influence, colour and dashes of each."""
 
 
 def losses() -> Figure:
@@ -240,19 +230,18 @@ def losses() -> Figure:
     figure = new_figure(5.6, 2.6)
     left, right = figure.subplots(1, 2)
     u = np.linspace(-5.0, 5.0, 401)
-    for k_long, k_short, colour, dashes in LOSSES:
+    for name, k_long, k_short, place, colour, dashes in LOSSES:
         width = 1.5 if dashes else 3.0  # the others stay visible where they lie upon it
         loss = [asymmetric_huber_loss(x, k_long, k_short) for x in u]
         influence = [asymmetric_huber_influence(x, k_long, k_short) for x in u]
         left.plot(u, loss, color=colour, dashes=dashes, lw=width)
         right.plot(u, influence, color=colour, dashes=dashes, lw=width)
+        right.text(*place, name, color=colour, fontsize=8.0)
     left.set(title="Loss", ylim=(0.0, 8.0), xlim=(-5.0, 5.0), xlabel="residual, in sigma")
     right.set(title="Influence: its derivative", ylim=(-5.2, 5.2), xlim=(-5.0, 5.0))
     right.set_xlabel("residual, in sigma")
     for axes in (left, right):
         axes.axvline(0.0, color=MUTED, linewidth=0.6)
-    for name, x, y, colour in LOSS_NAMES:
-        right.text(x, y, name, color=colour, fontsize=8.0)
     return figure
 
 

@@ -1,9 +1,7 @@
 """`report.html` of a study: one page with verdicts, tables and figures, complete in itself.
 
-The page needs no network and no scripts; it follows the reader's light or dark theme and prints.
-What it says of the scenario, every open point of the paper and how it is fixed here, is read from
-the canonical case, so that the page cannot tell another story than the code. `page` is a pure
-function of what it is given; `write_report` asks for commit and versions.
+The page needs no network and no scripts. What it says of the scenario and of the paper's open
+points is read from the canonical case, so that it cannot tell another story than the code.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Tables of the page, names for people, and how far each assumption moves the result.
-
-A table has paper, ours and bound side by side, and who is ahead. The tornado has one row for each
-assumption and one bar for each system.
-"""
+"""Tables of the page, names for people, and how far each assumption moves the result (tornado)."""
 
 from __future__ import annotations
 

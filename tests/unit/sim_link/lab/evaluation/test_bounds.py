@@ -4,10 +4,11 @@ import msgspec
 import numpy as np
 
 from sim_link.lab.evaluation.campaign import bounds_m2, run_block, shaded_places, shadow_channel
-from sim_link.lab.evaluation.case import Case, canonical_case, run_seeds, scene_of
+from sim_link.lab.evaluation.case import Case, run_seeds, scene_of
 from sim_link.lab.evaluation.metrics import channel_information, position_bounds_m2
 from sim_link.lab.evaluation.systems import System
 from sim_link.world.environment import ObstacleParams, ShadowParams
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 
 BLOCK = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
 BEHIND = msgspec.structs.replace(canonical_case(p_nlos=0.1), obstacles=(BLOCK,), steps=60)

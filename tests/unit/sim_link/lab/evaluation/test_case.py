@@ -4,7 +4,8 @@ import msgspec
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from sim_link.lab.evaluation.case import PAPER_BELIEF, Case, canonical_case
+from sim_link.lab.evaluation.case import PAPER_BELIEF, Case
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 
 
 def test_the_canonical_case_is_the_default() -> None:

@@ -14,7 +14,6 @@ from sim_link.lab.evaluation.case import (
     PLANNER,
     TRUTH,
     Case,
-    canonical_case,
     channel_draws,
     drawn,
     measured,
@@ -32,6 +31,7 @@ from sim_link.world.environment import (
     ObstacleParams,
 )
 from sim_link.world.radio_channel import MIN_RANGE_M, RadioChannel
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 
 
 def test_the_numbers_are_those_of_the_simulated_radio() -> None:

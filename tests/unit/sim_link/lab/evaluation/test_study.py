@@ -6,9 +6,10 @@ import msgspec
 import pytest
 
 from companion.errors import ConfigError
-from sim_link.lab.evaluation.case import Case, canonical_case
+from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.study import Study, cells_of, hint, value_text
 from sim_link.lab.evaluation.systems import System
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 
 SWEEP = {
     "parameter": "sigma_r_m",

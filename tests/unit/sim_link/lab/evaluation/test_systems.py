@@ -5,13 +5,14 @@ import math
 import pytest
 
 from companion.errors import ConfigError
-from sim_link.lab.evaluation.case import Case, canonical_case
+from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.systems import (
     System,
     belief_of,
     recursive_filter_of,
     system_named,
 )
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from sim_link.lab.evaluation.case import (
     TRUTH,
     Case,
     FirstEstimate,
+    run_inputs,
     run_seeds,
-    start_of,
     stream,
     truth_of,
 )
@@ -92,7 +92,7 @@ def test_a_drawn_first_estimate_is_corrected_by_the_first_measurement() -> None:
     case = msgspec.structs.replace(SHORT, first_estimate="uniform", steps=1)
     trials = run_block(case, System("ekf", "passive"), run_seeds(1, 5))
     assert all(trial.record[0, 6] < 900.0 for trial in trials)
-    starts = np.array([start_of(case, stream(seed, TRUTH)) for seed in run_seeds(1, 200)])
+    starts = np.array([run_inputs(case, seed)[2] for seed in run_seeds(1, 200)])
     assert starts.min() >= 0.0
     assert starts.max() <= 100.0
     assert np.ptp(starts) > 90.0
@@ -131,5 +131,5 @@ def test_what_a_result_says() -> None:
     assert trial.nees.tolist() == [9.0 / 4.0 + 16.0 / 16.0]
     assert trial.track_enu_m.tolist() == [[1.0, 2.0]]
     assert trial.record[:, RANGE_OFFSET].tolist() == [1.4]
-    assert trial.bearing_offsets_rad.tolist() == [math.pi]
+    assert trial.record[:, BEARING_OFFSET].tolist() == [math.pi]
     assert 4.0 * 1.9 < trial.r95_m[0] < 4.0 * 2.5

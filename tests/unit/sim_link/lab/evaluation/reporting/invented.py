@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim_link.lab.evaluation.campaign import RunTally
-from sim_link.lab.evaluation.case import Case, canonical_case
+from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.study import (
     CellResult,
     FigureName,
@@ -15,6 +15,7 @@ from sim_link.lab.evaluation.study import (
     Sweep,
 )
 from sim_link.lab.evaluation.systems import System, system_named
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 
 STEPS = 40
 RUNS = 200

@@ -3,10 +3,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from sim_link.lab.evaluation.case import canonical_case
 from sim_link.lab.evaluation.reporting.claims import Claim, Findings, claims_of
 from sim_link.lab.evaluation.study import CellResult, ResultRow
 from sim_link.lab.evaluation.systems import system_named
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 from tests.unit.sim_link.lab.evaluation.reporting.invented import cell, row, study, tally
 
 PASSIVE, REACTIVE = "asymmetric_huber/passive", "asymmetric_huber/reactive"

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from companion.errors import CompanionError
-from sim_link.lab.evaluation.case import Case, canonical_case
+from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.reporting.study_report import (
     Provenance,
     _commit,
@@ -22,6 +22,7 @@ from sim_link.lab.evaluation.reporting.study_report import (
 )
 from sim_link.lab.evaluation.study import FigureName, ResultRow, StudyResult
 from sim_link.world.environment import ObstacleParams
+from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 from tests.unit.sim_link.lab.evaluation.reporting.invented import cell, row, study, tally
 
 MADE_WITH = Provenance("0123abcd", (("numpy", "2.0"),))
