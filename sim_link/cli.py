@@ -156,7 +156,6 @@ def _run(arguments: argparse.Namespace) -> int:
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def on_wakeup(now_s: float) -> None:
-        """Do what is due, and tell what happened."""
         files.keep(now_s)
         _apply_incidents(endpoints[0], orders, now_s)
         for endpoint in endpoints:

@@ -137,7 +137,7 @@ def fly(name: str, notes: MemoryJournal | None = None) -> ClockFlight:
         error_m,
         max(holds_s(notes.texts, flight.now_s), default=0.0),
         reach.farthest_m,
-        tuple(alarm for alarm in FALSE_ALARMS if notes.said(alarm)),
+        tuple(alarm for alarm in FALSE_ALARMS if any(alarm in text for _, text in notes.texts)),
     )
 
 

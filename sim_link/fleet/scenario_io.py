@@ -17,14 +17,11 @@ def load_scenario(path: Path) -> Scenario:
     return load_yaml(path, Scenario, renew_incidents)
 
 
-REPORT_VERSION = 1
-
-
 def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
     """State and truth at the start: metres, degrees counter-clockwise, positions about `origin`."""
     vehicle, scenario = endpoint.vehicle, endpoint.vehicle.scenario
     return {
-        "version": REPORT_VERSION,
+        "version": 1,  # of this form
         "state": "running",
         "scenario": scenario.name,
         "seed": seed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from companion.config.schema import CompanionConfig
@@ -14,6 +14,7 @@ from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint
+from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
@@ -25,11 +26,9 @@ from sim_link.lab.lockstep.flight import (
     MakeCompanion,
     Makers,
     MemoryJournal,
-    Radio,
-    RadioLink,
 )
 from sim_link.lab.lockstep.flight_harness import Operator
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep.observer import Frame, Lane, Observer
 
 __all__ = [
     "AUTO",
@@ -44,6 +43,10 @@ __all__ = [
 ]
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
+BOOT_S = 3.0
+"""After this long the simulated autopilot can be armed."""
+Radio = Callable[[SimEndpoint, float], bytes | None]
+"""What a radio on a link of its own sends at a time, given the simulated truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +134,56 @@ class ByteLog(Observer):
         self.vehicle += frame.data
 
 
+class OwnRadio(Observer):
+    """A radio on a link of its own, instead of the simulator's."""
+
+    def __init__(self, flight: Flight, send: Radio, period_s: float) -> None:
+        self.is_up = True
+        self._flight, self._send, self._period_s = flight, send, period_s
+        self._due_s = 0.0
+        flight.is_ranging_up = False
+        flight.observers.append(self)
+
+    def stepped(self, vehicle: SimVehicle, now_s: float) -> None:  # noqa: ARG002
+        if now_s < self._due_s - 1e-9:
+            return
+        self._due_s = now_s + self._period_s
+        data = self._send(self._flight.sim, now_s)
+        if data is not None and self.is_up:
+            self._flight.observers.tell("vehicle_sent", Frame(now_s, data, Lane.RANGING))
+            self._flight.post(data, Lane.RANGING)
+
+
+def run_until(flight: Flight, condition: Callable[[], bool], limit_s: float) -> float:
+    """Let time pass until a condition holds, or raise a TimeoutError; how long it took."""
+    started_s = flight.now_s
+    while not condition():
+        if flight.now_s - started_s >= limit_s:
+            raise TimeoutError(f"the condition did not hold within {limit_s:g} s")
+        flight.step()
+    return flight.now_s - started_s
+
+
+def take_off(flight: Flight, operator: Operator, height_m: float = 10.0) -> None:
+    """Arm and take off, until the vehicle holds at the end."""
+    flight.run(BOOT_S)
+    operator.arm()
+    up_m = flight.scenario.origin.altitude_m + height_m
+    operator.command(mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan] * 6, up_m)
+    run_until(flight, lambda: flight.mode is FlightMode.HOLD, 60.0)
+
+
+def said(notes: MemoryJournal, part: str) -> bool:
+    """Whether a text to the operator contained something."""
+    return any(part in text for _, text in notes.texts)
+
+
+def reboot(flight: Flight) -> None:
+    """Another vehicle in its place: at home, on the ground, its clock at zero."""
+    flight.sim = SimEndpoint(flight.scenario, flight.seed, flight.now_s)
+    flight.observers.tell("vehicle_rebooted", flight.now_s)
+
+
 class Loop:
     """One flight; `run` lets invented time pass."""
 
@@ -147,32 +200,59 @@ class Loop:
         schedule = faults.schedule() if isinstance(faults, LinkFaults) else faults
         self.wire = FaultyLink(schedule or Schedule(), seed)
         self.notes = MemoryJournal()
+
+        def beside_a_radio(
+            config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+        ) -> CompanionEndpoint:
+            return make_companion(config, journal, (*links, LinkSpec(LinkRole.RANGING)))
+
         self.flight = Flight(
             config,
             scenario or Scenario(),
             seed,
             self.notes,
             wire=self.wire,
-            radio=None if payload_source is None else RadioLink(payload_source, payload_period_s),
-            makers=Makers(make_companion),
+            makers=Makers(make_companion if payload_source is None else beside_a_radio),
         )
         self.recorder = Recorder(self.flight.sim.vehicle)
         self.bytes = ByteLog()
         self.flight.observers += [self.recorder, self.bytes]
+        self._radio = (
+            None
+            if payload_source is None
+            else OwnRadio(self.flight, payload_source, payload_period_s)
+        )
         self.operator = Operator(self.flight)
         self.run = self.flight.run
         self.command = self.operator.command
         self.tell_vehicle: Callable[[Message], None] = self.operator.tell
-        self.choose = self.operator.choose
         self.grant = self.operator.grant
-        self.take_off = self.operator.take_off
-        self.reboot = self.flight.reboot
-        self.said = self.notes.said
+
+    def choose(self, mode: FlightMode, *, is_told_at_once: bool = False) -> None:
+        """Switch the mode; the companion may be told at once.
+
+        ArduPilot does so anyhow, PX4 tells a new mode with its next HEARTBEAT, unless it is asked.
+        """
+        self.operator.choose(mode)
+        if is_told_at_once:
+            params = [float(mavlink.MAVLINK_MSG_ID_HEARTBEAT), *[0.0] * 6]
+            target = (self.flight.scenario.system_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0)
+            self.operator.tell(mavlink.MAVLink_command_long_message(*target, *params), None)
+            self.flight.settle()
+
+    def take_off(self, height_m: float = 10.0) -> None:
+        take_off(self.flight, self.operator, height_m)
+
+    def reboot(self) -> None:
+        reboot(self.flight)
+
+    def said(self, part: str) -> bool:
+        return said(self.notes, part)
 
     def run_until(self, condition: Callable[[], bool], limit_s: float) -> float:
         """Let time pass until a condition holds; how long it took."""
         try:
-            return self.flight.run_until(condition, limit_s)
+            return run_until(self.flight, condition, limit_s)
         except TimeoutError as error:
             raise AssertionError(f"{error}; last said: {self.notes.texts[-5:]}") from error
 
@@ -198,11 +278,14 @@ class Loop:
 
     @property
     def is_ranging_up(self) -> bool:
-        return self.flight.is_ranging_up
+        return self.flight.is_ranging_up if self._radio is None else self._radio.is_up
 
     @is_ranging_up.setter
     def is_ranging_up(self, value: bool) -> None:
-        self.flight.is_ranging_up = value
+        if self._radio is None:
+            self.flight.is_ranging_up = value
+        else:
+            self._radio.is_up = value
 
     # What became of it
 
@@ -229,7 +312,7 @@ class Loop:
 
     @property
     def phase(self) -> Phase:
-        return self.flight.phase
+        return self.companion.session.phase
 
     @property
     def mode(self) -> FlightMode:

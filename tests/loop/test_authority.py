@@ -121,7 +121,7 @@ def test_nothing_follows_the_first_frame_of_another_mode(
     modes = [rng.choice([FlightMode.HOLD, FlightMode.RETURN]) for _ in range(3)]
     for mode in (*modes, FlightMode.LAND):
         loop.run(rng.uniform(0.05, 2.0))
-        loop.operator.choose(mode, is_told_at_once=rng.random() < 0.5)
+        loop.choose(mode, is_told_at_once=rng.random() < 0.5)
         loop.run(6.0)
         assert loop.phase is Phase.YIELD
         assert watched.foreign_s is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import pytest
 
@@ -18,7 +19,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.observer import frames_in
-from tests.loop.loop_helpers import AUTO
+from tests.loop.loop_helpers import AUTO, run_until, said
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 STATION = (255, 190)
@@ -55,7 +56,7 @@ class WatchedFlight:
         )
         assert isinstance(self.flight.sim, StationBehind)
         self.sim = self.flight.sim
-        self.run_until = self.flight.run_until
+        self.run_until = partial(run_until, self.flight)
         self.say(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
 
     def say(self, message: Message) -> None:
@@ -117,10 +118,10 @@ def test_no_question_for_the_time_reaches_a_station(flavour: FlavourName) -> Non
 def test_a_station_that_repositions_the_vehicle_is_told_of_and_overruled(component: int) -> None:
     watched = WatchedFlight("ardupilot")
     flight = watched.flight
-    flight.run_until(lambda: flight.phase is Phase.NORMAL, 40.0)
+    run_until(flight, lambda: flight.companion.session.phase is Phase.NORMAL, 40.0)
     flight.run(4.0)
     for _ in range(4):  # the target is echoed only now and then before ours replaces it
         watched.reposition(component)
         flight.run(1.03)
-    assert watched.notes.said("another target was sent to the autopilot"), watched.notes.texts
+    assert said(watched.notes, "another target was sent to the autopilot"), watched.notes.texts
     assert flight.mode is FlightMode.OFFBOARD

@@ -77,7 +77,7 @@ def test_a_pilot_who_holds_a_px4_during_its_climb_keeps_it(climbed_s: float) -> 
     loop = Loop(ENDLESS, Scenario(), 1)
     loop.run(climbed_s)
     assert loop.mode is FlightMode.TAKEOFF
-    loop.operator.choose(FlightMode.HOLD, is_told_at_once=True)
+    loop.choose(FlightMode.HOLD, is_told_at_once=True)
     loop.run(2 * TICK_S)
     assert loop.phase is Phase.YIELD
     assert loop.said("takeoff aborted: mode is hold")

@@ -19,7 +19,7 @@ from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.observer import Frame, Observer
-from tests.loop.loop_helpers import AUTO
+from tests.loop.loop_helpers import AUTO, run_until
 
 KEY = SigningKey(bytes(range(1, 33)))
 UNIX_S = 1_800_000_000.0
@@ -66,7 +66,7 @@ def flight(key: SigningKey = KEY) -> tuple[Flight, MemoryJournal, Tape]:
 
 def test_with_one_key_on_both_sides_the_target_is_searched_and_every_frame_is_signed() -> None:
     made, _, tape = flight()
-    made.run_until(lambda: made.companion.session.phase is Phase.NORMAL, 60.0)
+    run_until(made, lambda: made.companion.session.phase is Phase.NORMAL, 60.0)
     made.run(5.0)
     assert made.companion.session.phase is Phase.NORMAL
     assert len(tape.vehicle) > 500
@@ -83,7 +83,7 @@ def test_with_another_key_the_vehicle_is_a_stranger() -> None:
 @pytest.mark.parametrize("order", ["as it was", "backwards", "twice"])
 def test_a_recording_of_the_flight_changes_nothing_in_any_order(order: str) -> None:
     made, _, tape = flight()
-    made.run_until(lambda: made.companion.session.phase is Phase.NORMAL, 60.0)
+    run_until(made, lambda: made.companion.session.phase is Phase.NORMAL, 60.0)
     recorded = tape.vehicle[-1500:]
     replayed = {
         "as it was": recorded,

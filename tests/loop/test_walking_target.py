@@ -67,14 +67,14 @@ def test_the_operator_is_told_of_a_target_that_walks(speed_mps: float) -> None:
     walk = circle(speed_mps)
     loop = Loop(seed=4, payload_source=WalkingRadio(walk, seed=4))
     loop.run(80.0)
-    assert loop.notes.said("target seems to move")
+    assert loop.said("target seems to move")
 
 
 def test_a_target_that_lies_still_is_found_and_nothing_is_told_of_a_walk() -> None:
     loop = Loop(seed=3, payload_source=WalkingRadio(lambda _: (50.0, 50.0), seed=3))
     loop.run_until(lambda: bool(loop.notes.results), 120.0)
     assert loop.error_m <= 1.5
-    assert not loop.notes.said("target seems to move")
+    assert not loop.said("target seems to move")
 
 
 def away(time_s: float) -> Point:
@@ -107,7 +107,7 @@ def test_a_target_that_leaves_the_fence_is_told_of_and_never_followed(
     monitor = Monitor(rules_of(config), loop.flight.sim.vehicle)
     loop.flight.observers.append(monitor)
     loop.run(flight_s)
-    assert loop.notes.said("outside the fence")
+    assert loop.said("outside the fence")
     assert monitor.violations == []
     assert 0.0 < monitor.fence.closest_m < 50.0
 
@@ -122,4 +122,4 @@ def test_an_estimate_that_nothing_agrees_with_any_more_is_given_up_within_second
         assert estimate is not None
         assert estimate.r95_m <= most_m
         assert math.dist(estimate.position_enu_m, elsewhere(end_s - 0.1)) <= estimate.r95_m
-    assert loop.notes.said("measurements do not agree")
+    assert loop.said("measurements do not agree")

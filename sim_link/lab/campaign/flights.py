@@ -136,7 +136,7 @@ class SignedPair:
 
 
 def rules_of(config: CompanionConfig) -> Rules:
-    """What a configuration promises; limits and rules have the same names."""
+    """What a configuration promises, as the monitor judges it."""
     limits = msgspec.structs.asdict(config.limits)
     shared = {name: limits[name] for name in Rules.__struct_fields__ if name in limits}
     return Rules(system_id=config.vehicle.system_id, **shared)

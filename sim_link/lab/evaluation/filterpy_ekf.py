@@ -12,8 +12,8 @@ its target multiplies a difference of rounding by ten every 40 steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,7 +74,7 @@ class FilterpyEkf:
                 HJacobian=lambda x: measurement_model.jacobian(x, sensor, self._model)[rows],
                 Hx=lambda x: measurement_model.predicted(x, sensor, self._model)[rows],
                 R=np.diag(effective[rows]),
-                residual=_residual_of(rows),
+                residual=partial(_residual, rows),
             )
         covariance = 0.5 * (ekf.P + ekf.P.T)
         mean = robust_update.settled(ekf.x, covariance, self._bounds)
@@ -104,16 +104,13 @@ class FilterpyEkf:
         return noise
 
 
-def _residual_of(rows: list[int]) -> Callable[[Vector, Vector], Vector]:
-    def residual(z: Vector, expected: Vector) -> Vector:
-        """The innovation, its bearing wrapped."""
-        y = z - expected
-        if BEARING in rows:
-            index = rows.index(BEARING)
-            y[index] = robust_update.wrapped(float(y[index]))
-        return y
-
-    return residual
+def _residual(rows: list[int], z: Vector, expected: Vector) -> Vector:
+    """The innovation, its bearing wrapped."""
+    y = z - expected
+    if BEARING in rows:
+        index = rows.index(BEARING)
+        y[index] = robust_update.wrapped(float(y[index]))
+    return y
 
 
 def _reports(

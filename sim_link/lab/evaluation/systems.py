@@ -56,7 +56,6 @@ def fuse_by_filter(
         state = FilterState.of(0.0, mean, np.diag(sigmas**2))
 
     def fuse(seen: RangingMeasurement, sensor: PositionEnu) -> tuple[TargetEstimate, Matrix]:
-        """The filter's mean and covariance, and the R95 of that."""
         nonlocal state
         if state is None:
             state = first_hypotheses(seen, sensor, params, HypothesisParams())[0].state
@@ -86,7 +85,6 @@ def fuse_by_tracker(tracker: TargetTracker) -> Fuse:
     """The companion's tracker, with its window and all else that makes it honest."""
 
     def fuse(seen: RangingMeasurement, sensor: PositionEnu) -> tuple[TargetEstimate, Matrix]:
-        """What the tracker says, with the covariance of its best hypothesis."""
         tracker.fuse(seen, sensor, seen.measured_at_s)
         estimate = tracker.estimate(seen.measured_at_s)
         assert estimate is not None
@@ -105,7 +103,6 @@ def steer_by_planner(planner: Planner[Any], step_m: float) -> Steer:
     memory: Any = None
 
     def steer(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
-        """Ask the planner anew at every step."""
         nonlocal memory
         request = PlanRequest(
             vehicle_enu_m=place, estimate=estimate, time_s=STEP_S * step, joint_covariance=joint

@@ -7,7 +7,6 @@ schedule began. What happens to the vehicle itself is in `sim_link.autopilot.inc
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal, get_args
 
 import msgspec
@@ -287,11 +286,6 @@ class Schedule(Params, frozen=True):
     """Faults, each with its start and duration, in seconds since the schedule began."""
 
     faults: tuple[Fault, ...] = ()
-
-    @property
-    def end_s(self) -> float:
-        """When the last fault that ends is over; faults without an end do not count."""
-        return max((f.end_s for f in self.faults if math.isfinite(f.end_s)), default=0.0)
 
 
 def fault_from(fields: dict[str, object]) -> Fault:

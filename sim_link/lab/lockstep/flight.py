@@ -21,10 +21,9 @@ from functools import partial
 from companion.config.schema import CompanionConfig
 from companion.domain import Autopilot, FlightMode
 from companion.flight_setup import build_endpoint
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult, Severity
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import VEHICLE_ONLY, Journal, LinkRole, LinkSpec
+from companion.link.interface import VEHICLE_ONLY, Journal, LinkSpec
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
@@ -64,10 +63,6 @@ class MemoryJournal:
         """Keep a report."""
         self.results.append((now_s, report))
 
-    def said(self, part: str) -> bool:
-        """Whether a text to the operator contained something."""
-        return any(part in text for _, text in self.texts)
-
 
 class WatchedJournal:
     """Passes everything on, and tells observers of it."""
@@ -100,7 +95,6 @@ class WatchedJournal:
 
 
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
-RADIO_LINK = LinkSpec(LinkRole.RANGING)
 COMPANION_PEER: Address = ("127.0.0.1", 14550)
 RADIO_PEER: Address = ("127.0.0.1", 15000)
 COMPONENT_BYTE = 6
@@ -109,20 +103,10 @@ SOCKET_BYTES = 212_992
 """What a UDP socket holds (Linux net.core.rmem_default); it counts each datagram's overhead."""
 DATAGRAM_OVERHEAD = 512
 
-Radio = Callable[[SimEndpoint, float], bytes | None]
-"""What a radio on a link of its own sends at a time, given the simulated truth."""
 MakeCompanion = Callable[[CompanionConfig, Journal, Sequence[LinkSpec]], CompanionEndpoint]
 """Configuration, journal and links to a companion that was just started."""
 MakeSimulator = Callable[[Scenario, int, float], SimEndpoint]
 """Scenario, seed and time to a vehicle that was just switched on."""
-
-
-@dataclass(frozen=True, slots=True)
-class RadioLink:
-    """A radio on a link of its own, instead of the simulator's."""
-
-    send: Radio
-    period_s: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +128,6 @@ class Flight:
         journal: Journal,
         *,
         wire: Wire | None = None,
-        radio: RadioLink | None = None,
         makers: Makers = Makers(),
     ) -> None:
         self.config = config
@@ -157,10 +140,8 @@ class Flight:
         self.is_link_up = True
         """False: the cable between the two is pulled."""
         self.is_ranging_up = True
-        """False: the radio says nothing."""
+        """False: the simulator's radio says nothing."""
         self.is_companion_up = False
-        self._radio = radio
-        self._radio_due_s = 0.0
         self._makers = makers
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._count = 0
@@ -177,15 +158,6 @@ class Flight:
             self.step()
         self.now_s = until_s
 
-    def run_until(self, condition: Callable[[], bool], limit_s: float) -> float:
-        """Let time pass until a condition holds, or raise a TimeoutError; how long it took."""
-        started_s = self.now_s
-        while not condition():
-            if self.now_s - started_s >= limit_s:
-                raise TimeoutError(f"the condition did not hold within {limit_s:g} s")
-            self.step()
-        return self.now_s - started_s
-
     def step(self) -> None:
         """Let the next thing happen, and everything that is due with it."""
         self.now_s = max(self.now_s, self._next_s())
@@ -194,7 +166,6 @@ class Flight:
         if self.sim.next_timer_s() <= now_s:
             self.sim.handle_timer(now_s)
             self.observers.tell("stepped", self.sim.vehicle, now_s)
-            self._measure()
         if self.is_companion_up and self._companion_due_s() <= now_s:
             self._wake_companion()
             self.companion.handle_timer(now_s)
@@ -282,7 +253,7 @@ class Flight:
             if COMPANION_PEER in chunk.except_peers or chunk.peer not in (None, COMPANION_PEER):
                 continue  # forwarded to someone else
             is_payload = chunk.data[COMPONENT_BYTE] == radio_payload.COMPONENT_ID
-            if is_payload and (self._radio is not None or not self.is_ranging_up):
+            if is_payload and not self.is_ranging_up:
                 continue
             self._tell("vehicle_sent", chunk.data, Lane.TO_COMPANION)
             self.post(chunk.data, Lane.TO_COMPANION)
@@ -303,19 +274,9 @@ class Flight:
                 for tell in tellers:
                     tell(frame)
 
-    def _measure(self) -> None:
-        if self._radio is None or self.now_s < self._radio_due_s - 1e-9:
-            return
-        self._radio_due_s = self.now_s + self._radio.period_s
-        data = self._radio.send(self.sim, self.now_s)
-        if data is not None and self.is_ranging_up:
-            self.observers.tell("vehicle_sent", Frame(self.now_s, data, Lane.RANGING))
-            self.post(data, Lane.RANGING)
-
     def start_companion(self) -> None:
         """Start the process, or a new one in place of one that ended."""
-        links = VEHICLE_ONLY if self._radio is None else (*VEHICLE_ONLY, RADIO_LINK)
-        self.companion = self._makers.companion(self.config, self.journal, links)
+        self.companion = self._makers.companion(self.config, self.journal, VEHICLE_ONLY)
         self.is_companion_up = True
         self.observers.tell("companion_started", self.now_s)
 
@@ -344,11 +305,6 @@ class Flight:
         self._socket_bytes = 0
         self.observers.tell("companion_ended", self.now_s)
 
-    def reboot(self) -> None:
-        """Another vehicle in its place: at home, on the ground, its clock at zero."""
-        self.sim = self._makers.simulator(self.scenario, self.seed, self.now_s)
-        self.observers.tell("vehicle_rebooted", self.now_s)
-
     def apply_incident(self, incident: IncidentRecord) -> None:
         """Let something happen to the vehicle."""
         self.sim.apply_incident(incident, self.now_s)
@@ -371,8 +327,3 @@ class Flight:
     def mode(self) -> FlightMode:
         """The mode that the vehicle is truly in."""
         return self.sim.vehicle.flavour.mode
-
-    @property
-    def phase(self) -> Phase:
-        """Where the companion says it stands."""
-        return self.companion.session.phase

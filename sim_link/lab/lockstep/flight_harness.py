@@ -21,8 +21,6 @@ from sim_link.lab.lockstep.observer import Lane, Observer
 
 STATION_PEER: Address = ("127.0.0.1", 1)
 COMPANION_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
-BOOT_S = 3.0
-"""After this long the simulated autopilot can be armed."""
 
 
 class Operator:
@@ -57,39 +55,20 @@ class Operator:
         """Disarm by force, in the air too."""
         self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21_196.0)
 
-    def choose(self, mode: FlightMode, *, is_told_at_once: bool = False) -> None:
-        """Switch the mode; the companion may be told at once.
-
-        ArduPilot does so anyhow, PX4 tells a new mode with its next HEARTBEAT, unless it is asked.
-        """
+    def choose(self, mode: FlightMode) -> None:
+        """Switch the mode."""
         flight = self._flight
         is_armed = flight.sim.vehicle.flavour.is_armed
         params = set_mode_params(mode, flight.autopilot, is_armed=is_armed)
         self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
         flight.tell_chosen(mode)
-        if not is_told_at_once:
-            return
-        wanted = float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        self.tell(self._ask_of(1, mavlink.MAV_CMD_REQUEST_MESSAGE, wanted), None)
-        flight.settle()
 
     def grant(self) -> None:
         """Give control back to the companion, through the autopilot, which forwards it."""
-        message = self._ask_of(COMPANION_COMPONENT, mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0)
+        number, rest = mavlink.MAV_CMD_NAV_GUIDED_ENABLE, [0.0] * 6
+        target = (self._flight.scenario.system_id, COMPANION_COMPONENT)
+        message = mavlink.MAVLink_command_long_message(*target, number, 0, 1.0, *rest)
         self._flight.post(self._encoded(message), Lane.TO_COMPANION)
-
-    def _ask_of(self, component: int, number: int, first: float) -> Message:
-        system, rest = self._flight.scenario.system_id, [0.0] * 6
-        return mavlink.MAVLink_command_long_message(system, component, number, 0, first, *rest)
-
-    def take_off(self, height_m: float = 10.0) -> None:
-        """Arm and take off, until the vehicle holds at the end; a TimeoutError if it does not."""
-        flight = self._flight
-        flight.run(BOOT_S)
-        self.arm()
-        ground_m = flight.scenario.origin.altitude_m
-        self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan] * 6, ground_m + height_m)
-        flight.run_until(lambda: flight.mode is FlightMode.HOLD, 60.0)
 
     def _encoded(self, message: Message) -> bytes:
         if self._signing is not None:

@@ -62,15 +62,11 @@ class OwnJumps:
             return True
         if not self._is_told and scene.now_s - told.position_s > BLIND_S:
             return True
-        return scene.now_s - self._jumped_s > STEADY_S and self._seems_inside()
-
-    def _seems_inside(self) -> bool:
-        scene, rules = self._scene, self._scene.rules
-        assert self._seemed is not None
-        east, north, up = self._seemed
-        height_m = up - scene.vehicle.home_enu_m[2]
-        is_in_band = rules.altitude_min_m <= height_m <= rules.altitude_max_m
-        return is_in_band and rules.depth_m((east, north)) >= 0.0
+        if self._seemed is None or scene.now_s - self._jumped_s <= STEADY_S:
+            return False
+        height_m = self._seemed[2] - scene.vehicle.home_enu_m[2]
+        is_in_band = scene.rules.altitude_min_m <= height_m <= scene.rules.altitude_max_m
+        return is_in_band and scene.rules.depth_m(self._seemed[:2]) >= 0.0
 
 
 SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT"))

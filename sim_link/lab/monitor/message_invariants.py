@@ -76,15 +76,10 @@ class WithinEnvelope(Invariant):
         if crept_m > 0.0:
             self._velocity = None
             return
-        is_slow_enough = moved <= self._moved_since(vehicle) + TOLERANCE_M
+        told_m = math.dist(vehicle, self._vehicle) if vehicle and self._vehicle else 0.0
+        is_slow_enough = moved <= told_m + TOLERANCE_M
         is_anew = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
         self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_anew=is_anew)
-
-    def _moved_since(self, vehicle: Point | None) -> float:
-        """How far the vehicle was told to have moved since the setpoint before."""
-        if vehicle is None or self._vehicle is None:
-            return 0.0
-        return math.dist(vehicle, self._vehicle)
 
     def _judge_change(
         self,

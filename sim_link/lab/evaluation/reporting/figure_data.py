@@ -223,7 +223,6 @@ def _gradients(
     found: list[tuple[float, float]] = []
 
     def watch(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
-        """Fly on along the track, and take down what is promised."""
         east_m, north_m = estimate.position_enu_m
         way_m = (east_m - place[0], north_m - place[1])
         filtered = _criteria(joint, way_m, ring_m, sigmas)

@@ -1,11 +1,4 @@
-"""The figures of a study, by the names that it asks for them.
-
-    losses        loss functions and their influence
-    rmse          RMSE after every step, one figure for each value of the study
-    offsets       estimates of both offsets after every step
-    tracks        tracks of the planners, with obstacles and their shadow where there are any
-    gradients     how much FIM's candidates differ along flights
-    sensitivity   final RMSE over each parameter: measured, printed, and the bound
+"""The figures of a study, by the names that it asks for them (`FIGURES`).
 
 A figure whose systems a study does not fly is left out.
 """

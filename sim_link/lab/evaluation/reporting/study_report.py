@@ -274,17 +274,12 @@ def provenance() -> Provenance:
 
 def _commit(root: Path) -> str:
     """The commit of the checkout, and whether files differ from it."""
-    commit = _git(root, "rev-parse", "--short=12", "HEAD")
-    if not commit or not (root / ".git").exists():
+    if not (root / ".git").exists():
         return UNKNOWN
-    changes = _git(root, "status", "--porcelain", "--untracked-files=no")
-    return f"{commit} with local changes" if changes else commit
-
-
-def _git(root: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
+    options = ("--always", "--abbrev=12", "--exclude=*", "--dirty= with local changes")
+    command = ["git", "-C", str(root), "describe", *options]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_LIMIT_S)
     except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout.strip() if done.returncode == 0 else ""
+        return UNKNOWN
+    return done.stdout.strip() if done.returncode == 0 else UNKNOWN

@@ -37,6 +37,7 @@ from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Operator
 from sim_link.lab.lockstep.observer import Frame, Observer
+from tests.loop.loop_helpers import run_until
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 
@@ -58,7 +59,7 @@ def flown(*faults: Fault, seed: int = 1) -> tuple[Flight, Ears, float]:
     flight, ears = Flight(AUTO, Scenario(), seed, MemoryJournal(), wire=link), Ears()
     injector = Injector(flight, link, Operator(flight))
     flight.observers.append(ears)
-    flight.run_until(lambda: flight.phase is Phase.NORMAL, 60.0)
+    run_until(flight, lambda: flight.companion.session.phase is Phase.NORMAL, 60.0)
     injector.inject(Schedule(faults=faults))
     return flight, ears, flight.now_s
 

@@ -13,6 +13,7 @@ from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Operator
 from sim_link.lab.lockstep.observer import Frame, Observer
+from tests.loop.loop_helpers import reboot, run_until, take_off
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 
@@ -87,7 +88,7 @@ def test_actions_happen_at_their_time() -> None:
 
 def test_a_killed_companion_is_silent_and_a_new_one_knows_nothing() -> None:
     flight, watcher = flight_of()
-    flight.run_until(lambda: flight.phase is Phase.NORMAL, 60.0)
+    run_until(flight, lambda: flight.companion.session.phase is Phase.NORMAL, 60.0)
     old = flight.companion
     flight.kill_companion()
     killed_s = flight.now_s
@@ -95,7 +96,7 @@ def test_a_killed_companion_is_silent_and_a_new_one_knows_nothing() -> None:
     assert watcher.times("sent", killed_s) == watcher.times("heard", killed_s) == []
     flight.start_companion()
     assert flight.companion is not old
-    assert flight.phase is Phase.WAITING
+    assert flight.companion.session.phase is Phase.WAITING
     flight.run(2.0)
     assert watcher.times("sent", killed_s)
     assert watcher.times("ended") == [killed_s]
@@ -116,7 +117,7 @@ def test_a_suspended_companion_hears_late_what_its_socket_held() -> None:
 
 def test_a_stopped_companion_hands_back_and_ends() -> None:
     flight, watcher = flight_of()
-    flight.run_until(lambda: flight.phase is Phase.NORMAL, 60.0)
+    run_until(flight, lambda: flight.companion.session.phase is Phase.NORMAL, 60.0)
     flight.stop_companion()
     flight.run(2.0)
     assert not flight.is_companion_up
@@ -135,14 +136,14 @@ def test_a_pulled_cable_carries_nothing() -> None:
 def test_what_never_holds_is_told() -> None:
     flight, _ = flight_of()
     with pytest.raises(TimeoutError, match="within 2 s"):
-        flight.run_until(lambda: False, 2.0)
+        run_until(flight, lambda: False, 2.0)
 
 
 def test_an_operator_takes_off_and_the_vehicle_reboots_on_the_ground() -> None:
     flight, _ = flight_of(CompanionConfig())
-    Operator(flight).take_off(12.0)
+    take_off(flight, Operator(flight), 12.0)
     assert flight.sim.vehicle.body.height_m == pytest.approx(12.0, abs=0.5)
-    flight.reboot()
+    reboot(flight)
     flight.run(1.0)
     assert flight.sim.vehicle.body.is_on_ground
     assert not flight.sim.vehicle.is_armed

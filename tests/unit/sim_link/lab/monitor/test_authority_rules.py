@@ -85,7 +85,7 @@ def test_a_grant_takes_nothing_away_from_who_could_not_know_of_the_take_over() -
     around.operator.grant()
     around.flight.run(0.5)
     assert around.flight.mode is FlightMode.HOLD
-    assert around.flight.phase in (Phase.NORMAL, Phase.HOLD)
+    assert around.flight.companion.session.phase in (Phase.NORMAL, Phase.HOLD)
     assert around.monitor.violations == []
 
 
@@ -130,6 +130,6 @@ def test_a_companion_that_begins_anew_in_the_air_has_nothing_to_lose(
     around.flight.run(6.0)
     around.operator.choose(FlightMode.RETURN)
     around.flight.run(4.0)
-    assert around.flight.phase is (Phase.YIELD if is_too_bold else Phase.STANDBY)
+    assert around.flight.companion.session.phase is (Phase.YIELD if is_too_bold else Phase.STANDBY)
     found = {violation.invariant for violation in around.monitor.violations}
     assert ("I3" in found) is is_too_bold

@@ -22,6 +22,7 @@ from sim_link.lab.faults.fault_models import (
 )
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.independent_checks import SILENCE_S, SenderTrust, depth_m
+from tests.loop.loop_helpers import said
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 81, 0, 4, 3)
@@ -47,7 +48,7 @@ def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: Flavo
     around.injector.inject(Schedule(faults=(away,)))
     around.flight.run(60.0)
     assert true_depth_m(around) < -5.0
-    assert around.notes.said("control yielded")
+    assert said(around.notes, "control yielded")
     assert around.monitor.fence.breaches == 0
     assert around.monitor.violations == []
 
@@ -73,7 +74,7 @@ def test_who_yielded_answers_for_nothing_where_the_mode_flaps_back() -> None:
     around.flight.run(1.2)
     around.operator.choose(FlightMode.OFFBOARD)
     around.flight.run(1.2)
-    assert around.flight.phase is Phase.YIELD
+    assert around.flight.companion.session.phase is Phase.YIELD
     body = around.flight.sim.vehicle.body
     body.position_enu_m = (-200.0, -200.0, body.position_enu_m[2])
     around.flight.run(0.5)
@@ -108,7 +109,7 @@ def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
     stranger = UnsignedFrames(start_s=6.0, duration_s=4.0, rate_hz=130.0)
     around.injector.inject(Schedule(faults=(silence, stranger)))
     around.flight.run(30.0)
-    assert around.notes.said("from another address")
+    assert said(around.notes, "from another address")
     assert [v for v in around.monitor.violations if v.invariant == "I10"] == []
 
 
