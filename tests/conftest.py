@@ -11,10 +11,12 @@ machine makes it.
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import shutil
 import signal
 import tempfile
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,18 @@ _WAITING = Path(__file__).parent / "e2e"
 def pytest_unconfigure() -> None:
     """Remove that place, in every worker, too; they end without running what `atexit` keeps."""
     shutil.rmtree(_STATE, ignore_errors=True)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol() -> Generator[None, object, object]:
+    """Leave logging as it was: commands that a test calls set it up for their whole process."""
+    ours = logging.getLogger("companion")
+    before = (ours.propagate, ours.level, list(ours.handlers), logging.root.manager.disable)
+    try:
+        return (yield)
+    finally:
+        ours.propagate, ours.level, ours.handlers, level = before
+        logging.disable(level)
 
 
 @pytest.hookimpl(optionalhook=True)
