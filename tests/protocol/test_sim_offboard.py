@@ -247,11 +247,18 @@ def test_gaps_in_the_stream(station: GroundStation, gap_s: float, holds: bool) -
     assert station.mode is FlightMode.OFFBOARD
 
 
-INVALID = {
+PARTLY_INVALID = {
     "x is NaN": local_setpoint(x=NAN),
     "z is infinite": local_setpoint(z=-math.inf),
     "yaw is NaN": local_setpoint(yaw=NAN, mask=dialect.POSITION_AND_YAW),
     "velocity is NaN": local_setpoint(vx=NAN, mask=VELOCITY_ONLY),
+    "altitude is NaN": global_setpoint((30.0, 20.0, 12.0), altitude_m=NAN),
+    "no altitude above the terrain": global_setpoint(
+        (30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, NAN
+    ),
+}
+"""What PX4 accepts, and holds its place by."""
+INVALID = {
     "all masked": local_setpoint(mask=0xFDFF),
     "everything masked": local_setpoint(mask=0xFFFF),
     "force bit": local_setpoint(mask=dialect.POSITION_ONLY | dialect.FORCE_SET),
@@ -265,10 +272,6 @@ INVALID = {
     "attitude is NaN": attitude_setpoint(pitch_rad=NAN),
     "thrust is NaN": attitude_setpoint(thrust=NAN),
     "thrust is too much": attitude_setpoint(thrust=1.5),
-    "altitude is NaN": global_setpoint((30.0, 20.0, 12.0), altitude_m=NAN),
-    "no altitude above the terrain": global_setpoint(
-        (30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, NAN
-    ),
     "not an INT frame": global_setpoint((30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL),
     "no latitude": mavlink.MAVLink_set_position_target_global_int_message(
         0, 1, 1, 5, dialect.POSITION_ONLY, 2**31 - 1, 0, 500.0, *[0.0] * 8
@@ -284,8 +287,20 @@ def test_an_invalid_setpoint_is_no_proof_of_life_and_moves_nothing(
     before = station.place
     station.stream = lambda: INVALID[name]
     station.run(2.0)
-    assert station.mode is FlightMode.HOLD
+    assert station.mode is FlightMode.POSITION  # the default of COM_OBL_RC_ACT, 0
     assert station.status == CRITICAL
+    assert station.place[:2] == pytest.approx(before[:2], abs=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PARTLY_INVALID)
+def test_a_setpoint_with_a_part_that_is_no_number_holds_the_place(
+    station: GroundStation, name: str
+) -> None:
+    before = station.place
+    station.stream = lambda: PARTLY_INVALID[name]
+    station.run(2.0)
+    assert station.mode is FlightMode.OFFBOARD
     assert station.place == pytest.approx(before, abs=0.3)
 
 

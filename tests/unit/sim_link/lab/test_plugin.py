@@ -53,7 +53,7 @@ def test_two():
 
 
 def test_others_are_left_alone(faulty_link):
-    assert faulty_link.carry(b"x", next(iter(faulty_link._acting)), 0.0) == [(0.0, b"x")]
+    assert faulty_link.carry(b"x", next(iter(faulty_link._effects)), 0.0) == [(0.0, b"x")]
 """
 
 
