@@ -11,7 +11,7 @@ place, beside the code that uses them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import Annotated
 
@@ -30,6 +30,23 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 PositionEnu = tuple[float, float, float]
 """East, north and up, metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayDirection:
+    """What an antenna array measured of the direction to an emitter, in its own plane.
+
+    A planar array tells the azimuth in its plane, clockwise from `first_axis` towards `second_axis`
+    as seen from the antenna's top; any other array the direction cosines along its axes.
+    """
+
+    first_axis_enu: PositionEnu
+    """Unit vector of the antenna in the local frame, by the attitude at the time."""
+    second_axis_enu: PositionEnu
+    first: float
+    """Azimuth, radians, of a planar array; else the direction cosine along the first axis."""
+    second: float | None = None
+    """The direction cosine along the second axis; None: not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +72,17 @@ class RangingMeasurement:
     line_of_sight: bool | None = None
     stamp_us: int | None = None
     """The sender's own stamp; with equal values it tells a duplicate."""
+    array: ArrayDirection | None = None
+    """The bearing as the antenna measured it, once its attitude at the time is known."""
+
+    @property
+    def has_direction(self) -> bool:
+        """Whether it says a direction that a filter can use."""
+        return self.bearing_enu_rad is not None or self.array is not None
+
+    def without_direction(self) -> RangingMeasurement:
+        """What is left where the direction is not to be used."""
+        return replace(self, bearing_enu_rad=None, bearing_body_rad=None, array=None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,8 +86,8 @@ class Gate(NamedTuple):
         if not self.passes_range:
             measurement = replace(measurement, range_m=None)
         if not self.passes_bearing:
-            measurement = replace(measurement, bearing_enu_rad=None, bearing_body_rad=None)
-        has_any = measurement.range_m is not None or measurement.bearing_enu_rad is not None
+            measurement = measurement.without_direction()
+        has_any = measurement.range_m is not None or measurement.has_direction
         return measurement if has_any else None
 
 

@@ -22,8 +22,14 @@ import numpy as np
 
 from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams, FilterState
-from companion.estimation.measurement_model import BEARING, BEARING_OFFSET, EAST, NORTH
-from companion.estimation.window.map_kernels import VALUES
+from companion.estimation.measurement_model import (
+    AZIMUTH,
+    BEARING,
+    BEARING_OFFSET,
+    EAST,
+    NORTH,
+)
+from companion.estimation.window.map_kernels import AXES, VALUES
 from companion.geometry.coordinates import wrap_pi
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
@@ -71,8 +77,11 @@ def first_hypotheses(
     """Where the target may be after its first measurement."""
     range_m, bearing_rad = measurement.range_m, measurement.bearing_enu_rad
     if range_m is None:
-        assert bearing_rad is not None
-        placed = _along_ray(bearing_rad, filter_params, params)
+        placed = [
+            place
+            for direction_rad in _directions_rad(measurement)
+            for place in _along_ray(direction_rad, filter_params, params)
+        ]
     else:
         rise_m = sensor_enu_m[2] - filter_params.target_height_m
         ground_m = math.sqrt(max(range_m**2 - rise_m**2, 1.0))
@@ -93,6 +102,18 @@ def first_hypotheses(
 
 _Placed = list[tuple[float, float, Matrix]]
 """Direction from the sensor, distance along the ground, and the position's covariance (2, 2)."""
+
+
+def _directions_rad(measurement: RangingMeasurement) -> list[float]:
+    """Where along the ground a direction points: a line of antennas leaves two sides of its own."""
+    if measurement.bearing_enu_rad is not None:
+        return [measurement.bearing_enu_rad]
+    assert measurement.array is not None
+    east, north, _ = measurement.array.first_axis_enu
+    level = max(math.hypot(east, north), 1e-6)
+    aside_rad = math.acos(min(1.0, max(-1.0, measurement.array.first / level)))
+    along_rad = math.atan2(north, east)
+    return [along_rad - aside_rad, along_rad + aside_rad]
 
 
 def _on_ring(ground_m: float, params: FilterParams) -> _Placed:
@@ -189,12 +210,18 @@ def shift_hypothesis(hypothesis: Hypothesis, step: Vector) -> Hypothesis:
 def shift_rows(
     rows: Matrix, shift_enu_m: PositionEnu, step: Vector, params: FilterParams
 ) -> Matrix:
-    """Measurements as they would have been made after a jump, (n, 10)."""
+    """Measurements as they would have been made after a jump, of the same shape."""
     east_m, north_m, up_m = shift_enu_m
     after = np.array(rows)
     after[:, 0] += east_m
     after[:, 1] += north_m
     if params.model.height_index >= 0:
         after[:, 2] += up_m
-    after[:, VALUES + BEARING] += step[BEARING_OFFSET]
+    if params.model.antenna == AZIMUTH:
+        after[:, VALUES + BEARING] += step[BEARING_OFFSET]
+        return after
+    c, s = math.cos(step[BEARING_OFFSET]), math.sin(step[BEARING_OFFSET])
+    for axis in (AXES, AXES + 3):
+        east, north = after[:, axis].copy(), after[:, axis + 1].copy()
+        after[:, axis], after[:, axis + 1] = c * east - s * north, s * east + c * north
     return after

@@ -10,8 +10,20 @@ target's height where these are not known:
 A measurement is three numbers in that order, NaN where nothing was measured: inside the kernels
 they are one array. With a known height and no elevation the arithmetic is that of the plane.
 
+An antenna array does not measure an azimuth about the vertical. It measures the components of u,
+the unit vector to the target, along axes a and b of its own, which the vehicle's attitude turns.
+Then the bearing's and the elevation's place hold, with R(c) the turn by the bearing offset c,
+
+    planar array      atan2(b . R(c) u, a . R(c) u)      its azimuth, clockwise from a to b
+    any other         a . R(c) u   and   b . R(c) u      direction cosines
+
+with noise s on each component. An azimuth's is s / rho then, with rho the length of u in the plane
+of the array: nothing near its normal. There, where s / rho is no small angle, a phase says less
+than its variance, by 1 + (s / rho)^2 to a good approximation (that of a Rician phase).
+
 Paper: eq. (1) with h of the range lifted to the flown altitude, because a radio measures slant
-range (the paper works in the plane of flight). Deviations: scale, height and elevation.
+range (the paper works in the plane of flight). Deviations: scale, height, elevation and arrays.
+Source of the arrays: H. L. Van Trees, Optimum Array Processing (2002), chapters 2 and 4.
 """
 
 from __future__ import annotations
@@ -36,6 +48,14 @@ ABSENT = -1
 MIN_RANGE_M = 1e-3
 """Closer than this the direction to the target has no meaning."""
 
+AZIMUTH, PLANAR, COSINES = 0, 1, 2
+"""What stands in the bearing's place: an azimuth about the vertical, as the paper has it, that of a
+planar array in its own plane, or direction cosines."""
+FIRST_AXIS, SECOND_AXIS, POSE_SIZE = 3, 6, 9
+"""Where a sensor's pose has its antenna's axes, behind its place."""
+MIN_SINE2 = 1e-6
+"""Nearer to a planar array's normal than its root, an azimuth has no meaning."""
+
 
 class RangingModel(NamedTuple):
     """The constants of the model, as the kernels take them."""
@@ -53,6 +73,8 @@ class RangingModel(NamedTuple):
     bearing_inflation: float = 1.0
     """How much worse than thermal bearings are. The own position's error does not grow with that,
     so that it counts for less beside them."""
+    antenna: int = AZIMUTH
+    """`AZIMUTH`, `PLANAR` or `COSINES`."""
 
 
 @kernel
@@ -72,8 +94,22 @@ def range_factor(mean: Vector, model: RangingModel) -> float:
 
 
 @kernel
+def cosines(de: float, dn: float, du: float, turn_rad: float, pose: Vector) -> tuple[float, float]:
+    """Components along the antenna's axes of the unit vector (de, dn, du), turned by `turn_rad`."""
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    east, north = c * de - s * dn, s * de + c * dn
+    return (
+        float(pose[3] * east + pose[4] * north + pose[5] * du),
+        float(pose[6] * east + pose[7] * north + pose[8] * du),
+    )
+
+
+@kernel
 def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
-    """Range, bearing and elevation expected, (3,), of a state; metres, radians, not wrapped."""
+    """Range, bearing and elevation expected, (3,), of a state; metres, radians, not wrapped.
+
+    The sensor is its place, (3,), or with an antenna array its pose, (9,): place and two axes.
+    """
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])
     du = target_height_m(mean, model) - float(sensor_enu_m[2])
@@ -81,8 +117,14 @@ def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector
     slant = math.sqrt(de * de + dn * dn + du * du)
     z = np.empty(3)
     z[0] = range_factor(mean, model) * slant + mean[2]
-    z[1] = math.atan2(dn, de) + mean[3]
-    z[2] = math.atan2(du, ground)
+    if model.antenna == AZIMUTH:
+        z[1] = math.atan2(dn, de) + mean[3]
+        z[2] = math.atan2(du, ground)
+        return z
+    unit = 1.0 / max(slant, MIN_RANGE_M)
+    z[1], z[2] = cosines(de * unit, dn * unit, du * unit, float(mean[3]), sensor_enu_m)
+    if model.antenna == PLANAR:
+        z[1] = math.atan2(z[2], z[1])
     return z
 
 
@@ -106,13 +148,46 @@ def jacobian(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Matrix:
         if model.height_index >= 0:
             H[0, model.height_index] = du * by_slant
             H[2, model.height_index] = math.sqrt(ground2) / slant2
-    if ground2 > MIN_RANGE_M * MIN_RANGE_M:
+    if model.antenna != AZIMUTH:
+        fill_array_partials(H, mean, de, dn, du, sensor_enu_m, model)
+    elif ground2 > MIN_RANGE_M * MIN_RANGE_M:
         H[1, 0] = -dn / ground2
         H[1, 1] = de / ground2
         down = -du / (slant2 * math.sqrt(ground2))
         H[2, 0] = de * down
         H[2, 1] = dn * down
     return H
+
+
+@kernel
+def fill_array_partials(
+    H: Matrix,
+    mean: Vector,
+    de: float,
+    dn: float,
+    du: float,
+    pose: Vector,
+    model: RangingModel,
+) -> None:
+    """The rows of H, (3, n), of an array: those of its cosines, or of its azimuth."""
+    slant = max(math.sqrt(de * de + dn * dn + du * du), MIN_RANGE_M)
+    e, n, up = de / slant, dn / slant, du / slant
+    c, s = math.cos(mean[3]), math.sin(mean[3])
+    H[1, :] = 0.0
+    H[2, :] = 0.0
+    for row in range(2):
+        axis = pose[3 + 3 * row : 6 + 3 * row]
+        east, north = c * axis[0] + s * axis[1], c * axis[1] - s * axis[0]
+        cosine = east * e + north * n + axis[2] * up
+        H[1 + row, 0] = (east - cosine * e) / slant
+        H[1 + row, 1] = (north - cosine * n) / slant
+        H[1 + row, 3] = north * e - east * n
+        if model.height_index >= 0:
+            H[1 + row, model.height_index] = (axis[2] - cosine * up) / slant
+    if model.antenna == PLANAR:
+        x, y = cosines(e, n, up, float(mean[3]), pose)
+        H[1, :] = (x * H[2] - y * H[1]) / max(x * x + y * y, MIN_SINE2)
+        H[2, :] = 0.0
 
 
 @kernel
@@ -133,6 +208,8 @@ def variances(
     ground2 = max(de * de + dn * dn, MIN_RANGE_M * MIN_RANGE_M)
     slant2 = max(de * de + dn * dn + du * du, MIN_RANGE_M * MIN_RANGE_M)
     own2 = model.own_sigma_m * model.own_sigma_m
+    if model.antenna != AZIMUTH:
+        return array_variances(P, mean, sensor_enu_m, sigma, model)
     R = sigma * sigma
     R[0] += own2
     R[1] += own2 / ground2
@@ -145,3 +222,42 @@ def variances(
         R[0] += trace * trace / (4.0 * slant2)
         R[2] += (trace / slant2 * (1.0 + 0.5 * abs(du) / math.sqrt(ground2))) ** 2
     return R
+
+
+@kernel
+def array_variances(
+    P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel
+) -> Vector:
+    """The same as `variances` for an antenna array; `sigma` of a component, (3,)."""
+    de = float(mean[0]) - float(pose[0])
+    dn = float(mean[1]) - float(pose[1])
+    du = target_height_m(mean, model) - float(pose[2])
+    slant2 = max(de * de + dn * dn + du * du, MIN_RANGE_M * MIN_RANGE_M)
+    own2 = model.own_sigma_m * model.own_sigma_m
+    trace = 0.0
+    if model.near_target_terms:
+        trace = float(P[0, 0] + P[1, 1])
+        if model.height_index >= 0:
+            trace += float(P[model.height_index, model.height_index])
+    R = sigma * sigma
+    R[0] += own2 + trace * trace / (4.0 * slant2)
+    view2 = slant2
+    if model.antenna == PLANAR:
+        unit = 1.0 / math.sqrt(slant2)
+        x, y = cosines(de * unit, dn * unit, du * unit, float(mean[3]), pose)
+        sine2 = max(x * x + y * y, MIN_SINE2)
+        view2 = slant2 * sine2
+        R[1] = azimuth_variance(R[1], sine2)
+    R[1] += own2 / view2 + (trace / view2) ** 2
+    R[2] += own2 / slant2 + (trace / slant2) ** 2
+    return R
+
+
+@kernel
+def azimuth_variance(component2: float, sine2: float) -> float:
+    """Variance of a planar array's azimuth, rad^2, by that of a component and sin^2 off its normal.
+
+    The second factor is what a phase that is no small angle says less.
+    """
+    spread2 = component2 / sine2
+    return float(spread2 * (1.0 + spread2))

@@ -43,6 +43,28 @@ def bearing_ned_from_enu(bearing_enu_rad: float) -> float:
     return wrap_pi(math.pi / 2.0 - bearing_enu_rad)
 
 
+def body_axes_ned(attitude_rad: Triple) -> tuple[Triple, Triple, Triple]:
+    """Forward, right and down axes of a body, north-east-down, by its roll, pitch and yaw.
+
+    Source: MAVLink common, ATTITUDE (Tait-Bryan angles, turned in the order yaw, pitch, roll).
+    """
+    roll, pitch, yaw = attitude_rad
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return (
+        (cp * cy, cp * sy, -sp),
+        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
+        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
+    )
+
+
+def combined(axes: tuple[Triple, Triple, Triple], components: Triple) -> Triple:
+    """The vector with these components along three axes."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = axes
+    a, b, c = components
+    return (a * ax + b * bx + c * cx, a * ay + b * by + c * cy, a * az + b * bz + c * cz)
+
+
 class Projection(Enum):
     """How an autopilot lays its flat local frame on the Earth: each has a way of its own."""
 

@@ -101,10 +101,12 @@ class VehicleMoved(OrderedEvent):
 
 @dataclass(frozen=True, slots=True)
 class YawMeasured(OrderedEvent):
-    """A new own heading, clockwise from north."""
+    """A new own heading, clockwise from north, and the tilt, NaN where it is not told."""
 
     measured_at_s: float
     yaw_ned_rad: float
+    roll_rad: float = math.nan
+    pitch_rad: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

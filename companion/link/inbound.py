@@ -237,7 +237,8 @@ class VehicleInbound:
             if not abs(message.yaw) <= MAX_YAW_RAD:
                 return []
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
-            event = YawMeasured(now_s, reading.time_s, message.yaw, order=number)
+            at_s, m = reading.time_s, message
+            event = YawMeasured(now_s, at_s, m.yaw, m.roll, m.pitch, order=number)
         else:
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
             place_enu_m = enu_from_ned((message.x, message.y, message.z))

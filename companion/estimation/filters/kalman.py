@@ -106,7 +106,7 @@ class RecursiveFilter:
         mean, P, rows, is_sane = self._kernel(
             state.mean,
             state.covariance,
-            np.array(sensor_enu_m),
+            np.array(self.params.pose(measurement, sensor_enu_m)),
             z,
             sigma,
             self._walk**2 * late_s,

@@ -18,15 +18,20 @@ import msgspec
 import numpy as np
 
 from companion.domain import NonNegative, Params, PositionEnu, Positive, RangingMeasurement
+from companion.estimation.antenna import MODELS, AntennaParams
 from companion.estimation.filters.robust_update import threshold
 from companion.estimation.measurement_model import (
     ABSENT,
+    AZIMUTH,
     BEARING_OFFSET,
+    COSINES,
     RANGE_OFFSET,
     RangingModel,
 )
 from companion.kernel import Matrix, Vector, frozen
 
+Pose = tuple[float, ...]
+"""A sensor's place, and behind it the two axes of an antenna array: 3 or 9 numbers, ENU."""
 Inflation = tuple[float, float, float]
 """Factors on the variances of range, bearing and elevation."""
 NO_INFLATION: Inflation = (1.0, 1.0, 1.0)
@@ -115,6 +120,8 @@ class TargetFilter(Protocol):
         """
 
 
+NO_AXES = (0.0,) * 6
+"""Of a measurement without a direction."""
 MIN_SIGMA, MAX_SIGMA = 1e-50, 1e50
 """What a radio may report: beyond these a standard deviation has no square in 64 bits."""
 
@@ -167,6 +174,8 @@ class FilterParams(Params, frozen=True, dict=True):
     """How well that height is known; above 0 it is estimated."""
     near_target_terms: bool = True
     """Second-order terms of the measurement model, which keep the filter sane close by."""
+    antenna: AntennaParams = AntennaParams()
+    """What measures the bearing."""
 
     def __post_init__(self) -> None:
         """Refuse bounds that leave nothing between them."""
@@ -184,6 +193,7 @@ class FilterParams(Params, frozen=True, dict=True):
             scale_index=4 if has_scale else ABSENT,
             own_sigma_m=self.own_position_sigma_m,
             near_target_terms=self.near_target_terms,
+            antenna=MODELS[self.antenna.kind],
         )
 
     @property
@@ -230,10 +240,22 @@ class FilterParams(Params, frozen=True, dict=True):
         ranges = (threshold(self.range_k_long), threshold(self.range_k_short))
         return np.array([ranges, (angle, angle), (angle, angle)])
 
+    def pose(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> Pose:
+        """Where, and with an array in which attitude, a measurement was made."""
+        if self.model.antenna == AZIMUTH:
+            return sensor_enu_m
+        array = measurement.array
+        if array is None:
+            return (*sensor_enu_m, *NO_AXES)
+        return (*sensor_enu_m, *array.first_axis_enu, *array.second_axis_enu)
+
     def seen(self, measurement: RangingMeasurement) -> tuple[Vector, Vector]:
         """A measurement as the kernels take it: values and standard deviations, each (3,)."""
-        m = measurement
+        m, array = measurement, measurement.array
         values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if self.use_elevation else None)
+        if self.model.antenna != AZIMUTH:
+            direction = (None, None) if array is None else (array.first, array.second)
+            values = (m.range_m, *direction)
         z = np.array([math.nan if v is None else v for v in values])
         return z, np.array(self.seen_sigmas(m))
 
@@ -245,6 +267,8 @@ class FilterParams(Params, frozen=True, dict=True):
             math.radians(self.bearing_sigma_deg),
             math.radians(self.elevation_sigma_deg),
         )
+        if self.model.antenna == COSINES:  # one array measures both components alike
+            believed = (*believed[:2], believed[1])
         if not self.use_reported_sigma:
             return believed
         reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)

@@ -36,7 +36,7 @@ from companion.estimation.window.sandwich import (
     curvature,
     pooled_variability,
 )
-from companion.estimation.window.window_map import Row, WindowMap
+from companion.estimation.window.window_map import Row, WindowMap, row_vector
 from companion.kernel import Matrix, Vector
 
 SPANS_S = (10.0, 20.0, 40.0)
@@ -110,8 +110,7 @@ class MotionWatch:
     def add(self, time_s: float, row: Row) -> None:
         """Take in a measurement."""
         if self._is_wanted:
-            sensor_enu_m, z, sigma = row
-            self._rows.append(np.array([*sensor_enu_m, *z, *sigma, time_s]))
+            self._rows.append(row_vector(row, time_s))
 
     def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
         """Move all along with the vehicle's navigation, which jumped; see `hypotheses`."""

@@ -320,7 +320,7 @@ class MeasurementScreen:
             return RejectReason.DUPLICATE
         if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
             return RejectReason.NO_POSITION
-        if measurement.range_m is None and measurement.bearing_enu_rad is None:
+        if measurement.range_m is None and not measurement.has_direction:
             return RejectReason.NO_YAW
         return None
 
@@ -336,10 +336,10 @@ class MeasurementScreen:
         if range_reason is not None:
             passed = replace(passed, range_m=None)
         if bearing_reason is not None:
-            passed = replace(passed, bearing_enu_rad=None, bearing_body_rad=None)
-        if passed.bearing_enu_rad is not None:
+            passed = passed.without_direction()
+        if passed.has_direction:
             self.has_body_bearings = passed.bearing_body_rad is not None
-        has_any = passed.range_m is not None or passed.bearing_enu_rad is not None
+        has_any = passed.range_m is not None or passed.has_direction
         return Judgement(passed if has_any else None, range_reason or bearing_reason, is_new)
 
     def _range_reason(
@@ -359,7 +359,7 @@ class MeasurementScreen:
     ) -> RejectReason | None:
         m = measurement
         raw_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
-        if raw_rad is None or m.bearing_enu_rad is None:
+        if raw_rad is None or not m.has_direction:
             return None
         self._absurd_bearings.add(now_s, is_absurd=False)
         if self._frozen_bearing.add(raw_rad, m.measured_at_s, sensor_enu_m):

@@ -1,9 +1,10 @@
 """The MAP problem over many measurements: residuals, cost, and damped re-weighted Gauss-Newton.
 
 Rows are [east, north, up, range, bearing, elevation, range sigma, bearing sigma, elevation sigma,
-sequence number], NaN where nothing was measured. Residuals are whitened and laid out modality by
-modality, (3, n); what was not measured has residual zero and a zero row of partials, so that it
-neither costs nor pulls. A Gaussian prior 1/2 x^T L x - e^T x joins them.
+sequence number], NaN where nothing was measured, and the two axes of an antenna array behind them
+(`measurement_model`). Residuals are whitened and laid out modality by modality, (3, n); what was
+not measured has residual zero and a zero row of partials, so that it neither costs nor pulls. A
+Gaussian prior 1/2 x^T L x - e^T x joins them.
 
 Paper: eq. (9).
 """
@@ -14,12 +15,21 @@ import math
 
 import numpy as np
 
-from companion.estimation.measurement_model import RangingModel, range_factor, target_height_m
+from companion.estimation.measurement_model import (
+    AZIMUTH,
+    MIN_SINE2,
+    PLANAR,
+    RangingModel,
+    range_factor,
+    target_height_m,
+)
 from companion.kernel import Matrix, Vector, kernel
 
-VALUES, SIGMAS, SEQUENCE = 3, 6, 9
-"""First columns of the values and of their standard deviations, and the sequence number's."""
-COLUMNS = 10
+VALUES, SIGMAS, SEQUENCE, AXES = 3, 6, 9, 10
+"""First columns of the values and of their standard deviations, the sequence number's, and the
+first one of an array's axes."""
+COLUMNS, ARRAY_COLUMNS = 10, 16
+"""Without and with these."""
 
 MAX_ITERATIONS = 25
 STEP_TOLERANCE_M = 1e-4
@@ -30,12 +40,60 @@ MIN_DISTANCE_M = 0.05
 
 
 @kernel
+def row_cosines(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+    """What the arrays see of a target at `mean`: cosines along both axes, and the slant, (3, n)."""
+    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
+    du = target_height_m(mean, model) - rows[:, 2]
+    slant = np.sqrt(np.maximum(de * de + dn * dn + du * du, MIN_DISTANCE_M * MIN_DISTANCE_M))
+    c, s = math.cos(mean[3]), math.sin(mean[3])
+    east, north = c * de - s * dn, s * de + c * dn
+    seen = np.empty((3, rows.shape[0]))
+    seen[0] = (rows[:, 10] * east + rows[:, 11] * north + rows[:, 12] * du) / slant
+    seen[1] = (rows[:, 13] * east + rows[:, 14] * north + rows[:, 15] * du) / slant
+    seen[2] = slant
+    return seen
+
+
+@kernel
+def view_distance2(rows: Matrix, mean: Vector, model: RangingModel) -> Vector:
+    """Squared distance over which the first angle or cosine of every row is measured, (n,)."""
+    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
+    view2 = de * de + dn * dn
+    if model.antenna != AZIMUTH:
+        seen = row_cosines(rows, mean, model)
+        view2 = seen[2] * seen[2]
+        if model.antenna == PLANAR:
+            view2 = view2 * np.maximum(seen[0] * seen[0] + seen[1] * seen[1], MIN_SINE2)
+    floored: Vector = np.maximum(view2, MIN_DISTANCE_M * MIN_DISTANCE_M)
+    return floored
+
+
+@kernel
+def array_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+    """Standard deviations as `row_sigmas` has them, (3, n), of an antenna array."""
+    own2 = model.own_sigma_m * model.own_sigma_m
+    seen = row_cosines(rows, mean, model)
+    share2 = own2 / model.bearing_inflation / (seen[2] * seen[2])
+    sigmas = np.empty((3, rows.shape[0]))
+    sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
+    sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + share2)
+    sigmas[2] = np.sqrt(rows[:, 8] * rows[:, 8] + share2)
+    if model.antenna == PLANAR:
+        sine2 = np.maximum(seen[0] * seen[0] + seen[1] * seen[1], MIN_SINE2)
+        spread2 = rows[:, 7] * rows[:, 7] / sine2
+        sigmas[1] = np.sqrt(spread2 * (1.0 + spread2) + share2 / sine2)
+    return sigmas
+
+
+@kernel
 def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     """Standard deviations of every measurement at `mean`, (3, n), own position included.
 
     They are those of thermal noise. Where bearings are worse than that, the own position is so much
     smaller a part of them: or else it would excuse any bearing of a target near the vehicle.
     """
+    if model.antenna != AZIMUTH:
+        return array_sigmas(rows, mean, model)
     own2 = model.own_sigma_m * model.own_sigma_m
     floor2 = MIN_DISTANCE_M * MIN_DISTANCE_M
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
@@ -64,6 +122,9 @@ def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingMode
     slant = np.sqrt(ground2 + du * du)
     short = (rows[:, 3] - range_factor(mean, model) * slant - mean[2]) / sigmas[0]
     u[0] = np.where(np.isnan(short), 0.0, short)
+    if model.antenna != AZIMUTH:
+        fill_array_residuals(u, rows, mean, sigmas, model)
+        return u
     turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
     turn = (turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)) / sigmas[1]
     u[1] = np.where(np.isnan(turn), 0.0, turn)
@@ -71,6 +132,49 @@ def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingMode
         rise = (rows[:, 5] - np.arctan2(du, np.sqrt(ground2))) / sigmas[2]
         u[2] = np.where(np.isnan(rise), 0.0, rise)
     return u
+
+
+@kernel
+def fill_array_residuals(
+    u: Matrix, rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
+) -> None:
+    """The last two rows of the whitened residuals, (3, n), of an antenna array."""
+    seen = row_cosines(rows, mean, model)
+    off = rows[:, 4] - seen[0]
+    if model.antenna == PLANAR:
+        off = rows[:, 4] - np.arctan2(seen[1], seen[0])
+        off = off - 2.0 * math.pi * np.floor(off / (2.0 * math.pi) + 0.5)
+    off = off / sigmas[1]
+    u[1] = np.where(np.isnan(off), 0.0, off)
+    rise = (rows[:, 5] - seen[1]) / sigmas[2]
+    u[2] = np.where(np.isnan(rise), 0.0, rise)
+
+
+@kernel
+def fill_array_partials(H: Matrix, rows: Matrix, mean: Vector, model: RangingModel) -> None:
+    """The last two thirds of the partials, (3 n, k), of an antenna array, not whitened."""
+    n = rows.shape[0]
+    seen = row_cosines(rows, mean, model)
+    slant = seen[2]
+    e, north_part = (mean[0] - rows[:, 0]) / slant, (mean[1] - rows[:, 1]) / slant
+    up = (target_height_m(mean, model) - rows[:, 2]) / slant
+    c, s = math.cos(mean[3]), math.sin(mean[3])
+    for which in range(2):
+        axis_e, axis_n = rows[:, 10 + 3 * which], rows[:, 11 + 3 * which]
+        axis_up = rows[:, 12 + 3 * which]
+        east, north = c * axis_e + s * axis_n, c * axis_n - s * axis_e
+        part = H[(1 + which) * n : (2 + which) * n]
+        part[:, 0] = (east - seen[which] * e) / slant
+        part[:, 1] = (north - seen[which] * north_part) / slant
+        part[:, 3] = north * e - east * north_part
+        if model.height_index >= 0:
+            part[:, model.height_index] = (axis_up - seen[which] * up) / slant
+    if model.antenna == PLANAR:
+        sine2 = np.maximum(seen[0] * seen[0] + seen[1] * seen[1], MIN_SINE2)
+        first, second = H[n : 2 * n], H[2 * n :]
+        along, across = (seen[0] / sine2).reshape(-1, 1), (seen[1] / sine2).reshape(-1, 1)
+        first[:] = along * second - across * first
+        second[:] = 0.0
 
 
 @kernel
@@ -88,21 +192,25 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
     by_range[:, 0] = factor * de / slant
     by_range[:, 1] = factor * dn / slant
     by_range[:, 2] = 1.0
-    by_bearing[:, 0] = -dn / ground2
-    by_bearing[:, 1] = de / ground2
-    by_bearing[:, 3] = 1.0
     if model.scale_index >= 0:
         by_range[:, model.scale_index] = slant
     if model.height_index >= 0:
         by_range[:, model.height_index] = factor * du / slant
         by_elevation[:, model.height_index] = ground / (slant * slant)
     modalities = 2
-    if has_elevation(rows):
+    if model.antenna != AZIMUTH:
+        modalities = 3
+        fill_array_partials(H, rows, mean, model)
+    else:
+        by_bearing[:, 0] = -dn / ground2
+        by_bearing[:, 1] = de / ground2
+        by_bearing[:, 3] = 1.0
+    if model.antenna == AZIMUTH and has_elevation(rows):
         modalities = 3
         down = -du / (slant * slant * ground)
         by_elevation[:, 0] = de * down
         by_elevation[:, 1] = dn * down
-    else:
+    elif model.antenna == AZIMUTH:
         by_elevation[:] = 0.0
     for modality in range(modalities):
         part = H[modality * n : (modality + 1) * n]

@@ -31,8 +31,14 @@ from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
-from companion.estimation.measurement_model import BEARING, RANGE
-from companion.estimation.window.map_kernels import COLUMNS, SEQUENCE, SIGMAS, VALUES
+from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE
+from companion.estimation.window.map_kernels import (
+    ARRAY_COLUMNS,
+    COLUMNS,
+    SEQUENCE,
+    SIGMAS,
+    VALUES,
+)
 from companion.estimation.window.sandwich import (
     CRITICAL_RATIO,
     Observability,
@@ -48,6 +54,7 @@ from companion.estimation.window.window_map import (
     Row,
     WindowMap,
     WindowParams,
+    row_vector,
 )
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
@@ -101,9 +108,9 @@ KEPT_SHARE = 0.95
 class MeasurementWindow:
     """Up to `size` measurements, spread over views of the target, in the rows of `map_kernels`."""
 
-    def __init__(self, size: int) -> None:
-        self.rows: Matrix = np.empty((0, COLUMNS))
-        """The measurements, (n, 10), oldest first."""
+    def __init__(self, size: int, columns: int = COLUMNS) -> None:
+        self.rows: Matrix = np.empty((0, columns))
+        """The measurements, (n, `columns`), oldest first."""
         self._size = size
         self._sequence = 0
 
@@ -118,9 +125,7 @@ class MeasurementWindow:
         if len(self.rows) == self._size:
             is_kept = kept_by_thinning(self.rows, int(KEPT_SHARE * self._size), target_enu_m)
             dropped, self.rows = self.rows[~is_kept], self.rows[is_kept]
-        sensor_enu_m, z, sigma = row
-        newest = np.array([[*sensor_enu_m, *z, *sigma, self._sequence]])
-        self.rows = np.concatenate([self.rows, newest])
+        self.rows = np.concatenate([self.rows, row_vector(row, self._sequence)[None]])
         self._sequence += 1
         return dropped
 
@@ -189,7 +194,8 @@ class WindowOptimizer:
 
     def _begin(self, due_at: int) -> None:
         """An empty window, to be solved after so many measurements."""
-        self.window = MeasurementWindow(self._params.size)
+        columns = COLUMNS if self._filter_params.model.antenna == AZIMUTH else ARRAY_COLUMNS
+        self.window = MeasurementWindow(self._params.size, columns)
         self.noise: Inflation | None = None
         """How much worse than thermal the best optimum found each modality; None: not solved."""
         self._older = OlderEvidence.none(self.map.size)
@@ -211,7 +217,7 @@ class WindowOptimizer:
         self._begin(0)
         self._fresh_at = 0
         for row in self.latest:
-            self.window.add(row, row[0][:2])
+            self.window.add(row, (row[0][0], row[0][1]))
 
     def retune(self, filter_params: FilterParams) -> None:
         """Believe in other noise and thresholds, for what was measured already, too."""
@@ -227,7 +233,7 @@ class WindowOptimizer:
         While there are several hypotheses there is no place to expand it about, and where residuals
         repeat each other its neighbours have said the same: then it is let go.
         """
-        place: Point = row[0][:2]
+        place: Point = (row[0][0], row[0][1])
         if hypotheses:
             mean = hypotheses[0].state.mean
             place = (float(mean[0]), float(mean[1]))

@@ -38,18 +38,18 @@ import msgspec
 import numpy as np
 import numpy.ma  # the first np.median would load it: 30 ms that a flight must not wait
 
-from companion.domain import Params, PositionEnu
-from companion.estimation.filters.target_filter import FilterParams, Inflation
+from companion.domain import Params
+from companion.estimation.filters.target_filter import FilterParams, Inflation, Pose
 from companion.estimation.measurement_model import (
     BEARING,
     BEARING_OFFSET,
+    FIRST_AXIS,
     MODALITIES,
     RANGE,
     RANGE_OFFSET,
     RangingModel,
 )
 from companion.estimation.window.map_kernels import (
-    MIN_DISTANCE_M,
     VALUES,
     clipped,
     map_cost,
@@ -58,6 +58,7 @@ from companion.estimation.window.map_kernels import (
     row_partials,
     row_residuals,
     row_sigmas,
+    view_distance2,
 )
 from companion.estimation.window.sandwich import (
     Scores,
@@ -118,8 +119,14 @@ MIN_RISE_SHARE = 0.5
 STRETCHES = tuple(1.5**i for i in range(1, 9))
 
 Cost = Callable[[Vector], float]
-Row = tuple[PositionEnu, Vector, Vector]
+Row = tuple[Pose, Vector, Vector]
 """Where a measurement was made, its values (3,), NaN where not measured, and their sigmas (3,)."""
+
+
+def row_vector(row: Row, last: float) -> Vector:
+    """A row of `map_kernels`, (10,) or (16,); `last` stands where the sequence number does."""
+    pose, z, sigma = row
+    return np.array([*pose[:FIRST_AXIS], *z, *sigma, last, *pose[FIRST_AXIS:]])
 
 
 def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) -> Matrix:
@@ -270,8 +277,7 @@ class WindowMap:
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
             if spread_m2 > 0.0:
-                ground2 = (rows[:, 0] - mean[0]) ** 2 + (rows[:, 1] - mean[1]) ** 2
-                bend = spread_m2 / np.maximum(ground2, MIN_DISTANCE_M**2)
+                bend = spread_m2 / view_distance2(rows, mean, self._model)
                 sigmas[BEARING] = np.sqrt(
                     sigmas[BEARING] ** 2 + bend**2 / self._model.bearing_inflation
                 )

@@ -149,7 +149,8 @@ class VehicleView:
             case events.VehicleMoved():
                 self._move(event)
             case events.YawMeasured() if math.isfinite(event.yaw_ned_rad):
-                self.track.add_yaw(event.measured_at_s, event.yaw_ned_rad)
+                attitude_rad = (event.roll_rad, event.pitch_rad, event.yaw_ned_rad)
+                self.track.add_attitude(event.measured_at_s, attitude_rad)
                 self.mode_watch.note_stamp(event.measured_at_s, event.order)
             case events.OriginSet():
                 self.origin = event.origin

@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from companion.domain import Params, PositionEnu, RangingMeasurement
+from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
 from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
@@ -82,6 +83,11 @@ class EmitterQueue:
         queue = cls(tracker.params)
         queue.current = tracker
         return queue
+
+    @property
+    def antenna(self) -> AntennaParams:
+        """What measures the bearings of all of them."""
+        return self._tracker_params.filter.antenna
 
     @property
     def is_single(self) -> bool:

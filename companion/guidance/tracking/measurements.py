@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from companion.domain import RangingMeasurement
+from companion.estimation.antenna import seen_by_array
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.tracker import FusionReport
 from companion.geometry.coordinates import bearing_enu_from_ned
@@ -78,8 +79,12 @@ class RangingListener:
         if not self._track.is_trusted_at(measurement.measured_at_s):
             return self._emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
+        antenna = self._emitters.antenna
         body_rad = measurement.bearing_body_rad
-        if body_rad is not None and measurement.bearing_enu_rad is None:
+        if antenna.kind != "azimuth":
+            attitude_rad = self._track.attitude_at(measurement.measured_at_s)
+            measurement = seen_by_array(measurement, attitude_rad, antenna)
+        elif body_rad is not None and measurement.bearing_enu_rad is None:
             yaw_ned_rad = self._track.yaw_at(measurement.measured_at_s)
             # The wire may carry infinities; the filter refuses those as they are.
             if yaw_ned_rad is not None and math.isfinite(body_rad):

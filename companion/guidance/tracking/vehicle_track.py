@@ -1,4 +1,4 @@
-"""Where the vehicle was: its own position and yaw at the time of a measurement."""
+"""Where the vehicle was: its own position and attitude at the time of a measurement."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections import deque
 from dataclasses import replace
 
 from companion.domain import PositionEnu, VehicleState
-from companion.geometry.coordinates import wrap_pi
+from companion.geometry.coordinates import Triple, wrap_pi
 
 HISTORY_S = 3.0
 """How far back a delayed measurement may reach."""
@@ -30,7 +30,7 @@ class VehicleTrack:
     def clear(self) -> None:
         """Forget everything, because the autopilot restarted or moved its frame."""
         self._states: deque[VehicleState] = deque()
-        self._yaws: deque[tuple[float, float]] = deque()
+        self._attitudes: deque[tuple[float, Triple]] = deque()
         self._distrusted_s = (math.inf, -math.inf)
 
     @property
@@ -41,7 +41,10 @@ class VehicleTrack:
     @property
     def latest_yaw(self) -> tuple[float, float] | None:
         """Time and value of the newest heading."""
-        return self._yaws[-1] if self._yaws else None
+        if not self._attitudes:
+            return None
+        time_s, (_, _, yaw_rad) = self._attitudes[-1]
+        return time_s, yaw_rad
 
     def shift(self, jump_enu_m: PositionEnu) -> None:
         """Move the past along with a position that jumped."""
@@ -52,7 +55,10 @@ class VehicleTrack:
 
     def turn(self, jump_rad: float) -> None:
         """Turn the past along with a heading that jumped, clockwise."""
-        self._yaws = deque((time_s, wrap_pi(yaw + jump_rad)) for time_s, yaw in self._yaws)
+        self._attitudes = deque(
+            (time_s, (roll, pitch, wrap_pi(yaw + jump_rad)))
+            for time_s, (roll, pitch, yaw) in self._attitudes
+        )
 
     def distrust(self, since_s: float, until_s: float) -> None:
         """Positions and headings between these times are not to be measured from."""
@@ -72,13 +78,13 @@ class VehicleTrack:
         while self._states[0].time_s < state.time_s - HISTORY_S:
             self._states.popleft()
 
-    def add_yaw(self, time_s: float, yaw_ned_rad: float) -> None:
-        """Take in a heading, clockwise from north."""
-        if self._yaws and time_s <= self._yaws[-1][0]:
+    def add_attitude(self, time_s: float, attitude_rad: Triple) -> None:
+        """Take in roll, pitch and yaw, the yaw clockwise from north; NaN where not known."""
+        if self._attitudes and time_s <= self._attitudes[-1][0]:
             return
-        self._yaws.append((time_s, yaw_ned_rad))
-        while self._yaws[0][0] < time_s - HISTORY_S:
-            self._yaws.popleft()
+        self._attitudes.append((time_s, attitude_rad))
+        while self._attitudes[0][0] < time_s - HISTORY_S:
+            self._attitudes.popleft()
 
     def position_at(self, time_s: float) -> PositionEnu | None:
         """The position at a time, east-north-up metres, or None if the history does not tell.
@@ -104,17 +110,35 @@ class VehicleTrack:
 
     def yaw_at(self, time_s: float) -> float | None:
         """The heading at a time, clockwise from north, or None if the history does not tell."""
-        yaws = self._yaws
-        if not yaws or time_s < yaws[0][0]:
+        found = self._around(time_s)
+        if found is None:
             return None
-        index = bisect.bisect_right(yaws, time_s, key=lambda y: y[0])
-        t0, yaw0 = yaws[index - 1]
-        if index == len(yaws):
-            return yaw0 if time_s - t0 <= MAX_EXTRAPOLATION_S else None
-        t1, yaw1 = yaws[index]
-        if t1 - t0 > MAX_GAP_S:
+        (_, _, yaw0), (_, _, yaw1), since_s, gap_s = found
+        return wrap_pi(yaw0 + wrap_pi(yaw1 - yaw0) * since_s / gap_s)
+
+    def attitude_at(self, time_s: float) -> Triple | None:
+        """Roll, pitch and yaw at a time, or None if the history does not tell all of them."""
+        found = self._around(time_s)
+        if found is None:
             return None
-        return wrap_pi(yaw0 + wrap_pi(yaw1 - yaw0) * (time_s - t0) / (t1 - t0))
+        before, after, since_s, gap_s = found
+        roll, pitch, yaw = (
+            wrap_pi(a + wrap_pi(b - a) * since_s / gap_s)
+            for a, b in zip(before, after, strict=True)
+        )
+        return (roll, pitch, yaw) if math.isfinite(roll + pitch + yaw) else None
+
+    def _around(self, time_s: float) -> tuple[Triple, Triple, float, float] | None:
+        """The attitudes before and after a time, how long after the first, and between both."""
+        attitudes = self._attitudes
+        if not attitudes or time_s < attitudes[0][0]:
+            return None
+        index = bisect.bisect_right(attitudes, time_s, key=lambda a: a[0])
+        t0, before = attitudes[index - 1]
+        if index == len(attitudes):
+            return (before, before, 0.0, 1.0) if time_s - t0 <= MAX_EXTRAPOLATION_S else None
+        t1, after = attitudes[index]
+        return None if t1 - t0 > MAX_GAP_S else (before, after, time_s - t0, t1 - t0)
 
 
 def _step(place: PositionEnu, way: PositionEnu, share: float) -> PositionEnu:

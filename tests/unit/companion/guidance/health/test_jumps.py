@@ -106,7 +106,7 @@ def test_a_vehicle_that_turns_as_fast_as_it_can_does_not_jump(dt_s: float, share
 def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> None:
     track = VehicleTrack()
     track.add(state(10.0, (0.0, 0.0, 20.0)))
-    track.add_yaw(10.0, 3.0)
+    track.add_attitude(10.0, (0.0, 0.0, 3.0))
     track.shift((7.0, -1.0, 2.0))
     track.turn(0.5)
     track.distrust(10.0, 12.1)

@@ -34,7 +34,7 @@ def _track(*states: VehicleState) -> VehicleTrack:
 def _turning(*yaws: tuple[float, float]) -> VehicleTrack:
     track = VehicleTrack()
     for time_s, yaw_ned_rad in yaws:
-        track.add_yaw(time_s, yaw_ned_rad)
+        track.add_attitude(time_s, (0.0, 0.0, yaw_ned_rad))
     return track
 
 
@@ -94,19 +94,19 @@ def test_only_the_last_seconds_are_remembered() -> None:
     assert track.position_at(newest_s - HISTORY_S) is not None
     assert track.position_at(newest_s - HISTORY_S - 0.01) is None
     for step in range(100):
-        track.add_yaw(0.5 * step, 0.0)
+        track.add_attitude(0.5 * step, (0.0, 0.0, 0.0))
     assert track.yaw_at(newest_s - HISTORY_S) is not None
     assert track.yaw_at(newest_s - HISTORY_S - 0.01) is None
 
 
 def test_a_cleared_track_starts_again_even_at_an_earlier_time() -> None:
     track = _track(_state(1000.0))
-    track.add_yaw(1000.0, 1.0)
+    track.add_attitude(1000.0, (0.0, 0.0, 1.0))
     track.clear()
     assert track.latest is None
     assert track.yaw_at(1000.0) is None
     track.add(_state(5.0))
-    track.add_yaw(5.0, 2.0)
+    track.add_attitude(5.0, (0.0, 0.0, 2.0))
     assert track.position_at(5.0) == (0.0, 0.0, 20.0)
     assert track.yaw_at(5.0) == 2.0
 
@@ -132,7 +132,7 @@ def test_headings_have_the_same_limits_as_positions() -> None:
     assert track.yaw_at(10.05) == pytest.approx(1.5)
     assert track.yaw_at(10.1 + MAX_EXTRAPOLATION_S - 1e-6) == 2.0
     assert track.yaw_at(10.1 + MAX_EXTRAPOLATION_S + 1e-6) is None
-    track.add_yaw(10.1 + MAX_GAP_S + 0.01, 2.0)
+    track.add_attitude(10.1 + MAX_GAP_S + 0.01, (0.0, 0.0, 2.0))
     assert track.yaw_at(10.6) is None
 
 

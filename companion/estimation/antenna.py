@@ -1,0 +1,115 @@
+"""Antenna arrays: what they measure of a direction, in axes that the vehicle's attitude turns.
+
+The antenna's frame: x is its boresight, y to the right of it, z down; with a mount of zero it is
+the body's forward, right and down. A planar array lies in x and y and tells an azimuth in that
+plane. A line of antennas along y prints the arcsine of the direction cosine along it. A two-axis
+array in y and z prints azimuth and elevation, the arcsines of the cosines along y and along -z.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.domain import ArrayDirection, Params, PositionEnu, RangingMeasurement
+from companion.estimation.measurement_model import AZIMUTH, COSINES, PLANAR
+from companion.geometry.coordinates import Triple, body_axes_ned, combined, enu_from_ned
+
+AntennaKind = Literal["azimuth", "planar", "line", "two_axis"]
+MODELS: dict[AntennaKind, int] = {
+    "azimuth": AZIMUTH,
+    "planar": PLANAR,
+    "line": COSINES,
+    "two_axis": COSINES,
+}
+Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+Axes = tuple[PositionEnu, PositionEnu, PositionEnu]
+
+LEVEL: Axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+"""East, south and down: what a planar array that tells its azimuth by north is as good as."""
+
+
+class AntennaParams(Params, frozen=True):
+    """The antenna that measures bearings, and how it is mounted."""
+
+    kind: AntennaKind = "azimuth"
+    """`azimuth`: about the vertical, as accurate at any elevation (the paper's)."""
+    mount_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the antenna's frame in the body's; (0, -90, 0) looks down."""
+    field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] = 360.0
+    """Whole angle about the boresight in which its directions are believed."""
+
+
+def antenna_axes_enu(attitude_rad: Triple, mount_deg: Triple) -> Axes:
+    """The antenna's x, y and z, unit vectors in the local frame, by the vehicle's attitude."""
+    body = body_axes_ned(attitude_rad)
+    roll, pitch, yaw = (math.radians(angle) for angle in mount_deg)
+    x, y, z = body_axes_ned((roll, pitch, yaw))
+    return (
+        enu_from_ned(combined(body, x)),
+        enu_from_ned(combined(body, y)),
+        enu_from_ned(combined(body, z)),
+    )
+
+
+def seen_by_array(
+    measurement: RangingMeasurement, attitude_rad: Triple | None, antenna: AntennaParams
+) -> RangingMeasurement:
+    """The measurement with its direction in the axes of the array that made it.
+
+    Without the attitude at its time there is no such direction, nor outside the field of view. A
+    planar array that tells its azimuth by north itself is taken for a level one.
+    """
+    m = measurement
+    if m.bearing_body_rad is None and m.bearing_enu_rad is None:
+        return m
+    bare = replace(m, bearing_enu_rad=None, elevation_rad=None, elevation_sigma_rad=None)
+    if m.bearing_body_rad is None:
+        assert m.bearing_enu_rad is not None
+        if antenna.kind != "planar":
+            return bare
+        return _with_azimuth(bare, -m.bearing_enu_rad, LEVEL)
+    if attitude_rad is None or not math.isfinite(m.bearing_body_rad):
+        return bare
+    if abs(m.bearing_body_rad) > math.radians(0.5 * antenna.field_of_view_deg):
+        return bare
+    axes = antenna_axes_enu(attitude_rad, antenna.mount_deg)
+    if antenna.kind == "planar":
+        return _with_azimuth(bare, m.bearing_body_rad, axes)
+    has_second = antenna.kind == "two_axis" and m.elevation_rad is not None
+    second_rad = m.elevation_rad if has_second else None
+    return _with_cosines(bare, m, second_rad, axes)
+
+
+def _with_azimuth(m: RangingMeasurement, azimuth_rad: float, axes: Axes) -> RangingMeasurement:
+    ahead, right, _ = axes
+    pointed = combined(axes, (math.cos(azimuth_rad), math.sin(azimuth_rad), 0.0))
+    return replace(
+        m,
+        bearing_enu_rad=math.atan2(pointed[1], pointed[0]),
+        array=ArrayDirection(ahead, right, azimuth_rad),
+    )
+
+
+def _with_cosines(
+    bare: RangingMeasurement, m: RangingMeasurement, second_rad: float | None, axes: Axes
+) -> RangingMeasurement:
+    """The cosines; the bearing, too, where both are known and the emitter is in front."""
+    assert m.bearing_body_rad is not None
+    _, right, (east, north, up) = axes  # the third looks down, the second cosine is upwards
+    above = (-east, -north, -up)
+    first = math.sin(m.bearing_body_rad)
+    if second_rad is None:
+        return replace(bare, array=ArrayDirection(right, above, first))
+    second = math.sin(second_rad)
+    ahead = math.sqrt(max(0.0, 1.0 - first * first - second * second))
+    pointed = combined(axes, (ahead, first, -second))
+    return replace(
+        bare,
+        bearing_enu_rad=math.atan2(pointed[1], pointed[0]),
+        elevation_sigma_rad=m.elevation_sigma_rad,
+        array=ArrayDirection(right, above, first, second),
+    )
