@@ -113,8 +113,7 @@ class SetpointRules(CompanionProbe):
             require(not mask & mav.FORCE, f"mask {mask:#x} has FORCE_SET")
             is_whole = all(mask & bits in (0, bits) for bits in GROUPS)
             require(is_whole, f"mask {mask:#x} splits a group")
-            is_wanted = any(mask & bits == 0 for bits in GROUPS)
-            require(is_wanted, f"mask {mask:#x} asks for nothing")
+            require(any(mask & bits == 0 for bits in GROUPS), f"mask {mask:#x} asks for nothing")
 
     @book.rule(OBSERVED)
     def used_fields_are_finite(self) -> None:
@@ -131,8 +130,7 @@ class SetpointRules(CompanionProbe):
             if message.type_mask & 7:
                 continue
             if isinstance(message, LocalTarget):
-                here = (10.0, 10.0, self.down_m)
-                distance_m = math.dist(place_of(message), here)
+                distance_m = math.dist(place_of(message), (10.0, 10.0, self.down_m))
             else:
                 place = (message.lat_int, message.lon_int)
                 distance_m = math.dist(place, PLACE[:2]) * METRES_PER_E7

@@ -247,8 +247,7 @@ class PlanClient(ParameterClient):
 
     def download(self, kind: int = mav.MISSION) -> list[MissionItem]:
         """A whole download, with the client's ACK at its end."""
-        count = self.begin_download(kind)
-        items = [self.request_item(sequence, kind) for sequence in range(count)]
+        items = [self.request_item(sequence, kind) for sequence in range(self.begin_download(kind))]
         self.finish_download(kind)
         return items
 

@@ -292,8 +292,7 @@ class VehicleProbe(Station):
 
     def set_mode(self, mode: str) -> int:
         """DO_SET_MODE; its MAV_RESULT."""
-        params = mav.set_mode_params(self.flavour, mode)
-        return self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
+        return self.command(mavlink.MAV_CMD_DO_SET_MODE, *mav.set_mode_params(self.flavour, mode))
 
     def require_mode(self, mode: str) -> None:
         """DO_SET_MODE, which must be accepted."""

@@ -105,8 +105,7 @@ class FrameRules(FrameProbe):
     @book.rule(SERIALIZATION)
     def uncut_payload_is_accepted(self) -> None:
         """A payload whose trailing zeros were not cut is understood."""
-        spec = replace(self.spec(), trim=False)
-        self._require_answer(spec, "an uncut TIMESYNC is not answered")
+        self._require_answer(replace(self.spec(), trim=False), "an uncut TIMESYNC is not answered")
 
     @book.rule(SERIALIZATION)
     def cut_payload_is_accepted(self) -> None:

@@ -68,8 +68,7 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def acceleration_times_out(self) -> None:
         """An acceleration without a stream ends after 3 s, and the vehicle stops."""
-        setpoint = LocalSetpoint(acceleration_mps2=(1.0, 0.0, 0.0), mask=mav.ACCELERATION)
-        self.send_setpoint(setpoint)
+        self.send_setpoint(LocalSetpoint(acceleration_mps2=(1.0, 0.0, 0.0), mask=mav.ACCELERATION))
         self.run(GUID_TIMEOUT_S + 6.0)
         self._require_stopped("after 9 s")
 
@@ -190,8 +189,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
         """A second without setpoints ends OFFBOARD: another mode, and system_status CRITICAL."""
         self.begin_streaming()()
         self.run(0.7)
-        self.request(mav.Heartbeat)
-        early = self.latest(mav.Heartbeat)
+        early = self.request(mav.Heartbeat)
         require(early.system_status == mav.ACTIVE, "failsafe before COM_OF_LOSS_T")
         self.run(1.0)
         beat = self.request(mav.Heartbeat)

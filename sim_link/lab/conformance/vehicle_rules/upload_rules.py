@@ -146,8 +146,7 @@ class PlanResultRules(PlanClient):
 
     def _require_refused(self, changes: dict[str, Any], *results: int) -> None:
         """A mission with one changed waypoint over home must be refused with one of the results."""
-        item = replace(self.waypoint_home(), **changes)
-        result = self.upload(self.with_home([item]))
+        result = self.upload(self.with_home([replace(self.waypoint_home(), **changes)]))
         require(result in results, f"ACK {result}")
 
     @book.rule(MISSION_RESULT)
