@@ -85,7 +85,6 @@ class MissionBatch:
 
     files: Sequence[Path]
     seeds: Sequence[int] = (0,)
-    jobs: int = 1
     autopilot: FlavourName | None = None
     """In place of the scripts' own."""
     reports: Path | None = None

@@ -179,8 +179,7 @@ def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerd
 
 def true_places(mission: Mission) -> dict[int, Point]:
     """Where the emitters truly are, by id; the one that a script calls `emitter` first."""
-    emitters = (mission.emitter, *mission.emitters)
-    return {each.emitter_id: each.position_enu_m for each in emitters}
+    return {each.emitter_id: each.position_enu_m for each in (mission.emitter, *mission.emitters)}
 
 
 def _judge_steps(record: FlightRecord) -> ExpectationVerdict:
@@ -346,8 +345,7 @@ class MissionResult:
 
     def without_history(self) -> MissionResult:
         """The figures of the flight only, small enough to be kept of hundreds."""
-        emitter = self.mission.emitter.emitter_id
-        return replace(self, record=self.record.without_history(emitter))
+        return replace(self, record=self.record.without_history(self.mission.emitter.emitter_id))
 
     @property
     def is_passed(self) -> bool:
