@@ -361,14 +361,10 @@ class SetpointClient(VehicleProbe):
         self.await_mode("offboard")
         return stop
 
-    def here(self) -> LocalSetpoint:
-        """A setpoint where the vehicle is."""
-        return LocalSetpoint(self.place())
-
     def begin_streaming(self) -> Callable[[], None]:
         """Take off and follow a streamed setpoint where the vehicle is; ends the stream."""
         self.take_off()
-        stop = self.enter_offboard(self.here())
+        stop = self.enter_offboard(LocalSetpoint(self.place()))
         self.run(1.0)
         return stop
 

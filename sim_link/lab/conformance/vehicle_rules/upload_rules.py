@@ -237,6 +237,7 @@ class FenceRules(PlanClient):
         here = self.latest(mav.GlobalPosition)
         self.reposition(mavlink.MAV_FRAME_GLOBAL, (here.lat + 9_000, here.lon, here.alt / 1e3))
         self.run(25.0)
-        distance_m = self.home_distance_m()
+        home = self.home()
+        distance_m = math.dist(self.place()[:2], (home.x, home.y))
         problem = f"{distance_m:.0f} m from the centre of {radius_m:g} m"
         require(distance_m < radius_m + 15.0, problem)
