@@ -10,6 +10,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TextIO
 from xml.etree import ElementTree
@@ -35,16 +36,12 @@ class PlainProgress:
     def __init__(self, total: int, output: TextIO, *, is_detailed: bool) -> None:
         self._output, self._total, self._is_detailed = output, total, is_detailed
         self._done = self._step = 0
+        self.display: AbstractContextManager[object] = nullcontext()
+        """What shows it while flights are flown."""
 
     def say(self, line: str) -> None:
         """Print a line."""
         print(line, file=self._output, flush=True)
-
-    def __enter__(self) -> PlainProgress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End."""
 
     def moved(self, runner: StepRunner, situation: FlightSituation) -> None:
         """Time has passed."""
@@ -74,15 +71,8 @@ class LiveProgress(PlainProgress):
         from rich.live import Live
 
         self._console = Console(file=output)
-        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self.display = self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._due_s = 0.0
-
-    def __enter__(self) -> LiveProgress:
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
 
     def moved(self, runner: StepRunner, situation: FlightSituation) -> None:
         """Redraw the line now and then."""
@@ -303,7 +293,7 @@ def _is_flown(
         if IS_COMPILED and sys.stdout.isatty():
             print("compiling kernels: half a minute the first time")
         batch.warm_up(tasks)
-        with progress:
+        with progress.display:
             batch.fly_all(tasks, arguments.jobs, done, progress.moved, arguments.backend)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interrupt(error):

@@ -133,7 +133,7 @@ class StepRunner:
     def _begin(self, now_s: float) -> _RunningStep:
         name, step = self._steps[self._next]
         self._next += 1
-        running = _RunningStep(self._next, name, step, _rule_of(step, self._mission), now_s)
+        running = _RunningStep(self._next, name, _rule_of(step, self._mission), now_s)
         self._current = running
         fields = {"step": self._next, "name": name, "what": running.rule.what}
         self._record.events.append((now_s, "step", fields))
@@ -203,7 +203,6 @@ class StepRule:
 class _RunningStep:
     number: int
     name: str
-    step: Step
     rule: StepRule
     started_s: float
     met_s: float | None = None

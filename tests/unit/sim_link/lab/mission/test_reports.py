@@ -240,9 +240,9 @@ def test_a_campaign_is_summed_up_by_mission() -> None:
 
 def test_plain_progress_tells_steps_of_one_flight_and_results_of_many() -> None:
     output = io.StringIO()
-    with progress_for(2, 1, output) as progress:
-        progress.finished(result_of().without_history())
-        progress.finished(result_of(is_met=False).without_history())
+    progress = progress_for(2, 1, output)
+    progress.finished(result_of().without_history())
+    progress.finished(result_of(is_met=False).without_history())
     lines = output.getvalue().splitlines()
     assert lines[0].startswith("PASS [1/2] two <rubble> heaps (px4), seed 3: 12.0 s, error 0.10 m")
     assert lines[1].startswith("FAIL [2/2]")
