@@ -75,10 +75,7 @@ class Provenance:
 class Section:
     """One study on the page."""
 
-    anchor: str
-    title: str
-    note: str
-    facts: str
+    result: StudyResult
     drawings: tuple[Drawing, ...]
     tables: tuple[TableView, ...]
 
@@ -122,16 +119,8 @@ def sections_of(results: Sequence[StudyResult], rows: Sequence[ResultRow]) -> li
     for result in results:
         names = {cell.table for cell in result.cells} - taken
         taken |= names
-        sections.append(
-            Section(
-                anchor=result.study.table,
-                title=result.study.title,
-                note=result.study.note,
-                facts=f"{result.runs:,} runs of each system, seed {result.seed}",
-                drawings=tuple(drawings_of(result, rows)),
-                tables=tuple(table for table in tables if table.table in names),
-            )
-        )
+        shown = tuple(table for table in tables if table.table in names)
+        sections.append(Section(result, tuple(drawings_of(result, rows)), shown))
     return sections
 
 
