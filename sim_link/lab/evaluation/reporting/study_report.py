@@ -64,30 +64,12 @@ ROOT = Path(__file__).resolve().parents[4]
 
 
 @dataclass(frozen=True, slots=True)
-class Provenance:
-    """Which code made the numbers, and with what."""
-
-    commit: str
-    versions: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Section:
     """One study on the page."""
 
     result: StudyResult
     drawings: tuple[Drawing, ...]
     tables: tuple[TableView, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One check that the run made of itself."""
-
-    name: str
-    what: str
-    facts: tuple[tuple[str, str], ...]
-    is_met: bool | None
 
 
 def write_report(
@@ -130,7 +112,7 @@ def page(
     rows: Sequence[ResultRow],
     costs: Sequence[ResultRow],
     checks: Mapping[str, object],
-    made_with: Provenance,
+    made_with: Mapping[str, str],
 ) -> str:
     """The page as text."""
     environment = page_environment("sim_link.lab.evaluation.reporting")
@@ -170,9 +152,9 @@ def verdict_line(claims: Sequence[Claim]) -> str:
     return f"{met} of {len(claims)} claims are met"
 
 
-def checks_of(checks: Mapping[str, object]) -> list[Check]:
+def checks_of(checks: Mapping[str, object]) -> list[dict[str, object]]:
     """The checks as the page shows them: what is nested deeper is left to checks.json."""
-    found: list[Check] = []
+    found: list[dict[str, object]] = []
     for name, value in checks.items():
         entries = dict(value) if isinstance(value, Mapping) else {"value": value}
         what, is_met = entries.pop("what", ""), entries.pop("is_met", None)
@@ -182,7 +164,8 @@ def checks_of(checks: Mapping[str, object]) -> list[Check]:
             if isinstance(item, str | int | float)
         )
         verdict = bool(is_met) if is_met is not None else None
-        found.append(Check(name.replace("_", " "), str(what), facts, verdict))
+        title = name.replace("_", " ")
+        found.append({"name": title, "what": str(what), "facts": facts, "is_met": verdict})
     return found
 
 
@@ -192,14 +175,13 @@ def factor_text(factor: float) -> str:
     return f"{factor:.{digits}f}" if math.isfinite(factor) else "\N{INFINITY}"
 
 
-def provenance() -> Provenance:
-    """Of the code that runs now."""
-    versions = [("Python", platform.python_version())]
+def provenance() -> dict[str, str]:
+    """The `commit` of the code that runs now, and with which versions of what it runs."""
+    found = {"commit": _commit(ROOT), "Python": platform.python_version()}
     for name in SHOWN_VERSIONS:
         number = version_of(name)
-        versions.append((name, "not installed" if number == "none" else number))
-    versions.append(("kernels", "compiled" if IS_COMPILED else "plain Python"))
-    return Provenance(_commit(ROOT), tuple(versions))
+        found[name] = "not installed" if number == "none" else number
+    return found | {"kernels": "compiled" if IS_COMPILED else "plain Python"}
 
 
 def _commit(root: Path) -> str:
