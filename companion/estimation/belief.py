@@ -51,7 +51,6 @@ class Belief:
 
     emitter_id: int | None
     measurements: int
-    """Accepted until then."""
     places: tuple[BelievedPlace, ...]
     """Best first; empty before the first measurement."""
 

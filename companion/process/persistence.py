@@ -40,7 +40,6 @@ from companion.link.endpoint import CompanionEndpoint
 log = logging.getLogger("companion.run")
 
 SAVE_PERIOD_S = 1.0
-"""Wall seconds between two checkpoints."""
 
 
 class CheckpointStorage(Protocol):

@@ -177,7 +177,6 @@ class TerminalView(FlightView):
         self._time_to_go = TimeToGo()
         self.console = Console(file=sys.stderr if stream is None else stream)
         self.stream = ConsoleStream(self.console)
-        """For log lines."""
         self._live = Live(
             console=self.console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
         )

@@ -37,7 +37,6 @@ class Access:
     """The rules of one page."""
 
     host: str
-    """What it is bound to."""
     token: str | None
     is_control_on: bool = False
     is_view_open: bool = False

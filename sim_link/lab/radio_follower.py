@@ -101,7 +101,6 @@ class RadioFollower:
         self._is_finished = False
         self._output: list[Chunk] = []
         self.measurements = 0
-        """Sent so far."""
 
     @property
     def is_following(self) -> bool:

@@ -279,7 +279,6 @@ class NoiseLearner:
     bearings: AdaptiveBearingNoise
     params: AdaptationParams
     count: int = 0
-    """Measurements learnt from."""
 
     @classmethod
     def starting(cls, believed: FilterParams, params: AdaptationParams) -> NoiseLearner:

@@ -41,7 +41,6 @@ NEWEST_COUNT = 4
 WINDOW_S = 3.0
 MIN_COUNT, MAX_COUNT = 12, 48
 EVERY = 4
-"""Ranges between two judgements."""
 REJECT_LOG_RATIO = math.log(1000.0)
 ACCEPT_LOG_RATIO = -3.0
 REFINED, REFINEMENTS = 4, 5

@@ -178,7 +178,6 @@ class PlanRules:
     """How an autopilot transfers plans."""
 
     capacity: Mapping[PlanType, int]
-    """Most items of each plan."""
     checks: PlanChecks
     retry_s: float
     """Silence after which an item is asked for again."""

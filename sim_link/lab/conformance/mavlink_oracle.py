@@ -233,7 +233,6 @@ LOCAL_OFFSET = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
 BODY_NED = mavlink.MAV_FRAME_BODY_NED
 BODY_OFFSET = mavlink.MAV_FRAME_BODY_OFFSET_NED
 METRES_PER_E7 = 0.011132
-"""Of latitude."""
 
 Triple = tuple[float, float, float]
 ZERO: Triple = (0.0, 0.0, 0.0)

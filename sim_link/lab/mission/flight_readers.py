@@ -44,7 +44,6 @@ class TelemetryReader:
         self._counted_at: PositionEnu | None = None
         self._track_due_s = 0.0
         self.origin: LocalOrigin | None = None
-        """Zero of the local frame."""
         self.system_id: int | None = None
         """Of the autopilot that was heard first."""
         self.heartbeat: events.HeartbeatReceived | None = None

@@ -48,7 +48,6 @@ class MavsdkOperator:
         self.is_ready = False
         """Whether the autopilot can be armed and knows its home."""
         self.is_heard = False
-        """Whether `autopilot` is known."""
         self.autopilot = Autopilot.OTHER
         """Told by whoever watches the vehicle, because modes have other numbers elsewhere."""
         self.is_armed = False

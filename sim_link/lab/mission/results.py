@@ -97,7 +97,6 @@ class FlightRecord:
     breaches: dict[str, float] = field(default_factory=dict)
     """When an `always` was first false, by the expectation's name."""
     engaged_s: float | None = None
-    """When control was first given."""
     ended_s: float = 0.0
     distance_m: float = 0.0
     closest_approach_m: float | None = None
@@ -113,7 +112,6 @@ class FlightRecord:
     late_s: float = 0.0
     """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
     is_interrupted: bool = False
-    """Somebody asked for the end."""
     skipped: str = ""
     """Why it was not flown on this vehicle; empty: it was."""
     wall_s: float = 0.0

@@ -91,7 +91,6 @@ class Appears(TextSeen, frozen=True):
     """It must have been sent."""
 
     at_least: Annotated[int, msgspec.Meta(ge=1)] = 1
-    """How often."""
 
 
 class Violations(Params, frozen=True):

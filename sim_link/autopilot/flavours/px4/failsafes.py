@@ -83,7 +83,6 @@ CAUSES = (
     Cause("battery emergency", "COM_LOW_BAT_ACT", (WARN, LAND, LAND, LAND), ends=True),
 )
 EXCEPTION_OF = {FlightMode.MISSION: 1, FlightMode.HOLD: 2, FlightMode.OFFBOARD: 4}
-"""Bits of COM_RCL_EXCEPT."""
 
 
 class Px4Failsafes:

@@ -69,7 +69,6 @@ from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
-"""Bits of COM_RC_OVERRIDE."""
 CRITICAL = mavlink.MAV_SEVERITY_CRITICAL
 
 
