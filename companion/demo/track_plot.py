@@ -42,7 +42,6 @@ class PlottedFlight:
 
     track_enu_m: Sequence[tuple[float, float]]
     estimates: Sequence[tuple[float, float, float, float]]
-    """(time_s, east_m, north_m, r95_m)"""
     crossings_enu_m: Sequence[tuple[float, float]]
     fence_enu_m: Sequence[tuple[float, float]]
     obstacles: Sequence[Obstacle]

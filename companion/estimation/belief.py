@@ -110,7 +110,6 @@ def as_evidence(hypothesis: Hypothesis, params: FilterParams) -> OlderEvidence:
 
 
 def _widest(hypothesis: Hypothesis) -> Matrix:
-    """The covariance, no smaller than what the window found."""
     P = np.array(hypothesis.state.covariance)
     least = hypothesis.least_covariance_m2
     if least is None:

@@ -102,7 +102,6 @@ def _ages(moment: FlightSnapshot) -> Text:
 
 
 def _emitter_rows(emitters: Sequence[EmitterStatus]) -> list[tuple[str, Text]]:
-    """A row for each emitter, where there are several."""
     if len(emitters) < 2:
         return []
     rows = []

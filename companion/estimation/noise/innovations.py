@@ -207,7 +207,6 @@ class InnovationNoise:
     """What the innovations of a run have shown."""
 
     monitors: tuple[NoiseMonitor, ...]
-    """Of range, bearing and elevation."""
     nis: NisMonitor
 
     @classmethod

@@ -254,7 +254,6 @@ def _is_wild(window: _Window) -> bool:
 
 
 def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
-    """The ranges without gross excess over their median, (n,)."""
     deviation_m = statistics.median([abs(each - middle_m) for each in range_m])
     clipped: Vector = np.minimum(np.array(range_m), middle_m + OUTLIER_DEVIATIONS * deviation_m)
     return clipped

@@ -306,7 +306,6 @@ class WindowMap:
         return start
 
     def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
-        """The objective at any state."""
         information, pull = self._prior(older)
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)

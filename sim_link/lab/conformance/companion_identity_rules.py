@@ -25,7 +25,6 @@ class IdentityRules(CompanionProbe):
     book = RuleBook("identity")
 
     def _newest(self) -> mav.Heartbeat:
-        """A new HEARTBEAT of the companion."""
         none = mavlink.MAV_AUTOPILOT_INVALID
         return self.expect(mav.Heartbeat, lambda m: m.autopilot == none, within_s=3.0)
 

@@ -54,7 +54,6 @@ class SetpointRules(CompanionProbe):
         return rate_hz
 
     def _all_setpoints(self) -> list[SetpointMessage]:
-        """Setpoints from before and in control."""
         self.give_control()
         self.run(LOOK_S)
         return self.setpoints()

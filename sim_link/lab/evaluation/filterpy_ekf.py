@@ -105,7 +105,6 @@ class FilterpyEkf:
 
 
 def _residual(rows: list[int], z: Vector, expected: Vector) -> Vector:
-    """The innovation, its bearing wrapped."""
     y = z - expected
     if BEARING in rows:
         index = rows.index(BEARING)
@@ -154,7 +153,6 @@ def largest_difference_m(check: RunSeries) -> float:
 
 
 def _gaps_m(case: Case, system: System, seed: RunSeed) -> list[float]:
-    """The differences after every step of a run."""
     belief, scene, library = belief_of(case, system), cases.scene_of(case), FilterpyEkf(case.belief)
     draws, truth, start_enu_m = cases.run_inputs(case, seed)
     mean, covariance = first_fix(0.0, 0.0, 1.0, 0.0, belief)

@@ -57,7 +57,6 @@ def warm_up(work: Work, pool: Pool) -> None:
 
 
 def _warm_filters(case: Case, system: System) -> None:
-    """The updates, by the closed form and by splitting."""
     belief = belief_of(case, system)
     mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
     for iterations in (0, 1):
@@ -66,7 +65,6 @@ def _warm_filters(case: Case, system: System) -> None:
 
 
 def _warm_window(case: Case, system: System) -> None:
-    """The window, the planners and the channel."""
     belief, steering = belief_of(case, system), steering_of(case, system)
     mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
     rows = walk.history_of(STEPS, belief)
@@ -78,7 +76,6 @@ def _warm_window(case: Case, system: System) -> None:
 
 
 def _views(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Ranges and bearings of nothing in particular, (count, 3)."""
     views = np.full((count, 3), np.nan)
     views[:, 0], views[:, 1] = 20.0, np.linspace(0.0, 1.0, count)
     return views

@@ -283,7 +283,6 @@ def _is_flown(
     progress: PlainProgress,
     results: dict[int, MissionResult],
 ) -> bool:
-    """Fly everything into `results`; whether nobody interrupted that."""
 
     def done(position: int, result: MissionResult) -> None:
         results[position] = result
@@ -332,7 +331,6 @@ def _campaign(arguments: argparse.Namespace) -> batch.MissionBatch:
 
 
 def _speed(arguments: argparse.Namespace) -> float | None:
-    """Times real time; None: lockstep."""
     if arguments.speed in (None, LOCKSTEP):
         if arguments.connect is not None and arguments.speed == LOCKSTEP:
             raise ConfigError("--speed lockstep: not with --connect")

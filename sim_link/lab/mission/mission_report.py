@@ -58,7 +58,6 @@ def _mission_line(runs: list[MissionResult]) -> str:
 
 
 def _times(results: list[MissionResult]) -> tuple[float, float, float]:
-    """Seconds flown, of real time and of the processor."""
     records = [result.record for result in results]
     return (
         sum(record.ended_s for record in records),

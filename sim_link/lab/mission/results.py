@@ -71,7 +71,6 @@ class OperatorText:
 
     time_s: float
     source: str
-    """companion or autopilot."""
     text: str
 
 
@@ -257,7 +256,6 @@ def _times(count: int) -> str:
 
 
 def _seen(wanted: TextSeen, record: FlightRecord) -> tuple[int, str]:
-    """How often, and when first."""
     sources = ("companion", "autopilot") if wanted.from_ is None else (wanted.from_,)
     if wanted.message is not None:
         number = numbers_by_name()[wanted.message]

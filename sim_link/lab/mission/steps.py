@@ -36,7 +36,6 @@ class TakeOffAction:
     """Take off."""
 
     height_m: float
-    """Above home."""
 
 
 Action = Request | TakeOffAction | FlightMode
@@ -142,7 +141,6 @@ class StepRunner:
         return running
 
     def _advance(self, running: _RunningStep, now_s: float) -> bool:
-        """Whether the step is over."""
         rule = running.rule
         if rule.is_met.holds(self._situation):
             running.met_s = now_s if running.met_s is None else running.met_s

@@ -126,7 +126,6 @@ class Px4Flavour(Flavour):
         return self.setpoints.is_alive(now_s, self.parameters["COM_OF_LOSS_T"])
 
     def _check_refusal(self, now_s: float) -> str | None:
-        """The checks that hold in every mode."""
         if now_s < self.aircraft.scenario.autopilot.ready_after_s:
             return "system is booting"
         if not self.aircraft.estimator.is_position_valid:

@@ -221,7 +221,6 @@ class CommandRules(VehicleProbe):
         return self.ask(message, mav.Ack, lambda m: m.command == CALIBRATION, within_s=ACK_S)
 
     def _await_end(self, within_s: float = 2.0) -> int:
-        """The result with which a calibration ends."""
 
         def is_end(ack: mav.Ack) -> bool:
             return bool(ack.command == CALIBRATION and ack.result != mav.IN_PROGRESS)

@@ -33,7 +33,6 @@ class StreamRules(VehicleProbe):
     book = RuleBook("streams")
 
     def _rates(self, duration_s: float = LISTEN_S) -> Counter[str]:
-        """Messages of the vehicle per name over a while."""
         heard = self.listen(duration_s)
         return Counter(e.message.get_type() for e in heard if e.source == self.target)
 

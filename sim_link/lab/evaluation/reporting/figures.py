@@ -268,7 +268,6 @@ def _case_at(result: StudyResult, parameter: str, value: str) -> Case:
 
 
 def _where(result: StudyResult, parameter: str, value: str) -> str:
-    """Which of several cases a figure shows."""
     is_one_of_many = len(figure_data.values_of(result)) > 1
     return f", {value_name(parameter, value)}" if is_one_of_many else ""
 

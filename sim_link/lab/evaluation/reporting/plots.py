@@ -57,7 +57,6 @@ FILTER_DASHES: dict[FilterName, tuple[float, ...]] = {
     "ekf": (2.4, 1.4),
 }
 DOTS = (1.0, 1.6)
-"""Of a bound."""
 THEMED = {
     INK: "ink",
     MUTED: "muted",
