@@ -16,7 +16,7 @@ help:
 	@echo "make demo    fly the simulated search and watch it (DEMO_ARGS='$(DEMO_ARGS)')"
 	@echo "make missions  fly the library of missions in lockstep (MISSION_ARGS='$(MISSION_ARGS)')"
 	@echo "make test    run the tests of every day, some minutes; one: PYTEST_ARGS='-k crossing'"
-	@echo "make test-all  run all tests, the slow ones too"
+	@echo "make test-all  run all tests, the slow ones too; campaigns are in CONTRIBUTING.md"
 	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
 	@echo "make check   format, lint, types and import rules"
 	@echo "make dist    sdist and wheel of both distributions, into dist/"
@@ -30,10 +30,10 @@ missions: venv-dev
 	@$(BIN)/sim-link mission run configs/missions/*.yaml $(MISSION_ARGS)
 
 test: venv-dev
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not campaign" $(PYTEST_ARGS)
 
 test-all: venv-dev
-	$(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not campaign" $(PYTEST_ARGS)
 
 faults: venv-dev
 	$(BIN)/python tools/faults.py --campaign ci $(FAULTS_ARGS)

@@ -229,7 +229,6 @@ def number_in(
 
 FLIGHT_OPTIONS = "connect ranging gcs cot fence signing_key insecure fresh once"
 SHARED_OPTIONS = "config speed web"
-"""Options that subcommands have, too."""
 
 
 def check_place_of_options(arguments: argparse.Namespace) -> None:

@@ -153,7 +153,6 @@ def _web_view(
 
 
 def _console_view() -> FlightView:
-    """The screen on a terminal, lines elsewhere."""
     if not sys.stderr.isatty() or os.environ.get("TERM", "dumb") == "dumb":
         return PlainView()
     try:

@@ -120,7 +120,6 @@ class TargetEstimate:
     range_offset_m: float
     bearing_offset_rad: float
     measurements: int
-    """Measurements accepted so far."""
     alternative_enu_m: Point | None = None
     """Second hypothesis while the state is ambiguous."""
     height_m: float = 0.0

@@ -22,7 +22,6 @@ from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.commands import ReportResult
 
 Degrees = tuple[float, float]
-"""Latitude and longitude, WGS84."""
 
 
 @dataclass(frozen=True, slots=True)

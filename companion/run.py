@@ -52,7 +52,6 @@ from companion.warm_up import warm_up
 log = logging.getLogger("companion.run")
 
 PeriodicTask = Callable[[float], None]
-"""Called with the session's time."""
 
 
 class PeriodicTasks:
@@ -300,7 +299,6 @@ class _Flight:
         self._supervisor = Supervisor(os.environ)
         self._tasks = self._gather_tasks()
         self._hints = 0
-        """How many were given."""
 
     def _build_endpoint(self, tunables: Tunables, links: Sequence[LinkSpec]) -> CompanionEndpoint:
         return build_endpoint(

@@ -99,7 +99,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _add_scene(add: Callable[..., object]) -> None:
-    """What is flown, and how fast time passes."""
     scenario = "scenario YAML, for example configs/scenarios/canonical.yaml (default: the "
     scenario += "canonical scenario, built in)"
     add("--scenario", metavar="FILE", type=Path, help=scenario)
@@ -118,7 +117,6 @@ def _add_scene(add: Callable[..., object]) -> None:
 
 
 def _add_links(add: Callable[..., object]) -> None:
-    """Who can hear it."""
     send_to = "send unasked to this UDP address; repeatable (default "
     send_to += f"{' and '.join(DEFAULT_SEND_TO)})"
     add("--send-to", metavar="HOST:PORT", action="append", help=send_to)
@@ -133,7 +131,6 @@ def _add_links(add: Callable[..., object]) -> None:
 
 
 def _add_files(add: Callable[..., object]) -> None:
-    """What is kept, and when it ends."""
     parameters = "load the autopilot's parameters from FILE, and store there what a client "
     parameters += "changes; a FILE that does not exist yet is made then"
     add("--parameters", metavar="FILE", type=Path, help=parameters)
@@ -257,7 +254,6 @@ def _start_line(options: FleetOptions) -> str:
 
 
 def _notes(options: FleetOptions) -> list[str]:
-    """What a user may have meant otherwise."""
     notes, parameters, key = [], options.parameters, options.signing_key
     if parameters is not None and not parameters.exists():
         notes.append(f"sim-link: {parameters} is not there yet; changes will be stored there")

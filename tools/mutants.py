@@ -40,6 +40,8 @@ ARITHMETIC: dict[type[ast.operator], tuple[type[ast.operator], ...]] = {
     ast.LShift: (ast.RShift,),
     ast.RShift: (ast.LShift,),
 }
+FLAGS = (ast.BitAnd, ast.BitOr, ast.BitXor)
+"""What makes a set of flags has no sign that could matter."""
 EXCHANGED_CALLS = {"min": "max", "max": "min", "all": "any", "any": "all"}
 SKIPPED_FIELDS = {"annotation", "returns", "decorator_list", "bases"}
 
@@ -74,7 +76,8 @@ def changes_of(node: ast.AST) -> Iterator[ast.AST | None]:
         case ast.BinOp():
             for operation in ARITHMETIC.get(type(node.op), ()):
                 yield ast.BinOp(node.left, operation(), node.right)
-            yield ast.UnaryOp(ast.USub(), node)
+            if not isinstance(node.op, FLAGS):
+                yield ast.UnaryOp(ast.USub(), node)
         case ast.UnaryOp(op=ast.Not() | ast.USub()):
             yield node.operand
         case ast.BoolOp():

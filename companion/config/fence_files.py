@@ -146,7 +146,6 @@ def _tag(element: Element) -> str:
 
 
 def _children(element: Element, *tags: str) -> list[Element]:
-    """The children of the children ... of these names."""
     found = [element]
     for tag in tags:
         found = [child for parent in found for child in parent if _tag(child) == tag]

@@ -154,7 +154,6 @@ class _Problem:
 
 
 def _convert(raw: object, kind: type[T]) -> T | _Problem:
-    """The record, or the first problem in its way."""
     try:
         return msgspec.convert(raw, kind, strict=True)
     except msgspec.ValidationError as error:

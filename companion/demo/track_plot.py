@@ -41,9 +41,7 @@ class PlottedFlight:
     """What the picture shows; all positions local east and north, metres."""
 
     track_enu_m: Sequence[tuple[float, float]]
-    """True positions of the vehicle."""
     estimates: Sequence[tuple[float, float, float, float]]
-    """(time_s, east_m, north_m, r95_m)"""
     crossings_enu_m: Sequence[tuple[float, float]]
     fence_enu_m: Sequence[tuple[float, float]]
     obstacles: Sequence[Obstacle]

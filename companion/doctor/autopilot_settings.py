@@ -31,10 +31,8 @@ LONGEST_GAP_S = 0.5
 PATIENT_S = 3.0
 _MODES = ("Position mode", "Altitude mode", "Manual mode", "Return", "Land", "Hold")
 OFFBOARD_LOSS = dict(enumerate((*_MODES, "Terminate", "Disarm")))
-"""COM_OBL_RC_ACT."""
 NEEDS_PILOT, FATAL = (0, 1, 2), (6, 7)
 RC_OVERRIDE_OFFBOARD = 2
-"""Bit of COM_RC_OVERRIDE."""
 PX4_WARNS_ONLY = 1
 """GF_ACTION up to this keeps the mode."""
 CEILING, CIRCLE = 1, 2
@@ -45,7 +43,6 @@ class Settings:
     """What a rule looks at."""
 
     values: Mapping[str, float]
-    """The parameters that it needs."""
     facts: AutopilotFacts
     config: CompanionConfig
 
@@ -252,7 +249,6 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
         (("WPNAV_SPEED",), partial(_check_speed, "WPNAV_SPEED", 100.0)),
     ),
 }
-"""Which parameters each rule needs."""
 
 
 def needed_parameters(autopilot: Autopilot) -> tuple[str, ...]:

@@ -121,7 +121,6 @@ SLOW_ROUND_TRIP_S, USELESS_ROUND_TRIP_S = 0.1, 0.5
 FIX_3D = 3
 LOW_BATTERY_PCT = 30
 SLOW_WRITE_S = 1.0
-"""For a megabyte."""
 LEAST_FREE_MB = 50.0
 A_RECENT_TIME_S = 1.735e9
 """2024-12-24; a clock before that was never set."""
@@ -291,7 +290,9 @@ def _check_rate(rate: StreamRate) -> CheckResult:
     if rate.measured_hz < NEEDED_STREAMS.get(rate.name, 0.0) or rate.count == 0:
         is_needed = rate.name in NEEDED_STREAMS
         return (fail if is_needed else warn)(rate.name, text, fix)
-    return (ok(rate.name, text)) if _is_enough(rate) else warn(rate.name, text, fix)
+    due = rate.asked_hz * rate.seconds
+    is_enough = rate.count >= ENOUGH_SHARE * due - 1.0  # one may come just after the time was over
+    return ok(rate.name, text) if is_enough else warn(rate.name, text, fix)
 
 
 def _is_expected(name: str, facts: AutopilotFacts) -> bool:
@@ -303,11 +304,6 @@ def _is_expected(name: str, facts: AutopilotFacts) -> bool:
         "RC_CHANNELS": facts.has_rc is not False,
     }
     return expected.get(name, True)
-
-
-def _is_enough(rate: StreamRate) -> bool:
-    """One message may be due just after the time was over."""
-    return rate.count >= ENOUGH_SHARE * rate.asked_hz * rate.seconds - 1.0
 
 
 def _check_time(facts: AutopilotFacts) -> CheckResult:

@@ -71,7 +71,6 @@ class LinkFacts:
     autopilot: AutopilotFacts | None
     """None: none was heard."""
     other_autopilots: tuple[int, ...]
-    """Their system ids."""
     other_companions: tuple[int, ...]
     """System ids under which another component 191 spoke."""
     bytes_received: int

@@ -259,7 +259,6 @@ class DoctorProbe:
         self._questions = [_Question(name) for name in names]
 
     def _next_question(self, now_s: float, system_id: int, component_id: int) -> Message | None:
-        """One parameter per tick."""
         for question in self._questions:
             if question.is_open and now_s >= question.next_s:
                 question.tries += 1

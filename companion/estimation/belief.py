@@ -51,7 +51,6 @@ class Belief:
 
     emitter_id: int | None
     measurements: int
-    """Accepted until then."""
     places: tuple[BelievedPlace, ...]
     """Best first; empty before the first measurement."""
 
@@ -111,7 +110,6 @@ def as_evidence(hypothesis: Hypothesis, params: FilterParams) -> OlderEvidence:
 
 
 def _widest(hypothesis: Hypothesis) -> Matrix:
-    """The covariance, no smaller than what the window found."""
     P = np.array(hypothesis.state.covariance)
     least = hypothesis.least_covariance_m2
     if least is None:

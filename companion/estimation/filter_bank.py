@@ -46,7 +46,6 @@ class Gate(NamedTuple):
     """Whether the range, if there is one, agrees with the estimate: neither too short nor absurdly
     long."""
     agrees_in_bearing: bool = True
-    """The same of the bearing."""
 
     @property
     def agrees(self) -> bool:

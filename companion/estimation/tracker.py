@@ -90,7 +90,6 @@ class FusionReport:
     measurement: RangingMeasurement | None = None
     """What was measured, its bearing in the local frame, where the log is to tell it."""
     sensor_enu_m: PositionEnu | None = None
-    """Where it was measured."""
 
 
 class TargetTracker:

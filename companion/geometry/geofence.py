@@ -33,7 +33,6 @@ from companion.geometry.polygons import (
 )
 
 LatLon = tuple[float, float]
-"""Latitude and longitude, degrees."""
 
 MAX_LATITUDE_DEG = 85.0
 MAX_REACH_M = 20_000.0

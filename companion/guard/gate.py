@@ -261,7 +261,6 @@ class Guard:
         return min(max(up_m, low_m), high_m)
 
     def _climbed(self, step: _Step) -> tuple[float, float]:
-        """Height, and its rate of change."""
         limits, up_m = self.limits, step.previous.position_enu_m[2]
         left_m = self._in_band(step.goal_enu_m[2], step.motion, step.reasons) - up_m
         speed_mps = min(

@@ -60,7 +60,6 @@ class Containment(Watch):
 
     def __init__(self) -> None:
         self.errors: Counter[str] = Counter()
-        """By part."""
         self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
         self._texts = Rarely(TELL_EVERY_S)
 

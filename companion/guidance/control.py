@@ -213,8 +213,9 @@ class ControlTick:
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
             context.send(SendHeartbeat())
-        if now_s - self._sent_s > SILENCE_S and self._may_begin_anew(now_s):
-            context.steering.forget_setpoint()
+        is_known = self._is_silent or context.vehicle.is_position_fresh(now_s)
+        if is_known and now_s - self._sent_s > SILENCE_S:  # not after a pause on a stale position:
+            context.steering.forget_setpoint()  # what was sent last is safer then
         setpoint = self._setpoint(now_s, dt_s)
         self._tell_stop(now_s, is_stopping=setpoint is None and not self._is_silent)
         self._is_silent = setpoint is None
@@ -225,10 +226,6 @@ class ControlTick:
             self._tell_reasons(context.steering.reasons, now_s)
         context.send(SendSetpoint(setpoint))
         self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
-
-    def _may_begin_anew(self, now_s: float) -> bool:
-        """Not after a mere pause on a stale position: what was sent last is safer than that."""
-        return self._is_silent or self._context.vehicle.is_position_fresh(now_s)
 
     def _tell_stop(self, now_s: float, *, is_stopping: bool) -> None:
         """Why setpoints stop, or control cannot be given, where no finding of control tells it."""

@@ -145,7 +145,6 @@ class OtherCommandHeard(Event):
     """Somebody else commands the autopilot to fly somewhere, by a command that it passed on."""
 
     command: str
-    """Without MAV_CMD."""
     sender: tuple[int, int]
 
 

@@ -70,7 +70,6 @@ class GuidanceStatus:
     accepted: int
     refused: Mapping[str, int]
     battery_pct: float | None
-    """0 to 100; None: unknown."""
 
 
 def _detail(context: SessionContext) -> str:

@@ -322,7 +322,6 @@ class Px4FailsafeCheck:
 
 SHORTEST_PATIENCE_S = min(patience_s for _, patience_s in PATIENCE_S.values())
 TEXTS_PER_S = 0.2
-"""About streams."""
 
 
 class AutopilotQueries:

@@ -153,7 +153,6 @@ class Resource(IntEnum):
 
 
 Amounts = tuple[int, int, int]
-"""Of each resource."""
 
 KNOWN: Amounts = (32_768, 2_000, 500)
 UNKNOWN_PEERS: Amounts = (16_384, 400, 100)

@@ -26,7 +26,6 @@ class LinkRole(Enum):
     RANGING = "ranging"
     """Brings ranging only, because a real autopilot does not forward our message."""
     GCS = "gcs"
-    """Leads to a ground station."""
 
 
 @dataclass(frozen=True, slots=True)

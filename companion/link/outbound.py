@@ -27,7 +27,6 @@ MAX_PROGRESS_S = 10.0
 """An autopilot that only ever makes progress does not answer."""
 
 Ids = tuple[int, int]
-"""System and component."""
 CommandMessage = mavlink.MAVLink_command_long_message
 
 
@@ -104,7 +103,6 @@ class RequestClient:
 
 
 TEXT_LENGTH = 50
-"""Bytes of one STATUSTEXT."""
 MAX_CHUNKS = 4
 """A longer text is cut."""
 UINT32 = 0xFFFFFFFF

@@ -149,7 +149,6 @@ def icon_message(
 
 
 def _place_e7(estimate: TargetEstimate, origin: LocalOrigin) -> tuple[int, int, int]:
-    """Latitude and longitude in 1e-7 degrees, altitude in millimetres."""
     place = (*estimate.position_enu_m, estimate.height_m)
     latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(place)
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)

@@ -245,7 +245,6 @@ class FloodShield:
 
 
 ALARM_TEXTS_PER_S = 0.1
-"""Texts of one kind."""
 
 
 class CounterNews:

@@ -194,7 +194,6 @@ class FimPlanner:
         return covariance
 
     def _may_fly(self, request: PlanRequest) -> NDArray[np.bool_]:
-        """Which candidates have a clear leg."""
         finder, vehicle = way_finder(request), request.vehicle_enu_m
         if finder is None:
             return np.ones(self.params.headings, dtype=np.bool_)

@@ -28,7 +28,6 @@ class PlanRequest:
 
     vehicle_enu_m: Point
     estimate: TargetEstimate | None = None
-    """None before the first measurement."""
     fence_enu_m: Polygon | None = None
     """Waypoints and the straight legs to them stay inside this polygon, by `fence_margin_m`."""
     fence_margin_m: float = 0.0

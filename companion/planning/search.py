@@ -54,7 +54,6 @@ class SearchParams(Params, frozen=True):
     """A way to lay out a search, and what every one of them has."""
 
     name: ClassVar[str]
-    """As the operator knows it."""
     spacing_m: Spacing = 20.0
     """Distance between neighbouring legs: not more than twice what the radio surely hears."""
     arrival_radius_m: Positive = 1.5
@@ -275,7 +274,6 @@ def _spaces(request: PlanRequest) -> list[FreeSpace]:
 
 
 def _corner_of(area: Polygon, name: str) -> Point:
-    """A corner of an area's bounding box."""
     easts, norths = [p[0] for p in area], [p[1] for p in area]
     east = min(easts) if name.endswith("west") else max(easts)
     north = min(norths) if name.startswith("south") else max(norths)

@@ -174,7 +174,6 @@ class ProcessDiagnostics:
 LINK_CHECK_PERIOD_S = 1.0
 LINK_RECORD_PERIOD_S = 10.0
 LINK_TEXTS_PER_S = 0.1
-"""About one link."""
 
 
 class LinkWatch:

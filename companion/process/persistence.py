@@ -40,7 +40,6 @@ from companion.link.endpoint import CompanionEndpoint
 log = logging.getLogger("companion.run")
 
 SAVE_PERIOD_S = 1.0
-"""Wall seconds between two checkpoints."""
 
 
 class CheckpointStorage(Protocol):
@@ -163,7 +162,6 @@ class RestartKeeper:
         self._endpoint.tell(MemoryRecalled(now_s, checkpoint.memory, age))
 
     def _difference(self, then: MissionKey) -> str | None:
-        """What is not as it was, in words."""
         now = self._key()
         if (then.system_id, then.autopilot) != (now.system_id, now.autopilot):
             return f"another vehicle (it was {then.autopilot.value}, system {then.system_id})"

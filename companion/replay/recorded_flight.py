@@ -58,7 +58,6 @@ class Course:
     """What a flight came to, recorded or replayed."""
 
     estimates: list[Json] = field(default_factory=list)
-    """Lines of the event log."""
     setpoints: list[bytes] = field(default_factory=list)
     localised_s: float | None = None
 

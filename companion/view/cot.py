@@ -29,7 +29,6 @@ from companion.run import FlightView
 TYPE = "a-u-G"
 """Atom, unknown affiliation, ground: nothing is claimed of who carries the radio."""
 HOW = "m-r"
-"""Machine-reported."""
 STALE_AFTER_S = 600.0
 NO_VALUE = "9999999.0"
 """The schema's value for a height or a linear error that is unknown."""

@@ -102,7 +102,6 @@ def _ages(moment: FlightSnapshot) -> Text:
 
 
 def _emitter_rows(emitters: Sequence[EmitterStatus]) -> list[tuple[str, Text]]:
-    """A row for each emitter, where there are several."""
     if len(emitters) < 2:
         return []
     rows = []
@@ -177,7 +176,6 @@ class TerminalView(FlightView):
         self._time_to_go = TimeToGo()
         self.console = Console(file=sys.stderr if stream is None else stream)
         self.stream = ConsoleStream(self.console)
-        """For log lines."""
         self._live = Live(
             console=self.console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
         )

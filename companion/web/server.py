@@ -45,7 +45,6 @@ class PictureFeed:
         self.scene = scene
         self.picture: dict[str, Any] = {}
         self.version = 0
-        """Grows with every picture."""
         self.track: list[tuple[float, float]] = []
         self.track_version = 0
         """Grows when the track does not merely go on: pages draw it anew then."""

@@ -37,7 +37,6 @@ class Access:
     """The rules of one page."""
 
     host: str
-    """What it is bound to."""
     token: str | None
     is_control_on: bool = False
     is_view_open: bool = False
@@ -87,15 +86,14 @@ NO_TILE = bytes.fromhex(
 
 def zooms_of(folder: Path) -> tuple[int, int] | None:
     """The least and the most zoom of `z/x/y.png` in a folder, all numbers; None: no tile at all."""
-    folders = [path for path in folder.iterdir() if path.name.isdecimal()]
-    zooms = [int(path.name) for path in folders if _has_tile(path)]
+    numbered = (path for path in folder.iterdir() if path.name.isdecimal())
+    tiles = (tile for path in numbered for tile in path.glob("*/*.png"))
+    zooms = [
+        int(tile.parent.parent.name)
+        for tile in tiles
+        if tile.stem.isdecimal() and tile.parent.name.isdecimal()
+    ]
     return (min(zooms), max(zooms)) if zooms else None
-
-
-def _has_tile(zoom: Path) -> bool:
-    return any(
-        tile.stem.isdecimal() and tile.parent.name.isdecimal() for tile in zoom.glob("*/*.png")
-    )
 
 
 def tile(folder: Path, zoom: int, x: int, y: int) -> bytes:

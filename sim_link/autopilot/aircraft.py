@@ -191,13 +191,11 @@ class Aircraft:
         start: PositionEnu = (*scenario.start_enu_m, 0.0)
         self.body = PointMass(scenario.vehicle, scenario.wind, start) if body is None else body
         self.home_enu_m: PositionEnu = (*self.body.position_enu_m[:2], 0.0)
-        """Launch-and-return point."""
         self.is_home_given = False
         """Whether a station set it: then arming leaves it alone."""
         self.home_set_s = STEP_S
         """When home was set, since boot."""
         self.home_changes = 1
-        """Counts up whenever home moves."""
         self.origin_changes = 1
         self.estimator = Estimator(origin, scenario.gps, scenario.position_noise_m, noise_rng)
         self.estimator.step(0.0, self.body.position_enu_m, 0.0)
@@ -212,7 +210,6 @@ class Aircraft:
         self.flight_time_s = 0.0
         self.distance_m = 0.0
         self.has_flown = False
-        """Since it was armed."""
         self.stations_s: dict[int, float] = {}
         """When each ground station's HEARTBEAT last came, by system id."""
         self.texts: list[tuple[int, str]] = []

@@ -110,7 +110,6 @@ def turned(forward: float, right: float, yaw_ned_rad: float) -> Point:
 
 
 STICK_RANGE = 1000.0
-"""MANUAL_CONTROL's full deflection."""
 JOYSTICK_TIMEOUT_S = 0.5
 """A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T)."""
 MOVED = 0.3

@@ -87,7 +87,6 @@ class SimEndpoint:
         self._sole_peers: dict[int, Address] = {}
         self._unix_minus_local_s = security.started_unix_s - started_s
         self.is_finished = False
-        """Whether a stop was requested."""
         self._output: list[Chunk] = []
         components = (mavlink.MAV_COMP_ID_AUTOPILOT1, radio_payload.COMPONENT_ID)
         dialect = FLAVOURS[scenario.autopilot.flavour][0].firmware.dialect

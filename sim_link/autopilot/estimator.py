@@ -37,7 +37,6 @@ class Estimator:
     ) -> None:
         self.world_origin = origin
         self.origin = origin
-        """Of the local frame: GPS_GLOBAL_ORIGIN."""
         self.reported_enu_m: PositionEnu = (0.0, 0.0, 0.0)
         """What is reported, in the world's frame."""
         self.has_fix = True

@@ -163,7 +163,6 @@ Incident = (
     | ClockSlip
     | AutopilotStall
 )
-"""Any of them."""
 
 KEYS_OF_0_1 = {"time_s": "start_s", "for_s": "duration_s"}
 KINDS_OF_0_1 = {"reboot": "vehicle_reboot"}

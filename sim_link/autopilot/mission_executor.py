@@ -166,7 +166,6 @@ class MissionRun:
         return None
 
     def _jump(self, item: PlanItem) -> bool:
-        """Whether a DO_JUMP jumps once more."""
         is_number = math.isfinite(item.params[0]) and math.isfinite(item.params[1])
         if not is_number or not 0 <= int(item.params[0]) < len(self.items):
             return False

@@ -78,7 +78,6 @@ def attitude(vehicle: SimVehicle) -> Fields:
 
 
 def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
-    """The attitude, w first."""
     roll, pitch = _roll_and_pitch(vehicle)
     cr, sr = math.cos(roll / 2.0), math.sin(roll / 2.0)
     cp, sp = math.cos(pitch / 2.0), math.sin(pitch / 2.0)
@@ -196,7 +195,6 @@ def position_target_global_int(vehicle: SimVehicle) -> Fields | None:
 
 
 def _motion(echo: Echo) -> tuple[float, ...]:
-    """Velocity and acceleration, NED, yaw and yaw rate."""
     nothing = echo.nothing
     return (
         *ned_from_enu(_filled(echo.velocity_enu_mps, nothing)),
@@ -224,7 +222,6 @@ RAIL_MV = 5000
 
 
 def _thrust_share(vehicle: SimVehicle) -> float:
-    """How much thrust it gives, 0 to 1."""
     if not vehicle.is_armed:
         return 0.0
     return IDLE_THRUST if vehicle.body.is_on_ground else HOVER_THRUST
@@ -244,13 +241,11 @@ def servo_output_raw(vehicle: SimVehicle) -> Fields:
 
 
 def _specific_force_mps2(vehicle: SimVehicle) -> float:
-    """What an accelerometer feels along the thrust."""
     east, north, up = vehicle.body.acceleration_enu_mps2
     return math.sqrt(east * east + north * north + (up + GRAVITY_MPS2) ** 2)
 
 
 def _field_gauss(vehicle: SimVehicle) -> tuple[float, float, float]:
-    """The magnetic field forward, right and down."""
     heading, north = vehicle.aircraft.heading_ned_rad, FIELD_NORTH_GAUSS
     return (north * math.cos(heading), -north * math.sin(heading), FIELD_DOWN_GAUSS)
 

@@ -47,7 +47,6 @@ class Task(Enum):
     FLY_BY_STICKS = "fly by sticks"
     CIRCLE = "circle"
     DESCEND = "descend"
-    """Without a position to hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +66,6 @@ class Pilot:
         self.task = Task.STAY
         self.home_enu_m = home_enu_m
         self.return_up_m = home_enu_m[2]
-        """Height for the way home."""
         self.takeoff_up_m = home_enu_m[2]
         """Height at which TAKE_OFF ends; set with the command."""
         self.final_up_m: float | None = None

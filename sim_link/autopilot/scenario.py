@@ -83,7 +83,6 @@ class BatteryParams(Params, frozen=True):
     endurance_s: Positive = 1200.0
     """Hovering time from full to empty."""
     start_share: Share = 1.0
-    """Charge at the start."""
 
 
 class RcParams(Params, frozen=True):
@@ -153,7 +152,6 @@ class Scenario(Params, frozen=True):
     gps: GpsParams = GpsParams()
     fence: FenceParams = FenceParams()
     emitters: tuple[EmitterParams, ...] = ()
-    """Further emitters beside `emitter`."""
     incidents: tuple[Incident, ...] = ()
     """What happens at which time, in any order."""
     vehicles: VehicleCount = 1

@@ -164,7 +164,6 @@ class Services:
         self.requests = MessageRequests(
             firmware.streams, firmware.requests, self._build, self._texts, links
         )
-        """Keeps the streams."""
         for link in range(len(links)):
             self.requests.open(Channel(link), 0.0)
         self._announcer = MissionAnnouncer()

@@ -66,12 +66,10 @@ class SimVehicle:
         self.aircraft = Aircraft(scenario, noise_rng, first, body)
         self.flavour: Flavour = flavour(self.aircraft, parameters(scenario))
         self.body = self.aircraft.body
-        """The true motion."""
         self.estimator = self.aircraft.estimator
         self.battery = self.aircraft.battery
         self.sticks = self.aircraft.sticks
         self.setpoints = self.flavour.setpoints
-        """The streamed ones."""
         self.clock = StampClock()
 
     @property

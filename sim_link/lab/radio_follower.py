@@ -101,7 +101,6 @@ class RadioFollower:
         self._is_finished = False
         self._output: list[Chunk] = []
         self.measurements = 0
-        """Sent so far."""
 
     @property
     def is_following(self) -> bool:
@@ -123,7 +122,6 @@ class RadioFollower:
                 self._take(message, now_s)
 
     def _is_the_vehicle(self, message: Message) -> bool:
-        """Whether the autopilot that was heard first sent it."""
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return False
         match message:

@@ -156,7 +156,6 @@ class ShadowMemory(NamedTuple):
 
 
 NO_MEMORY = ShadowMemory(0.0, 0.0, 0.0, math.nan, math.nan, math.nan)
-"""Before the first shadowed measurement."""
 
 
 @kernel

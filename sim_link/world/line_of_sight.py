@@ -43,7 +43,6 @@ class Surroundings(NamedTuple):
     """An emitter among obstacles, as the kernels take it."""
 
     east_m: float
-    """Of the emitter."""
     north_m: float
     up_m: float
     edges: Matrix

@@ -240,6 +240,9 @@ def test_nothing_flies_on_an_empty_battery_unless_a_simulator_may_restart(flavou
     assert MemoryRun(flavour, charge=0.2).try_rules(FAILS) == ["FAIL"]
 
 
+SLOW, CAMPAIGN = pytest.mark.slow, pytest.mark.campaign
+
+
 def incidents_of(number: int) -> tuple[list[Incident], float, float]:
     """What goes wrong in a run: the incidents, when it is ready, and when Ctrl-C is pressed."""
     start_s = random.Random(number).uniform(20.0, 900.0)
@@ -254,8 +257,9 @@ def incidents_of(number: int) -> tuple[list[Incident], float, float]:
     return runs[number % len(runs)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=SLOW if n < 3 else CAMPAIGN) for n in range(10)]
+)
 @FLAVOURS
 def test_twenty_runs_end_with_a_summary_and_the_vehicle_as_it_was(
     flavour: Flavour, number: int

@@ -71,7 +71,6 @@ class Motion:
     """A target that walks evenly, as the last seconds have it."""
 
     velocity_mps: Vector
-    """(2,)"""
     significance: float
     """Chi-square with 2 degrees of freedom, if the target lies still."""
 

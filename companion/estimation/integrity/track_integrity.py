@@ -38,7 +38,6 @@ class Contact:
     range_s: float | None = None
     """When the newest range was measured; None: there was none yet."""
     bearing_s: float | None = None
-    """The same of bearings."""
     agreeing: int = 0
     """Measurements that agreed since the last gap, or since the first one."""
 
@@ -255,7 +254,6 @@ class TrackIntegrity:
         self.restarts = 0
         """How often the estimate was given up."""
         self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
-        """When, of the last ones."""
         self._recovered_at = 0
         """Measurements accepted until the estimate is believed again."""
         self.reset()

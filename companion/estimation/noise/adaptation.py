@@ -98,7 +98,6 @@ class RangeNoise:
     mean_bias_m: float
     """1/lambda, the mean bias of a reflection."""
     nlos_share: float
-    """Probability of a reflection."""
     offset_m: float = 0.0
     """Location of the thermal noise."""
 

@@ -207,7 +207,6 @@ class InnovationNoise:
     """What the innovations of a run have shown."""
 
     monitors: tuple[NoiseMonitor, ...]
-    """Of range, bearing and elevation."""
     nis: NisMonitor
 
     @classmethod
@@ -279,7 +278,6 @@ class NoiseLearner:
     bearings: AdaptiveBearingNoise
     params: AdaptationParams
     count: int = 0
-    """Measurements learnt from."""
 
     @classmethod
     def starting(cls, believed: FilterParams, params: AdaptationParams) -> NoiseLearner:

@@ -149,7 +149,6 @@ QUIET_S, RANDOM_S = 2.5, 4.0
 """How far back is looked for either."""
 MIN_COUNT, MAX_COUNT = 16, 96
 EVERY = 4
-"""Bearings between two judgements."""
 MIN_PATH_M = 5.0
 """Own motion before being quiet means anything."""
 QUIET_SIGMAS = 1.0 / 6.0

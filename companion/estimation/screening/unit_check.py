@@ -41,7 +41,6 @@ NEWEST_COUNT = 4
 WINDOW_S = 3.0
 MIN_COUNT, MAX_COUNT = 12, 48
 EVERY = 4
-"""Ranges between two judgements."""
 REJECT_LOG_RATIO = math.log(1000.0)
 ACCEPT_LOG_RATIO = -3.0
 REFINED, REFINEMENTS = 4, 5
@@ -255,7 +254,6 @@ def _is_wild(window: _Window) -> bool:
 
 
 def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
-    """The ranges without gross excess over their median, (n,)."""
     deviation_m = statistics.median([abs(each - middle_m) for each in range_m])
     clipped: Vector = np.minimum(np.array(range_m), middle_m + OUTLIER_DEVIATIONS * deviation_m)
     return clipped

@@ -176,9 +176,7 @@ class WindowParams(Params, frozen=True):
     enabled: bool = True
     """Whether the filter is checked and corrected at all."""
     size: Annotated[int, msgspec.Meta(ge=32, le=4096)] = 512
-    """Most measurements kept."""
     every: Annotated[int, msgspec.Meta(ge=1)] = 25
-    """Measurements between two solutions."""
     starts: Annotated[int, msgspec.Meta(ge=1, le=64)] = 12
     """Directions of the fresh starts around the path."""
 
@@ -188,7 +186,6 @@ class Optimum:
     """A local minimum of the objective."""
 
     mean: Vector
-    """(n,)"""
     cost: float
     covariance: Matrix
     """(n, n), with the sandwich in it, and the correlation if asked for."""
@@ -218,7 +215,6 @@ class WindowMap:
         self.prior: tuple[Matrix, Vector] = (np.diag(weights), weights * centre)
         """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
         self.size = len(weights)
-        """Components of the state."""
 
     def expect(self, inflation: Inflation) -> None:
         """Hold the own position's error against bearings that are so much worse than thermal."""
@@ -316,7 +312,6 @@ class WindowMap:
         return start
 
     def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
-        """The objective at any state."""
         information, pull = self._prior(older)
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)

@@ -338,7 +338,6 @@ class Handover:
             context.announce(Severity.INFO, f"fence: {fencing.words}")
 
     def _begin_anew(self, now_s: float) -> None:
-        """The autopilot restarted."""
         context = self._context
         context.fencing.forget()
         context.vehicle.forget()

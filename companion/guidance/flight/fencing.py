@@ -56,7 +56,6 @@ class FencePlan:
     keep_out_enu_m: tuple[Corners, ...] = ()
     """Keep-outs of our own, beside those of a fence in degrees."""
     site: GeoFence | None = None
-    """The fence of a file."""
     policy: FencePolicy = FencePolicy.IGNORE
 
 

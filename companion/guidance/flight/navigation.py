@@ -162,7 +162,6 @@ class Steering:
     def __init__(self, guard: Guard, altitude_m: float) -> None:
         self._guard = guard
         self.altitude_m = altitude_m
-        """Of the search, above home."""
         self._last: Guarded | None = None
 
     @property

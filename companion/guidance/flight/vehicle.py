@@ -51,7 +51,6 @@ class ModeWatch:
     def __init__(self) -> None:
         self.is_in_doubt = False
         self._since_s = -math.inf
-        """When the doubt began."""
         self._shown: events.HeartbeatReceived | None = None
         self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MOST_STAMPED)
         """Time, and place in the order of sending, of the last stamped messages."""

@@ -21,7 +21,6 @@ from companion.guidance import events
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 
 CONFIRMED_BY = 2
-"""Reports that must agree."""
 LEG_S = 20.0
 """A leg that takes longer is not finished on a low battery."""
 

@@ -66,7 +66,6 @@ class EchoWatch(Watch):
 
     def __init__(self) -> None:
         self._way: deque[tuple[float, float, PositionEnu]] = deque()
-        """From, until, and where."""
         self._sent_s = self._resumed_s = -math.inf
         """When we sent last, and when we began to after a pause."""
         self.end()
@@ -190,7 +189,6 @@ class EchoWatch(Watch):
 
 
 def _distance_m(point: PositionEnu, start: PositionEnu, end: PositionEnu) -> float:
-    """From a point to a straight piece of way."""
     along = [b - a for a, b in zip(start, end, strict=True)]
     length2 = sum(d * d for d in along)
     if length2 == 0.0:

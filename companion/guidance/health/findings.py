@@ -70,7 +70,6 @@ class Finding:
     verdict: Verdict
     reason: Reason
     text: str
-    """For the operator."""
     mode: FlightMode = FlightMode.HOLD
     """What to ask the autopilot for when it is handed back."""
 

@@ -134,12 +134,10 @@ class JumpWatch(Watch):
         self._context = context
         self._noise = PositionNoise()
         self._first_s = -math.inf
-        """When the present jumps began."""
         self._last_s = -math.inf
         self._jumped_m: PositionEnu | None = None
         """All that the position jumped by since it was steady; None: nobody doubts it."""
         self._arrived_s = -math.inf
-        """When the newest position came."""
 
     @property
     def is_in_doubt(self) -> bool:

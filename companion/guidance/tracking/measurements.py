@@ -32,7 +32,6 @@ from companion.guidance.tracking.vehicle_track import VehicleTrack
 MAX_WAITING = 64
 """Measurements that may wait for an own position at their time; the oldest gives way."""
 PATIENCE_S = 0.25
-"""How long one may wait."""
 
 
 class RangingListener:

@@ -135,7 +135,6 @@ class ByteStream:
             self._look = self._loop.call_later(LINE_LOOK_S, self._flush)
 
     def _room(self) -> int:
-        """How many bytes the system may be given now."""
         if self._bytes_per_s is None:
             return MAX_UNSENT_BYTES
         answer = fcntl.ioctl(self._fd, termios.TIOCOUTQ, bytes(4))

@@ -111,7 +111,6 @@ class SendQueue:
         self._waiting: deque[tuple[bytes, bool]] = deque()
         self._bytes = 0
         self._written = 0
-        """Of the first chunk."""
 
     def __len__(self) -> int:
         """Bytes that wait."""

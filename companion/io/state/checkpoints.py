@@ -166,7 +166,6 @@ class StoredCheckpoints:
     has_files: bool
     """Whether there was anything, readable or not: then an earlier run did not end in order."""
     checkpoint: Checkpoint | None
-    """The newest whole one."""
     problems: tuple[str, ...] = ()
     """Of files that could not be used, a line each."""
 

@@ -163,7 +163,6 @@ class ClockSync:
         self.slow = 0
         """Answers that took too long to say anything."""
         self.resets = 0
-        """How often the clock slipped."""
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self._next_s = 0.0
         self._round_trips_s: deque[float] = deque(maxlen=BEST_OF)

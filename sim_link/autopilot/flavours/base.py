@@ -51,7 +51,6 @@ MAX_DISTANCE_M = 1e5
 MAX_HEIGHT_M = 1000.0
 """Above home, of a take-off or a place to go to."""
 CHANGE_MODE_FLAG = 1
-"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
 FORCE_ARMING = 21196
 """Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
 
@@ -122,11 +121,8 @@ class Firmware(NamedTuple):
     """What an autopilot says that it is, and how it speaks each of the services."""
 
     autopilot: int
-    """MAV_AUTOPILOT."""
     version: int
-    """AUTOPILOT_VERSION.flight_sw_version."""
     capabilities: int
-    """MAV_PROTOCOL_CAPABILITY."""
     refusal: CommandResult
     """Of a command whose parameters make no sense."""
     frame_refusal: CommandResult
@@ -158,7 +154,6 @@ class Firmware(NamedTuple):
     first_mission_item: int
     """1 where item 0 is home."""
     home_orientation: tuple[float, float, float, float]
-    """HOME_POSITION.q."""
     answers_for_others: bool
     """Obeys what is for a component of its system that was never heard, and answers as itself."""
     dialect: Container[int] | None = None

@@ -78,7 +78,6 @@ class Outgoing(NamedTuple):
 
     message: Message
     to: Channel | None = None
-    """None for every channel."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,7 +64,6 @@ class Command:
     """A command, whichever message carried it."""
 
     number: int
-    """MAV_CMD."""
     params: Params
     """NaN where the client leaves a parameter open. COMMAND_INT's x and y are floats here,
     exactly, in 1e-7 degrees where the frame is global."""

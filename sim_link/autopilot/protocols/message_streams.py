@@ -162,7 +162,6 @@ MAX_MESSAGE_ID = 2**24 - 1
 MAX_PEERS = 16
 """Peers with streams of their own; one with many ports loses those of its oldest."""
 MAX_INTERVAL_ID = 0xFFFF
-"""MESSAGE_INTERVAL.message_id has 16 bits."""
 PROTOCOL_VERSION = 300
 """Id of a message that the dialect does not have any more."""
 SHORTHANDS = {

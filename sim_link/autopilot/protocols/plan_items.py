@@ -64,9 +64,7 @@ class PlanItem:
     """One item, in the units of MISSION_ITEM_INT."""
 
     command: int
-    """MAV_CMD."""
     frame: int
-    """MAV_FRAME."""
     params: tuple[float, float, float, float]
     """The first four; a NaN is kept as one."""
     x: int
@@ -75,7 +73,6 @@ class PlanItem:
     z: float
     """Altitude in metres, of the frame."""
     continues: bool = True
-    """MISSION_ITEM_INT.autocontinue."""
 
 
 ItemMessage = mavlink.MAVLink_mission_item_int_message | mavlink.MAVLink_mission_item_message

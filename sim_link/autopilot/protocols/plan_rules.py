@@ -178,7 +178,6 @@ class PlanRules:
     """How an autopilot transfers plans."""
 
     capacity: Mapping[PlanType, int]
-    """Most items of each plan."""
     checks: PlanChecks
     retry_s: float
     """Silence after which an item is asked for again."""
@@ -190,7 +189,6 @@ class PlanRules:
     is_one_at_a_time: bool = False
     """A second partner may not upload the same plan meanwhile."""
     can_be_cancelled: bool = True
-    """By the client's MISSION_ACK."""
     waits_for_ack: bool = True
     """A download lasts until the client's MISSION_ACK; items are given only during one."""
     tells_wrong_number: bool = False

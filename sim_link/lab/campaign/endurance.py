@@ -157,7 +157,6 @@ JUDGED = ("I6", "I8", "I9", "I11")
 HOUR_S = 3600.0
 SAMPLE_S = 300.0
 SETTLED_H = 1.0
-"""The first hour may grow."""
 SLOPE_MB_PER_H = 0.1
 TOLD_FROM_H = 2.0
 """A flight of more than so many hours tells of each, because it takes minutes."""

@@ -25,10 +25,8 @@ SETTLING_S = 30.0
 """The loss is known after this long."""
 LOSSES = (0.1, 0.3, 0.5)
 MOST_GAP_S = {0.1: 0.4, 0.3: 0.4, 0.5: 0.5}
-"""At the receiver."""
 HOUR_S = 3600.0
 PIECE_H = 0.25
-"""Hours of one trial."""
 MOST_FALSE_LOSSES_PER_10_H = 1.0
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 

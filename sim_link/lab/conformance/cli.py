@@ -21,39 +21,12 @@ from companion.arguments import ComplaintParser
 from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
+from companion.io.links import transports
 from companion.io.links.link import Link
-from companion.io.links.transports import (
-    SerialPort,
-    TcpClient,
-    Transport,
-    UdpBind,
-    UdpConnect,
-    make_link,
-    parse_transport,
-)
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
-from sim_link.lab.conformance import companion_identity_rules, companion_setpoint_rules
+from sim_link.lab.conformance import companion_identity_rules, companion_setpoint_rules, rules
 from sim_link.lab.conformance.rule_run import RuleRun, RunOptions
-from sim_link.lab.conformance.rules import (
-    CHANGE_FLAG,
-    EXIT_BAD_INPUT,
-    EXIT_FAILED,
-    FLIGHT_FLAG,
-    HARM_FLAG,
-    Effect,
-    Flavour,
-    NotApplicable,
-    Role,
-    Rule,
-    RuleBook,
-    exit_code,
-    line,
-    listing,
-    record,
-    select,
-    summary,
-)
 from sim_link.lab.conformance.vehicle_probe import SILENCE_S
 from sim_link.lab.conformance.vehicle_rules import (
     command_rules,
@@ -86,12 +59,12 @@ MODULES = (
 )
 
 
-def all_rules() -> list[Rule]:
+def all_rules() -> list[rules.Rule]:
     """Every rule of every role: first those that only ask, last those that fly."""
     books = (getattr(each, "book", None) for module in MODULES for each in vars(module).values())
-    rules = {r.rule_id: r for book in books if isinstance(book, RuleBook) for r in book.rules}
-    order = list(Effect)
-    return sorted(rules.values(), key=lambda rule: order.index(rule.effect))
+    found = {r.rule_id: r for book in books if isinstance(book, rules.RuleBook) for r in book.rules}
+    order = list(rules.Effect)
+    return sorted(found.values(), key=lambda rule: order.index(rule.effect))
 
 
 CONNECT_GRACE_S = 0.3
@@ -101,7 +74,7 @@ CONNECT_GRACE_S = 0.3
 class WireLink:
     """One open connection; a `ProbeLink`."""
 
-    def __init__(self, spec: Transport, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, spec: transports.Transport, loop: asyncio.AbstractEventLoop) -> None:
         self._spec = spec
         self._loop = loop
         self._arrived: list[bytes] = []
@@ -110,12 +83,12 @@ class WireLink:
         self._wake = asyncio.Event()
         self._is_interrupted = False
         self._others: list[WireLink] = []
-        self._link: Link = make_link(spec, 0, self._receive)
+        self._link: Link = transports.make_link(spec, 0, self._receive)
 
     def open(self) -> None:
         """Bind or connect; `LinkError`: it cannot be opened."""
         self._loop.run_until_complete(self._link.open())
-        if isinstance(self._spec, TcpClient | SerialPort):
+        if isinstance(self._spec, transports.TcpClient | transports.SerialPort):
             self._loop.run_until_complete(asyncio.sleep(CONNECT_GRACE_S))
 
     @property
@@ -126,7 +99,7 @@ class WireLink:
     @property
     def is_datagram(self) -> bool:
         """Whether it is UDP."""
-        return isinstance(self._spec, UdpBind | UdpConnect)
+        return isinstance(self._spec, transports.UdpBind | transports.UdpConnect)
 
     def send(self, data: bytes) -> None:
         """Send now; nothing is sent before a peer was heard where we only listen.
@@ -154,7 +127,7 @@ class WireLink:
 
     def another(self) -> WireLink | None:
         """A second client, where the peer is reached by connecting to it."""
-        if not isinstance(self._spec, UdpConnect | TcpClient):
+        if not isinstance(self._spec, transports.UdpConnect | transports.TcpClient):
             return None
         other = WireLink(self._spec, self._loop)
         other.open()
@@ -204,7 +177,7 @@ class WireLink:
 @contextmanager
 def open_link(url: str) -> Iterator[WireLink]:
     """The link of a URL, closed at the end; `ConfigError`, `LinkError`: it cannot be opened."""
-    spec = parse_transport(url)
+    spec = transports.parse_transport(url)
     with closing(asyncio.new_event_loop()) as loop:
         link = WireLink(spec, loop)
         with suppress(ValueError, RuntimeError):  # not in the main thread: no signals there
@@ -242,12 +215,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     outlive_readers()
     try:
         return _run(_arguments(argv))
-    except (CompanionError, NotApplicable) as error:
+    except (CompanionError, rules.NotApplicable) as error:
         print(f"companion-conformance: {error}", file=sys.stderr)
-        return EXIT_BAD_INPUT
+        return rules.EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print("companion-conformance: stopped", file=sys.stderr)
-        return EXIT_FAILED
+        return rules.EXIT_FAILED
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -261,14 +234,14 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     add("--url", help="udp:, udpin:, udpout:, tcp:, tcpin: with HOST:PORT, or a serial device")
     add(
         "--role",
-        choices=[role.value for role in Role],
-        default=Role.VEHICLE.value,
+        choices=[role.value for role in rules.Role],
+        default=rules.Role.VEHICLE.value,
         help="what is there: a vehicle (default) or a companion, which is shown a vehicle",
     )
     add(
         "--flavour",
-        choices=[flavour.value for flavour in Flavour],
-        default=Flavour.PX4.value,
+        choices=[flavour.value for flavour in rules.Flavour],
+        default=rules.Flavour.PX4.value,
         help="the autopilot that a companion is shown (default px4); a vehicle tells its own",
     )
     add("--only", metavar="PATTERN", help="rules whose id matches or begins so")
@@ -288,13 +261,13 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    role = Role(arguments.role)
-    rules = select(all_rules(), role, arguments.only)
-    if not rules:
+    role = rules.Role(arguments.role)
+    chosen = rules.select(all_rules(), role, arguments.only)
+    if not chosen:
         raise ConfigError(f"--only {arguments.only}: no rule of a {role.value} is called so")
     say = partial(print, flush=True)
     if arguments.list:
-        for text in listing(rules):
+        for text in rules.listing(chosen):
             say(text)
         return 0
     if arguments.url is None:
@@ -303,30 +276,32 @@ def _run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--json {arguments.json}: there is no folder {arguments.json.parent}")
     path = arguments.signing_key
     key = None if path is None else load_signing_key(path).secret
-    options = RunOptions(role, Flavour(arguments.flavour), key, _allowed(arguments))
+    options = RunOptions(role, rules.Flavour(arguments.flavour), key, _allowed(arguments))
     with open_link(arguments.url) as link:
-        run = RuleRun(link, options, lambda each: say(line(each)), lambda text: say(f"... {text}"))
+        run = RuleRun(
+            link, options, lambda each: say(rules.line(each)), lambda text: say(f"... {text}")
+        )
         try:
-            run.run(rules)
+            run.run(chosen)
         finally:
             _close(run, arguments, say)
-    return exit_code(run.outcomes, run.problems)
+    return rules.exit_code(run.outcomes, run.problems)
 
 
 def _close(run: RuleRun, arguments: argparse.Namespace, say: Callable[[str], None]) -> None:
     """Tell and write how it went, however it ended."""
     if not run.outcomes:
         return
-    for text in [*run.problems, summary(run.outcomes)]:
+    for text in [*run.problems, rules.summary(run.outcomes)]:
         say(text)
     if arguments.json is not None:
-        write_json_atomic(arguments.json, record(run.outcomes, arguments.url, run.problems))
+        write_json_atomic(arguments.json, rules.record(run.outcomes, arguments.url, run.problems))
 
 
 def _allowed(arguments: argparse.Namespace) -> frozenset[str]:
     flags = {
-        CHANGE_FLAG: arguments.allow_changes or arguments.allow_flight,
-        FLIGHT_FLAG: arguments.allow_flight,
-        HARM_FLAG: arguments.allow_harm,
+        rules.CHANGE_FLAG: arguments.allow_changes or arguments.allow_flight,
+        rules.FLIGHT_FLAG: arguments.allow_flight,
+        rules.HARM_FLAG: arguments.allow_harm,
     }
     return frozenset(flag for flag, is_given in flags.items() if is_given)

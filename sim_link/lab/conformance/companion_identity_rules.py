@@ -25,7 +25,6 @@ class IdentityRules(CompanionProbe):
     book = RuleBook("identity")
 
     def _newest(self) -> mav.Heartbeat:
-        """A new HEARTBEAT of the companion."""
         none = mavlink.MAV_AUTOPILOT_INVALID
         return self.expect(mav.Heartbeat, lambda m: m.autopilot == none, within_s=3.0)
 
@@ -129,8 +128,7 @@ class IdentityRules(CompanionProbe):
     @book.rule("MAVLink guide, Time Synchronization")
     def timesync_response_is_never_answered(self) -> None:
         """TIMESYNC with tc1 is a response, and is not answered."""
-        response = mav.Timesync(55, 66)
-        self.require_no_answer([response], mav.Timesync, lambda m: m.ts1 == 66)
+        self.require_no_answer([mav.Timesync(55, 66)], mav.Timesync, lambda m: m.ts1 == 66)
 
     @book.rule("MAVLink guide, Message Signing; MAVLink guide, Routing")
     def signing_setup_is_not_passed_on(self) -> None:
@@ -144,7 +142,6 @@ class IdentityRules(CompanionProbe):
 
 COMMAND_SERVICE = "MAVLink guide, Command Protocol"
 ROUTING = "MAVLink guide, Routing"
-UNKNOWN_COMMAND = 31_999
 ASKS_FOR_STREAMS = (
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
     mavlink.MAV_CMD_REQUEST_MESSAGE,
@@ -165,7 +162,7 @@ class RequestRules(CompanionProbe):
     @book.rule(COMMAND_SERVICE)
     def unknown_command_is_unsupported(self) -> None:
         """A command for this very component that it does not know is acknowledged UNSUPPORTED."""
-        result = self.ask_companion(UNKNOWN_COMMAND, target=self.companion)
+        result = self.ask_companion(self.companion)
         require(result is not None, "not acknowledged")
         require(result == mav.UNSUPPORTED, f"result {result}")
 
@@ -173,13 +170,13 @@ class RequestRules(CompanionProbe):
     def command_for_another_component_is_ignored(self) -> None:
         """A command for another component of the system is not acknowledged."""
         for component in (1, 100, 158):
-            result = self.ask_companion(UNKNOWN_COMMAND, target=(self.system_id, component))
+            result = self.ask_companion((self.system_id, component))
             require(result is None, f"component {component}: result {result}")
 
     @book.rule(ROUTING)
     def command_for_another_system_is_ignored(self) -> None:
         """A command for another system is not acknowledged."""
-        result = self.ask_companion(UNKNOWN_COMMAND, target=(77, self.companion[1]))
+        result = self.ask_companion((77, self.companion[1]))
         require(result is None, f"result {result}")
 
     @book.rule("MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL (ArduPilot sends nothing unasked)")

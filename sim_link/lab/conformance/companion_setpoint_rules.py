@@ -54,7 +54,6 @@ class SetpointRules(CompanionProbe):
         return rate_hz
 
     def _all_setpoints(self) -> list[SetpointMessage]:
-        """Setpoints from before and in control."""
         self.give_control()
         self.run(LOOK_S)
         return self.setpoints()
@@ -113,8 +112,7 @@ class SetpointRules(CompanionProbe):
             require(not mask & mav.FORCE, f"mask {mask:#x} has FORCE_SET")
             is_whole = all(mask & bits in (0, bits) for bits in GROUPS)
             require(is_whole, f"mask {mask:#x} splits a group")
-            is_wanted = any(mask & bits == 0 for bits in GROUPS)
-            require(is_wanted, f"mask {mask:#x} asks for nothing")
+            require(any(mask & bits == 0 for bits in GROUPS), f"mask {mask:#x} asks for nothing")
 
     @book.rule(OBSERVED)
     def used_fields_are_finite(self) -> None:
@@ -131,8 +129,7 @@ class SetpointRules(CompanionProbe):
             if message.type_mask & 7:
                 continue
             if isinstance(message, LocalTarget):
-                here = (10.0, 10.0, self.down_m)
-                distance_m = math.dist(place_of(message), here)
+                distance_m = math.dist(place_of(message), (10.0, 10.0, self.down_m))
             else:
                 place = (message.lat_int, message.lon_int)
                 distance_m = math.dist(place, PLACE[:2]) * METRES_PER_E7

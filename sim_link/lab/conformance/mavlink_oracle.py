@@ -131,8 +131,7 @@ def payload_of(message: Message) -> bytes:
 
 def base_length(message: Message) -> int:
     """Payload length in MAVLink 1: the fields before the extensions."""
-    frame = message.pack(mavlink.MAVLink(None, 1, 1), force_mavlink1=True)
-    return int(frame[1])
+    return int(message.pack(mavlink.MAVLink(None, 1, 1), force_mavlink1=True)[1])
 
 
 def build_frame(message: Message, spec: FrameSpec | None = None) -> bytes:
@@ -181,8 +180,7 @@ def signature_of(frame: bytes, key: bytes) -> Signature | None:
         return None
     body, block = frame[:-SIGNATURE_LENGTH], frame[-SIGNATURE_LENGTH:]
     expected = hashlib.sha256(key + body + block[:7]).digest()[:6]
-    timestamp = int.from_bytes(block[1:7], "little")
-    return Signature(block[0], timestamp, block[7:] == expected)
+    return Signature(block[0], int.from_bytes(block[1:7], "little"), block[7:] == expected)
 
 
 def cut(data: bytes) -> list[bytes]:
@@ -235,7 +233,6 @@ LOCAL_OFFSET = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
 BODY_NED = mavlink.MAV_FRAME_BODY_NED
 BODY_OFFSET = mavlink.MAV_FRAME_BODY_OFFSET_NED
 METRES_PER_E7 = 0.011132
-"""Of latitude."""
 
 Triple = tuple[float, float, float]
 ZERO: Triple = (0.0, 0.0, 0.0)
@@ -255,17 +252,9 @@ class LocalSetpoint:
 
     def message(self, target: tuple[int, int]) -> Message:
         """The message for an autopilot."""
-        return mavlink.MAVLink_set_position_target_local_ned_message(
-            0,
-            *target,
-            self.frame,
-            self.mask,
-            *self.position_m,
-            *self.velocity_mps,
-            *self.acceleration_mps2,
-            self.yaw_rad,
-            self.yaw_rate_radps,
-        )
+        motion = (*self.position_m, *self.velocity_mps, *self.acceleration_mps2)
+        yaw = (self.yaw_rad, self.yaw_rate_radps)
+        return LocalTarget(0, *target, self.frame, self.mask, *motion, *yaw)
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,16 +269,8 @@ class GlobalSetpoint:
 
     def message(self, target: tuple[int, int]) -> Message:
         """The message for an autopilot."""
-        return mavlink.MAVLink_set_position_target_global_int_message(
-            0,
-            *target,
-            self.frame,
-            self.mask,
-            self.latitude_e7,
-            self.longitude_e7,
-            self.altitude_m,
-            *[0.0] * 8,
-        )
+        x, y, z = self.latitude_e7, self.longitude_e7, self.altitude_m
+        return GlobalTarget(0, *target, self.frame, self.mask, x, y, z, *[0.0] * 8)
 
 
 def moved_e7(latitude_e7: int, longitude_e7: int, north_m: float, east_m: float) -> tuple[int, int]:

@@ -247,8 +247,7 @@ class PlanClient(ParameterClient):
 
     def download(self, kind: int = mav.MISSION) -> list[MissionItem]:
         """A whole download, with the client's ACK at its end."""
-        count = self.begin_download(kind)
-        items = [self.request_item(sequence, kind) for sequence in range(count)]
+        items = [self.request_item(sequence, kind) for sequence in range(self.begin_download(kind))]
         self.finish_download(kind)
         return items
 
@@ -362,14 +361,10 @@ class SetpointClient(VehicleProbe):
         self.await_mode("offboard")
         return stop
 
-    def here(self) -> LocalSetpoint:
-        """A setpoint where the vehicle is."""
-        return LocalSetpoint(self.place())
-
     def begin_streaming(self) -> Callable[[], None]:
         """Take off and follow a streamed setpoint where the vehicle is; ends the stream."""
         self.take_off()
-        stop = self.enter_offboard(self.here())
+        stop = self.enter_offboard(LocalSetpoint(self.place()))
         self.run(1.0)
         return stop
 

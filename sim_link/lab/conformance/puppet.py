@@ -21,6 +21,7 @@ HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
 """A companion that compiles its kernels for the first time takes half a minute."""
 SETTLE_S = 2.0
+UNKNOWN_COMMAND = 31_999
 SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mav.PREARM
 
 SetpointMessage = mav.LocalTarget | mav.GlobalTarget
@@ -149,13 +150,12 @@ class CompanionProbe(Station):
         self.await_setpoints()
         self.run(2.0)
 
-    def ask_companion(self, number: int, *params: float, target: tuple[int, int]) -> int | None:
-        """A ground station's COMMAND_LONG, forwarded by the vehicle; the result, or None."""
-        padded = [*params, *[0.0] * (7 - len(params))]
+    def ask_companion(self, target: tuple[int, int]) -> int | None:
+        """A command that nobody knows, as forwarded for a ground station; its result, or None."""
         mark = self.mark
-        self.send_as(mav.CommandLong(*target, number, 0, *padded), 255, 190)
+        self.send_as(mav.CommandLong(*target, UNKNOWN_COMMAND, 0, *[0.0] * 7), 255, 190)
         self.run(1.0)
-        acks = [m for m in self.heard(mav.Ack, mark) if m.command == number]
+        acks = [m for m in self.heard(mav.Ack, mark) if m.command == UNKNOWN_COMMAND]
         if len(acks) > 1:
             raise Violation(f"{len(acks)} acknowledgements")
         return int(acks[0].result) if acks else None
@@ -200,5 +200,4 @@ class CompanionProbe(Station):
 
     def _landed_state(self) -> Message:
         flying, ground = mavlink.MAV_LANDED_STATE_IN_AIR, mavlink.MAV_LANDED_STATE_ON_GROUND
-        landed = flying if self.down_m < -0.5 else ground
-        return mav.SysState(0, landed)
+        return mav.SysState(0, flying if self.down_m < -0.5 else ground)

@@ -61,7 +61,6 @@ class Effect(Enum):
 ASKS, CHANGES, FLIES = Effect
 CHANGE_FLAG, FLIGHT_FLAG, HARM_FLAG = "--allow-changes", "--allow-flight", "--allow-harm"
 FLAG_OF = {CHANGES: CHANGE_FLAG, FLIES: FLIGHT_FLAG}
-"""What allows it."""
 
 
 class Violation(Exception):  # noqa: N818  what a rule finds is no error of ours

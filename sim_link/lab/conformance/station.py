@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -126,20 +127,22 @@ class Station:
         self._sequence = 0
         self._tasks: list[_Task] = []
         self._kind = kind
-        self._stop_heartbeat: Callable[[], None] | None = None
-        self.be_heard()
+        self._stop_heartbeat: Callable[[], None] = lambda: None
+        self._be_heard()
 
-    def be_heard(self) -> None:
-        """Begin to send a heartbeat each second, or go on with it."""
-        if self._kind is not None and self._stop_heartbeat is None:
+    def _be_heard(self) -> None:
+        if self._kind is not None:
             beat = heartbeat(self._kind)
             self._stop_heartbeat = self.repeat(lambda: beat, HEARTBEAT_PERIOD_S)
 
-    def be_silent(self) -> None:
-        """Send no heartbeat any more."""
-        if self._stop_heartbeat is not None:
-            self._stop_heartbeat()
-            self._stop_heartbeat = None
+    @contextmanager
+    def silence(self) -> Iterator[None]:
+        """Our own heartbeat stops for a while."""
+        self._stop_heartbeat()
+        try:
+            yield
+        finally:
+            self._be_heard()
 
     @property
     def now_s(self) -> float:

@@ -292,8 +292,7 @@ class VehicleProbe(Station):
 
     def set_mode(self, mode: str) -> int:
         """DO_SET_MODE; its MAV_RESULT."""
-        params = mav.set_mode_params(self.flavour, mode)
-        return self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
+        return self.command(mavlink.MAV_CMD_DO_SET_MODE, *mav.set_mode_params(self.flavour, mode))
 
     def require_mode(self, mode: str) -> None:
         """DO_SET_MODE, which must be accepted."""
@@ -309,35 +308,21 @@ class VehicleProbe(Station):
         report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.x, report.y, report.z)
 
-    def yaw(self) -> float:
-        """ATTITUDE.yaw, asked for."""
-        return float(self.request(mav.Attitude).yaw)
-
     def speed(self) -> Triple:
         """Velocity north, east and down of the newest LOCAL_POSITION_NED."""
         report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.vx, report.vy, report.vz)
-
-    def home_distance_m(self) -> float:
-        """How far it is from home, horizontally."""
-        home = self.home()
-        return math.dist(self.place()[:2], (home.x, home.y))
 
     def set_home(self, place: tuple[int, int, float], frame: int = mavlink.MAV_FRAME_GLOBAL) -> int:
         """DO_SET_HOME as COMMAND_INT; its MAV_RESULT."""
         if self.baseline.home is None:
             home = self.home()
             self.baseline.home = (home.latitude, home.longitude, home.altitude / 1e3)
-        params = (0.0, 0.0, 0.0, 0.0)
-        return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, params, place)
+        return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, (0.0,) * 4, place)
 
     def home(self) -> mav.HomePosition:
         """Home, asked for."""
         return self.request(mav.HomePosition)
-
-    def origin(self) -> mav.Origin:
-        """The zero of the local frame, asked for."""
-        return self.request(mav.Origin)
 
     def get_ready(self) -> None:
         """Wait until it can be armed, in the mode that flights begin in."""

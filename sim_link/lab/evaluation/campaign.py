@@ -66,8 +66,7 @@ class TrialResult:
 
     @property
     def _misses_enu_m(self) -> Matrix:
-        target = np.array([self.truth.east_m, self.truth.north_m])
-        return np.asarray(self.estimates_enu_m - target)
+        return np.asarray(self.estimates_enu_m - np.array([self.truth.east_m, self.truth.north_m]))
 
 
 def run_trial(case: Case, system: System, seed: RunSeed) -> TrialResult:

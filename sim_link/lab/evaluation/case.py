@@ -84,7 +84,6 @@ class Case(Params, frozen=True):
     belief: FilterParams = PAPER_BELIEF
     """What the filter takes for the truth."""
     steps: Annotated[int, msgspec.Meta(ge=1)] = 500
-    """Measurements of a run."""
     step_m: Positive = 5.0
     """Flown between two measurements. Paper: eta."""
     first_estimate: FirstEstimate = "measured"
@@ -182,7 +181,6 @@ class RunTruth(NamedTuple):
     """What is true in one run, as the kernels take it."""
 
     east_m: float
-    """Of the target."""
     north_m: float
     range_offset_m: float
     bearing_offset_rad: float

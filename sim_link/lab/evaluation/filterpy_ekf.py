@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -24,12 +24,12 @@ from companion.estimation import measurement_model
 from companion.estimation.filters import robust_update, target_filter
 from companion.estimation.filters.target_filter import FilterState, ModalityReport
 from companion.estimation.measurement_model import BEARING, MODALITIES
-from companion.kernel import Matrix, Vector, kernel
+from companion.kernel import Vector
 from sim_link.lab.evaluation import case as cases
 from sim_link.lab.evaluation.campaign import RunSeries, run_trial
-from sim_link.lab.evaluation.case import Case, RunTruth, Scene
-from sim_link.lab.evaluation.systems import belief_of
-from sim_link.lab.evaluation.walk import RANGE_OFFSET, TARGET_EAST, Belief, first_fix, updated
+from sim_link.lab.evaluation.case import Case, RunSeed
+from sim_link.lab.evaluation.systems import System, belief_of
+from sim_link.lab.evaluation.walk import RANGE_OFFSET, TARGET_EAST, first_fix, updated
 from sim_link.world.environment import NO_MEMORY
 
 
@@ -105,7 +105,6 @@ class FilterpyEkf:
 
 
 def _residual(rows: list[int], z: Vector, expected: Vector) -> Vector:
-    """The innovation, its bearing wrapped."""
     y = z - expected
     if BEARING in rows:
         index = rows.index(BEARING)
@@ -143,78 +142,36 @@ class EkfCheck(RunSeries):
     """The first runs of an EKF cell, for filterpy to repeat."""
 
 
-class Replay(NamedTuple):
-    """What a filter saw, (steps, 3), and believed before the first measurement and after each.
-
-    Means are (steps + 1, 4), covariances (steps + 1, 4, 4).
-    """
-
-    z: Matrix
-    means: Matrix
-    covariances: Matrix
-
-
-@kernel
-def replayed(
-    draws: Matrix,
-    track_enu_m: Matrix,
-    start_enu_m: Vector,
-    truth: RunTruth,
-    scene: Scene,
-    b: Belief,
-) -> Replay:
-    """A run of a recursive filter along a track (steps, 2), by the channel's draws (steps, 6).
-
-    The start (2,) is the place of the first estimate; NaN: from the first measurement.
-    """
-    steps, memory, sensor = draws.shape[0], NO_MEMORY, np.zeros(3)
-    z, means = np.full((steps, 3), np.nan), np.empty((steps + 1, 4))
-    covariances = np.empty((steps + 1, 4, 4))
-    means[0], covariances[0] = first_fix(0.0, 0.0, 1.0, 0.0, b)
-    means[0, :2] = start_enu_m
-    for step in range(steps):
-        sensor[:2] = track_enu_m[step]
-        z[step, 0], z[step, 1], memory = cases.measured_in(
-            draws[step], sensor[0], sensor[1], truth, scene, memory
-        )
-        if math.isnan(means[step, 0]):
-            fixed = first_fix(sensor[0], sensor[1], z[step, 0], z[step, 1], b)
-            means[step + 1], covariances[step + 1] = fixed
-        else:
-            moved = updated(means[step], covariances[step], sensor, z[step], b)
-            means[step + 1], covariances[step + 1] = moved
-    return Replay(z, means, covariances)
-
-
 def largest_difference_m(check: RunSeries) -> float:
     """The largest difference of a coordinate or range offset after any step of the runs, metres.
 
     Between the two filters, or between the one that was compared and the one that flew.
     """
-    case, scene = check.case, cases.scene_of(check.case)
-    belief = belief_of(case, check.system)
-    columns = slice(TARGET_EAST, RANGE_OFFSET + 1)
-    found: list[float] = []
-    for seed in cases.run_seeds(check.seed, check.runs):
-        ours = run_trial(case, check.system, seed)
-        draws, truth, start = cases.run_inputs(case, seed)
-        track = np.ascontiguousarray(ours.track_enu_m)
-        replay = replayed(draws, track, start, truth, scene, belief)
-        for others in (ours.record[:, columns], _theirs(case, track, replay)):
-            gaps = replay.means[1:, :3] - others
-            found.append(float(np.max(np.abs(gaps))) if np.isfinite(gaps).all() else math.inf)
-    return max(found)
+    seeds = cases.run_seeds(check.seed, check.runs)
+    gaps = [gap_m for seed in seeds for gap_m in _gaps_m(check.case, check.system, seed)]
+    return max(gaps) if np.isfinite(gaps).all() else math.inf
 
 
-def _theirs(case: Case, track_enu_m: Matrix, replay: Replay) -> Matrix:
-    """Coordinates and range offset of filterpy's filter after each measurement, (steps, 3)."""
-    ekf = FilterpyEkf(case.belief)
-    after = replay.means[1:, :3].copy()
-    for step, (east_m, north_m) in enumerate(track_enu_m.tolist()):
-        if math.isnan(replay.means[step, 0]):
-            continue  # the first fix is no update
-        range_m, bearing_rad = replay.z[step, :2].tolist()
-        seen = RangingMeasurement(1, 0.0, range_m=range_m, bearing_enu_rad=bearing_rad)
-        before = FilterState.of(0.0, replay.means[step], replay.covariances[step])
-        after[step] = ekf.update(before, seen, (east_m, north_m, 0.0)).state.mean[:3]
-    return after
+def _gaps_m(case: Case, system: System, seed: RunSeed) -> list[float]:
+    belief, scene, library = belief_of(case, system), cases.scene_of(case), FilterpyEkf(case.belief)
+    draws, truth, start_enu_m = cases.run_inputs(case, seed)
+    mean, covariance = first_fix(0.0, 0.0, 1.0, 0.0, belief)
+    mean[:2] = start_enu_m
+    z, memory = np.full(3, np.nan), NO_MEMORY
+    gaps: list[float] = []
+    for draw, flown in zip(draws, run_trial(case, system, seed).record, strict=True):
+        east_m, north_m = flown[:2].tolist()
+        z[0], z[1], memory = cases.measured_in(draw, east_m, north_m, truth, scene, memory)
+        if math.isnan(mean[0]):  # the first fix is no update
+            mean, covariance = first_fix(east_m, north_m, z[0], z[1], belief)
+            theirs = mean
+        else:
+            range_m, bearing_rad = z[:2].tolist()
+            seen = RangingMeasurement(1, 0.0, range_m=range_m, bearing_enu_rad=bearing_rad)
+            before = FilterState.of(0.0, mean, covariance)
+            theirs = library.update(before, seen, (east_m, north_m, 0.0)).state.mean
+            sensor = np.array([east_m, north_m, 0.0])
+            mean, covariance = updated(mean, covariance, sensor, z, belief)
+        others = (theirs[:3], flown[TARGET_EAST : RANGE_OFFSET + 1])
+        gaps += [float(np.max(np.abs(mean[:3] - other))) for other in others]
+    return gaps

@@ -131,24 +131,15 @@ def channel_information(
     if channel.range_sigma_m <= 0.0 or channel.bearing_sigma_deg <= 0.0:
         raise ValueError("a channel without thermal noise has no bound")
     information = _information if is_joint else _separate_information
-    return information(
-        channel.range_sigma_m,
-        math.radians(channel.bearing_sigma_deg),
-        channel.p_nlos,
-        channel.range_bias_mean_m,
-        math.radians(channel.bearing_bias_sigma_deg),
-        points_per_sigma,
-    )
+    return information(channel, points_per_sigma)
 
 
 @lru_cache(maxsize=64)
-def _information(
-    range_sigma: float, bearing_sigma: float, p: float, mean_bias: float, bend: float, fineness: int
-) -> ChannelInformation:
+def _information(channel: ChannelParams, fineness: int) -> ChannelInformation:
     """The trapezoidal rule converges faster than any power here: all is smooth and dies out."""
-    wide = math.hypot(bearing_sigma, bend)
+    p, (bearing_sigma, wide) = channel.p_nlos, _bearing_sigmas(channel)
     db = bearing_sigma / fineness
-    da, (clear_a, clear_da), (blocked_a, blocked_da) = _ranges(range_sigma, mean_bias, fineness)
+    da, (clear_a, clear_da), (blocked_a, blocked_da) = _ranges(channel, fineness)
     b = np.arange(0.0, TAIL_SIGMAS * wide + db, db)
     weights = np.where(b == 0.0, da * db, 2.0 * da * db)  # even in b: half of the plane will do
     clear_b, clear_db = normal(b, bearing_sigma)
@@ -166,14 +157,12 @@ def _information(
 
 
 @lru_cache(maxsize=64)
-def _separate_information(
-    range_sigma: float, bearing_sigma: float, p: float, mean_bias: float, bend: float, fineness: int
-) -> ChannelInformation:
+def _separate_information(channel: ChannelParams, fineness: int) -> ChannelInformation:
     """Each of the two mixtures by itself."""
-    wide = math.hypot(bearing_sigma, bend)
+    p, (bearing_sigma, wide) = channel.p_nlos, _bearing_sigmas(channel)
     db = bearing_sigma / fineness
     b = np.arange(-TAIL_SIGMAS * wide, TAIL_SIGMAS * wide + db, db)
-    da, clear_a, blocked_a = _ranges(range_sigma, mean_bias, fineness)
+    da, clear_a, blocked_a = _ranges(channel, fineness)
     found = []
     for (clear, clear_slope), (blocked, blocked_slope), width in (
         (clear_a, blocked_a, da),
@@ -190,8 +179,15 @@ Density = tuple[Vector, Vector]
 """And its derivative."""
 
 
-def _ranges(sigma: float, mean_bias: float, fineness: int) -> tuple[float, Density, Density]:
+def _bearing_sigmas(channel: ChannelParams) -> tuple[float, float]:
+    """Of thermal noise alone, and with the bend of an obstructed path, rad."""
+    sigma = math.radians(channel.bearing_sigma_deg)
+    return sigma, math.hypot(sigma, math.radians(channel.bearing_bias_sigma_deg))
+
+
+def _ranges(channel: ChannelParams, fineness: int) -> tuple[float, Density, Density]:
     """Step of the nodes of range errors, and there the densities on clear and blocked paths."""
+    sigma, mean_bias = channel.range_sigma_m, channel.range_bias_mean_m
     da = sigma / fineness
     farthest = TAIL_SIGMAS * sigma + TAIL_MEANS * mean_bias
     a = np.arange(-TAIL_SIGMAS * sigma, farthest + da, da)

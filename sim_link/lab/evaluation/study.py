@@ -66,7 +66,6 @@ class Sweep(Params, frozen=True):
     """Rows of a table: one parameter, and what it takes on; what is None is as the study has it."""
 
     parameter: str
-    """As the table calls it."""
     table: str | None = None
     varies: tuple[str, ...] = ()
     """Dotted fields of the case that a value is set at."""

@@ -8,8 +8,10 @@ studies may lie in the same folder.
 from __future__ import annotations
 
 import hashlib
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -46,19 +48,15 @@ def warm_up(work: Work, pool: Pool) -> None:
         kind = (task.system.is_compiled, bool(task.case.obstacles))
         kinds.setdefault(kind, (short, task.system))
     walked = [pair for (is_compiled, _), pair in kinds.items() if is_compiled]
-    callees = [(part, *walked[0]) for part in (_warm_filters, _warm_window) if walked]
-    for stage in (callees, [(_warm_run, *pair) for pair in kinds.values()]):
-        for _ in pool.results(_call, stage):
+    callees = [partial(part, *walked[0]) for part in (_warm_filters, _warm_window) if walked]
+    runs = [partial(campaign.tally_of, RunSeries(*pair, 0, 1)) for pair in kinds.values()]
+    stages: tuple[Sequence[Callable[[], object]], ...] = (callees, runs)
+    for stage in stages:
+        for _ in pool.results(operator.call, stage):
             pass
 
 
-def _call(part: tuple[Callable[[Case, System], None], Case, System]) -> None:
-    warm, case, system = part
-    warm(case, system)
-
-
 def _warm_filters(case: Case, system: System) -> None:
-    """The updates, by the closed form and by splitting."""
     belief = belief_of(case, system)
     mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
     for iterations in (0, 1):
@@ -67,7 +65,6 @@ def _warm_filters(case: Case, system: System) -> None:
 
 
 def _warm_window(case: Case, system: System) -> None:
-    """The window, the planners and the channel."""
     belief, steering = belief_of(case, system), steering_of(case, system)
     mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
     rows = walk.history_of(STEPS, belief)
@@ -78,13 +75,7 @@ def _warm_window(case: Case, system: System) -> None:
     cases.measured_in(draws[0], 0.0, 0.0, truth, cases.scene_of(case), NO_MEMORY)
 
 
-def _warm_run(case: Case, system: System) -> None:
-    """A whole block of one short run, with all that is told of it."""
-    campaign.tally_of(RunSeries(case, system, 0, 1))
-
-
 def _views(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Ranges and bearings of nothing in particular, (count, 3)."""
     views = np.full((count, 3), np.nan)
     views[:, 0], views[:, 1] = 20.0, np.linspace(0.0, 1.0, count)
     return views

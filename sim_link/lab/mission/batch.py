@@ -39,7 +39,7 @@ class FlightTask:
     mission: Mission
     file: str
     seed: int
-    reports: str | None
+    reports: Path | None
     """The folder of the reports; None: none are wanted."""
     speed: float | None = None
     """Times real time, with real processes; None: lockstep."""
@@ -85,7 +85,6 @@ class MissionBatch:
 
     files: Sequence[Path]
     seeds: Sequence[int] = (0,)
-    jobs: int = 1
     autopilot: FlavourName | None = None
     """In place of the scripts' own."""
     reports: Path | None = None
@@ -104,9 +103,8 @@ class MissionBatch:
             check_installed()
         if self.connect is not None:
             asyncio.run(_check_link(self.connect))
-        reports = None if self.reports is None else str(self.reports)
         tasks = [
-            FlightTask(mission, file, seed, reports, self.speed, self.connect)
+            FlightTask(mission, file, seed, self.reports, self.speed, self.connect)
             for file, mission in loaded
             for seed in self.seeds
         ]
@@ -221,11 +219,10 @@ def fly_task(task: FlightTask, progress: Progress | None = None) -> MissionResul
     kept = result.without_history()
     if task.reports is None or kept.record.skipped:
         return kept
-    folder = Path(task.reports)
     try:
         if task.speed is not None:
-            _rename_folder(folder / task.flight_name, result.flight_name)
-        return replace(kept, report=write_report(folder, result))
+            _rename_folder(task.reports / task.flight_name, result.flight_name)
+        return replace(kept, report=write_report(task.reports, result))
     except CompanionError as error:
         return replace(kept, error=str(error))
 
@@ -240,7 +237,7 @@ def _fly(task: FlightTask, progress: Progress | None) -> MissionResult:
         return fly_in_memory(task.mission, task.seed, task.file, progress)
     from sim_link.lab.mission.over_udp import fly_over_udp
 
-    keep = None if task.reports is None else Path(task.reports) / task.flight_name
+    keep = None if task.reports is None else task.reports / task.flight_name
     return fly_over_udp(
         task.mission,
         task.seed,

@@ -304,8 +304,7 @@ def _arithmetic(node: ast.BinOp) -> _Part:
     if type(node.op) not in ARITHMETIC:
         raise _problem(node, "calculates with something else than + - *")
     combine = ARITHMETIC[type(node.op)]
-    get = _lifted(combine, _number_of(node.left), _number_of(node.right))
-    return _Part(Kind.NUMBER, get, node)
+    return _Part(Kind.NUMBER, _lifted(combine, _number_of(node.left), _number_of(node.right)), node)
 
 
 def _number_of(node: ast.expr) -> _Part:
@@ -342,8 +341,7 @@ def _named(node: ast.Name | ast.Attribute) -> _Part:
         return _Part(info.kind, operator.attrgetter(name), node, info.words)
     if isinstance(node, ast.Name):
         if name in TRUTHS:
-            truth = TRUTHS[name]
-            return _Part(Kind.TRUTH, lambda _: truth, node)
+            return _Part(Kind.TRUTH, lambda _: TRUTHS[name], node)
         return _Part(Kind.WORD, lambda _: name, node, word=name)
     hint = did_you_mean(name, FIELDS, 0.5) or f"; known are {', '.join(FIELDS)}"
     raise _problem(node, f"is not known{hint}")

@@ -10,22 +10,15 @@ from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
+from companion.guidance import events
 from companion.guidance.authority.state_machine import IN_CONTROL
 from companion.guidance.commands import ReportResult, Severity
-from companion.guidance.events import (
-    HeartbeatReceived,
-    HomeSet,
-    LandedStateChanged,
-    OriginSet,
-    VehicleMoved,
-)
 from companion.link.inbound import VehicleInbound
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import autopilot_of
 from companion.report.flight_summary import EstimatePoint
 from sim_link.lab.campaign.flights import rules_of
-from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.mission.processes import PERIOD_S
 from sim_link.lab.mission.results import FlightRecord, OperatorText, Report
 from sim_link.lab.monitor.monitor import WIRE
@@ -51,10 +44,9 @@ class TelemetryReader:
         self._counted_at: PositionEnu | None = None
         self._track_due_s = 0.0
         self.origin: LocalOrigin | None = None
-        """Zero of the local frame."""
         self.system_id: int | None = None
         """Of the autopilot that was heard first."""
-        self.heartbeat: HeartbeatReceived | None = None
+        self.heartbeat: events.HeartbeatReceived | None = None
         """The newest one of the autopilot."""
         self.throttle_us = 0
         """Channel 3 of the pilot's transmitter; 0: none is heard."""
@@ -68,18 +60,18 @@ class TelemetryReader:
         self._take_plain(message, now_s)
         for event in self._inbound.events(message, now_s):
             match event:
-                case HeartbeatReceived():
+                case events.HeartbeatReceived():
                     self.heartbeat = event
                     seen = self._situation.vehicle
                     seen.mode, seen.is_armed = event.mode.value, event.is_armed
                     seen.is_failsafe = event.is_failsafe
-                case VehicleMoved():
+                case events.VehicleMoved():
                     self._move(event, now_s)
-                case HomeSet():
+                case events.HomeSet():
                     self._home_enu_m = event.position_enu_m
-                case OriginSet():
+                case events.OriginSet():
                     self.origin = event.origin
-                case LandedStateChanged():
+                case events.LandedStateChanged():
                     self._situation.vehicle.landed = event.landed.name.lower()
 
     def take_companion(self, frame: bytes) -> None:
@@ -123,7 +115,7 @@ class TelemetryReader:
         self._record.texts.append(OperatorText(now_s, "autopilot", text))
         self._situation.autopilot_texts.append(text)
 
-    def _move(self, event: VehicleMoved, now_s: float) -> None:
+    def _move(self, event: events.VehicleMoved, now_s: float) -> None:
         state, seen = event.state, self._situation.vehicle
         place, velocity = state.position_enu_m, state.velocity_enu_mps
         if not all(math.isfinite(value) for value in (*place, *velocity)):
@@ -172,13 +164,9 @@ class EventReader:
     def frame(self, data: bytes, now_s: float) -> None:
         """Frames are watched on the wire."""
 
-    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """An event."""
-        self.take(kind, fields, now_s)
-
     def text(self, severity: Severity, text: str, now_s: float) -> None:
         """A text for the operator."""
-        self.take("text", {"severity": severity.name.lower(), "text": text}, now_s)
+        self.record("text", {"severity": severity.name.lower(), "text": text}, now_s)
 
     def result(self, report: ReportResult, now_s: float) -> None:
         """A target that was found."""
@@ -190,29 +178,29 @@ class EventReader:
             "north_m": north_m,
             "r95_m": estimate.r95_m,
         }
-        self.take("result", fields, now_s)
+        self.record("result", fields, now_s)
 
-    def take(self, kind: str, fields: Mapping[str, Any], time_s: float) -> None:
+    def record(self, kind: str, fields: Mapping[str, Any], now_s: float) -> None:
         """Take in an event at a time since the mission began."""
-        self._record.events.append((time_s, kind, fields))
+        self._record.events.append((now_s, kind, fields))
         match kind:
             case "estimate":
-                self._take_estimate(fields, time_s)
+                self._take_estimate(fields, now_s)
             case "refused":
                 self._situation.companion.refused += int(fields["count"])
             case "phase":
-                self._enter(fields["new"], time_s)
+                self._enter(fields["new"], now_s)
             case "bound" if self._situation.companion.phase is None:
-                self._enter("waiting", time_s)
+                self._enter("waiting", now_s)
             case "text":
-                self._record.texts.append(OperatorText(time_s, "companion", fields["text"]))
+                self._record.texts.append(OperatorText(now_s, "companion", fields["text"]))
                 self._situation.companion_texts.append(fields["text"])
             case "waypoint":
                 self._situation.companion.waypoint = fields["reason"]
                 place = _point(fields["position_enu_m"])
-                self._record.waypoints.append((time_s, place, fields["reason"]))
+                self._record.waypoints.append((now_s, place, fields["reason"]))
             case "result":
-                self._take_result(fields, time_s)
+                self._take_result(fields, now_s)
 
     def age(self, now_s: float) -> None:
         """Let what ages grow older."""
@@ -287,18 +275,6 @@ class WireWatch:
     def slack_s(self) -> float:
         """By how much frames may be late, in seconds of flight: the hub itself was, too."""
         return self._machine_s + self._late_s
-
-    def sent(self, frame: bytes, now_s: float) -> None:
-        """The companion sent this."""
-        self.recording.sent(Frame(now_s, frame, Lane.TO_VEHICLE))
-
-    def vehicle_sent(self, frame: bytes, now_s: float) -> None:
-        """The vehicle sent this."""
-        self.recording.vehicle_sent(Frame(now_s, frame, Lane.TO_COMPANION))
-
-    def delivered(self, frame: bytes, now_s: float) -> None:
-        """The companion is sent this."""
-        self.recording.heard(Frame(now_s, frame, Lane.TO_COMPANION))
 
     def looked(self, now_s: float) -> None:
         """The hub looks at the mission; what it comes too late by tells how busy the machine is."""

@@ -24,32 +24,17 @@ from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers
 from sim_link.lab.lockstep.flight_harness import Operator as Station
 from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.mission import results, steps
 from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.flight_readers import EventReader
-from sim_link.lab.mission.results import (
-    FlightRecord,
-    MissionResult,
-    OperatorText,
-    how_flown,
-    true_places,
-    verdicts_of,
-)
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config
-from sim_link.lab.mission.steps import (
-    Action,
-    ArmAction,
-    Grant,
-    StepRunner,
-    SwitchMode,
-    TakeOffAction,
-)
 from sim_link.lab.monitor.monitor import LOCKSTEP, Monitor
 
 SLICE_S = 0.1
 TRACK_SLICES = 2
 """The track has a point for so many slices."""
-Progress = Callable[[StepRunner, FlightSituation], None]
+Progress = Callable[[steps.StepRunner, FlightSituation], None]
 
 
 def fly_in_memory(
@@ -58,7 +43,7 @@ def fly_in_memory(
     file: str = "",
     progress: Progress | None = None,
     make_companion: MakeCompanion = build_endpoint,
-) -> MissionResult:
+) -> results.MissionResult:
     """Fly a mission once, perhaps with a companion that is to fail."""
     started, started_cpu = time.perf_counter(), time.process_time()
     flight = _MissionFlight(mission, seed, make_companion)
@@ -66,14 +51,14 @@ def fly_in_memory(
     record = flight.record
     record.wall_s = time.perf_counter() - started
     record.cpu_s = time.process_time() - started_cpu
-    verdicts = verdicts_of(mission, record)
-    return MissionResult(mission, file, seed, how_flown(None, None), record, verdicts)
+    how, verdicts = results.how_flown(None, None), results.verdicts_of(mission, record)
+    return results.MissionResult(mission, file, seed, how, record, verdicts)
 
 
 class _MissionFlight:
     def __init__(self, mission: Mission, seed: int, make_companion: MakeCompanion) -> None:
-        self.record = FlightRecord(autopilot=mission.autopilot.flavour, scope=LOCKSTEP)
-        emitters = true_places(mission)
+        self.record = results.FlightRecord(autopilot=mission.autopilot.flavour, scope=LOCKSTEP)
+        emitters = results.true_places(mission)
         self._reader = EventReader(self.record, emitters, mission.emitter.emitter_id)
         wire = FaultyLink(Schedule(), seed)
         flight = Flight(
@@ -94,7 +79,7 @@ class _MissionFlight:
         station = Station(flight)
         injector, operator = Injector(flight, wire, station), _Operator(flight, station)
         self._flight = flight
-        self._runner = StepRunner(
+        self._runner = steps.StepRunner(
             mission, self.record, operator, lambda fault, _: injector.add(fault)
         )
         self._slices = 0
@@ -153,7 +138,7 @@ def _quiet(mission: Mission) -> Scenario:
 class _Watcher(Observer):
     """Keeps and counts messages, and hears what the autopilot says."""
 
-    def __init__(self, record: FlightRecord, reader: EventReader) -> None:
+    def __init__(self, record: results.FlightRecord, reader: EventReader) -> None:
         self._record = record
         self._reader = reader
 
@@ -173,7 +158,7 @@ class _Watcher(Observer):
         message = frame.message
         if isinstance(message, mavlink.MAVLink_statustext_message):
             text = str(message.text)
-            self._record.texts.append(OperatorText(frame.time_s, "autopilot", text))
+            self._record.texts.append(results.OperatorText(frame.time_s, "autopilot", text))
             self._record.situation.autopilot_texts.append(text)
 
     def _keep(self, source: str, frame: Frame) -> None:
@@ -187,18 +172,18 @@ class _Operator:
         self._station = station
         self._is_ardupilot = flight.scenario.autopilot.flavour == "ardupilot"
 
-    def ask(self, action: Action) -> None:
+    def ask(self, action: steps.Action) -> None:
         """Do it at once."""
         match action:
-            case ArmAction():
+            case steps.Request.ARM:
                 if self._is_ardupilot:
                     self._station.choose(FlightMode.OFFBOARD)
                 self._station.arm()
-            case TakeOffAction():
+            case steps.TakeOffAction():
                 self._take_off(action.height_m)
-            case SwitchMode():
-                self._station.choose(action.mode)
-            case Grant():
+            case FlightMode():
+                self._station.choose(action)
+            case steps.Request.GRANT:
                 self._station.grant()
 
     def take_refusal(self) -> str | None:

@@ -13,7 +13,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.link.autopilot_queries import STREAM_INTERVAL_S
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import set_mode_params
-from sim_link.lab.mission.steps import Action, ArmAction, Grant, SwitchMode, TakeOffAction
+from sim_link.lab.mission.steps import Action, Request, TakeOffAction
 
 SEARCH_S = 30.0
 """Real time that an autopilot may take to be found."""
@@ -39,7 +39,6 @@ class MavsdkOperator:
         self._port = port
         self._log = log
         self._mavsdk: Any = None
-        self._system: Any = None
         self._action: Any = None
         self._direct: Any = None
         self._system_id = 1
@@ -49,7 +48,6 @@ class MavsdkOperator:
         self.is_ready = False
         """Whether the autopilot can be armed and knows its home."""
         self.is_heard = False
-        """Whether `autopilot` is known."""
         self.autopilot = Autopilot.OTHER
         """Told by whoever watches the vehicle, because modes have other numbers elsewhere."""
         self.is_armed = False
@@ -99,15 +97,15 @@ class MavsdkOperator:
         from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
         from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
-        self._system = await self._mavsdk.first_autopilot(timeout_s=SEARCH_S)
-        if self._system is None:
+        system = await self._mavsdk.first_autopilot(timeout_s=SEARCH_S)
+        if system is None:
             raise CompanionError("MAVSDK found no autopilot")
-        self._system_id = await self._system.get_system_id()
+        self._system_id = await system.get_system_id()
         while not self.is_heard:
             await asyncio.sleep(0.01)
-        self._action = ActionAsync(self._system)
-        self._direct = MavlinkDirectAsync(self._system)
-        telemetry = TelemetryAsync(self._system)
+        self._action = ActionAsync(system)
+        self._direct = MavlinkDirectAsync(system)
+        telemetry = TelemetryAsync(system)
         if self.autopilot is Autopilot.ARDUPILOT:
             await _ask_for_streams(telemetry)
         async with aclosing(telemetry.subscribe_health()) as updates:
@@ -125,23 +123,23 @@ class MavsdkOperator:
 
     async def _carry_out(self, action: Action) -> None:
         match action:
-            case ArmAction():
+            case Request.ARM:
                 if self.autopilot is Autopilot.ARDUPILOT:  # elsewhere it wants the throttle low
                     await self._switch(FlightMode.OFFBOARD)
                 await self._action.arm()
             case TakeOffAction():
                 await self._action.set_takeoff_altitude(action.height_m)
                 await self._action.takeoff()
-            case Grant():
+            case Request.GRANT:
                 await self._command(COMPANION, mavlink.MAV_CMD_NAV_GUIDED_ENABLE, (1.0,))
-            case SwitchMode(mode=FlightMode.RETURN):
+            case FlightMode.RETURN:
                 await self._action.return_to_launch()
-            case SwitchMode(mode=FlightMode.LAND):
+            case FlightMode.LAND:
                 await self._action.land()
-            case SwitchMode() if self.autopilot is Autopilot.OTHER:
+            case FlightMode() if self.autopilot is Autopilot.OTHER:
                 raise CompanionError("only modes of PX4 and ArduPilot are known")
-            case SwitchMode(mode=mode):
-                await self._switch(mode)
+            case FlightMode():
+                await self._switch(action)
 
     async def _switch(self, mode: FlightMode) -> None:
         params = set_mode_params(mode, self.autopilot, is_armed=self.is_armed)

@@ -10,6 +10,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TextIO
 from xml.etree import ElementTree
@@ -19,14 +20,7 @@ from companion.entry import is_interrupt
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED
-from sim_link.lab.mission.batch import (
-    FlightTask,
-    MissionBatch,
-    check_reports,
-    fly_all,
-    unflown,
-    warm_up,
-)
+from sim_link.lab.mission import batch
 from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.mission_report import campaign_lines
 from sim_link.lab.mission.results import MissionResult
@@ -42,16 +36,12 @@ class PlainProgress:
     def __init__(self, total: int, output: TextIO, *, is_detailed: bool) -> None:
         self._output, self._total, self._is_detailed = output, total, is_detailed
         self._done = self._step = 0
+        self.display: AbstractContextManager[object] = nullcontext()
+        """What shows it while flights are flown."""
 
     def say(self, line: str) -> None:
         """Print a line."""
         print(line, file=self._output, flush=True)
-
-    def __enter__(self) -> PlainProgress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End."""
 
     def moved(self, runner: StepRunner, situation: FlightSituation) -> None:
         """Time has passed."""
@@ -81,15 +71,8 @@ class LiveProgress(PlainProgress):
         from rich.live import Live
 
         self._console = Console(file=output)
-        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self.display = self._live = Live(console=self._console, auto_refresh=False, transient=True)
         self._due_s = 0.0
-
-    def __enter__(self) -> LiveProgress:
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
 
     def moved(self, runner: StepRunner, situation: FlightSituation) -> None:
         """Redraw the line now and then."""
@@ -273,11 +256,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly what the arguments say; the exit code. Errors are raised before anything is started."""
     campaign = _campaign(arguments)
     if campaign.reports is not None:
-        check_reports(campaign.reports)
+        batch.check_reports(campaign.reports)
     if arguments.junit is not None:
         check_writable(arguments.junit)
     tasks = campaign.tasks()
-    progress = progress_for(len(tasks), campaign.jobs)
+    progress = progress_for(len(tasks), arguments.jobs)
     results: dict[int, MissionResult] = {}
     try:
         if _is_flown(tasks, arguments, progress, results):
@@ -295,12 +278,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _is_flown(
-    tasks: Sequence[FlightTask],
+    tasks: Sequence[batch.FlightTask],
     arguments: argparse.Namespace,
     progress: PlainProgress,
     results: dict[int, MissionResult],
 ) -> bool:
-    """Fly everything into `results`; whether nobody interrupted that."""
 
     def done(position: int, result: MissionResult) -> None:
         results[position] = result
@@ -309,9 +291,9 @@ def _is_flown(
     try:
         if IS_COMPILED and sys.stdout.isatty():
             print("compiling kernels: half a minute the first time")
-        warm_up(tasks)
-        with progress:
-            fly_all(tasks, arguments.jobs, done, progress.moved, arguments.backend)
+        batch.warm_up(tasks)
+        with progress.display:
+            batch.fly_all(tasks, arguments.jobs, done, progress.moved, arguments.backend)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interrupt(error):
             raise
@@ -320,14 +302,14 @@ def _is_flown(
 
 
 def _in_order(
-    tasks: Sequence[FlightTask], results: dict[int, MissionResult]
+    tasks: Sequence[batch.FlightTask], results: dict[int, MissionResult]
 ) -> list[MissionResult]:
     """One for every task, also for those that were not over when the campaign ended."""
     reason = "interrupted: the campaign ended before this flight was over"
-    return [results.get(n) or unflown(task, reason) for n, task in enumerate(tasks)]
+    return [results.get(n) or batch.unflown(task, reason) for n, task in enumerate(tasks)]
 
 
-def _campaign(arguments: argparse.Namespace) -> MissionBatch:
+def _campaign(arguments: argparse.Namespace) -> batch.MissionBatch:
     if arguments.connect is not None and arguments.autopilot is not None:
         raise ConfigError("--autopilot: with --connect the autopilot is whoever answers")
     if arguments.connect is not None and arguments.jobs > 1:
@@ -338,10 +320,9 @@ def _campaign(arguments: argparse.Namespace) -> MissionBatch:
         if speed is not None:
             raise ConfigError(f"--backend {arguments.backend}: a cluster flies in lockstep only")
         reports = None if reports is None else reports.resolve()  # workers are elsewhere
-    return MissionBatch(
+    return batch.MissionBatch(
         files=arguments.files,
         seeds=range(arguments.seed, arguments.seed + arguments.repeat),
-        jobs=arguments.jobs,
         autopilot=arguments.autopilot,
         reports=reports,
         speed=speed,
@@ -350,7 +331,6 @@ def _campaign(arguments: argparse.Namespace) -> MissionBatch:
 
 
 def _speed(arguments: argparse.Namespace) -> float | None:
-    """Times real time; None: lockstep."""
     if arguments.speed in (None, LOCKSTEP):
         if arguments.connect is not None and arguments.speed == LOCKSTEP:
             raise ConfigError("--speed lockstep: not with --connect")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from companion import __version__
 from companion.geometry.polygons import Point
@@ -59,25 +58,12 @@ def _mission_line(runs: list[MissionResult]) -> str:
 
 
 def _times(results: list[MissionResult]) -> tuple[float, float, float]:
-    """Seconds flown, of real time and of the processor."""
     records = [result.record for result in results]
     return (
         sum(record.ended_s for record in records),
         sum(record.wall_s for record in records),
         sum(record.cpu_s for record in records),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class InvariantRow:
-    """One line of the table of invariants."""
-
-    name: str
-    title: str
-    violations: int | None
-    """None: not judged."""
-    note: str
-    """How far it was judged, or why not."""
 
 
 def report_page(result: MissionResult) -> str:
@@ -144,12 +130,15 @@ def _phrase(kind: str, fields: Mapping[str, object]) -> str:
     return event_text(kind, {name: plain(value) for name, value in fields.items()})
 
 
-def invariants_of(record: FlightRecord) -> list[InvariantRow]:
-    """Every invariant: how often it did not hold, or why that was not judged."""
+def invariants_of(record: FlightRecord) -> list[tuple[str, str, int | None, str]]:
+    """Every invariant: name, title, how often it did not hold, how far that was judged.
+
+    None: it was not judged, and why not.
+    """
     counts = Counter(violated.invariant for violated in record.violations)
     scope = record.scope
     return [
-        InvariantRow(
+        (
             name,
             title,
             counts[name] if name in scope.judged else None,

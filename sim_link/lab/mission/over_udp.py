@@ -30,6 +30,7 @@ from companion.io.shell import Clock, Shell
 from sim_link.lab.event_tail import EventTail
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
+from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.mission.flight_readers import EventReader, TelemetryReader, WireWatch
 from sim_link.lab.mission.in_memory import Progress
 from sim_link.lab.mission.mavsdk_operator import MavsdkOperator
@@ -43,7 +44,7 @@ from sim_link.lab.mission.results import (
 )
 from sim_link.lab.mission.script import Mission, PilotOverrideStep
 from sim_link.lab.mission.script_file import flown_config
-from sim_link.lab.mission.steps import READY, StepRunner, SwitchMode
+from sim_link.lab.mission.steps import READY, StepRunner
 
 START_S = 150.0
 """Real time that a process may take to start; the first one of all compiles."""
@@ -113,9 +114,8 @@ class _UdpFlight:
         self._radio: ChildProcess | None = None
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
         self._watched = WireWatch(speed)
-        self._harness = ProcessHarness(
-            self._wire, self._vehicle, self._companion, self._watched.recording
-        )
+        recording = self._watched.recording
+        self._harness = ProcessHarness(self._wire, self._vehicle, self._companion, recording)
         self._runner = StepRunner(mission, self.record, self._operator, self._harness.inject)
         self._hub = Hub(
             self._wire,
@@ -123,7 +123,7 @@ class _UdpFlight:
             self._look,
             self._interrupt,
             has_radio=connect is not None,
-            delivered=self._watched.delivered,
+            delivered=lambda data, at_s: recording.heard(Frame(at_s, data, Lane.TO_COMPANION)),
         )
         self._end_wall_s: float | None = None
         self._is_companion_told = False
@@ -218,9 +218,9 @@ class _UdpFlight:
         if link in (VEHICLE, RADIO):
             self._heard_wall_s = time.monotonic()
             self._telemetry.take(frame, now_s)
-            self._watched.vehicle_sent(frame, now_s)
+            self._watched.recording.vehicle_sent(Frame(now_s, frame, Lane.TO_COMPANION))
         elif link == COMPANION:
-            self._watched.sent(frame, now_s)
+            self._watched.recording.sent(Frame(now_s, frame, Lane.TO_VEHICLE))
             self._telemetry.take_companion(frame)
 
     def _look(self, now_s: float) -> None:
@@ -293,7 +293,7 @@ class _UdpFlight:
         is_stranded = self._connect is not None and self._runner.failure and vehicle.is_armed
         is_on_its_way = vehicle.mode in ("return", "land") or self.record.is_interrupted
         if is_stranded and not is_on_its_way and waited_s < HOME_S:
-            self._operator.ask(SwitchMode(FlightMode.RETURN))
+            self._operator.ask(FlightMode.RETURN)
             return
         if not self._is_companion_told:  # a second signal would end it at once
             self._is_companion_told = True
@@ -317,7 +317,7 @@ class _UdpFlight:
         for event in events:
             time_s, kind = event.pop("t_s"), event.pop("kind")
             self._watched.noted(kind, event, time_s)
-            self._reader.take(kind, event, max(0.0, time_s + self._offset_s))
+            self._reader.record(kind, event, max(0.0, time_s + self._offset_s))
 
     def _check_children(self, now_s: float) -> None:
         """End the mission when something that it needs is gone."""

@@ -12,9 +12,9 @@ from __future__ import annotations
 import heapq
 import json
 import math
+import sched
 import signal
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -24,13 +24,7 @@ from companion.io.child_process import ChildProcess
 from companion.mav.codec import MavCodec
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot.incidents import IncidentRecord, VehicleFault
-from sim_link.lab.faults.fault_models import (
-    CompanionKilled,
-    CompanionStalled,
-    CompanionTerminated,
-    Fault,
-    SecurityFault,
-)
+from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.lockstep.observer import Lane, Observer, Wire
 from sim_link.lab.mission.script import Mission
@@ -145,37 +139,31 @@ class ProcessHarness:
         self._companion = companion
         self._watcher = watcher
         self._now_s = 0.0
-        self._due: list[tuple[float, int, Callable[[], None]]] = []
-        self._count = 0
+        self._due = sched.scheduler(lambda: self._now_s, lambda _: None)
         self.is_companion_down = False
         """Whether the companion is meant not to run."""
         self.has_restarted_companion = False
 
-    def inject(self, fault: Fault, now_s: float) -> None:
+    def inject(self, fault: faults.Fault, now_s: float) -> None:
         """Have a fault begin `fault.start_s` from now."""
         self._wire.add(fault, now_s)
-        start_s = now_s + fault.start_s
+        start_s, at = now_s + fault.start_s, self._due.enterabs
         match fault:
-            case CompanionKilled(down_s=down_s):
-                self._at(start_s, partial(self._end, signal.SIGKILL))
-                self._at(start_s + down_s, self._restart)
-            case CompanionStalled(duration_s=duration_s):
-                self._at(start_s, partial(self._suspend, duration_s))
-                self._at(start_s + duration_s, partial(self._companion.signal, signal.SIGCONT))
-            case CompanionTerminated():
-                self._at(start_s, partial(self._end, signal.SIGTERM))
+            case faults.CompanionKilled(down_s=down_s):
+                at(start_s, 0, self._end, (signal.SIGKILL,))
+                at(start_s + down_s, 0, self._restart)
+            case faults.CompanionStalled(duration_s=duration_s):
+                at(start_s, 0, self._suspend, (duration_s,))
+                at(start_s + duration_s, 0, self._companion.signal, (signal.SIGCONT,))
+            case faults.CompanionTerminated():
+                at(start_s, 0, self._end, (signal.SIGTERM,))
             case IncidentRecord():
-                self._at(start_s, partial(self._tell, fault))
+                at(start_s, 0, self._tell, (fault,))
 
     def tick(self, now_s: float) -> None:
         """Do what is due."""
         self._now_s = now_s
-        while self._due and self._due[0][0] <= now_s:
-            heapq.heappop(self._due)[2]()
-
-    def _at(self, time_s: float, action: Callable[[], None]) -> None:
-        self._count += 1
-        heapq.heappush(self._due, (time_s, self._count, action))
+        self._due.run(blocking=False)
 
     def _suspend(self, duration_s: float) -> None:
         self._watcher.companion_suspended(self._now_s, self._now_s + duration_s)
@@ -204,7 +192,9 @@ def check_faults(mission: Mission, name: str) -> None:
     """Make sure, before any process starts, that every fault of a script can be injected."""
     for number, (_, step) in enumerate(mission.named_steps):
         is_told = isinstance(step, IncidentRecord)
-        if isinstance(step, SecurityFault) or (isinstance(step, VehicleFault) and not is_told):
+        if isinstance(step, faults.SecurityFault) or (
+            isinstance(step, VehicleFault) and not is_told
+        ):
             path, problem = f"$.steps[{number}].inject", "only possible in lockstep"
             raise error_at(read_text(Path(name)), name, path, problem)
 

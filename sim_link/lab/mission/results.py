@@ -71,7 +71,6 @@ class OperatorText:
 
     time_s: float
     source: str
-    """companion or autopilot."""
     text: str
 
 
@@ -97,7 +96,6 @@ class FlightRecord:
     breaches: dict[str, float] = field(default_factory=dict)
     """When an `always` was first false, by the expectation's name."""
     engaged_s: float | None = None
-    """When control was first given."""
     ended_s: float = 0.0
     distance_m: float = 0.0
     closest_approach_m: float | None = None
@@ -113,7 +111,6 @@ class FlightRecord:
     late_s: float = 0.0
     """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
     is_interrupted: bool = False
-    """Somebody asked for the end."""
     skipped: str = ""
     """Why it was not flown on this vehicle; empty: it was."""
     wall_s: float = 0.0
@@ -179,8 +176,7 @@ def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerd
 
 def true_places(mission: Mission) -> dict[int, Point]:
     """Where the emitters truly are, by id; the one that a script calls `emitter` first."""
-    emitters = (mission.emitter, *mission.emitters)
-    return {each.emitter_id: each.position_enu_m for each in emitters}
+    return {each.emitter_id: each.position_enu_m for each in (mission.emitter, *mission.emitters)}
 
 
 def _judge_steps(record: FlightRecord) -> ExpectationVerdict:
@@ -260,7 +256,6 @@ def _times(count: int) -> str:
 
 
 def _seen(wanted: TextSeen, record: FlightRecord) -> tuple[int, str]:
-    """How often, and when first."""
     sources = ("companion", "autopilot") if wanted.from_ is None else (wanted.from_,)
     if wanted.message is not None:
         number = numbers_by_name()[wanted.message]
@@ -346,8 +341,7 @@ class MissionResult:
 
     def without_history(self) -> MissionResult:
         """The figures of the flight only, small enough to be kept of hundreds."""
-        emitter = self.mission.emitter.emitter_id
-        return replace(self, record=self.record.without_history(emitter))
+        return replace(self, record=self.record.without_history(self.mission.emitter.emitter_id))
 
     @property
     def is_passed(self) -> bool:

@@ -74,7 +74,6 @@ class TextSeen(Params, frozen=True):
     """A text for the operator, or a message by its MAVLink name."""
 
     text: str | None = None
-    """Part of a STATUSTEXT."""
     message: str | None = None
     """For example RADIO_RANGING."""
     from_: Source | None = msgspec.field(default=None, name="from")
@@ -91,7 +90,6 @@ class Appears(TextSeen, frozen=True):
     """It must have been sent."""
 
     at_least: Annotated[int, msgspec.Meta(ge=1)] = 1
-    """How often."""
 
 
 class Violations(Params, frozen=True):
@@ -120,9 +118,7 @@ class Expectation(Params, frozen=True, kw_only=True):
     reported_s: EmitterBound | UnsetType = UNSET
     """When the target was reported, since control was first given."""
     time_s: Bound | UnsetType = UNSET
-    """Of the whole mission."""
     distance_m: Bound | UnsetType = UNSET
-    """Flown in the whole mission."""
     violations: Violations | UnsetType = UNSET
     """Of the invariants I1 to I12."""
     appears: Appears | UnsetType = UNSET

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Protocol
 
 from companion.domain import FlightMode
@@ -23,9 +24,11 @@ from sim_link.lab.mission.results import FlightRecord, StepOutcome
 from sim_link.lab.mission.script import Mission, Step, StepParams
 
 
-@dataclass(frozen=True, slots=True)
-class ArmAction:
-    """Arm the motors."""
+class Request(Enum):
+    """What the operator is asked for in one word."""
+
+    ARM = "arm the motors"
+    GRANT = "let a companion that yielded stand by again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,22 +36,10 @@ class TakeOffAction:
     """Take off."""
 
     height_m: float
-    """Above home."""
 
 
-@dataclass(frozen=True, slots=True)
-class SwitchMode:
-    """Switch the flight mode."""
-
-    mode: FlightMode
-
-
-@dataclass(frozen=True, slots=True)
-class Grant:
-    """Let a companion that yielded stand by again."""
-
-
-Action = ArmAction | TakeOffAction | SwitchMode | Grant
+Action = Request | TakeOffAction | FlightMode
+"""A flight mode is to be switched to."""
 
 
 class MissionOperator(Protocol):
@@ -141,7 +132,7 @@ class StepRunner:
     def _begin(self, now_s: float) -> _RunningStep:
         name, step = self._steps[self._next]
         self._next += 1
-        running = _RunningStep(self._next, name, step, _rule_of(step, self._mission), now_s)
+        running = _RunningStep(self._next, name, _rule_of(step, self._mission), now_s)
         self._current = running
         fields = {"step": self._next, "name": name, "what": running.rule.what}
         self._record.events.append((now_s, "step", fields))
@@ -150,7 +141,6 @@ class StepRunner:
         return running
 
     def _advance(self, running: _RunningStep, now_s: float) -> bool:
-        """Whether the step is over."""
         rule = running.rule
         if rule.is_met.holds(self._situation):
             running.met_s = now_s if running.met_s is None else running.met_s
@@ -211,7 +201,6 @@ class StepRule:
 class _RunningStep:
     number: int
     name: str
-    step: Step
     rule: StepRule
     started_s: float
     met_s: float | None = None
@@ -240,16 +229,12 @@ CONTACT = parse_condition(
 FIXED_RULES: dict[type[StepParams], StepRule] = {
     script.ConnectStep: StepRule("hearing the autopilot", CONNECTED),
     script.WaitReadyStep: StepRule("being ready to arm, the companion in standby", READY),
-    script.ArmStep: StepRule("arming", ARMED, ArmAction()),
-    script.EngageStep: StepRule(
-        "the companion in control", IN_CONTROL, SwitchMode(FlightMode.OFFBOARD)
-    ),
-    script.GrantStep: StepRule("the companion granted control", GRANTED, Grant()),
-    script.HoldStep: StepRule("holding", HOLDING, SwitchMode(FlightMode.HOLD)),
-    script.ReturnStep: StepRule(
-        "standing at home", DISARMED, SwitchMode(FlightMode.RETURN), RETURNING
-    ),
-    script.LandStep: StepRule("standing, disarmed", DISARMED, SwitchMode(FlightMode.LAND), LANDING),
+    script.ArmStep: StepRule("arming", ARMED, Request.ARM),
+    script.EngageStep: StepRule("the companion in control", IN_CONTROL, FlightMode.OFFBOARD),
+    script.GrantStep: StepRule("the companion granted control", GRANTED, Request.GRANT),
+    script.HoldStep: StepRule("holding", HOLDING, FlightMode.HOLD),
+    script.ReturnStep: StepRule("standing at home", DISARMED, FlightMode.RETURN, RETURNING),
+    script.LandStep: StepRule("standing, disarmed", DISARMED, FlightMode.LAND, LANDING),
 }
 """Rules of the steps that say no more than how long they may take."""
 
@@ -284,7 +269,7 @@ def _rule_of_params(step: Step, mission: Mission) -> StepRule:
             return StepRule(
                 f"{step.mode} with the companion out of control",
                 parse_condition(f"{shown} and not companion.is_in_control"),
-                SwitchMode(FlightMode(step.mode)),
+                FlightMode(step.mode),
                 parse_condition(shown),
             )
     raise TypeError(f"{step} is no step")

@@ -35,7 +35,6 @@ class WithinEnvelope(Invariant):
         super().__init__(scene)
         self._last: SentSetpoint | None = None
         self._origin_enu_m = scene.told.origin_enu_m
-        """Another frame begins another stream."""
         self._velocity: Point | None = None
         """Of the setpoint, once there were two."""
         self._vehicle: Point | None = None

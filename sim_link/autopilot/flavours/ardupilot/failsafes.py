@@ -49,7 +49,6 @@ class FailsafeEvent:
 
     text: str
     reaction: CopterMode | None = None
-    """None: the mode stays."""
     stops_motors: bool = False
     tells_mode: bool = False
     """Whether a second text names the new mode."""

@@ -43,7 +43,6 @@ from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.world.point_mass import stopping_point
 
 ALTITUDE_MAX, CIRCLE, POLYGON = 1, 2, 4
-"""Bits of FENCE_TYPE."""
 LANDED_DELAY_S = 1.0
 """LAND and RTL disarm this long after a touchdown."""
 IDLE_DETECTION_S = 0.5

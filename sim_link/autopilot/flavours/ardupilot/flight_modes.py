@@ -49,7 +49,6 @@ class CopterMode:
     """One mode."""
 
     number: int
-    """HEARTBEAT.custom_mode."""
     name: str
     mode: FlightMode
     """What it does, in the words that both autopilots share."""

@@ -83,7 +83,6 @@ CAUSES = (
     Cause("battery emergency", "COM_LOW_BAT_ACT", (WARN, LAND, LAND, LAND), ends=True),
 )
 EXCEPTION_OF = {FlightMode.MISSION: 1, FlightMode.HOLD: 2, FlightMode.OFFBOARD: 4}
-"""Bits of COM_RCL_EXCEPT."""
 
 
 class Px4Failsafes:
@@ -140,7 +139,6 @@ class Px4Failsafes:
         return heard_s is not None and now_s - heard_s > self._parameters["COM_DL_LOSS_T"]
 
     def _note(self, cause: Cause, is_present: bool) -> bool:
-        """Whether a cause became active just now."""
         number = 0 if cause.parameter is None else int(self._parameters[cause.parameter])
         is_known = 0 <= number < len(cause.reactions)
         reaction = (cause.reactions[number] if is_known else WARN) if is_present else None

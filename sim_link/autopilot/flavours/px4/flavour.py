@@ -69,7 +69,6 @@ from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
-"""Bits of COM_RC_OVERRIDE."""
 CRITICAL = mavlink.MAV_SEVERITY_CRITICAL
 
 
@@ -127,7 +126,6 @@ class Px4Flavour(Flavour):
         return self.setpoints.is_alive(now_s, self.parameters["COM_OF_LOSS_T"])
 
     def _check_refusal(self, now_s: float) -> str | None:
-        """The checks that hold in every mode."""
         if now_s < self.aircraft.scenario.autopilot.ready_after_s:
             return "system is booting"
         if not self.aircraft.estimator.is_position_valid:

@@ -120,21 +120,17 @@ class CommandRules(VehicleProbe):
     @book.rule(INTERVAL_TOLD)
     def interval_is_told(self) -> None:
         """MESSAGE_INTERVAL tells what was set, by command 510 and by REQUEST_MESSAGE."""
-        try:
-            result = self.set_interval(mav.Attitude, 0.2)
-            require(result == mav.ACCEPTED, "SET_MESSAGE_INTERVAL")
-            for number, first in ((GET_INTERVAL, ATTITUDE_ID), (mav.REQUEST, 244.0)):
-                told = self._interval_us(number, first)
-                require(told == 200_000, f"asked by {number}: not 200000 us")
-        finally:
-            self.set_interval(mav.Attitude, 0.0)
+        result = self.set_interval(mav.Attitude, 0.2)
+        require(result == mav.ACCEPTED, "SET_MESSAGE_INTERVAL")
+        for number, first in ((GET_INTERVAL, ATTITUDE_ID), (mav.REQUEST, 244.0)):
+            told = self._interval_us(number, first)
+            require(told == 200_000, f"asked by {number}: not 200000 us")
 
     @book.rule(INTERVAL_TOLD)
     def stopped_stream_has_interval_minus_one(self) -> None:
         """MESSAGE_INTERVAL of a stopped stream is -1."""
         self.set_interval(mav.Attitude, -1.0)
         told = self._interval_us(GET_INTERVAL, ATTITUDE_ID)
-        self.set_interval(mav.Attitude, 0.0)
         require(told == -1, f"{told} us")
 
     @book.rule("MAVLink common, MESSAGE_INTERVAL (0: not available)")
@@ -221,12 +217,10 @@ class CommandRules(VehicleProbe):
 
     def _calibrate(self) -> mav.Ack:
         """Ask for a calibration, which takes its time; the first answer."""
-        params = (1, 0, 0, 0, 0, 0, 0)
-        message = mav.CommandLong(*self.target, CALIBRATION, 0, *params)
+        message = mav.CommandLong(*self.target, CALIBRATION, 0, 1, *[0] * 6)
         return self.ask(message, mav.Ack, lambda m: m.command == CALIBRATION, within_s=ACK_S)
 
     def _await_end(self, within_s: float = 2.0) -> int:
-        """The result with which a calibration ends."""
 
         def is_end(ack: mav.Ack) -> bool:
             return bool(ack.command == CALIBRATION and ack.result != mav.IN_PROGRESS)

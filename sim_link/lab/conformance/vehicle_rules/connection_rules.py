@@ -170,7 +170,6 @@ class RoutingRules(ParameterClient):
 
     @property
     def _unknown_system(self) -> int:
-        """A system id that nobody has."""
         return 77 if self.target[0] != 77 else 78
 
     def _require_ignored(self, system: int, component: int) -> None:

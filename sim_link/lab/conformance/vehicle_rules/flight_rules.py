@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
@@ -197,18 +195,9 @@ class FailsafeRules(ParameterClient, SetpointClient):
 
     book = RuleBook("failsafes", FLIES)
 
-    @contextmanager
-    def _silence(self) -> Iterator[None]:
-        """Our own heartbeat stops for a while."""
-        self.be_silent()
-        try:
-            yield
-        finally:
-            self.be_heard()
-
     def _require_return(self, early_s: float, mode: str, within_s: float) -> None:
         """Silent: it must stay in a mode for a while, then return, which is CRITICAL."""
-        with self._silence():
+        with self.silence():
             self.run(early_s)
             name = "RTL" if mode == "offboard" else "RETURN"
             require(self.is_in(mode), f"{name} before 5 s")
@@ -230,7 +219,7 @@ class FailsafeRules(ParameterClient, SetpointClient):
     def lost_ground_station_is_nothing_by_default(self) -> None:
         """Without FS_GCS_ENABLE a silent ground station changes nothing."""
         self.take_off()
-        with self._silence():
+        with self.silence():
             self.run(9.0)
             require(self.is_in("offboard"), "it left GUIDED")
 
@@ -251,11 +240,9 @@ class FailsafeRules(ParameterClient, SetpointClient):
         self.change("COM_OF_LOSS_T", 4.0)
         self.begin_streaming()()
         self.run(2.5)
-        early = self.request(mav.Heartbeat).custom_mode
-        require(early == number, "lost after 2.5 s")
+        require(self.request(mav.Heartbeat).custom_mode == number, "lost after 2.5 s")
         self.run(2.5)
-        late = self.request(mav.Heartbeat).custom_mode
-        require(late != number, "not lost after 5 s")
+        require(self.request(mav.Heartbeat).custom_mode != number, "not lost after 5 s")
 
     @book.rule(f"{REBOOTING}; SYSTEM_TIME", effect=CHANGES, harms=True)
     def reboot_restarts_the_clock_and_keeps_parameters(self) -> None:

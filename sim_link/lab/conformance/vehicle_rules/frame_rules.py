@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import MAGIC_V1, MAGIC_V2, FrameSpec
 from sim_link.lab.conformance.rules import RuleBook, require
@@ -105,8 +105,7 @@ class FrameRules(FrameProbe):
     @book.rule(SERIALIZATION)
     def uncut_payload_is_accepted(self) -> None:
         """A payload whose trailing zeros were not cut is understood."""
-        spec = replace(self.spec(), trim=False)
-        self._require_answer(spec, "an uncut TIMESYNC is not answered")
+        self._require_answer(replace(self.spec(), trim=False), "an uncut TIMESYNC is not answered")
 
     @book.rule(SERIALIZATION)
     def cut_payload_is_accepted(self) -> None:
@@ -121,7 +120,7 @@ class FrameRules(FrameProbe):
         message = mav.PlanRequest(*self.target, 0)
         short = mav.payload_of(message)[: mav.base_length(message)]
         frames = {
-            "MAVLink 2": raw_frame(message, short, self.spec()),
+            "MAVLink 2": mav.build_raw(message.id, short, message.crc_extra, self.spec()),
             "MAVLink 1": mav.build_frame(message, self.spec(version=1)),
         }
         for version, frame in frames.items():
@@ -153,7 +152,7 @@ class FrameRules(FrameProbe):
         """A frame made with another CRC_EXTRA, as from another dialect, has no effect."""
         message = self.question()
         payload = mav.build_frame(message, replace(self.spec(), trim=False))[10:26]
-        frame = raw_frame(message, payload, self.spec(), crc_extra_change=1)
+        frame = mav.build_raw(message.id, payload, message.crc_extra ^ 1, self.spec())
         self._require_dropped(frame, message.ts1, "taken with a wrong CRC_EXTRA")
 
     @book.rule(SERIALIZATION)
@@ -238,11 +237,3 @@ class FrameRules(FrameProbe):
         self.run(LISTEN_S)
         for entry in self.inbox:
             require(min(entry.source) >= 1, f"{entry.message.get_type()} from {entry.source}")
-
-
-def raw_frame(
-    message: Message, payload: bytes, spec: FrameSpec, *, crc_extra_change: int = 0
-) -> bytes:
-    """The frame of a message with a payload, and perhaps a CRC_EXTRA, of one's own."""
-    crc_extra = (type(message).crc_extra + crc_extra_change) & 0xFF
-    return mav.build_raw(message.get_msgId(), payload, crc_extra, spec)

@@ -68,8 +68,7 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def acceleration_times_out(self) -> None:
         """An acceleration without a stream ends after 3 s, and the vehicle stops."""
-        setpoint = LocalSetpoint(acceleration_mps2=(1.0, 0.0, 0.0), mask=mav.ACCELERATION)
-        self.send_setpoint(setpoint)
+        self.send_setpoint(LocalSetpoint(acceleration_mps2=(1.0, 0.0, 0.0), mask=mav.ACCELERATION))
         self.run(GUID_TIMEOUT_S + 6.0)
         self._require_stopped("after 9 s")
 
@@ -88,7 +87,7 @@ class GuidedRules(SetpointClient, PlanClient):
         """LOCAL_OFFSET_NED, BODY_NED and BODY_OFFSET_NED positions count from the vehicle."""
         for frame in (mav.LOCAL_OFFSET, mav.BODY_NED, mav.BODY_OFFSET):
             north, east, down = self.place()
-            yaw = 0.0 if frame == mav.LOCAL_OFFSET else self.yaw()
+            yaw = 0.0 if frame == mav.LOCAL_OFFSET else self.request(mav.Attitude).yaw
             self.send_setpoint(LocalSetpoint((6.0, 0.0, -2.0), frame=frame))
             self.run(9.0)
             wanted = (north + 6.0 * math.cos(yaw), east + 6.0 * math.sin(yaw), down - 2.0)
@@ -105,7 +104,7 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def global_frames_without_int_are_accepted(self) -> None:
         """GLOBAL_INT setpoints are flown in frames 0 and 3 as in 5 and 6."""
-        origin, home = self.origin(), self.home()
+        origin, home = self.request(mav.Origin), self.home()
         north, east, down = self.place()
         for number, frame in enumerate((0, 3)):
             wanted = (north + 5.0 + number, east + 4.0, down)
@@ -160,7 +159,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
     def _lose_stream(self) -> LocalSetpoint:
         """Fly in OFFBOARD and end the stream; the setpoint that it had."""
         stop = self.begin_streaming()
-        setpoint = self.here()
+        setpoint = LocalSetpoint(self.place())
         stop()
         return setpoint
 
@@ -170,7 +169,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
         self.take_off()
         result = self.set_mode("offboard")
         require(result == mav.TEMPORARILY_REJECTED, f"without a stream: result {result}")
-        self.enter_offboard(self.here())()
+        self.enter_offboard(LocalSetpoint(self.place()))()
 
     @book.rule(OFFBOARD)
     def offboard_without_a_stream_cannot_be_armed(self) -> None:
@@ -178,7 +177,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
         self.get_ready()
         self.require_mode("offboard")
         self.require_result(mav.TEMPORARILY_REJECTED, mav.ARM, 1.0, 0.0)
-        stop = self.stream(self.here())
+        stop = self.stream(LocalSetpoint(self.place()))
         self.run(1.5)
         self.require_result(mav.ACCEPTED, mav.ARM, 1.0, 0.0)
         self.require_result(mav.ACCEPTED, mav.ARM, 0.0, mav.FORCE_DISARM)
@@ -190,8 +189,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
         """A second without setpoints ends OFFBOARD: another mode, and system_status CRITICAL."""
         self.begin_streaming()()
         self.run(0.7)
-        self.request(mav.Heartbeat)
-        early = self.latest(mav.Heartbeat)
+        early = self.request(mav.Heartbeat)
         require(early.system_status == mav.ACTIVE, "failsafe before COM_OF_LOSS_T")
         self.run(1.0)
         beat = self.request(mav.Heartbeat)

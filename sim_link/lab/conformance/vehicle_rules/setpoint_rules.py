@@ -61,7 +61,7 @@ class OffboardRules(SetpointClient):
         place = self.begin()
         for yaw in (math.pi / 2.0, -2.0):
             self.fly(LocalSetpoint(place, yaw_rad=yaw, mask=mav.POSITION_YAW), 8.0)
-            shown = self.yaw()
+            shown = self.request(mav.Attitude).yaw
             off = math.remainder(shown - yaw, math.tau)
             require(abs(off) < 0.15, f"yaw {shown:.2f}, not {yaw:.2f} rad")
 
@@ -69,9 +69,9 @@ class OffboardRules(SetpointClient):
     def yaw_rate_is_flown(self) -> None:
         """A velocity with a yaw rate keeps turning the nose."""
         self.begin()
-        before = self.yaw()
+        before = self.request(mav.Attitude).yaw
         self.fly(LocalSetpoint(yaw_rate_radps=0.3, mask=mav.VELOCITY_YAW_RATE), 4.0)
-        turned = math.remainder(self.yaw() - before, math.tau)
+        turned = math.remainder(self.request(mav.Attitude).yaw - before, math.tau)
         require(0.5 < turned < 1.8, f"turned by {turned:.2f} rad in 4 s at 0.3 rad/s")
 
     @book.rule(f"{COMMON} (frame BODY_NED: relative to the nose)")
@@ -86,7 +86,7 @@ class OffboardRules(SetpointClient):
     def _target_north_east(self) -> tuple[Triple, int, int]:
         """A place 8 m north, 6 m east and 3 m higher: local, latitude and longitude."""
         north, east, down = self.begin()
-        origin = self.origin()
+        origin = self.request(mav.Origin)
         wanted = (north + 8.0, east + 6.0, down - 3.0)
         return wanted, *mav.moved_e7(origin.latitude, origin.longitude, *wanted[:2])
 
@@ -94,7 +94,7 @@ class OffboardRules(SetpointClient):
     def global_position_is_flown(self) -> None:
         """A global setpoint above sea level (frame GLOBAL_INT) is flown to."""
         wanted, latitude, longitude = self._target_north_east()
-        altitude_m = self.origin().altitude / 1e3 - wanted[2]
+        altitude_m = self.request(mav.Origin).altitude / 1e3 - wanted[2]
         self.fly(GlobalSetpoint(latitude, longitude, altitude_m), 14.0)
         self.require_place(wanted, "frame 5")
 
@@ -180,7 +180,7 @@ class OffboardRules(SetpointClient):
 def invalid_setpoints(probe: SetpointClient, place: Triple) -> dict[str, Setpoint]:
     """Setpoints that ask for nothing sensible, by what is wrong with them."""
     far = (place[0] + 40.0, place[1], place[2])
-    origin = probe.origin()
+    origin = probe.request(mav.Origin)
     force = mav.ACCELERATION | mav.FORCE
     cases: dict[str, Setpoint] = {
         "x is NaN": LocalSetpoint((mav.NAN, *far[1:])),

@@ -223,8 +223,7 @@ class SigningRules(FrameProbe):
         signer = self._begin()
         message = self.question()
         frame = signer.sign(mav.build_frame(message, self.spec(incompat=SIGNED)))
-        is_found = self.is_answered(frame[:20] + frame, message.ts1)
-        require(is_found, "not found behind half a frame")
+        require(self.is_answered(frame[:20] + frame, message.ts1), "not found behind half a frame")
 
     @book.rule(SIGNING)
     def radio_status_needs_no_signature(self) -> None:

@@ -33,7 +33,6 @@ class StreamRules(VehicleProbe):
     book = RuleBook("streams")
 
     def _rates(self, duration_s: float = LISTEN_S) -> Counter[str]:
-        """Messages of the vehicle per name over a while."""
         heard = self.listen(duration_s)
         return Counter(e.message.get_type() for e in heard if e.source == self.target)
 
@@ -103,7 +102,6 @@ class StreamRules(VehicleProbe):
             measured_hz = self._attitude_hz(LISTEN_S)
             slack_hz = RATE_TOLERANCE * rate_hz + 1.0 / LISTEN_S
             require(abs(measured_hz - rate_hz) <= slack_hz, f"{rate_hz:g} Hz: {measured_hz:.1f} Hz")
-        self.set_interval(mav.Attitude, 0.0)
 
     @book.rule(INTERVALS)
     def stream_can_be_stopped_and_restored(self) -> None:
@@ -170,7 +168,7 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, GLOBAL_POSITION_INT, LOCAL_POSITION_NED, GPS_GLOBAL_ORIGIN")
     def local_and_global_position_agree(self) -> None:
         """LOCAL_POSITION_NED about GPS_GLOBAL_ORIGIN is GLOBAL_POSITION_INT."""
-        origin = self.origin()
+        origin = self.request(mav.Origin)
         self.watch(mav.GlobalPosition, 0.1)
         report = self.latest(mav.GlobalPosition)
         near = self.expect(mav.LocalPosition)
@@ -192,7 +190,7 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, GLOBAL_POSITION_INT (65535: unknown)")
     def heading_is_in_range(self) -> None:
         """The field hdg is 0 to 35999 or unknown, and agrees with ATTITUDE.yaw."""
-        heading, yaw = self.request(mav.GlobalPosition).hdg, self.yaw()
+        heading, yaw = self.request(mav.GlobalPosition).hdg, self.request(mav.Attitude).yaw
         require(heading <= 35_999 or heading == 65_535, f"hdg {heading}")
         if heading != 65_535:
             off = math.remainder(math.radians(heading / 100.0) - yaw, math.tau)
@@ -201,7 +199,8 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, ATTITUDE, ATTITUDE_QUATERNION")
     def quaternion_and_angles_agree(self) -> None:
         """ATTITUDE_QUATERNION has length 1 and ATTITUDE's yaw."""
-        q, wanted = self.request(mavlink.MAVLink_attitude_quaternion_message), self.yaw()
+        q = self.request(mavlink.MAVLink_attitude_quaternion_message)
+        wanted = self.request(mav.Attitude).yaw
         length = math.hypot(q.q1, q.q2, q.q3, q.q4)
         require(abs(length - 1.0) < 0.01, f"length {length:.3f}")
         yaw = math.atan2(2.0 * (q.q1 * q.q4 + q.q2 * q.q3), 1.0 - 2.0 * (q.q3**2 + q.q4**2))
@@ -224,8 +223,7 @@ class TelemetryRules(VehicleProbe):
         started_s = self.now_s
         self.run(3.0)
         elapsed_ms = self.request(mav.Attitude).time_boot_ms - first
-        off_ms = elapsed_ms - 1e3 * (self.now_s - started_s)
-        require(abs(off_ms) < 300, f"{elapsed_ms} ms in 3 s")
+        require(abs(elapsed_ms - 1e3 * (self.now_s - started_s)) < 300, f"{elapsed_ms} ms in 3 s")
         other = (
             self.request(mav.GlobalPosition).time_boot_ms - self.request(mav.Attitude).time_boot_ms
         )
@@ -253,7 +251,7 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, GPS_GLOBAL_ORIGIN, HOME_POSITION")
     def origin_and_home_come_on_request(self) -> None:
         """GPS_GLOBAL_ORIGIN and HOME_POSITION come when they are asked for."""
-        for place in (self.origin(), self.home()):
+        for place in (self.request(mav.Origin), self.home()):
             require(0 < abs(place.latitude) <= 900_000_000, brief(place))
 
     @book.rule(
@@ -261,13 +259,13 @@ class TelemetryRules(VehicleProbe):
     )
     def origin_can_be_set(self) -> None:
         """SET_GPS_GLOBAL_ORIGIN is answered by GPS_GLOBAL_ORIGIN with exactly its numbers."""
-        before = self.origin()
+        before = self.request(mav.Origin)
         kept = (before.latitude, before.longitude, before.altitude)
         wanted = (before.latitude + 17, before.longitude - 13, before.altitude + 11)
         self.send(mav.SetOrigin(self.target[0], *wanted))
         if not self.is_px4:
             self.run(0.5)
-            after = self.origin()
+            after = self.request(mav.Origin)
             require((after.latitude, after.longitude, after.altitude) == kept, "the origin moved")
             return
         answer = self.expect(mav.Origin, mark=self.asked)
@@ -285,7 +283,6 @@ class TelemetryRules(VehicleProbe):
             result = self.set_home((latitude, home.longitude, home.altitude / 1e3))
             require(result == mav.ACCEPTED, f"DO_SET_HOME gave result {result}")
             self._expect_home_at(latitude)
-        self.set_interval(mav.HomePosition, 0.0)
 
     def _expect_home_at(self, latitude: int) -> None:
         self.expect(mav.HomePosition, lambda m: abs(m.latitude - latitude) < 10, mark=self.asked)
@@ -293,10 +290,10 @@ class TelemetryRules(VehicleProbe):
     @book.rule("MAVLink guide, Routing", effect=CHANGES)
     def origin_for_another_system_is_ignored(self) -> None:
         """SET_GPS_GLOBAL_ORIGIN for another system changes nothing."""
-        before = self.origin()
+        before = self.request(mav.Origin)
         self.send(mav.SetOrigin(77, 100_000_000, 0, 0))
         self.run(0.5)
-        require(self.origin().latitude == before.latitude, "the origin moved")
+        require(self.request(mav.Origin).latitude == before.latitude, "the origin moved")
 
     @book.rule(f"{COMMON}, EXTENDED_SYS_STATE", effect=FLIES)
     def landed_state_in_the_air(self) -> None:

@@ -146,8 +146,7 @@ class PlanResultRules(PlanClient):
 
     def _require_refused(self, changes: dict[str, Any], *results: int) -> None:
         """A mission with one changed waypoint over home must be refused with one of the results."""
-        item = replace(self.waypoint_home(), **changes)
-        result = self.upload(self.with_home([item]))
+        result = self.upload(self.with_home([replace(self.waypoint_home(), **changes)]))
         require(result in results, f"ACK {result}")
 
     @book.rule(MISSION_RESULT)
@@ -238,6 +237,7 @@ class FenceRules(PlanClient):
         here = self.latest(mav.GlobalPosition)
         self.reposition(mavlink.MAV_FRAME_GLOBAL, (here.lat + 9_000, here.lon, here.alt / 1e3))
         self.run(25.0)
-        distance_m = self.home_distance_m()
+        home = self.home()
+        distance_m = math.dist(self.place()[:2], (home.x, home.y))
         problem = f"{distance_m:.0f} m from the centre of {radius_m:g} m"
         require(distance_m < radius_m + 15.0, problem)

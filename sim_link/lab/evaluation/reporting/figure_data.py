@@ -66,7 +66,6 @@ class Sensitivity:
     values: Vector
     ours_m: Vector
     low_m: Vector
-    """95 % interval."""
     high_m: Vector
     paper_m: Vector
     """NaN where the paper prints none."""

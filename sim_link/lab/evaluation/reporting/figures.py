@@ -125,8 +125,7 @@ def _losses(result: StudyResult, _: Sequence[ResultRow]) -> list[Drawing]:
         "linear on both sides; ours can be linear below -3 sigma as well, for sensors with bursts "
         "that are too short."
     )
-    name = f"{result.study.table}_losses"
-    return [finished(plots.losses(), name, "Loss functions", caption)]
+    return [finished(plots.losses(), f"{result.study.table}_losses", "Loss functions", caption)]
 
 
 def _rmse(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
@@ -199,8 +198,7 @@ def _tracks(result: StudyResult, _: Sequence[ResultRow]) -> list[Drawing]:
         f"{shadow} Inset: the last {NEAR_STEPS} steps, {2 * NEAR_M:g} m wide."
     )
     title = f"Tracks{_where(result, parameter, value)}"
-    name = f"{result.study.table}_tracks"
-    return [finished(figure, name, title, caption, wide=True)]
+    return [finished(figure, f"{result.study.table}_tracks", title, caption, wide=True)]
 
 
 def _gradients(result: StudyResult, _: Sequence[ResultRow]) -> list[Drawing]:
@@ -270,7 +268,6 @@ def _case_at(result: StudyResult, parameter: str, value: str) -> Case:
 
 
 def _where(result: StudyResult, parameter: str, value: str) -> str:
-    """Which of several cases a figure shows."""
     is_one_of_many = len(figure_data.values_of(result)) > 1
     return f", {value_name(parameter, value)}" if is_one_of_many else ""
 

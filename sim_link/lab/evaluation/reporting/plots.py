@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO, StringIO
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -33,7 +34,11 @@ from sim_link.lab.evaluation.reporting.figure_data import BEST, Curve, GradientW
 from sim_link.lab.evaluation.reporting.tables import typeset
 from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 
-INK, MUTED, GRID, PAGE = "#1c1d22", "#6a6e79", "#dcdee4", "#ffffff"
+STYLE: dict[Any, Any] = mpl.rc_params_from_file(
+    Path(__file__).with_name("figures.mplstyle"), fail_on_error=True, use_default_template=False
+)
+INK, MUTED = STYLE["text.color"], STYLE["axes.edgecolor"]
+GRID, PAGE = STYLE["grid.color"], STYLE["figure.facecolor"]
 SHADE, SOLID = "#eceef2", "#c3c7d0"
 PASSIVE, LATCHED, FIM, TRUTH = "#b96a00", "#0072b2", "#b8488f", "#00845f"
 PRINTED_FIM = "#c8322b"
@@ -52,7 +57,6 @@ FILTER_DASHES: dict[FilterName, tuple[float, ...]] = {
     "ekf": (2.4, 1.4),
 }
 DOTS = (1.0, 1.6)
-"""Of a bound."""
 THEMED = {
     INK: "ink",
     MUTED: "muted",
@@ -70,42 +74,6 @@ THEMED = {
 DPI = 180
 LABEL_GAP_PT = 10.5
 """Between the baselines of two labels."""
-
-RC: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlepad": 8.0,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "text.color": INK,
-    "lines.linewidth": 1.5,
-    "lines.solid_capstyle": "round",
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "figure.facecolor": PAGE,
-    "axes.facecolor": "none",
-    "savefig.facecolor": PAGE,
-    "svg.fonttype": "path",
-    "figure.constrained_layout.use": True,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +95,7 @@ def look() -> Iterator[None]:
     """The look of every figure made inside, whatever the user's own settings are."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(RC)
+        mpl.rcParams.update(STYLE)
         yield
 
 

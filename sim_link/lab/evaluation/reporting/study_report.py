@@ -13,12 +13,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+import msgspec
 from markupsafe import Markup
 
 from companion.errors import CompanionError
 from companion.io.files import write_bytes_atomic, write_text_atomic
 from companion.kernel import IS_COMPILED
+from companion.report.page import page_environment
 from sim_link.lab.evaluation.case import STUDY_SHADOW, Case
 from sim_link.lab.evaluation.reporting.claims import Claim, Findings, claims_of
 from sim_link.lab.evaluation.reporting.figures import drawings_of
@@ -33,65 +34,10 @@ from sim_link.lab.evaluation.reporting.tables import (
 from sim_link.lab.evaluation.study import ResultRow, StudyResult
 from sim_link.lab.pool import version_of
 
-OPEN_POINTS = (
-    (
-        "Bearing noise",
-        "{channel.bearing_sigma_deg:g} deg",
-        "not given; with it the passive rows land near the paper's",
-    ),
-    ("NLOS draw", "{nlos_draw} for range and bearing{together}", "one path carries both"),
-    ("Exp(8.0)", "mean {channel.range_bias_mean_m:g} m", "the tables call it the mean bias"),
-    ("Horizon", "{case.steps} steps", 'the table\'s ">500"'),
-    (
-        "First estimate",
-        "first range and bearing, inverted; prior sigma {position_sigma_m:g} m of the position, "
-        "{offset_sigma_m:g} m and {belief.bearing_offset_sigma_deg:g} deg of the offsets",
-        "the same for every filter",
-    ),
-    (
-        "Thresholds",
-        "k = {belief.range_k_long:g} for ranges, {belief.bearing_k:g} for bearings",
-        "the paper's sweep is centred there",
-    ),
-    (
-        "Lawnmower",
-        "{case.lane_spacing_m:g} m lanes over {case.area_m[0]:g} x {case.area_m[1]:g} m, "
-        "the first at {first_lane_m:g} m",
-        "a lane through the target would measure an accident",
-    ),
-    (
-        "FIM candidates",
-        "{case.fim_headings} headings at the step length ({case.step_m:g} m), and staying",
-        '"candidate moves around the UAV"',
-    ),
-    (
-        "Stopping distance of reactive crossing",
-        "{case.stop_distance_m:g} m",
-        "stopping near the estimate ends learning",
-    ),
-    (
-        "Steps to 2.5 m",
-        "one more than the last step with an RMSE of at least 2.5 m",
-        '"settle below"',
-    ),
-    (
-        "Structured obstacle",
-        "30 to 45 m east, 30 to 60 m north; behind it always NLOS, mean "
-        "{shadow.extra_bias_mean_m:g} m, bend {shadow.bearing_bias_sigma_deg:g} deg; "
-        "elsewhere p = 0.1",
-        "the paper gives no numbers",
-    ),
-    (
-        "Sensitivity tables",
-        "p at mean 8 m; mean at p = 0.7; step and k at p = 0.9",
-        "read off the cells that repeat",
-    ),
-)
-"""Every point that the paper leaves open, our choice in a case, and why."""
-
 
 def open_points(case: Case) -> list[tuple[str, str, str]]:
-    """The open points, as they are fixed in a case."""
+    """Every point that the paper leaves open, our choice as it is fixed in a case, and why."""
+    text = (Path(__file__).parent / "templates" / "open_points.yaml").read_bytes()
     position_sigma_m, offset_sigma_m = case.belief.prior[1][[0, 2]].tolist()
     first_m, is_joint = case.first_lane_north_m, case.nlos_draws == "joint"
     values = {
@@ -105,7 +51,8 @@ def open_points(case: Case) -> list[tuple[str, str, str]]:
         "offset_sigma_m": offset_sigma_m,
         "first_lane_m": 0.5 * case.lane_spacing_m if first_m is None else first_m,
     }
-    return [(point, choice.format(**values), reason) for point, choice, reason in OPEN_POINTS]
+    points = msgspec.yaml.decode(text, type=list[tuple[str, str, str]])
+    return [(point, choice.format(**values), reason) for point, choice, reason in points]
 
 
 FIGURES = "figures"
@@ -117,33 +64,12 @@ ROOT = Path(__file__).resolve().parents[4]
 
 
 @dataclass(frozen=True, slots=True)
-class Provenance:
-    """Which code made the numbers, and with what."""
-
-    commit: str
-    versions: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Section:
     """One study on the page."""
 
-    anchor: str
-    title: str
-    note: str
-    facts: str
+    result: StudyResult
     drawings: tuple[Drawing, ...]
     tables: tuple[TableView, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One check that the run made of itself."""
-
-    name: str
-    what: str
-    facts: tuple[tuple[str, str], ...]
-    is_met: bool | None
 
 
 def write_report(
@@ -175,16 +101,8 @@ def sections_of(results: Sequence[StudyResult], rows: Sequence[ResultRow]) -> li
     for result in results:
         names = {cell.table for cell in result.cells} - taken
         taken |= names
-        sections.append(
-            Section(
-                anchor=result.study.table,
-                title=result.study.title,
-                note=result.study.note,
-                facts=f"{result.runs:,} runs of each system, seed {result.seed}",
-                drawings=tuple(drawings_of(result, rows)),
-                tables=tuple(table for table in tables if table.table in names),
-            )
-        )
+        shown = tuple(table for table in tables if table.table in names)
+        sections.append(Section(result, tuple(drawings_of(result, rows)), shown))
     return sections
 
 
@@ -194,16 +112,10 @@ def page(
     rows: Sequence[ResultRow],
     costs: Sequence[ResultRow],
     checks: Mapping[str, object],
-    made_with: Provenance,
+    made_with: Mapping[str, str],
 ) -> str:
     """The page as text."""
-    environment = Environment(
-        loader=PackageLoader("sim_link.lab.evaluation.reporting"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
+    environment = page_environment("sim_link.lab.evaluation.reporting")
     environment.filters["set"] = typeset
     environment.filters["inline"] = lambda drawing: Markup(inline(drawing))
     environment.filters["factor"] = factor_text
@@ -240,9 +152,9 @@ def verdict_line(claims: Sequence[Claim]) -> str:
     return f"{met} of {len(claims)} claims are met"
 
 
-def checks_of(checks: Mapping[str, object]) -> list[Check]:
+def checks_of(checks: Mapping[str, object]) -> list[dict[str, object]]:
     """The checks as the page shows them: what is nested deeper is left to checks.json."""
-    found: list[Check] = []
+    found: list[dict[str, object]] = []
     for name, value in checks.items():
         entries = dict(value) if isinstance(value, Mapping) else {"value": value}
         what, is_met = entries.pop("what", ""), entries.pop("is_met", None)
@@ -252,7 +164,8 @@ def checks_of(checks: Mapping[str, object]) -> list[Check]:
             if isinstance(item, str | int | float)
         )
         verdict = bool(is_met) if is_met is not None else None
-        found.append(Check(name.replace("_", " "), str(what), facts, verdict))
+        title = name.replace("_", " ")
+        found.append({"name": title, "what": str(what), "facts": facts, "is_met": verdict})
     return found
 
 
@@ -262,14 +175,13 @@ def factor_text(factor: float) -> str:
     return f"{factor:.{digits}f}" if math.isfinite(factor) else "\N{INFINITY}"
 
 
-def provenance() -> Provenance:
-    """Of the code that runs now."""
-    versions = [("Python", platform.python_version())]
+def provenance() -> dict[str, str]:
+    """The `commit` of the code that runs now, and with which versions of what it runs."""
+    found = {"commit": _commit(ROOT), "Python": platform.python_version()}
     for name in SHOWN_VERSIONS:
         number = version_of(name)
-        versions.append((name, "not installed" if number == "none" else number))
-    versions.append(("kernels", "compiled" if IS_COMPILED else "plain Python"))
-    return Provenance(_commit(ROOT), tuple(versions))
+        found[name] = "not installed" if number == "none" else number
+    return found | {"kernels": "compiled" if IS_COMPILED else "plain Python"}
 
 
 def _commit(root: Path) -> str:

@@ -125,8 +125,7 @@ def _resampled(errors_m: Vector) -> Vector:
 def resamples(runs: int) -> Matrix:
     """How often each run is drawn in each resample, (RESAMPLES, runs)."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
-    drawn = rng.multinomial(runs, np.full(runs, 1.0 / runs), size=RESAMPLES)
-    return drawn.astype(np.float64)
+    return rng.multinomial(runs, np.full(runs, 1.0 / runs), size=RESAMPLES).astype(np.float64)
 
 
 def _ends(values: Vector) -> tuple[float, float]:

@@ -251,7 +251,6 @@ class Assumption:
 
     parameter: str
     values: tuple[str, ...]
-    """Our choice first."""
     swings: tuple[Swing | None, ...]
     """For each system of the tornado; None: not flown."""
 

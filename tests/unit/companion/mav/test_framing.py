@@ -137,6 +137,12 @@ def test_an_unknown_compatibility_flag_is_no_reason_to_drop() -> None:
     assert in_datagram(frame) == [frame]
 
 
+@pytest.mark.parametrize("sequence", [1, 2, 255])
+def test_a_sequence_number_of_mavlink_1_is_no_flag(sequence: int) -> None:
+    frame = with_header(heartbeat_v1(), 2, sequence)
+    assert in_datagram(frame + heartbeat()) == [frame, heartbeat()]
+
+
 def test_a_payload_with_uncut_zeros_is_accepted() -> None:
     short = MavCodec(1, 1).encode(
         mavlink.MAVLink_local_position_ned_message(5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

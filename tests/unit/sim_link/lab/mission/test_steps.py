@@ -12,10 +12,8 @@ from sim_link.lab.mission.script_file import parse_mission
 from sim_link.lab.mission.steps import (
     ASK_AGAIN_S,
     Action,
-    ArmAction,
-    Grant,
+    Request,
     StepRunner,
-    SwitchMode,
     TakeOffAction,
 )
 
@@ -65,16 +63,16 @@ def test_steps_are_flown_in_order_and_each_asks_for_what_it_needs() -> None:
     assert flown.done == ["connect"]
     vehicle.is_ready = True
     flown.tick(2.0)
-    assert flown.crew.asked == [ArmAction()]
+    assert flown.crew.asked == [Request.ARM]
     vehicle.is_armed = True
     flown.tick(3.0)
     assert flown.crew.asked[-1:] == [TakeOffAction(20.0)]
     vehicle.height_m = 19.6
     flown.tick(9.0)
-    assert flown.crew.asked[-1:] == [SwitchMode(FlightMode.OFFBOARD)]
+    assert flown.crew.asked[-1:] == [FlightMode.OFFBOARD]
     companion.is_in_control = True
     flown.tick(10.0)
-    assert flown.crew.asked[-1:] == [SwitchMode(FlightMode.RETURN)]
+    assert flown.crew.asked[-1:] == [FlightMode.RETURN]
     assert not flown.runner.is_over
     vehicle.is_armed = False
     flown.tick(40.0)
@@ -87,7 +85,7 @@ def test_an_autopilot_that_does_not_react_is_asked_again() -> None:
     flown = Flown("[arm]")
     for tick in range(45):
         flown.tick(tick / 10)
-    assert flown.crew.asked == [ArmAction()] * 3
+    assert flown.crew.asked == [Request.ARM] * 3
     assert ASK_AGAIN_S == 2.0
 
 
@@ -153,10 +151,10 @@ def test_a_pilots_override_is_over_when_the_companion_has_yielded() -> None:
     vehicle.mode = "position"
     flown.tick(3.0)
     assert flown.done == []
-    assert flown.crew.asked == [SwitchMode(FlightMode.POSITION)]
+    assert flown.crew.asked == [FlightMode.POSITION]
     companion.is_in_control, companion.phase = False, "yield"
     flown.tick(3.1)
-    assert flown.crew.asked[-1:] == [Grant()]
+    assert flown.crew.asked[-1:] == [Request.GRANT]
     companion.phase = "standby"
     flown.tick(3.2)
     assert flown.done == ["pilot_override", "grant"]
@@ -167,7 +165,7 @@ def test_a_grant_is_over_though_the_autopilot_gave_the_mode_back_at_once() -> No
     companion = flown.situation.companion
     companion.is_in_control, companion.phase = False, "yield"
     flown.tick(0.0)
-    assert flown.crew.asked == [Grant()]
+    assert flown.crew.asked == [Request.GRANT]
     assert flown.done == []
     companion.is_in_control, companion.phase = True, "normal"
     flown.tick(0.1)

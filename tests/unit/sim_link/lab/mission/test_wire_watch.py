@@ -7,7 +7,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from sim_link.lab.lockstep.observer import Observer
+from sim_link.lab.lockstep.observer import Frame, Lane, Observer
 from sim_link.lab.mission.flight_readers import MACHINE_S, WireWatch
 from sim_link.lab.mission.results import FlightRecord
 from sim_link.lab.monitor.monitor import WIRE
@@ -49,7 +49,7 @@ def test_limits_are_wider_by_what_the_machine_was_late() -> None:
 def test_a_setting_of_a_parameter_is_found_in_the_record() -> None:
     watch, record = WireWatch(1.0), FlightRecord()
     message = mavlink.MAVLink_param_set_message(1, 1, b"MPC_XY_VEL_MAX", 20.0, 9)
-    watch.sent(MavCodec(1, 191).encode(message), 3.0)
+    watch.recording.sent(Frame(3.0, MavCodec(1, 191).encode(message), Lane.TO_VEHICLE))
     watch.judge(CompanionConfig(), record)
     assert record.scope is WIRE
     assert record.slack_s == MACHINE_S

@@ -11,7 +11,6 @@ import pytest
 from companion.errors import CompanionError
 from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.reporting.study_report import (
-    Provenance,
     _commit,
     open_points,
     page,
@@ -25,7 +24,7 @@ from sim_link.world.environment import ObstacleParams
 from tests.unit.sim_link.lab.evaluation.reporting.case_helpers import canonical_case
 from tests.unit.sim_link.lab.evaluation.reporting.invented import cell, row, study, tally
 
-MADE_WITH = Provenance("0123abcd", (("numpy", "2.0"),))
+MADE_WITH = {"commit": "0123abcd", "numpy": "2.0"}
 VOID = {"meta", "link", "br", "img", "use", "path", "hr"}
 CHECKS = {"ekf_is_filterpys": {"what": "largest difference", "limit_m": 1e-6, "is_met": True}}
 
