@@ -194,8 +194,10 @@ class FieldRadio(RadioChannel):
         path_fresh, gross_fresh, free = (
             part.tolist() for part in np.split(fresh, (PATH_NORMALS, PATH_NORMALS + GROSS_NORMALS))
         )
-        path = self._path(emitter)
-        blocking, bend_up, shadow = path.path.move(path_fresh, place, params.correlation_m)
+        path, correlation_m = self._path(emitter), params.correlation_m
+        if self._environment is not None and self._is_shaded(emitter, place):
+            correlation_m = max(correlation_m, self._environment.shadow.correlation_m)
+        blocking, bend_up, shadow = path.path.move(path_fresh, place, correlation_m)
         gross = path.gross.move(gross_fresh, place, params.gross_correlation_m)
         self._blocking_normal = blocking
         draw = self.draw(emitter, place)

@@ -22,7 +22,7 @@ NEAR = EmitterParams(position_enu_m=(35.0, 30.0))
 
 def test_what_is_found_is_off_by_the_vehicles_own_error() -> None:
     """A constant error of the place is in the result to the full, and no radio shows it."""
-    wrong = NavigationParams(sigma_m=3.0, time_constant_s=1e6)
+    wrong = NavigationParams(sigma_m=8.0, time_constant_s=1e6)
     scenario = Scenario(
         emitter=NEAR, channel=CLEAR, navigation=wrong, payload=PayloadParams(rate_hz=10.0)
     )
