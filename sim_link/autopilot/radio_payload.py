@@ -70,12 +70,14 @@ class RadioPayload:
             stamp_s: What the autopilot's clock shows, by which it stamps.
         """
         messages: list[Message] = []
-        self._poses.append(_Pose(body.position_enu_m, body.height_m, body.attitude))
         if now_s + DUE_TOLERANCE_S >= self._heartbeat_due_s:
             self._heartbeat_due_s = max(self._heartbeat_due_s, now_s - HEARTBEAT_PERIOD_S)
             self._heartbeat_due_s += HEARTBEAT_PERIOD_S
             messages.append(payload_heartbeat())
-        if now_s + DUE_TOLERANCE_S >= self._measurement_due_s:
+        is_due = now_s + DUE_TOLERANCE_S >= self._measurement_due_s
+        if is_due or self._params.lag_s > 0.0:
+            self._poses.append(_Pose(body.position_enu_m, body.height_m, body.attitude))
+        if is_due:
             self._measurement_due_s = max(self._measurement_due_s, now_s - self._period_s)
             self._measurement_due_s += self._period_s
             messages += self._measured(self._poses[0], now_s, round(1e6 * stamp_s))
