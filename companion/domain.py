@@ -67,6 +67,9 @@ class RangingMeasurement:
     elevation_rad: float | None = None
     """Positive above the horizon of the sensor."""
     elevation_sigma_rad: float | None = None
+    is_array_angle: bool = False
+    """Whether the angles are those of a line or two-axis array, in the frame of its antenna: the
+    bearing the arcsine of the direction's component to the right, the elevation of that upwards."""
     quality: float | None = None
     """0 (worst) to 1 (best)."""
     line_of_sight: bool | None = None

@@ -122,6 +122,8 @@ class RangingFlag(IntFlag):
     BODY_FRAME = 1
     LINE_OF_SIGHT = 2
     NON_LINE_OF_SIGHT = 4
+    ARRAY_ANGLE = 8
+    """Arcsines of components, as a line or two-axis array prints them; no azimuth."""
 
 
 class MAVLink_radio_ranging_message(

@@ -36,6 +36,8 @@ def message_from_ranging(measurement: RangingMeasurement, time_usec: int) -> Mes
         flags |= RangingFlag.BODY_FRAME
     elif measurement.bearing_enu_rad is not None:
         bearing_rad = bearing_ned_from_enu(measurement.bearing_enu_rad)
+    if measurement.is_array_angle:
+        flags |= RangingFlag.ARRAY_ANGLE
     if measurement.line_of_sight is not None:
         flags |= (
             RangingFlag.LINE_OF_SIGHT

@@ -22,6 +22,7 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import StickInput
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.mission_executor import MissionRun
+from sim_link.autopilot.navigation import Believed
 from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.protocols.plan_items import (
     AMSL_FRAMES,
@@ -30,7 +31,7 @@ from sim_link.autopilot.protocols.plan_items import (
     PlanItem,
 )
 from sim_link.autopilot.scenario import PROJECTION_OF, BatteryParams, Scenario
-from sim_link.world.point_mass import PointMass
+from sim_link.world.point_mass import Motion, PointMass
 
 FULL_CELL_MV, EMPTY_CELL_MV, CELLS = 4200, 3500, 4
 HOVER_CURRENT_CA = 1800
@@ -190,15 +191,22 @@ class Aircraft:
         origin = LocalOrigin(place.latitude_deg, place.longitude_deg, place.altitude_m, projection)
         start: PositionEnu = (*scenario.start_enu_m, 0.0)
         self.body = PointMass(scenario.vehicle, scenario.wind, start) if body is None else body
-        self.home_enu_m: PositionEnu = (*self.body.position_enu_m[:2], 0.0)
+        """The true motion."""
+        noise_m, navigation = scenario.position_noise_m, scenario.navigation
+        self.estimator = Estimator(origin, scenario.gps, noise_m, noise_rng, navigation)
+        self.estimator.step(0.0, self.body.position_enu_m, 0.0)
+        error = self.estimator.error
+        self.motion: Motion = self.body if error is None else Believed(self.body, error)
+        """What the autopilot steers by."""
+        east, north, _ = self.motion.position_enu_m
+        self.home_enu_m: PositionEnu = (east, north, self.motion.ground_up_m)
+        """Launch-and-return point, as it is believed."""
         self.is_home_given = False
         """Whether a station set it: then arming leaves it alone."""
         self.home_set_s = STEP_S
         """When home was set, since boot."""
         self.home_changes = 1
         self.origin_changes = 1
-        self.estimator = Estimator(origin, scenario.gps, scenario.position_noise_m, noise_rng)
-        self.estimator.step(0.0, self.body.position_enu_m, 0.0)
         self.battery = Battery(scenario.battery)
         self.sticks = StickInput(scenario.rc)
         self.pilot = Pilot(scenario.vehicle, self.home_enu_m)

@@ -2,11 +2,13 @@
 
 Theory of operation. The world's frame is local east-north-up about the scenario's origin. The
 autopilot's local frame has its zero at the EKF origin, which a station may move
-(SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: jumps, which somebody
-asks for, and what wanders off while there is no fix. White noise is in the reports only. An
-autopilot flies by what it believes, so a target goes into the world's frame through
-`world_from_local` or `world_from_geodetic`, which take the bias off; a place that it merely holds
-stays where it is, because a real estimator tells its controllers of a reset.
+(SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: the navigation's error
+(`navigation`), jumps, which somebody asks for, and what wanders off while there is no fix. White
+noise is in the reports only. An autopilot flies by what it believes. The navigation's error is
+in the motion that it steers by, and so in every place that it holds. A target goes into that
+frame, the world's as the satellites show it, through `world_from_local` or `world_from_geodetic`,
+which take jumps and drift off; a place that it merely holds stays where it is then, because a real
+estimator tells its controllers of a reset.
 """
 
 from __future__ import annotations
@@ -17,11 +19,13 @@ import numpy as np
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin, wrap_pi
+from sim_link.autopilot.navigation import FixName, NavigationError, NavigationParams
 from sim_link.autopilot.scenario import GpsParams
 
 REACQUIRE_RATE_PER_S = 1.0
 """How fast the drift of a loss goes once there is a fix again."""
 GOOD_RATIO, BLIND_RATIO = 0.05, 0.6
+PERFECT = NavigationParams()
 
 
 class Estimator:
@@ -30,10 +34,16 @@ class Estimator:
     Args:
         origin: Zero of the world's frame, and of the local frame at boot.
         noise_m: Standard deviation per axis of the reported position.
+        navigation: Errors of place and heading; by default there are none.
     """
 
     def __init__(
-        self, origin: LocalOrigin, gps: GpsParams, noise_m: float, rng: np.random.Generator
+        self,
+        origin: LocalOrigin,
+        gps: GpsParams,
+        noise_m: float,
+        rng: np.random.Generator,
+        navigation: NavigationParams = PERFECT,
     ) -> None:
         self.world_origin = origin
         self.origin = origin
@@ -41,8 +51,13 @@ class Estimator:
         """What is reported, in the world's frame."""
         self.has_fix = True
         self.is_position_valid = True
-        self.yaw_bias_rad = 0.0
+        self.yaw_bias_rad = math.radians(navigation.compass_error_deg)
         """Believed heading minus the true one."""
+        self.navigation = navigation
+        self.error: NavigationError | None = None
+        """Of the place; None: it has none."""
+        if navigation.errs_in_place:
+            self.error = NavigationError(navigation, rng.spawn(1)[0])
         self._origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
         self._gps = gps
         self._noise_m = noise_m
@@ -59,8 +74,29 @@ class Estimator:
     @property
     def bias_enu_m(self) -> PositionEnu:
         """Estimate minus truth."""
+        if self.error is None:
+            return self._shift_enu_m
+        (e, n, u), (de, dn, du) = self._shift_enu_m, self.error.enu_m
+        return (e + de, n + dn, u + du)
+
+    @property
+    def _shift_enu_m(self) -> PositionEnu:
+        """Estimate minus what the vehicle steers by."""
         jumped, drift = self._jumped, self._drift
         return (jumped[0] + drift[0], jumped[1] + drift[1], jumped[2] + drift[2])
+
+    @property
+    def fix(self) -> FixName:
+        """Of which kind the fix is while there is one."""
+        return self.navigation.fix if self.error is None else self.error.fix
+
+    @property
+    def told_accuracy_m(self) -> tuple[float, float] | None:
+        """Horizontal and vertical accuracy that it tells, one sigma; None: it has no error."""
+        if self.error is None:
+            return None
+        ratio = self.navigation.told_ratio if self.navigation.tells_accuracy else 0.0
+        return (ratio * self.error.sigma_m, ratio * self.error.height_sigma_m)
 
     @property
     def local_enu_m(self) -> PositionEnu:
@@ -92,6 +128,8 @@ class Estimator:
         self._now_s = now_s
         if self._lost_until_s is not None:
             self._watch_fix(now_s, dt_s, self._lost_until_s)
+        if self.error is not None:
+            self.error.step(now_s, dt_s)
         (e, n, u), (be, bn, bu) = true_enu_m, self.bias_enu_m
         if self._noise_m > 0.0:
             de, dn, du = (self._noise_m * self._rng.standard_normal(3)).tolist()
@@ -135,12 +173,12 @@ class Estimator:
 
     def shown_from_world(self, enu_m: PositionEnu) -> PositionEnu:
         """The local position of a place as the autopilot believes it; undoes `world_from_local`."""
-        (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self.bias_enu_m
+        (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self._shift_enu_m
         return (e - oe + be, n - on + bn, u - ou + bu)
 
     def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
         """Where the vehicle truly goes when it is sent to a local position."""
-        (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self.bias_enu_m
+        (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self._shift_enu_m
         return (e + oe - be, n + on - bn, u + ou - bu)
 
     def world_from_geodetic(
@@ -148,5 +186,5 @@ class Estimator:
     ) -> PositionEnu:
         """Where the vehicle truly goes when it is sent to a geodetic position."""
         place = self.world_origin.enu_from_geodetic(latitude_deg, longitude_deg, altitude_m)
-        (e, n, u), (be, bn, bu) = place, self.bias_enu_m
+        (e, n, u), (be, bn, bu) = place, self._shift_enu_m
         return (e - be, n - bn, u - bu)

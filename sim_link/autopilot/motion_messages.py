@@ -13,6 +13,7 @@ from companion.domain import PositionEnu
 from companion.geometry.coordinates import ned_from_enu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import Axes, Echo
+from sim_link.autopilot.navigation import FixName
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.world.point_mass import GRAVITY_MPS2
 
@@ -22,6 +23,12 @@ FARTHEST_M = 1e7
 """A target beyond this has no latitude."""
 UINT16_MAX, UINT32_MAX = 0xFFFF, 0xFFFF_FFFF
 STILL = (0.0, 0.0, 0.0)
+FIX_TYPES: dict[FixName, int] = {
+    "3d": mavlink.GPS_FIX_TYPE_3D_FIX,
+    "dgps": mavlink.GPS_FIX_TYPE_DGPS,
+    "rtk_float": mavlink.GPS_FIX_TYPE_RTK_FLOAT,
+    "rtk_fixed": mavlink.GPS_FIX_TYPE_RTK_FIXED,
+}
 UNKNOWN_COVARIANCE = [math.nan] + [0.0] * 20
 
 
@@ -63,17 +70,12 @@ def local_position_ned(vehicle: SimVehicle) -> Fields | None:
 
 
 def _roll_and_pitch(vehicle: SimVehicle) -> tuple[float, float]:
-    """The tilt that the present acceleration needs."""
-    body = vehicle.body
-    east, north, _ = body.acceleration_enu_mps2
-    cos_yaw, sin_yaw = math.cos(body.yaw_ned_rad), math.sin(body.yaw_ned_rad)
-    forward = north * cos_yaw + east * sin_yaw
-    right = east * cos_yaw - north * sin_yaw
-    return (math.atan2(right, GRAVITY_MPS2), -math.atan2(forward, GRAVITY_MPS2))
+    """The true ones: levelling is what inertial sensors do well."""
+    return vehicle.body.attitude[:2]
 
 
 def attitude(vehicle: SimVehicle) -> Fields:
-    """Roll and pitch of the acceleration, no rates."""
+    """Roll and pitch of the acceleration and of the wind, no rates."""
     return (boot_ms(vehicle), *_roll_and_pitch(vehicle), vehicle.aircraft.heading_ned_rad, *STILL)
 
 
@@ -129,14 +131,19 @@ def global_position_int(vehicle: SimVehicle) -> Fields | None:
 
 
 def gps_raw_int(vehicle: SimVehicle) -> Fields:
-    """A good 3-D fix (horizontal and vertical dilution 0.9 and 1.2, 14 satellites), or none."""
+    """A good fix (horizontal and vertical dilution 0.9 and 1.2, 14 satellites), or none.
+
+    Accuracies, one sigma in millimetres, are 0 (unknown) where the navigation has no error.
+    """
     if not vehicle.estimator.has_fix:
         return (boot_us(vehicle), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, *[UINT16_MAX] * 4, 0)
     v_east, v_north, _ = vehicle.body.velocity_enu_mps
     speed, course = to_int16(1e2 * math.hypot(v_east, v_north)), math.atan2(v_east, v_north)
     place = to_e7(vehicle.geodetic)
-    fix = mavlink.GPS_FIX_TYPE_3D_FIX
-    return (boot_us(vehicle), fix, *place, 90, 120, speed, _centidegrees(course), 14)
+    fix, motion = FIX_TYPES[vehicle.estimator.fix], (speed, _centidegrees(course))
+    told = vehicle.estimator.told_accuracy_m or (0.0, 0.0)
+    h_acc_mm, v_acc_mm = (round(1e3 * accuracy_m) for accuracy_m in told)
+    return (boot_us(vehicle), fix, *place, 90, 120, *motion, 14, 0, h_acc_mm, v_acc_mm)
 
 
 def altitude(vehicle: SimVehicle) -> Fields:
@@ -161,7 +168,7 @@ def vfr_hud(vehicle: SimVehicle) -> Fields:
 
 def nav_controller_output(vehicle: SimVehicle) -> Fields:
     """Distance and direction to where it goes."""
-    pilot, place = vehicle.aircraft.pilot, vehicle.body.position_enu_m
+    pilot, place = vehicle.aircraft.pilot, vehicle.aircraft.motion.position_enu_m
     goal = pilot.goal_enu_m or pilot.hold_enu_m
     bearing = round(math.degrees(math.atan2(goal[0] - place[0], goal[1] - place[1])))
     distance_m = min(UINT16_MAX, round(math.dist(goal[:2], place[:2])))

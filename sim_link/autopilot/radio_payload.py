@@ -1,23 +1,40 @@
-"""The radio payload: a component of its own that measures the emitter and sends what it heard."""
+"""The radio payload: a component of its own that measures the emitter and sends what it heard.
+
+A radio that integrates, averages or buffers tells late: what it sends and stamps now it measured
+`lag_s` ago, from the place and with the attitude of then.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from companion.domain import PositionEnu
 from companion.mav.dialect import Message, mavlink
 from companion.mav.ranging import message_from_ranging
+from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.message_streams import DUE_TOLERANCE_S
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.autopilot.telemetry import MAVLINK_VERSION
+from sim_link.world.attitude import Attitude
 from sim_link.world.environment import ChannelParams, Emitter, Environment
+from sim_link.world.field_radio import FieldRadio
 from sim_link.world.point_mass import PointMass
-from sim_link.world.radio_channel import RadioChannel
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_PERIPHERAL
 HEARTBEAT_PERIOD_S = 1.0
 COMMANDS = (mavlink.MAVLink_command_long_message, mavlink.MAVLink_command_int_message)
+
+
+class _Pose(NamedTuple):
+    """How the vehicle truly was at a step."""
+
+    position_enu_m: PositionEnu
+    height_m: float
+    attitude: Attitude
 
 
 class RadioPayload:
@@ -36,9 +53,11 @@ class RadioPayload:
         environment: Environment | None = None,
     ) -> None:
         self._params = params
-        self._channel = RadioChannel(channel, rng, environment)
+        antenna, measures = params.antenna, params.measures
+        self._radio = FieldRadio(channel, rng, environment, antenna, measures)
         for emitter in emitters:
-            self._channel.prepare(emitter)
+            self._radio.prepare(emitter)
+        self._poses: deque[_Pose] = deque(maxlen=1 + round(params.lag_s / STEP_S))
         self._emitters = tuple(emitters)
         self._period_s = 1.0 / params.rate_hz
         self._measurement_due_s = 0.0
@@ -55,18 +74,28 @@ class RadioPayload:
             self._heartbeat_due_s = max(self._heartbeat_due_s, now_s - HEARTBEAT_PERIOD_S)
             self._heartbeat_due_s += HEARTBEAT_PERIOD_S
             messages.append(payload_heartbeat())
-        if now_s + DUE_TOLERANCE_S >= self._measurement_due_s:
+        is_due = now_s + DUE_TOLERANCE_S >= self._measurement_due_s
+        if is_due or self._params.lag_s > 0.0:
+            self._poses.append(_Pose(body.position_enu_m, body.height_m, body.attitude))
+        if is_due:
             self._measurement_due_s = max(self._measurement_due_s, now_s - self._period_s)
             self._measurement_due_s += self._period_s
-            for emitter in self._emitters:
-                if self._hears(emitter, body):
-                    measurement = self._channel.measure(emitter, body.position_enu_m, now_s)
-                    messages.append(message_from_ranging(measurement, round(1e6 * stamp_s)))
+            messages += self._measured(self._poses[0], now_s, round(1e6 * stamp_s))
         return messages
 
-    def _hears(self, emitter: Emitter, body: PointMass) -> bool:
-        is_near = emitter.slant_range_m(body.position_enu_m) <= self._params.max_range_m
-        return is_near and body.height_m >= self._params.min_altitude_m
+    def _measured(self, pose: _Pose, now_s: float, stamp_us: int) -> list[Message]:
+        messages = []
+        for emitter in self._emitters:
+            if self._hears(emitter, pose):
+                place, attitude = pose.position_enu_m, pose.attitude
+                measurement = self._radio.hear(emitter, place, now_s, attitude)
+                if measurement is not None:
+                    messages.append(message_from_ranging(measurement, stamp_us))
+        return messages
+
+    def _hears(self, emitter: Emitter, pose: _Pose) -> bool:
+        is_near = emitter.slant_range_m(pose.position_enu_m) <= self._params.max_range_m
+        return is_near and pose.height_m >= self._params.min_altitude_m
 
 
 def reject_command(message: Message, system_id: int) -> Message | None:

@@ -13,15 +13,18 @@ from companion.domain import Autopilot, NonNegative, Params, Positive
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
 from sim_link.autopilot.incidents import Incident
+from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.protocols.addressing import LinkMode
+from sim_link.world.antenna import AntennaParams
 from sim_link.world.environment import (
-    ChannelParams,
     Coordinate,
     EmitterParams,
     Environment,
+    FieldChannelParams,
     ObstacleParams,
     ShadowParams,
 )
+from sim_link.world.field_radio import Measures
 from sim_link.world.point_mass import Share, VehicleParams, WindParams
 
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
@@ -123,6 +126,12 @@ class PayloadParams(Params, frozen=True):
     """True distance beyond which it hears nothing."""
     min_altitude_m: NonNegative = 3.0
     """Height above ground below which it hears nothing."""
+    measures: Measures = "both"
+    """Range and bearing, or one of them."""
+    lag_s: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
+    """How much later than it was made a measurement is stamped and sent, in whole steps."""
+    antenna: AntennaParams = AntennaParams()
+    """How it measures directions."""
 
 
 class Scenario(Params, frozen=True):
@@ -138,7 +147,7 @@ class Scenario(Params, frozen=True):
     start_enu_m: tuple[Coordinate, Coordinate] = (10.0, 10.0)
     """Where the vehicle stands at the start: its home."""
     emitter: EmitterParams = EmitterParams()
-    channel: ChannelParams = ChannelParams()
+    channel: FieldChannelParams = FieldChannelParams()
     obstacles: tuple[ObstacleParams, ...] = ()
     """What blocks the line of sight; the vehicle does not collide with it."""
     shadow: ShadowParams = ShadowParams()
@@ -150,6 +159,8 @@ class Scenario(Params, frozen=True):
     battery: BatteryParams = BatteryParams()
     rc: RcParams = RcParams()
     gps: GpsParams = GpsParams()
+    navigation: NavigationParams = NavigationParams()
+    """How wrong the vehicle is about its own place and heading, and what it tells of that."""
     fence: FenceParams = FenceParams()
     emitters: tuple[EmitterParams, ...] = ()
     incidents: tuple[Incident, ...] = ()

@@ -66,7 +66,7 @@ def sys_status(vehicle: SimVehicle) -> Fields:
     if vehicle.sticks.resting is not None or vehicle.sticks.is_joystick_alive(now_s):
         present |= RC
         health |= RC if vehicle.sticks.read(now_s) is not None else 0
-    fence = vehicle.flavour.fence_state(vehicle.body.position_enu_m)
+    fence = vehicle.flavour.fence_state(vehicle.aircraft.motion.position_enu_m)
     present |= FENCE if fence.is_present else 0
     health |= 0 if fence.is_breached else FENCE  # without a fence too: clients report a breach
     if vehicle.is_armed or vehicle.flavour.arming_refusal(now_s) is None:
@@ -162,7 +162,8 @@ def estimator_status(vehicle: SimVehicle) -> Fields:
     """PX4's."""
     is_good, ratio = vehicle.estimator.is_position_valid, vehicle.estimator.test_ratio
     flags = GOOD_ESTIMATE if is_good else BLIND_ESTIMATE
-    accuracy = (0.3 if is_good else 50.0, 0.4)
+    told = vehicle.estimator.told_accuracy_m or (0.3, 0.4)
+    accuracy = (told[0] if is_good else 50.0, told[1])
     return (boot_us(vehicle), flags, ratio, ratio, ratio, 0.05, 0.0, 0.0, *accuracy)
 
 
@@ -184,7 +185,7 @@ def rc_channels(vehicle: SimVehicle) -> Fields | None:
 
 def fence_status(vehicle: SimVehicle) -> Fields:
     """Whether it is in breach now; breaches are not counted."""
-    is_breached = vehicle.flavour.fence_state(vehicle.body.position_enu_m).is_breached
+    is_breached = vehicle.flavour.fence_state(vehicle.aircraft.motion.position_enu_m).is_breached
     kind = mavlink.FENCE_BREACH_BOUNDARY if is_breached else mavlink.FENCE_BREACH_NONE
     return (int(is_breached), int(is_breached), kind, boot_ms(vehicle) if is_breached else 0)
 

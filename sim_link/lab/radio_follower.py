@@ -2,8 +2,9 @@
 
 Theory of operation. The radio measures when LOCAL_POSITION_NED arrives and a measurement is due, at
 the frame's own time and place: so its stamps are the autopilot's, and no delay of the link shifts
-one. It asks for the stream and for the origin of the local frame while they are missing. Its frames
-bear the vehicle's system id, as those of a payload on board would.
+one. It asks for the stream and for the origin of the local frame while they are missing, and for
+ATTITUDE where its antenna feels how the vehicle leans. Its frames bear the vehicle's system id, as
+those of a payload on board would. What lags is stamped and sent with the first frame after its lag.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import math
 import os
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +23,7 @@ import msgspec
 import numpy as np
 
 from companion.arguments import number_in
-from companion.domain import PositionEnu
+from companion.domain import PositionEnu, RangingMeasurement
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin, Projection, enu_from_ned
 from companion.io.links.transports import Transport, UdpConnect, parse_transport, udp_address
@@ -34,8 +36,9 @@ from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.fleet.scenario_io import load_scenario
+from sim_link.world.attitude import LEVEL, Attitude
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams, Environment
-from sim_link.world.radio_channel import RadioChannel
+from sim_link.world.field_radio import FieldRadio
 
 FOLLOW, SEND = 0, 1
 """Links: where the vehicle is heard, and where measurements go to if that is another one."""
@@ -83,7 +86,11 @@ class RadioFollower:
         has_own_link: bool = False,
     ) -> None:
         self._params = params
-        self._channel = RadioChannel(channel, rng, environment)
+        self._radio = FieldRadio(channel, rng, environment, params.antenna, params.measures)
+        self._attitude = LEVEL
+        self._attitude_heard_s = -math.inf
+        self._late: deque[tuple[float, RangingMeasurement]] = deque()
+        """What is still to be told, and when."""
         self._wanted = tuple(emitters)
         self._emitters: tuple[Emitter, ...] = ()
         self._place_emitters([each for each in emitters if isinstance(each, Emitter)])
@@ -138,7 +145,12 @@ class RadioFollower:
                 self._position_heard_s = now_s
                 place = enu_from_ned((message.x, message.y, message.z))
                 if all(math.isfinite(value) for value in place):
-                    self._measure(place, message.time_boot_ms / 1000.0)
+                    stamp_s = message.time_boot_ms / 1000.0
+                    self._measure(place, stamp_s)
+                    self._tell_late(stamp_s)
+            case mavlink.MAVLink_attitude_message():
+                self._attitude_heard_s = now_s
+                self._attitude = Attitude(message.roll, message.pitch, message.yaw)
             case mavlink.MAVLink_home_position_message():
                 if math.isfinite(message.z):
                     self._ground_up_m = -message.z
@@ -157,12 +169,13 @@ class RadioFollower:
     def _place_emitters(self, emitters: Sequence[Emitter]) -> None:
         self._emitters = tuple(emitters)
         for emitter in self._emitters:
-            self._channel.prepare(emitter)
+            self._radio.prepare(emitter)
 
     def _measure(self, place: PositionEnu, stamp_s: float) -> None:
         period_s = 1.0 / self._params.rate_hz
         if stamp_s < self._measured_at_s:  # the autopilot restarted
             self._measured_at_s = -math.inf
+            self._late.clear()
         if stamp_s - self._measured_at_s < period_s - 1e-3:
             return
         late_s = stamp_s - self._measured_at_s - period_s
@@ -172,9 +185,15 @@ class RadioFollower:
             return
         for emitter in self._emitters:
             if emitter.slant_range_m(place) <= self._params.max_range_m:
-                measurement = self._channel.measure(emitter, place, stamp_s)
-                self._send(message_from_ranging(measurement, round(1e6 * stamp_s)), self._link)
-                self.measurements += 1
+                measurement = self._radio.hear(emitter, place, stamp_s, self._attitude)
+                if measurement is not None:
+                    self._late.append((stamp_s + self._params.lag_s, measurement))
+
+    def _tell_late(self, stamp_s: float) -> None:
+        while self._late and self._late[0][0] <= stamp_s:
+            told_s, measurement = self._late.popleft()
+            self._send(message_from_ranging(measurement, round(1e6 * told_s)), self._link)
+            self.measurements += 1
 
     def handle_timer(self, now_s: float) -> None:
         """Heartbeat, and ask for what is missing."""
@@ -187,6 +206,10 @@ class RadioFollower:
         self._asked_s = now_s
         if now_s - self._position_heard_s > ASK_AGAIN_S:
             number = float(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+            self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, POSITION_INTERVAL_US)
+        is_turned = self._params.antenna.kind != "ideal"
+        if is_turned and now_s - self._attitude_heard_s > ASK_AGAIN_S:
+            number = float(mavlink.MAVLINK_MSG_ID_ATTITUDE)
             self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, POSITION_INTERVAL_US)
         if self.needs_origin:
             number = float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)

@@ -51,6 +51,60 @@ class ChannelParams(Params, frozen=True):
     bearing_sigma_deg: NonNegative = 2.0
 
 
+Permittivity = Annotated[float, msgspec.Meta(ge=1.0, le=100.0)]
+
+
+class LossParams(Params, frozen=True):
+    """Which packets are heard at all; theory in `field_radio`."""
+
+    half_range_m: Positive = 150.0
+    """In the line of sight, abreast of the antenna, half of the packets are lost at this range."""
+    exponent: Positive = 2.0
+    """Of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
+    wall_db: NonNegative = 10.0
+    """Lost at each wall of the obstacles on the straight path."""
+    shadow_sigma_db: NonNegative = 4.0
+    """Shadowing that stays with the place, over the channel's `correlation_m`."""
+    fading_sigma_db: NonNegative = 3.0
+    """From packet to packet."""
+    null_depth_db: NonNegative = 0.0
+    """Of a dipole along the vehicle's vertical, straight below and above; 0: none."""
+
+
+class FieldChannelParams(ChannelParams, frozen=True):
+    """What a radio suffers in the field beyond the paper's model; by default nothing."""
+
+    correlation_m: NonNegative = 0.0
+    """Way over which the open path's obstruction forgets itself to 1/e; 0: every draw is new."""
+    range_step_m: NonNegative = 0.0
+    """Ranges come in whole steps of this; 0: as they are."""
+    range_sigma_growth: NonNegative = 0.0
+    """Share of the slant range that noise has on top of `range_sigma_m`, in quadrature."""
+    burial_m: NonNegative = 0.0
+    """Thickness of the level slab that the emitter lies under."""
+    permittivity: Permittivity = 7.0
+    """Relative, of the slab: concrete 6 to 8, dry rubble 2 to 4."""
+    p_gross: Share = 0.0
+    """Share of the directions that come from anywhere."""
+    gross_correlation_m: NonNegative = 5.0
+    """Way over which these last; 0: every draw is new."""
+    loss: LossParams | None = None
+    """Which packets are lost; None: none is."""
+
+    @property
+    def is_as_in_the_paper(self) -> bool:
+        """Whether nothing is added to its model."""
+        added = (self.correlation_m, self.range_step_m, self.range_sigma_growth, self.burial_m)
+        return not any((*added, self.p_gross)) and self.loss is None
+
+
+def in_the_field(params: ChannelParams) -> FieldChannelParams:
+    """The same channel, as a record of the field."""
+    if isinstance(params, FieldChannelParams):
+        return params
+    return FieldChannelParams(**msgspec.structs.asdict(params))
+
+
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 """Local metres; beyond 100 km a flat local frame means nothing."""
@@ -62,7 +116,7 @@ class EmitterParams(Params, frozen=True):
     emitter_id: EmitterId = 1
     position_enu_m: tuple[Coordinate, Coordinate] = (50.0, 50.0)
     height_m: Coordinate = 0.0
-    channel: ChannelParams | None = None
+    channel: FieldChannelParams | None = None
     """How it is heard, what is left out being canonical; None: over the scenario's `channel`."""
     quality: Share | None = None
     """What the radio says of its signal; None: nothing."""

@@ -128,6 +128,21 @@ def is_blocked_in_space(
 
 
 @kernel
+def walls_between(
+    target_e: float, target_n: float, target_up: float, e: float, n: float, up: float, edges: Matrix
+) -> int:
+    """How many walls the straight path goes through; at least 1 where it is blocked by a roof."""
+    count = 0
+    for index in range(len(edges)):
+        share = share_to_wall(target_e, target_n, e, n, index, edges)
+        if share != NOWHERE and target_up + share * (up - target_up) < edges[index, TOP]:
+            count += 1
+    if count == 0 and is_blocked_in_space(target_e, target_n, target_up, e, n, up, edges):
+        return 1
+    return count
+
+
+@kernel
 def is_blocked(target_e: float, target_n: float, e: float, n: float, edges: Matrix) -> bool:
     """The same in the plane, where an obstacle of any height blocks."""
     return is_blocked_in_space(target_e, target_n, 0.0, e, n, 0.0, edges)

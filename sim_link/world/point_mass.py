@@ -5,24 +5,30 @@ as a first-order lag whose change is limited to the acceleration that the tilt a
 shows as the share that a velocity controller lets through; gusts are a first-order Gauss-Markov
 process per horizontal axis. The ground is flat; on it a vehicle stays until it climbs.
 
+It leans as its thrust must point: against gravity, for the acceleration that it has, and against
+the drag of the air, which is linear in the air speed, as that of rotors is (P. Martin, E. Salaun,
+ICRA 2010). The drag shows in the attitude only; what it does to the motion is in the wind's share.
+
 Positions are local east-north-up metres; yaw is clockwise from north.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import msgspec
 
-from companion.domain import Params, PositionEnu, Positive
+from companion.domain import NonNegative, Params, PositionEnu, Positive
 from companion.geometry.coordinates import wrap_pi
+from sim_link.world.attitude import Attitude, leaning
 
 GRAVITY_MPS2 = 9.80665
 GROUND_CONTACT_M = 1e-3
 BRAKING_SHARE = 0.6
 """Share of the acceleration limit that an approach plans to brake with; the rest is reserve."""
-
+DRAG_PER_S = 0.17
+"""Deceleration per air speed: 10 m/s lean it by 10 degrees (PX4 EKF2_MCOEF: 0.15)."""
 
 Speed = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
 WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
@@ -43,6 +49,9 @@ class VehicleParams(Params, frozen=True):
     position_gain_per_s: Positive = 0.95
     """Commanded speed per metre of position error (PX4 MPC_XY_P)."""
     max_yaw_rate_radps: Positive = 0.8
+    drag_per_s: NonNegative | None = None
+    """Deceleration per air speed, against which it leans; None: 0.17 where a wind blows, otherwise
+    0, as in the paper's still air."""
 
 
 class WindParams(Params, frozen=True):
@@ -56,6 +65,43 @@ class WindParams(Params, frozen=True):
     """After which a gust has forgotten itself to 1/e."""
     let_through: Share = 0.1
     """Share of the wind that the velocity controller fails to cancel."""
+
+    @property
+    def blows(self) -> bool:
+        """Whether there is any."""
+        return (self.east_mps, self.north_mps, self.gust_sigma_mps) != (0.0, 0.0, 0.0)
+
+
+class Motion(Protocol):
+    """Where a vehicle is and how it moves: truly, or as its autopilot believes."""
+
+    @property
+    def position_enu_m(self) -> PositionEnu:
+        """Local east, north and up."""
+
+    @property
+    def velocity_enu_mps(self) -> PositionEnu:
+        """Local east, north and up."""
+
+    @property
+    def yaw_ned_rad(self) -> float:
+        """Clockwise from north."""
+
+    @property
+    def ground_up_m(self) -> float:
+        """Height of the ground."""
+
+    @property
+    def height_m(self) -> float:
+        """Height above the ground."""
+
+    @property
+    def is_on_ground(self) -> bool:
+        """Whether it touches the ground."""
+
+    @property
+    def drift_mps(self) -> float:
+        """Horizontal speed that the wind adds to every command."""
 
 
 class PointMass:
@@ -107,6 +153,22 @@ class PointMass:
             wind.let_through * (wind.north_mps + north),
             0.0,
         )
+
+    @property
+    def attitude(self) -> Attitude:
+        """The true one: leaning for its acceleration and against the air, level on the ground."""
+        east, north, _ = self.acceleration_enu_mps2
+        drag_per_s = self._params.drag_per_s
+        if drag_per_s is None:
+            drag_per_s = DRAG_PER_S if self.wind.blows else 0.0
+        if drag_per_s > 0.0 and not self.is_on_ground:
+            (ve, vn, _), (ge, gn) = self.velocity_enu_mps, self._gust
+            east += drag_per_s * (ve - self.wind.east_mps - ge)
+            north += drag_per_s * (vn - self.wind.north_mps - gn)
+        cos_yaw, sin_yaw = math.cos(self.yaw_ned_rad), math.sin(self.yaw_ned_rad)
+        forward = north * cos_yaw + east * sin_yaw
+        right = east * cos_yaw - north * sin_yaw
+        return Attitude(*leaning(forward, right, GRAVITY_MPS2), self.yaw_ned_rad)
 
     @property
     def height_m(self) -> float:

@@ -129,8 +129,17 @@ class RadioChannel:
             quality=emitter.quality,
         )
 
+    def _params_of(self, emitter: Emitter) -> ChannelParams:
+        return self._params if emitter.channel is None else emitter.channel
+
     def _character(self, emitter: Emitter) -> _Character:
-        return _character_of(self._params if emitter.channel is None else emitter.channel)
+        return _character_of(self._params_of(emitter))
+
+    def _around(self, emitter: Emitter, environment: Environment) -> Surroundings:
+        place = emitter.position_enu_m
+        if place not in self._surroundings:
+            self._surroundings[place] = environment.around(place)
+        return self._surroundings[place]
 
     def _obstruction(
         self, drawn: Drawn, emitter: Emitter, sensor_enu_m: PositionEnu
@@ -140,7 +149,5 @@ class RadioChannel:
         memory = self._memories.get(place, NO_MEMORY)
         if self._environment is None:
             return *open_obstruction(*drawn, open_path), memory
-        if place not in self._surroundings:
-            self._surroundings[place] = self._environment.around(place)
-        shadow, surroundings = self._environment.shadow, self._surroundings[place]
+        shadow, surroundings = self._environment.shadow, self._around(emitter, self._environment)
         return obstruction(drawn, sensor_enu_m, open_path, shadow, surroundings, memory)

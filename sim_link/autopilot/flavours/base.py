@@ -94,7 +94,7 @@ def set_home(flavour: Flavour, command: Command, _now_s: float) -> int:
     """DO_SET_HOME: here (first parameter 1), or at a place of any frame that the aircraft knows."""
     aircraft, firmware = flavour.aircraft, flavour.firmware
     if command.params[0] == 1.0:
-        aircraft.set_home(aircraft.body.position_enu_m, is_given=False)
+        aircraft.set_home(aircraft.motion.position_enu_m, is_given=False)
         return ACCEPTED
     frame = mavlink.MAV_FRAME_GLOBAL if command.frame is None else command.frame
     place, altitude_m = command.place_e7, command.params[6]
@@ -341,7 +341,7 @@ class Flavour(ABC):
             self._armed_changed(is_armed)
         if old_task is Task.FLY_MISSION is not task:
             self._leave_mission()
-        self.aircraft.pilot.enter(task, self.aircraft.body)
+        self.aircraft.pilot.enter(task, self.aircraft.motion)
         if task is Task.FLY_MISSION and is_armed and not is_first:
             self.aircraft.mission.start()
         if (mode, is_armed) == (old_mode, was_armed):
@@ -369,7 +369,7 @@ class Flavour(ABC):
 
     def _armed_changed(self, is_armed: bool) -> None:
         """Home is where it is armed, unless a station set it."""
-        aircraft, here = self.aircraft, self.aircraft.body.position_enu_m
+        aircraft, here = self.aircraft, self.aircraft.motion.position_enu_m
         aircraft.has_flown, self._landed_s = False, None
         if not is_armed or aircraft.is_home_given:
             return
@@ -388,7 +388,7 @@ class Flavour(ABC):
         if not aircraft.is_armed:
             aircraft.move(None, None)
             return
-        body = aircraft.body
+        body = aircraft.motion
         if pilot.task is Task.FLY_MISSION:
             place, is_on_ground = body.position_enu_m, body.is_on_ground
             self.leg = aircraft.mission.leg(place, is_on_ground and aircraft.has_flown, now_s)

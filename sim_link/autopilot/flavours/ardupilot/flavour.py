@@ -115,7 +115,7 @@ class ArduPilotFlavour(Flavour):
             return "AHRS: waiting for home"
         if self.copter_mode.needs_position and not self.has_position(now_s):
             return "Need Position Estimate"
-        if self.fence_margin_m(self.aircraft.body.position_enu_m) < 0.0:
+        if self.fence_margin_m(self.aircraft.motion.position_enu_m) < 0.0:
             return "vehicle outside fence"
         return None
 
@@ -262,12 +262,12 @@ class ArduPilotFlavour(Flavour):
 
     def _after_flying(self, now_s: float) -> None:
         is_climbing = self.guided.state is GuidedState.CLIMBING and self.is_armed
-        if is_climbing and self.aircraft.pilot.has_taken_off(self.aircraft.body):
+        if is_climbing and self.aircraft.pilot.has_taken_off(self.aircraft.motion):
             self.guided.stop()
             self.settle(now_s)
 
     def _watch(self, now_s: float) -> None:
-        body = self.aircraft.body
+        body = self.aircraft.motion
         timeout_s = max(LEAST_TIMEOUT_S, self.parameters["GUID_TIMEOUT"])
         self.guided.watch(now_s, timeout_s, is_on_ground=body.is_on_ground)
         self.aircraft.pilot.limits = self._speed_limits()
@@ -306,7 +306,7 @@ class ArduPilotFlavour(Flavour):
         """Whether a motion leads out: it is stopped FENCE_MARGIN inside."""
         if not self.parameters["FENCE_ENABLE"] or self.guided.is_latched:
             return False
-        body, setpoint = self.aircraft.body, self.guided.setpoint
+        body, setpoint = self.aircraft.motion, self.guided.setpoint
         place = body.position_enu_m
         rest = stopping_point(place, body.velocity_enu_mps, self.aircraft.scenario.vehicle)
         if self.fence_margin_m(rest) >= self.parameters["FENCE_MARGIN"]:

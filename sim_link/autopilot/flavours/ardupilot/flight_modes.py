@@ -133,7 +133,7 @@ def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int
     if not is_ready or height_m <= 0.0:
         return FAILED
     up_m = aircraft.home_enu_m[2] + height_m
-    if flavour.fence_margin_m((*aircraft.body.position_enu_m[:2], up_m)) < 0.0:
+    if flavour.fence_margin_m((*aircraft.motion.position_enu_m[:2], up_m)) < 0.0:
         aircraft.say(ERROR, "Takeoff: altitude is outside the fence")
         return FAILED
     aircraft.pilot.takeoff_up_m = up_m

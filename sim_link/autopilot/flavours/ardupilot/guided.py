@@ -83,7 +83,7 @@ def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
     z = max(-OUT_OF_SIGHT_M, min(OUT_OF_SIGHT_M, message.z))
     if message.coordinate_frame == LOCAL_NED:
         return aircraft.estimator.world_from_local(enu_from_ned((message.x, message.y, z)))
-    own_east, own_north, own_up = aircraft.body.position_enu_m
+    own_east, own_north, own_up = aircraft.motion.position_enu_m
     east, north = float(message.y), float(message.x)
     if message.coordinate_frame in BODY_FRAMES:
         east, north = turned(message.x, message.y, aircraft.heading_ned_rad)

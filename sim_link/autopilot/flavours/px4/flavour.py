@@ -133,7 +133,7 @@ class Px4Flavour(Flavour):
         if self.aircraft.battery.share <= self.parameters["BAT_CRIT_THR"]:
             return "battery too low"
         has_action = self.parameters["GF_ACTION"] >= 1
-        if has_action and self.fence_margin_m(self.aircraft.body.position_enu_m) < 0.0:
+        if has_action and self.fence_margin_m(self.aircraft.motion.position_enu_m) < 0.0:
             return "outside the geofence"
         return None
 
@@ -180,7 +180,7 @@ class Px4Flavour(Flavour):
         self.intention, self._reaction = mode, None
         self._failsafes.take_over()
         if is_same and mode is FlightMode.HOLD:
-            self.aircraft.pilot.enter(self.task, self.aircraft.body)
+            self.aircraft.pilot.enter(self.task, self.aircraft.motion)
         return ACCEPTED
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
@@ -255,7 +255,7 @@ class Px4Flavour(Flavour):
         if not self.is_armed:
             return
         if self.mode is FlightMode.TAKEOFF:
-            if self.aircraft.pilot.has_taken_off(self.aircraft.body):
+            if self.aircraft.pilot.has_taken_off(self.aircraft.motion):
                 self.intention = FlightMode.HOLD
                 self.settle(now_s, "takeoff complete")
         elif self.mode is FlightMode.MISSION:
@@ -281,7 +281,7 @@ class Px4Flavour(Flavour):
             self.settle(now_s, "sticks moved")
         fresh = self._failsafes.watch(
             self.intention,
-            self.fence_margin_m(self.aircraft.body.position_enu_m),
+            self.fence_margin_m(self.aircraft.motion.position_enu_m),
             now_s,
             is_stream_alive=self._is_stream_alive(now_s),
         )

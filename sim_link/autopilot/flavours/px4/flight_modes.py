@@ -122,7 +122,7 @@ def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     located = aircraft.place_from(*place, 0.0, GLOBAL)
     assert located is not None
     east, north, _ = located
-    up_m = aircraft.body.position_enu_m[2] if math.isnan(altitude_m) else up_m
+    up_m = aircraft.motion.position_enu_m[2] if math.isnan(altitude_m) else up_m
     if not is_altitude(up_m) or up_m - aircraft.home_enu_m[2] > MAX_HEIGHT_M:
         return DENIED
     if flavour.fence_margin_m((east, north, up_m)) < 0.0:

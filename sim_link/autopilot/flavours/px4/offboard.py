@@ -82,7 +82,7 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
         return None
     frame, altitude_m = message.coordinate_frame, message.alt
     if frame == TERRAIN_FRAME:
-        altitude_m += aircraft.estimator.world_origin.altitude_m + aircraft.body.ground_up_m
+        altitude_m += aircraft.estimator.world_origin.altitude_m + aircraft.motion.ground_up_m
     elif frame == RELATIVE_FRAME:
         altitude_m += 2.0 * aircraft.estimator.origin.altitude_m - aircraft.home_altitude_m
     place = aircraft.place_from(

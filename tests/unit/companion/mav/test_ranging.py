@@ -47,6 +47,7 @@ def measurements(draw: st.DrawFn) -> RangingMeasurement:
         bearing_sigma_rad=draw(_maybe(_sigmas)),
         elevation_rad=draw(_maybe(_angles)),
         elevation_sigma_rad=draw(_maybe(_sigmas)),
+        is_array_angle=draw(st.booleans()),
         quality=draw(_maybe(st.integers(0, 100).map(lambda percent: percent / 100.0))),
         line_of_sight=draw(st.sampled_from([None, True, False])),
         stamp_us=draw(st.integers(0, 2**64 - 1)),
@@ -70,6 +71,11 @@ def test_a_measurement_survives_the_wire(sent: RangingMeasurement) -> None:
 def test_a_bearing_is_clockwise_from_north_on_the_wire() -> None:
     east = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_enu_rad=0.0)
     assert message_from_ranging(east, 0).to_dict()["bearing"] == pytest.approx(math.pi / 2)
+
+
+def test_the_angles_of_an_array_are_flagged() -> None:
+    seen = RangingMeasurement(1, 0.0, bearing_body_rad=0.3, elevation_rad=0.1, is_array_angle=True)
+    assert message_from_ranging(seen, 0).to_dict()["flags"] == 1 + 8
 
 
 def test_what_was_not_measured_is_nan_on_the_wire() -> None:

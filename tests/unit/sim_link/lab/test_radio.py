@@ -14,6 +14,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlin
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.lab.radio_follower import FOLLOW, SEND, GeodeticEmitter, RadioFollower, parse_emitter
+from sim_link.world.antenna import AntennaParams
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 
 CLEAR = ChannelParams(
@@ -105,6 +106,27 @@ def test_a_restarted_autopilot_is_followed_on() -> None:
     ridden.move(50.0, 20.0, 40.0, 500.0)
     ridden.move(50.0, 20.0, 40.0, 3.0)
     assert [round(r.time_usec / 1e6) for r in ridden.ranges()] == [500, 3]
+
+
+def test_an_array_feels_the_attitude_that_is_told() -> None:
+    ridden = Ridden(payload=PayloadParams(antenna=AntennaParams(kind="planar")))
+    ridden.radio.handle_timer(0.5)
+    assert [m.param1 for m in ridden.asked()].count(mavlink.MAVLINK_MSG_ID_ATTITUDE) == 1
+    ridden.tell(mavlink.MAVLink_attitude_message(900, 0.0, 0.0, 0.4, 0, 0, 0), 0.9)
+    ridden.move(50.0, 20.0, 40.0, 1.0)
+    (ranging,) = ridden.ranges()
+    assert ranging.bearing == pytest.approx(-0.4)
+    assert ranging.flags == 1
+
+
+def test_what_lags_comes_later_and_tells_of_then() -> None:
+    ridden = Ridden(payload=PayloadParams(lag_s=0.25))
+    ridden.move(50.0, 20.0, 40.0, 1.0)
+    assert ridden.ranges() == []
+    ridden.move(50.0, 50.0, 40.0, 1.3)
+    (ranging,) = ridden.ranges()
+    assert ranging.time_usec == 1_250_000
+    assert ranging.range == pytest.approx(50.0)
 
 
 def test_an_emitter_on_earth_waits_for_the_origin_and_asks_for_it() -> None:

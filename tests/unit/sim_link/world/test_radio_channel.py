@@ -18,6 +18,7 @@ from sim_link.world.environment import (
     Environment,
     ObstacleParams,
     ShadowParams,
+    in_the_field,
 )
 from sim_link.world.radio_channel import MIN_RANGE_M, ChannelDraw, RadioChannel
 
@@ -43,7 +44,7 @@ def measure(params: ChannelParams, seed: int, count: int) -> list[RangingMeasure
 
 
 def test_an_emitter_may_have_a_channel_of_its_own() -> None:
-    own = msgspec.structs.replace(QUIET, range_offset_m=-2.0, bearing_offset_deg=7.0)
+    own = in_the_field(msgspec.structs.replace(QUIET, range_offset_m=-2.0, bearing_offset_deg=7.0))
     other = Emitter(EmitterParams(emitter_id=2, channel=own))
     channel = RadioChannel(QUIET, np.random.default_rng(0))
     here = (10.0, 10.0, 20.0)

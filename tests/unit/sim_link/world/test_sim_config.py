@@ -37,7 +37,7 @@ def test_keys_left_out_keep_their_canonical_value(tmp_path: Path) -> None:
     assert scenario.channel == Scenario().channel
 
 
-@pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted(SCENARIOS.rglob("*.yaml")), ids=lambda path: path.name)
 def test_every_scenario_is_read(path: Path) -> None:
     assert load_scenario(path).name
 

@@ -1,0 +1,46 @@
+"""A radio and a navigation as they are in the field: a flight stays safe, and errs as it must."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from companion.guidance.authority.state_machine import Phase
+from sim_link.autopilot.navigation import NavigationParams
+from sim_link.autopilot.scenario import PayloadParams, Scenario
+from sim_link.fleet.scenario_io import load_scenario
+from sim_link.world.environment import EmitterParams, FieldChannelParams
+from tests.loop.loop_helpers import AUTO, Loop
+
+FIELD = sorted((Path(__file__).parents[2] / "configs" / "scenarios" / "field").glob("*.yaml"))
+CLEAR = FieldChannelParams(
+    range_offset_m=0.0, bearing_offset_deg=0.0, p_nlos=0.0, range_sigma_m=0.5, bearing_sigma_deg=1.0
+)
+NEAR = EmitterParams(position_enu_m=(35.0, 30.0))
+
+
+def test_what_is_found_is_off_by_the_vehicles_own_error() -> None:
+    """A constant error of the place is in the result to the full, and no radio shows it."""
+    wrong = NavigationParams(sigma_m=8.0, time_constant_s=1e6)
+    scenario = Scenario(
+        emitter=NEAR, channel=CLEAR, navigation=wrong, payload=PayloadParams(rate_hz=10.0)
+    )
+    loop = Loop(config=AUTO, scenario=scenario, seed=1)
+    loop.run_until(lambda: bool(loop.notes.results), 120.0)
+    east, north, _ = loop.sim.vehicle.estimator.bias_enu_m
+    found = loop.notes.results[-1][1].estimate.position_enu_m
+    off = (found[0] - 35.0, found[1] - 30.0)
+    assert abs(east) + abs(north) > 1.0
+    assert off == pytest.approx((east, north), abs=0.5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", FIELD, ids=lambda path: path.stem)
+def test_the_search_goes_on_safely_whatever_the_radio_says(path: Path) -> None:
+    loop = Loop(config=AUTO, scenario=load_scenario(path), seed=1)
+    loop.run(90.0)
+    assert loop.sim.vehicle.is_armed
+    assert loop.phase in (Phase.NORMAL, Phase.DEGRADED, Phase.HOLD, Phase.FINISHED)
+    heights = [place[2] for place in loop.true_positions[-500:]]
+    assert min(heights) > 3.0

@@ -1,0 +1,126 @@
+"""The error of a vehicle's own place: its statistics, its changes, and what is told of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.domain import PositionEnu
+from companion.geometry.coordinates import LocalOrigin
+from sim_link.autopilot.estimator import Estimator
+from sim_link.autopilot.navigation import Believed, FixChange, NavigationError, NavigationParams
+from sim_link.autopilot.scenario import GpsParams
+from sim_link.world.point_mass import PointMass, VehicleParams, WindParams
+
+ORIGIN = LocalOrigin(47.4, 8.5, 488.0)
+WANDERS = NavigationParams(
+    sigma_m=1.5, time_constant_s=60.0, height_sigma_m=3.0, height_time_constant_s=20.0
+)
+
+
+def errors_m(params: NavigationParams, seed: int, count: int, dt_s: float) -> list[PositionEnu]:
+    error = NavigationError(params, np.random.default_rng(seed))
+    found = []
+    for index in range(count):
+        error.step(index * dt_s, dt_s)
+        found.append(error.enu_m)
+    return found
+
+
+def test_it_is_as_large_from_the_start_as_later() -> None:
+    starts = np.array([errors_m(WANDERS, seed, 1, 0.0)[0] for seed in range(2000)])
+    assert starts.std(axis=0) == pytest.approx((1.5, 1.5, 3.0), rel=0.06)
+    later = np.array(errors_m(WANDERS, 1, 20_000, 200.0))
+    assert later.std(axis=0) == pytest.approx((1.5, 1.5, 3.0), rel=0.04)
+    assert later.mean(axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=0.15)
+
+
+def test_it_forgets_itself_over_its_time_constant_each_axis_by_itself() -> None:
+    found = np.array(errors_m(WANDERS, 2, 100_000, 10.0))
+    for axis, tau_s in ((0, 60.0), (1, 60.0), (2, 20.0)):
+        correlation = np.corrcoef(found[:-2, axis], found[2:, axis])[0, 1]
+        assert correlation == pytest.approx(math.exp(-20.0 / tau_s), abs=0.03)
+    assert abs(np.corrcoef(found[:, 0], found[:, 1])[0, 1]) < 0.05
+
+
+def test_the_size_of_steps_does_not_matter() -> None:
+    fine = np.array(errors_m(WANDERS, 3, 40_000, 0.5))
+    moved = fine[120:, 0] - fine[:-120, 0]  # over one time constant
+    assert moved.std() == pytest.approx(1.5 * math.sqrt(2.0 * (1.0 - math.exp(-1.0))), rel=0.1)
+
+
+def test_a_change_of_the_fix_is_a_jump_to_an_error_of_another_size() -> None:
+    changes = (
+        FixChange(at_s=20.0, fix="3d", sigma_m=3.0, height_sigma_m=5.0),
+        FixChange(at_s=10.0, fix="rtk_float", sigma_m=0.3),
+    )
+    params = NavigationParams(
+        fix="rtk_fixed", sigma_m=0.02, height_sigma_m=0.04, time_constant_s=1e6, fix_changes=changes
+    )
+    after = []
+    for seed in range(500):
+        error = NavigationError(params, np.random.default_rng(seed))
+        seen = []
+        for now_s in (9.9, 10.0, 30.0):
+            error.step(now_s, 0.1)
+            seen.append((error.fix, error.sigma_m, error.height_sigma_m))
+        assert seen == [("rtk_fixed", 0.02, 0.04), ("rtk_float", 0.3, 0.04), ("3d", 3.0, 5.0)]
+        after.append(error.enu_m)
+    assert np.std(after, axis=0) == pytest.approx((3.0, 3.0, 5.0), rel=0.1)
+
+
+def test_without_sizes_there_is_no_error_and_nothing_is_drawn() -> None:
+    rng, untouched = np.random.default_rng(1), np.random.default_rng(1)
+    estimator = Estimator(ORIGIN, GpsParams(), 0.0, rng)
+    estimator.step(0.0, (1.0, 2.0, 3.0), 0.02)
+    assert estimator.error is None
+    assert estimator.told_accuracy_m is None
+    assert estimator.reported_enu_m == (1.0, 2.0, 3.0)
+    assert rng.standard_normal() == untouched.standard_normal()
+    assert not NavigationParams(compass_error_deg=5.0).errs_in_place
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({}, (1.5, 3.0)),
+        ({"told_ratio": 0.4}, (0.6, 1.2)),
+        ({"tells_accuracy": False}, (0.0, 0.0)),
+    ],
+)
+def test_what_it_tells_of_itself(changes: dict[str, float], told: tuple[float, float]) -> None:
+    params = NavigationParams(sigma_m=1.5, height_sigma_m=3.0, **changes)  # type: ignore[arg-type]
+    estimator = Estimator(ORIGIN, GpsParams(), 0.0, np.random.default_rng(1), params)
+    assert estimator.told_accuracy_m == pytest.approx(told)
+
+
+def test_the_bias_is_all_that_the_report_is_off_by() -> None:
+    estimator = Estimator(ORIGIN, GpsParams(), 0.0, np.random.default_rng(1), WANDERS)
+    estimator.jump((5.0, 0.0, 0.0), 0.0)
+    estimator.step(1.0, (1.0, 2.0, 3.0), 0.02)
+    off = [b - a for a, b in zip((1.0, 2.0, 3.0), estimator.reported_enu_m, strict=True)]
+    assert estimator.bias_enu_m == pytest.approx(off)
+    assert estimator.error is not None
+    assert off[0] == pytest.approx(5.0 + estimator.error.enu_m[0])
+
+
+def test_a_target_goes_to_the_frame_that_is_steered_by() -> None:
+    """The navigation's error is in the motion, so only the jump comes off a target."""
+    estimator = Estimator(ORIGIN, GpsParams(), 0.0, np.random.default_rng(1), WANDERS)
+    estimator.jump((5.0, 0.0, 0.0), 0.0)
+    assert estimator.world_from_local((10.0, 10.0, 10.0)) == pytest.approx((5.0, 10.0, 10.0))
+    assert estimator.shown_from_world((5.0, 10.0, 10.0)) == pytest.approx((10.0, 10.0, 10.0))
+
+
+def test_the_believed_motion_is_the_true_one_displaced_ground_and_all() -> None:
+    body = PointMass(VehicleParams(), WindParams(), (10.0, 20.0, 0.0))
+    error = NavigationError(WANDERS, np.random.default_rng(1))
+    believed = Believed(body, error)
+    off = [b - a for a, b in zip(body.position_enu_m, believed.position_enu_m, strict=True)]
+    assert off == pytest.approx(error.enu_m)
+    assert believed.ground_up_m == pytest.approx(believed.position_enu_m[2])
+    assert believed.is_on_ground
+    assert (believed.height_m, believed.drift_mps, believed.yaw_ned_rad) == (0.0, 0.0, 0.0)
+    assert believed.velocity_enu_mps == body.velocity_enu_mps
