@@ -242,9 +242,8 @@ def test_a_tunnel_is_read_at_any_length_and_without_extensions_they_are_unknown(
 
 def test_an_estimate_without_extensions_is_read_and_they_are_unknown() -> None:
     """Zeros at the end are not sent: it is, to the byte, the frame of a sender from before them."""
-    older = MAVLink_target_estimate_message(
-        *(getattr(ESTIMATE, name) for name in ESTIMATE.fieldnames[:-3]), 0.0, 0.0, 0.0
-    )
+    core = [getattr(ESTIMATE, name) for name in ESTIMATE.fieldnames[:-3]]
+    older = MAVLink_target_estimate_message(*[*core, 0.0, 0.0, 0.0])
     frame = MavCodec(1, 191).encode(older)
     assert frame[10:-2] == core_fields(ESTIMATE)
     (told,) = MavCodec(9, 9).decode(frame)
