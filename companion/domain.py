@@ -11,6 +11,7 @@ place, beside the code that uses them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import Annotated
@@ -97,6 +98,46 @@ class VehicleState:
     velocity_enu_mps: PositionEnu
 
 
+R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
+"""R95 of a circular normal distribution with a sigma of 1."""
+UNTOLD_SIGMA_M = 3.0
+"""What an own place counts as whose accuracy nobody tells: one frequency, not all of the sky."""
+HEIGHT_RATIO = 2.0
+"""Satellites tell heights 1.5 to 2 times worse than places."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnAccuracy:
+    """How well the vehicle knew its own place on the Earth, one sigma.
+
+    It is one and the same error for all that was measured from there, and nobody else's.
+    """
+
+    horizontal_m: float = UNTOLD_SIGMA_M
+    """Per axis."""
+    vertical_m: float = HEIGHT_RATIO * UNTOLD_SIGMA_M
+    is_told: bool = False
+    """Whether the autopilot told it; otherwise it is what is counted instead."""
+
+    def or_worse(self, other: OwnAccuracy | None) -> OwnAccuracy:
+        """What holds of both; None says nothing."""
+        if other is None:
+            return self
+        return OwnAccuracy(
+            max(self.horizontal_m, other.horizontal_m),
+            max(self.vertical_m, other.vertical_m),
+            self.is_told and other.is_told,
+        )
+
+    @property
+    def words(self) -> str:
+        """The horizontal one in words."""
+        return f"{self.horizontal_m:.2f} m{'' if self.is_told else ', not told'}"
+
+
+UNTOLD = OwnAccuracy()
+
+
 class EstimateState(Enum):
     """How much of the target's position is known."""
 
@@ -112,14 +153,20 @@ class EstimateState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class TargetEstimate:
-    """Where the target is believed to be, and how wrong that may be."""
+    """Where the target is believed to be, and how wrong that may be.
+
+    There are two radii. The relative one, `r95_m`, is about the vehicle's own frame: it decides
+    when to stop, and is what this vehicle finds back to. The absolute one is about the Earth, as
+    anybody else finds there: it has the error of the vehicle's own receiver in it as well.
+    """
 
     time_s: float
     state: EstimateState
     position_enu_m: Point
     covariance_m2: tuple[tuple[float, float], tuple[float, float]]
     r95_m: float
-    """Radius about `position_enu_m` that holds the target with 95 % probability, all hypotheses."""
+    """Relative: radius about `position_enu_m` that holds the target with 95 % probability, all
+    hypotheses, if the vehicle's own place is right."""
     range_offset_m: float
     bearing_offset_rad: float
     measurements: int
@@ -131,6 +178,29 @@ class TargetEstimate:
     """Standard deviation of the height where it is estimated."""
     range_scale: float = 0.0
     """Scale error of the ranges where it is estimated."""
+    own: OwnAccuracy = UNTOLD
+    """The worst while the target was measured."""
+    absolute_r95_m: float = -math.inf
+    """The same radius with the own place's error in it; never less than `r95_m`."""
+
+    def __post_init__(self) -> None:
+        """Where nobody worked the absolute radius out, it is that of round errors."""
+        if self.absolute_r95_m < self.r95_m:
+            radius_m = math.hypot(self.r95_m, R95_OF_SIGMA * self.own.horizontal_m)
+            object.__setattr__(self, "absolute_r95_m", radius_m)
+
+    @property
+    def absolute_covariance_m2(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """`covariance_m2` with the own place's error in it."""
+        (a, b), (c, d) = self.covariance_m2
+        own_m2 = self.own.horizontal_m**2
+        return ((a + own_m2, b), (c, d + own_m2))
+
+    @property
+    def absolute_height_sigma_m(self) -> float | None:
+        """`height_sigma_m` with the own height's error in it."""
+        sigma_m = self.height_sigma_m
+        return None if sigma_m is None else math.hypot(sigma_m, self.own.vertical_m)
 
 
 class WaypointReason(Enum):

@@ -2,6 +2,10 @@
 
 GeoJSON and KML hold the place, its 95 % ellipse and the second place; Google Earth, ATAK and
 QGroundControl open the KML. MGRS is the grid text that ground teams read out over the radio.
+
+Who is handed a place goes there with another receiver than the vehicle's, whose error is not in
+that one. So ellipses, the grid and the radius that comes first are absolute; the relative radius is
+told beside, for whoever sends the vehicle back.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from xml.etree import ElementTree as ET
 
 import mgrs
 
-from companion.domain import TargetEstimate
+from companion.domain import OwnAccuracy, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.commands import ReportResult
@@ -35,18 +39,33 @@ class Handoff:
     altitude_m: float
     """Above mean sea level: the assumed or estimated height of the emitter."""
     r95_m: float
-    """Radius that holds the emitter with 95 % probability, rival places included."""
+    """Relative: radius that holds the emitter with 95 % probability, rival places included, for
+    the vehicle that measured it."""
+    absolute_r95_m: float
+    """The same for anybody else."""
+    own: OwnAccuracy
+    """Of the vehicle's place, which is in the absolute radius."""
     ellipse_deg: tuple[Degrees, ...]
-    """The 95 % ellipse of the main place."""
+    """The 95 % ellipse of the main place, for anybody else."""
     alternative_deg: Degrees | None
     """The second place while the state is ambiguous."""
     measurements: int
     unix_s: float
+    altitude_sigma_m: float | None = None
+    """Standard deviation of the altitude where it is estimated, own height included."""
 
     @property
     def time_utc(self) -> str:
         """When it was known, ISO 8601."""
         return utc_text(self.unix_s)
+
+    @property
+    def radii(self) -> str:
+        """The radii in words, and whose error is in them."""
+        return (
+            f"R95 {self.absolute_r95_m:.1f} m with the vehicle's own error ({self.own.words}), "
+            f"{self.r95_m:.1f} m for this vehicle"
+        )
 
 
 def utc_text(unix_s: float) -> str:
@@ -64,17 +83,20 @@ def handoff_of(
         return origin.geodetic_from_enu((*point, height_m))[:2]
 
     alternative = estimate.alternative_enu_m
-    ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
+    ellipse = ellipse_95(estimate.position_enu_m, estimate.absolute_covariance_m2)
     return Handoff(
         emitter=emitter,
         state=estimate.state.value,
         place_deg=degrees(estimate.position_enu_m),
         altitude_m=origin.altitude_m + height_m,
         r95_m=estimate.r95_m,
+        absolute_r95_m=estimate.absolute_r95_m,
+        own=estimate.own,
         ellipse_deg=tuple(degrees(point) for point in ellipse.corners_enu_m()),
         alternative_deg=None if alternative is None else degrees(alternative),
         measurements=estimate.measurements,
         unix_s=unix_s,
+        altitude_sigma_m=estimate.absolute_height_sigma_m,
     )
 
 
@@ -106,14 +128,19 @@ def geojson(handoffs: Iterable[Handoff]) -> str:
 
 
 def _features(handoff: Handoff) -> list[dict[str, object]]:
-    about = {
+    about: dict[str, object] = {
         "emitter": handoff.emitter,
         "state": handoff.state,
+        "absolute_r95_m": round(handoff.absolute_r95_m, 2),
         "r95_m": round(handoff.r95_m, 2),
+        "own_sigma_m": round(handoff.own.horizontal_m, 2),
+        "own_sigma_told": handoff.own.is_told,
         "altitude_amsl_m": round(handoff.altitude_m, 2),  # a third coordinate would be ellipsoidal
         "measurements": handoff.measurements,
         "time": handoff.time_utc,
     }
+    if handoff.altitude_sigma_m is not None:
+        about["altitude_sigma_m"] = round(handoff.altitude_sigma_m, 2)
     # A ring is closed, and its inside lies to the left (RFC 7946 section 3.1.6).
     ring = [_position(point) for point in (*handoff.ellipse_deg, handoff.ellipse_deg[0])]
     shapes: list[tuple[str, str, list[Any]]] = [
@@ -159,8 +186,7 @@ def kml(handoffs: Iterable[Handoff]) -> str:
 
 def _add_placemarks(document: ET.Element, handoff: Handoff) -> None:
     about = (
-        f"{handoff.state}, R95 {handoff.r95_m:.1f} m, "
-        f"{handoff.measurements} measurements, {handoff.time_utc}"
+        f"{handoff.state}, {handoff.radii}, {handoff.measurements} measurements, {handoff.time_utc}"
     )
 
     def placemark(suffix: str) -> ET.Element:
@@ -222,8 +248,8 @@ class HandoffFiles:
 def _line(handoff: Handoff) -> str:
     """One emitter in one line, to be read out over the radio."""
     latitude_deg, longitude_deg = handoff.place_deg
-    grid = mgrs_text(handoff.place_deg, handoff.r95_m)
+    grid = mgrs_text(handoff.place_deg, handoff.absolute_r95_m)
     return (
         f"emitter {handoff.emitter}: {grid}  ({latitude_deg:.6f}, {longitude_deg:.6f}), "
-        f"R95 {handoff.r95_m:.1f} m, {handoff.state}, {handoff.time_utc}\n"
+        f"{handoff.radii}, {handoff.state}, {handoff.time_utc}\n"
     )

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.domain import OwnAccuracy
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
@@ -53,6 +54,8 @@ class Belief:
     measurements: int
     places: tuple[BelievedPlace, ...]
     """Best first; empty before the first measurement."""
+    own: OwnAccuracy | None = None
+    """Of the vehicle's place, at the worst; None: nobody kept it."""
 
     def problem(self, size: int) -> str | None:
         """Why nothing can begin from it in a tracker with a state of `size` components, or None."""
@@ -60,12 +63,18 @@ class Belief:
             return f"{len(self.places)} places"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:
             return "an impossible count or emitter"
+        own = self.own
+        if own is not None and not (0.0 <= own.horizontal_m < math.inf > own.vertical_m >= 0.0):
+            return "an impossible accuracy of the own place"
         problems = (_problem(place, size) for place in self.places)
         return next((problem for problem in problems if problem is not None), None)
 
 
 def belief_of(
-    hypotheses: Sequence[Hypothesis], emitter_id: int | None, measurements: int
+    hypotheses: Sequence[Hypothesis],
+    emitter_id: int | None,
+    measurements: int,
+    own: OwnAccuracy | None = None,
 ) -> Belief | None:
     """The belief in some hypotheses, best first; None without any."""
     if not hypotheses:
@@ -79,7 +88,7 @@ def belief_of(
         )
         for hypothesis in hypotheses[:MAX_PLACES]
     )
-    return Belief(emitter_id, measurements, places)
+    return Belief(emitter_id, measurements, places, own)
 
 
 def hypotheses_of(

@@ -1,6 +1,9 @@
 """The estimate that hypotheses add up to: the place that is told, its R95, and the state.
 
-R95 is the radius about the estimate that holds 95 % of the probability of all hypotheses.
+R95 is the radius about the estimate that holds 95 % of the probability of all hypotheses. It is
+relative, that is in the vehicle's own frame, and decides about the state. The absolute one takes
+the error of the vehicle's own place in, the same one for every hypothesis: each covariance grows by
+its variance on both axes.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.domain import EstimateState, TargetEstimate
+from companion.domain import UNTOLD, EstimateState, OwnAccuracy, TargetEstimate
 from companion.estimation.hypotheses import Hypothesis, probabilities
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET, RangingModel
 from companion.kernel import Matrix, Vector
@@ -43,6 +46,7 @@ def estimate_of(
     now_s: float,
     *,
     is_diverged: bool,
+    own: OwnAccuracy = UNTOLD,
 ) -> TargetEstimate:
     """What hypotheses, best first, add up to; `is_diverged`: the filter was started anew lately."""
     weights, best = probabilities(hypotheses), hypotheses[0]
@@ -53,6 +57,7 @@ def estimate_of(
     mean, P = best.state.mean, best.state.covariance
     height, scale = model.height_index, model.scale_index
     (a, b), (_, c) = covariances[0].tolist()
+    on_earth = [covariance + own.horizontal_m**2 * np.eye(2) for covariance in covariances]
     return TargetEstimate(
         time_s=now_s,
         state=state,
@@ -66,6 +71,9 @@ def estimate_of(
         height_m=float(mean[height]) if height >= 0 else model.height_m,
         height_sigma_m=math.sqrt(P[height, height]) if height >= 0 else None,
         range_scale=float(mean[scale]) if scale >= 0 else 0.0,
+        own=own,
+        # a rival's place that is blurred may come nearer: no reason to promise more
+        absolute_r95_m=max(r95_m, _r95_m(hypotheses, weights, on_earth)),
     )
 
 

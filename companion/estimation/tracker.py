@@ -13,7 +13,15 @@ from dataclasses import dataclass
 
 import msgspec
 
-from companion.domain import Params, PositionEnu, Positive, RangingMeasurement, TargetEstimate
+from companion.domain import (
+    UNTOLD,
+    OwnAccuracy,
+    Params,
+    PositionEnu,
+    Positive,
+    RangingMeasurement,
+    TargetEstimate,
+)
 from companion.estimation.belief import Belief, belief_of, hypotheses_of
 from companion.estimation.filter_bank import update_hypotheses
 from companion.estimation.filters.kalman import FilterKind, filter_of
@@ -102,6 +110,9 @@ class TargetTracker:
         self.last_accepted_s: float | None = None
         self.hypotheses: tuple[Hypothesis, ...] = ()
         """The places the target may be, best first."""
+        self.own: OwnAccuracy | None = None
+        """How well the vehicle knew its own place, at the worst while this was measured: satellites
+        err by the same for minutes, so a time of a worse fix is not made good by a better one."""
         self.integrity = TrackIntegrity()
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self._screen = MeasurementScreen(params.filter, params.acceptance)
@@ -118,9 +129,16 @@ class TargetTracker:
         return self._screen.rejected
 
     def fuse(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
+        self,
+        measurement: RangingMeasurement,
+        sensor_enu_m: PositionEnu | None,
+        now_s: float,
+        own: OwnAccuracy | None = None,
     ) -> FusionReport:
-        """Take in one measurement, its bearing in ENU, from the antenna's place (None: unknown)."""
+        """Take in one measurement, its bearing in ENU, from the antenna's place (None: unknown).
+
+        `own` is how well that place is known on the Earth; None says nothing about it.
+        """
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
         reason = self._screen.admit(measurement, sensor_enu_m, now_s)
@@ -139,6 +157,7 @@ class TargetTracker:
             return report
         self.accepted += 1
         self.last_accepted_s = now_s
+        self.own = own if self.own is None else self.own.or_worse(own)
         if report.update is not None and self._learner is not None:
             self._learn(report.update, self._learner)
         if self.hypotheses and self._optimizer.is_due(self.accepted):
@@ -234,6 +253,7 @@ class TargetTracker:
         self._forget_place()
         self._screen.clear()
         self.last_accepted_s = None
+        self.own = None
 
     def _forget_place(self) -> None:
         self.hypotheses = ()
@@ -258,7 +278,7 @@ class TargetTracker:
     @property
     def belief(self) -> Belief | None:
         """What would be worth knowing after a restart; None before the first measurement."""
-        return belief_of(self.hypotheses, self.emitter_id, self.accepted)
+        return belief_of(self.hypotheses, self.emitter_id, self.accepted, self.own)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Begin again, with doubt, from what was believed; or say why not, and change nothing."""
@@ -270,6 +290,7 @@ class TargetTracker:
             return "another emitter"
         self.restart()
         self.emitter_id = belief.emitter_id
+        self.own = belief.own or UNTOLD
         self.hypotheses = hypotheses_of(belief, age_s, now_s, params)
         if len(self.hypotheses) == 1:
             self._optimizer.begin_from(self.hypotheses[0])
@@ -286,6 +307,7 @@ class TargetTracker:
             self.accepted,
             now_s,
             is_diverged=self.integrity.is_recovering(self.accepted),
+            own=self.own or UNTOLD,
         )
 
     def objection(self, now_s: float) -> Objection | None:

@@ -26,7 +26,7 @@ from companion.guidance.context import SessionContext
 from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.health.findings import Verdict
 from companion.guidance.health.watches import Watches
-from companion.guidance.messages import FenceMessages, GuardMessages, result_of
+from companion.guidance.messages import FenceMessages, GuardMessages, radius_texts, result_of
 from companion.guidance.tracking.measurements import EmitterScheduler
 
 
@@ -136,7 +136,8 @@ class Reporting:
         height_m, origin = tracker.params.filter.target_height_m, context.vehicle.origin
         result, text = result_of(estimate, origin, height_m, tracker.emitter_id, head)
         context.report(result)
-        context.announce(Severity.NOTICE, text)
+        for each in (text, *radius_texts(estimate)):
+            context.announce(Severity.NOTICE, each)
 
     def _finish(self, mode: FlightMode, now_s: float) -> None:
         self._context.enter(Trigger.LOCALISED, now_s)

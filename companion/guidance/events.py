@@ -163,6 +163,25 @@ class FixReported(Event):
     has_fix: bool
 
 
+class PlaceTeller(Enum):
+    """Who tells how well the vehicle knows its own place."""
+
+    RECEIVER = "receiver"
+    """Of satellites: about the Earth."""
+    ESTIMATOR = "estimator"
+    """Of the autopilot: about the local origin."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnPlaceRated(Event):
+    """How well the vehicle knows its own place, one sigma."""
+
+    teller: PlaceTeller
+    horizontal_m: float | None
+    """None: it does not know."""
+    vertical_m: float | None
+
+
 @dataclass(frozen=True, slots=True)
 class BatteryReported(Event):
     """The charge, as the autopilot knows it."""

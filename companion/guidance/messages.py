@@ -25,6 +25,30 @@ from companion.guidance.commands import Announce, Command, Record, ReportResult,
 from companion.guidance.health.findings import Finding, Reason
 
 
+def radius_fields(estimate: TargetEstimate) -> dict[str, object]:
+    """Both radii, and what the absolute one has beside: the own place's sigma, and its source."""
+    return {
+        "r95_m": estimate.r95_m,
+        "absolute_r95_m": estimate.absolute_r95_m,
+        "own_sigma_m": estimate.own.horizontal_m,
+        "own_sigma_told": estimate.own.is_told,
+    }
+
+
+def radii_of(estimate: TargetEstimate) -> str:
+    """Both radii in words."""
+    return f"R95 {estimate.r95_m:.1f} m, absolute {estimate.absolute_r95_m:.1f} m"
+
+
+def radius_texts(estimate: TargetEstimate) -> list[str]:
+    """For whom which radius holds, and whether the vehicle knew how well it knew its place."""
+    own, r95_m, absolute_m = estimate.own, estimate.r95_m, estimate.absolute_r95_m
+    texts = [f"R95 {r95_m:.1f} m for this vehicle, {absolute_m:.1f} m for others"]
+    if not own.is_told:
+        texts.append(f"own place's accuracy not told: counted as {own.horizontal_m:.3g} m")
+    return texts
+
+
 def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
     """The estimate after a measurement, with the innovations that led to it."""
     fields: dict[str, object] = {
@@ -32,7 +56,7 @@ def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
         "position_enu_m": estimate.position_enu_m,
         "covariance_m2": estimate.covariance_m2,
         "alternative_enu_m": estimate.alternative_enu_m,
-        "r95_m": estimate.r95_m,
+        **radius_fields(estimate),
         "range_offset_m": estimate.range_offset_m,
         "bearing_offset_rad": estimate.bearing_offset_rad,
     }
@@ -59,7 +83,7 @@ def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
         "state": estimate.state.value,
         "position_enu_m": estimate.position_enu_m,
         "covariance_m2": estimate.covariance_m2,
-        "r95_m": estimate.r95_m,
+        **radius_fields(estimate),
         "measurements": estimate.measurements,
     }
     return Record("waiting", fields)
@@ -95,13 +119,15 @@ def result_of(
     emitter_id: int | None = None,
     head: str = "LOCALISED",
 ) -> tuple[ReportResult, str]:
-    """The result of the flight, in degrees where the origin is known, and the text about it."""
-    r95 = f"R95 {estimate.r95_m:.1f} m"
+    """The result of the flight, in degrees where the origin is known, and the text about it.
+
+    Degrees are for others, too: with them goes the absolute radius.
+    """
     if origin is None:
-        return ReportResult(estimate, None, None, emitter_id), f"{head} {r95}"
+        return ReportResult(estimate, None, None, emitter_id), f"{head} R95 {estimate.r95_m:.1f} m"
     place = (*estimate.position_enu_m, target_height_m)
     latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
-    text = f"{head} {latitude_deg:.7f} {longitude_deg:.7f} {r95}"
+    text = f"{head} {latitude_deg:.7f} {longitude_deg:.7f} R95 {estimate.absolute_r95_m:.1f} m"
     return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text
 
 

@@ -18,6 +18,7 @@ from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import SessionMemory
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
+from companion.guidance.messages import radii_of, radius_fields
 
 ORIGIN_PATIENCE_S = 15.0
 """How long a belief waits for the origin of the frame that it is in."""
@@ -101,9 +102,9 @@ class Recollection:
             context.report(report)
         ids = [report.emitter_id for report in reports if report.emitter_id is not None]
         context.emitters.reported.update(ids)
-        one, r95_m = context.emitters.is_single, reports[-1].estimate.r95_m
+        one, radii = context.emitters.is_single, radii_of(reports[-1].estimate)
         who = "the target was" if one else f"emitters {', '.join(map(str, ids))} were"
-        context.announce(Severity.NOTICE, f"{who} reported already, R95 {r95_m:.1f} m")
+        context.announce(Severity.NOTICE, f"{who} reported already, {radii}")
 
     def _resume(self, now_s: float) -> None:
         beliefs, self._beliefs = self._beliefs, ()
@@ -124,10 +125,10 @@ class Recollection:
             "resumed",
             state=estimate.state.value,
             position_enu_m=estimate.position_enu_m,
-            r95_m=estimate.r95_m,
+            **radius_fields(estimate),
             measurements=belief.measurements,
         )
-        text = f"estimate resumed: {estimate.state.value}, R95 {estimate.r95_m:.1f} m"
+        text = f"estimate resumed: {estimate.state.value}, {radii_of(estimate)}"
         context.announce(Severity.NOTICE, text)
 
     def _begin_anew(self, reason: str) -> None:

@@ -1,7 +1,8 @@
 """The autopilot's messages to events: NED to ENU, stamps to local time, sentinels to None.
 
-Source: MAVLink common, messages 24, 65, 85, 147, 230; ardupilotmega, EKF_STATUS_REPORT. ArduPilot
-calls a variance of 0.8 bad (FS_EKF_THRESH), PX4 a test ratio of 1.
+Source: MAVLink common, messages 24 (accuracies are one sigma, 0 is unknown), 65, 85, 147, 230;
+ardupilotmega, EKF_STATUS_REPORT. ArduPilot calls a variance of 0.8 bad (FS_EKF_THRESH), PX4 a test
+ratio of 1.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from companion.guidance.events import (
     HomeSet,
     LandedStateChanged,
     OriginSet,
+    OwnPlaceRated,
+    PlaceTeller,
     SetpointEchoed,
     SticksReported,
     VehicleMoved,
@@ -83,6 +86,31 @@ def _sticks(message: mavlink.MAVLink_rc_channels_message, now_s: float) -> Stick
     if not all(pulse in PULSES_US for pulse in pulses):
         return None
     return SticksReported(now_s, tuple((p - CENTRE_US) / HALF_TRAVEL_US for p in pulses))
+
+
+UINT32_MAX = 0xFFFF_FFFF
+BEST_SIGMA_M, WORST_SIGMA_M = 0.01, 1000.0
+"""No receiver knows better, and beyond the other one it knows nothing worth telling apart."""
+
+
+def _place_rated(message: Message, now_s: float) -> list[Event]:
+    """The accuracy of the own place that a message tells, or that its sender does not know it."""
+    match message:
+        case mavlink.MAVLink_gps_raw_int_message():
+            told_mm = (message.h_acc, message.v_acc) if message.fix_type in FIXES else (0, 0)
+            known = (math.nan if mm == UINT32_MAX else mm / 1000.0 for mm in told_mm)
+            return [OwnPlaceRated(now_s, PlaceTeller.RECEIVER, *map(_sigma_m, known))]
+        case mavlink.MAVLink_estimator_status_message():
+            told_m = (message.pos_horiz_accuracy, message.pos_vert_accuracy)
+            return [OwnPlaceRated(now_s, PlaceTeller.ESTIMATOR, *map(_sigma_m, told_m))]
+    return []
+
+
+def _sigma_m(told_m: float) -> float | None:
+    """A standard deviation that may be true; None for 0 and less, NaN and infinity."""
+    if not 0.0 < told_m < math.inf:
+        return None
+    return min(max(told_m, BEST_SIGMA_M), WORST_SIGMA_M)
 
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -171,7 +199,7 @@ class VehicleInbound:
                 self.clock.restart()
                 return [self._restart(now_s)]
         event = self._health_event(message, now_s)
-        return [] if event is None else [event]
+        return [*([] if event is None else [event]), *_place_rated(message, now_s)]
 
     def _health_event(self, message: Message, now_s: float) -> Event | None:
         """What a message says of health and control; None for what nobody knows."""

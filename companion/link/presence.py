@@ -2,8 +2,8 @@
 
 Once a second each emitter with an estimate gives a TARGET_ESTIMATE, which goes to an ArduPilot in a
 TUNNEL as well, because it passes on nothing that it does not know; and the one that is looked for
-three NAMED_VALUE_FLOATs in local metres, which Mission Planner and MAVProxy show and plot: degrees
-would step by half a metre as floats. On links of their own, and only if that is wanted, ground
+NAMED_VALUE_FLOATs in metres, which Mission Planner and MAVProxy show and plot: degrees would step
+by half a metre as floats. On links of their own, and only if that is wanted, ground
 stations get an ADSB_VEHICLE as well, which they draw on their map. It never goes to the autopilot:
 one that avoids traffic would dodge the emitter. A change of phase without any text is told here.
 
@@ -111,6 +111,9 @@ def estimate_message(
         estimate.measurements,
         emitter_id,
         TargetState[estimate.state.name],
+        estimate.absolute_r95_m,
+        estimate.own.horizontal_m if estimate.own.is_told else math.nan,
+        estimate.own.vertical_m,
     )
 
 
@@ -118,6 +121,7 @@ def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
     """NAMED_VALUE_FLOATs of an estimate, in metres about the local origin."""
     east_m, north_m = estimate.position_enu_m
     values = {b"TGT_EAST": east_m, b"TGT_NORTH": north_m, b"TGT_R95": estimate.r95_m}
+    values[b"TGT_R95ABS"] = estimate.absolute_r95_m
     return [
         mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, value)
         for name, value in values.items()
@@ -127,9 +131,9 @@ def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
 def icon_message(
     emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin, now_s: float
 ) -> Message:
-    """ADSB_VEHICLE: a point obstacle whose call sign says which emitter, and R95."""
+    """ADSB_VEHICLE: a point obstacle whose call sign says which emitter, and the absolute R95."""
     latitude_e7, longitude_e7, altitude_mm = _place_e7(estimate, origin)
-    name = f"E{emitter_id % 1000}:{min(estimate.r95_m, 99.0):.0f}m"
+    name = f"E{emitter_id % 1000}:{min(estimate.absolute_r95_m, 99.0):.0f}m"
     age_s = max(0.0, now_s - estimate.time_s)
     return mavlink.MAVLink_adsb_vehicle_message(
         ICAO_BASE + emitter_id,

@@ -168,16 +168,21 @@ class MAVLink_target_estimate_message(
     DeclaredMessage,
     number=45011,
     crc_extra=133,
+    extensions=3,
     instance_field="emitter_id",
     units={
         "time_boot_ms": "ms",
         **dict.fromkeys(("lat", "lon"), "degE7"),
         **dict.fromkeys(("north", "east", "r95", "alt_north", "alt_east"), "m"),
         **dict.fromkeys(("height", "height_std", "range_offset"), "m"),
+        **dict.fromkeys(("absolute_r95", "own_std", "own_height_std"), "m"),
         "bearing_offset": "rad",
     },
 ):
-    """Where an emitter is believed to be, with the whole covariance; NaN means not known."""
+    """Where an emitter is believed to be, with the whole covariance; NaN means not known.
+
+    The last three are extensions: 0 from a sender that does not have them.
+    """
 
     time_boot_ms: Uint32
     lat: Int32
@@ -197,6 +202,9 @@ class MAVLink_target_estimate_message(
     measurements: Uint32
     emitter_id: Uint16
     state: Uint8
+    absolute_r95: Float
+    own_std: Float
+    own_height_std: Float
 
 
 def result_words(enum: str, value: int, prefix: str) -> str:

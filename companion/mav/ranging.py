@@ -25,7 +25,8 @@ from companion.mav.dialect import (
 
 UINT8_MAX = 0xFF
 TUNNEL_LENGTH = 128
-ESTIMATE_LENGTH = MAVLink_target_estimate_message.unpacker.size
+CORE_LENGTH = 67
+"""Of a TARGET_ESTIMATE without its extensions."""
 
 
 def message_from_ranging(measurement: RangingMeasurement, time_usec: int) -> Message:
@@ -64,11 +65,15 @@ def _or_nan(value: float | None) -> float:
 
 
 def tunnelled(estimate: MAVLink_target_estimate_message) -> Message:
-    """TUNNEL to everybody, with the payload of a TARGET_ESTIMATE."""
+    """TUNNEL to everybody, with the payload of a TARGET_ESTIMATE.
+
+    The length is that without extensions, which readers from before them insist on; the extensions
+    lie behind it, where such a sender has zeros, which is how extensions say that they are missing.
+    """
     fields = (getattr(estimate, name) for name in estimate.ordered_fieldnames)
     payload = estimate.unpacker.pack(*fields)
     data = list(payload.ljust(TUNNEL_LENGTH, b"\0"))
-    return mavlink.MAVLink_tunnel_message(0, 0, estimate.id, len(payload), data)
+    return mavlink.MAVLink_tunnel_message(0, 0, estimate.id, CORE_LENGTH, data)
 
 
 def estimate_in(message: Message) -> MAVLink_target_estimate_message | None:
@@ -78,7 +83,7 @@ def estimate_in(message: Message) -> MAVLink_target_estimate_message | None:
     if not isinstance(message, mavlink.MAVLink_tunnel_message):
         return None
     kind = MAVLink_target_estimate_message
-    if (message.payload_type, message.payload_length) != (kind.id, ESTIMATE_LENGTH):
+    if message.payload_type != kind.id or message.payload_length < CORE_LENGTH:
         return None
-    values = kind.unpacker.unpack(bytes(message.payload[:ESTIMATE_LENGTH]))
+    values = kind.unpacker.unpack(bytes(message.payload[: kind.unpacker.size]))
     return kind(**dict(zip(kind.ordered_fieldnames, values, strict=True)))

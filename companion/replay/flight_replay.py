@@ -146,6 +146,7 @@ def _figures(course: Course) -> dict[str, str]:
         "last east, m": _figure(east_m),
         "last north, m": _figure(north_m),
         "last R95, m": _figure(last.get("r95_m")),
+        "last absolute R95, m": _figure(last.get("absolute_r95_m")),
         "last range offset, m": _figure(last.get("range_offset_m")),
     }
 

@@ -43,6 +43,8 @@ class EstimatePoint(
     covariance_m2: tuple[Point, Point] | None = None
     emitter_id: int | None = None
     """None: the log does not separate emitters."""
+    absolute_r95_m: float | None = None
+    """None: the log is older than the absolute radius."""
 
 
 class _WaypointLine(msgspec.Struct):
@@ -138,6 +140,19 @@ def _read(value: object, kind: type[T]) -> T | None:
         return None
 
 
+def radii_text(r95_m: float, line: Line) -> str:
+    """The radius of a result, and the absolute one with what it counts of the own place.
+
+    A log that is older than the absolute radius has the relative one only.
+    """
+    absolute_m = _read(line.get("absolute_r95_m"), float)
+    own_m = _read(line.get("own_sigma_m"), float)
+    if absolute_m is None or own_m is None:
+        return f"R95 {r95_m:.2f} m"
+    told = "told" if line.get("own_sigma_told") is True else "not told"
+    return f"R95 {r95_m:.2f} m, absolute {absolute_m:.2f} m (own place {own_m:.2f} m, {told})"
+
+
 def event_text(kind: str, line: Line) -> str:
     """An event in words, for the table of events."""
     if kind in ("text", "autopilot_text"):
@@ -148,6 +163,6 @@ def event_text(kind: str, line: Line) -> str:
         r95_m = _read(line.get("r95_m"), float) or 0.0
         emitter_id = line.get("emitter_id")
         emitter = "" if emitter_id is None else f"emitter {emitter_id}, "
-        return f"reported: {emitter}{line.get('state')}, R95 {r95_m:.2f} m"
+        return f"reported: {emitter}{line.get('state')}, {radii_text(r95_m, line)}"
     fields = {name: value for name, value in line.items() if name not in ("t_s", "kind")}
     return ", ".join(f"{name} {value}" for name, value in fields.items())

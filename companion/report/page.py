@@ -28,7 +28,13 @@ from companion.geometry.polygons import CHI2_95_TWO, Point
 from companion.io.files import EVENTS, REPORT, write_text_atomic
 from companion.io.logs.log_files import event_lines
 from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram
-from companion.report.flight_summary import EventRow, FlightSummary, Line, summarize_events
+from companion.report.flight_summary import (
+    EventRow,
+    FlightSummary,
+    Line,
+    radii_text,
+    summarize_events,
+)
 
 LEAST_M = 1e-3
 """A logarithmic axis has no zero."""
@@ -121,7 +127,7 @@ def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:
         facts=_figures(summary, facts.config),
         map=flight_map(layers),
         map_note="Blue: where the vehicle measured; red: 95 % ellipses over time, the newer the "
-        "stronger, and the last R95; gold: waypoints"
+        "stronger, and the last R95, dashed the absolute one; gold: waypoints"
         + ("; dashed green: the fence" if fence else "")
         + ("; red areas: keep-outs." if keep_outs else "."),
         charts=charts_of(summary, facts.config),
@@ -140,9 +146,9 @@ def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:
 def verdict_of(summary: FlightSummary) -> str:
     """The flight in one phrase."""
     if summary.results:
-        sizes = [result.get("r95_m") for result in summary.results]
-        radii = " and ".join(f"{r95_m:.2f} m" for r95_m in sizes if isinstance(r95_m, float))
-        return f"localised, R95 {radii}" if radii else "localised"
+        told = [(result.get("r95_m"), result) for result in summary.results]
+        texts = [radii_text(r95_m, result) for r95_m, result in told if isinstance(r95_m, float)]
+        return f"localised, {'; '.join(texts)}" if texts else "localised"
     if summary.last is None:
         return "no measurement of the emitter was used"
     return f"not reported: {summary.last.state}, R95 {summary.last.r95_m:.1f} m"

@@ -17,6 +17,7 @@ from contextlib import suppress
 from typing import TextIO
 
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
+from companion.guidance.messages import radii_of
 from companion.io.writer_thread import WriterThread
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
@@ -100,5 +101,5 @@ class PlainView(FlightView):
         status = endpoint.session.status(now_s)
         line = f"{status.time_s:7.1f} s  {status.phase.value}, flown {status.distance_m:.0f} m"
         if status.estimate is not None:
-            line += f", {status.estimate.state.value} R95 {status.estimate.r95_m:.1f} m"
+            line += f", {status.estimate.state.value} {radii_of(status.estimate)}"
         log.info("%s", line)

@@ -5,7 +5,7 @@ then so that nobody takes it for stale; never more than one a second for each em
 does not wait, and what it refuses is counted.
 
 Source: MITRE, "Cursor on Target Message Router User's Guide", event schema 2.0; `ce` is the 95 %
-circular error as TAK reads it.
+circular error as TAK reads it, and absolute: the teams come with receivers of their own.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ def cot_event(handoff: Handoff, sender: str) -> bytes:
         lat=f"{handoff.place_deg[0]:.7f}",
         lon=f"{handoff.place_deg[1]:.7f}",
         hae=NO_VALUE,  # we know the height above sea level, not above the ellipsoid
-        ce=f"{handoff.r95_m:.1f}",
+        ce=f"{handoff.absolute_r95_m:.1f}",
         le=NO_VALUE,
     )
     detail = ET.SubElement(event, "detail")
     ET.SubElement(detail, "contact", callsign=f"EMITTER {emitter}")
-    remarks = f"{handoff.state}, R95 {handoff.r95_m:.1f} m, {handoff.measurements} measurements"
+    remarks = f"{handoff.state}, {handoff.radii}, {handoff.measurements} measurements"
     ET.SubElement(detail, "remarks").text = remarks
     data: bytes = ET.tostring(event, encoding="utf-8", xml_declaration=True)
     return data
@@ -114,6 +114,7 @@ def _has_changed(before: TargetEstimate, now: TargetEstimate) -> bool:
     least_m = CHANGE_SHARE * min(before.r95_m, now.r95_m)
     moved_m = math.dist(before.position_enu_m, now.position_enu_m)
     is_wider = abs(now.r95_m - before.r95_m) > least_m
+    is_wider = is_wider or abs(now.absolute_r95_m - before.absolute_r95_m) > least_m
     return now.state is not before.state or moved_m > least_m or is_wider
 
 

@@ -98,6 +98,8 @@ def _estimate(estimate: TargetEstimate) -> Json:
         "place": estimate.position_enu_m,
         "ellipse": ellipse.corners_enu_m(),
         "r95_m": estimate.r95_m,
+        "absolute_r95_m": estimate.absolute_r95_m,
+        "own_words": estimate.own.words,
         "alternative": estimate.alternative_enu_m,
         "range_offset_m": estimate.range_offset_m,
         "bearing_offset_rad": estimate.bearing_offset_rad,
@@ -117,6 +119,7 @@ def _emitter(emitter: EmitterStatus) -> Json:
         "state": words,
         "place": None if estimate is None else estimate.position_enu_m,
         "r95_m": None if estimate is None else estimate.r95_m,
+        "absolute_r95_m": None if estimate is None else estimate.absolute_r95_m,
         "is_current": emitter.is_current,
         "is_reported": emitter.is_reported,
     }

@@ -25,6 +25,7 @@ from rich.text import Text
 from companion.domain import EstimateState
 from companion.estimation.noise.innovations import TrackerHealth
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.guidance.messages import radii_of
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
@@ -108,7 +109,7 @@ def _emitter_rows(emitters: Sequence[EmitterStatus]) -> list[tuple[str, Text]]:
     for emitter in emitters:
         words = "reported" if emitter.is_reported else "now" if emitter.is_current else "waiting"
         if emitter.estimate is not None:
-            words += f", {emitter.estimate.state.value}, R95 {emitter.estimate.r95_m:.1f} m"
+            words += f", {emitter.estimate.state.value}, {radii_of(emitter.estimate)}"
         style = "bold" if emitter.is_current else "default"
         rows.append((f"emitter {emitter.emitter_id}", Text(words, style)))
     return rows
@@ -132,7 +133,8 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
     estimate = status.estimate
     if estimate is None:
         nothing = Text("nothing heard yet", "dim")
-        return [("estimate", nothing), ("R95", Text("-")), ("offsets", Text("-"))]
+        names = ("R95", "absolute", "offsets")
+        return [("estimate", nothing), *((name, Text("-")) for name in names)]
     east, north = estimate.position_enu_m
     where = Text(estimate.state.value, STATE_STYLE[estimate.state])
     where.append(f"  east {east:.2f} m, north {north:.2f} m", "default")
@@ -147,7 +149,13 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
         f"range {estimate.range_offset_m:+.2f} m, "
         f"bearing {math.degrees(estimate.bearing_offset_rad):+.2f} deg"
     )
-    return [("estimate", where), ("R95", bar), ("offsets", Text(offsets))]
+    absolute = f"{estimate.absolute_r95_m:6.2f} m  with the own place's {estimate.own.words}"
+    return [
+        ("estimate", where),
+        ("R95", bar),
+        ("absolute", Text(absolute)),
+        ("offsets", Text(offsets)),
+    ]
 
 
 REFRESH_S = 0.5

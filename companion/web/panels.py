@@ -71,7 +71,10 @@ class PhaseBar:
 class Numbers:
     """The figures that decide."""
 
-    NAMES = ("time to go", "place", "offsets", "reflected", "vehicle", "battery", "next", "fence")
+    NAMES = (
+        *("absolute", "time to go", "place", "offsets", "reflected"),
+        *("vehicle", "battery", "next", "fence"),
+    )
 
     def __init__(self) -> None:
         with _panel("Estimate"):
@@ -107,6 +110,7 @@ def _of_estimate(picture: Json) -> dict[str, str]:
         return {}
     east, north = estimate["place"]
     return {
+        "absolute": f"R95 {estimate['absolute_r95_m']:.2f} m (own place {estimate['own_words']})",
         "place": f"{east:.1f} m east, {north:.1f} m north",
         "offsets": f"range {estimate['range_offset_m']:+.2f} m, "
         f"bearing {math.degrees(estimate['bearing_offset_rad']):+.1f}°",
@@ -199,8 +203,8 @@ class EmitterList(_ChangingLines):
         """Show a moment."""
         lines = []
         for emitter in picture.get("emitters", []):
-            r95_m = emitter.get("r95_m")
-            known = "" if r95_m is None else f", R95 {r95_m:.1f} m"
+            r95_m, absolute_m = emitter.get("r95_m"), emitter.get("absolute_r95_m")
+            known = "" if r95_m is None else f", R95 {r95_m:.1f} m, absolute {absolute_m:.1f} m"
             lines.append(f"{emitter['name']}: {emitter['state']}{known}")
         self._show(lines, lambda line: ui.label(line).classes("numbers"))
 

@@ -124,7 +124,8 @@ export default {
       };
       add("dot", "vehicle", "vehicle and its track");
       add("area", "estimate", "estimate, 95 % ellipse");
-      add("dotted", "estimate", "R95");
+      add("dotted", "estimate", "R95, relative");
+      add("dashed", "estimate", "R95, absolute");
       add("dot", "second", "second possible place");
       add("ring", "waypoint", "next waypoint");
       add("ring", "near", "range, believed");
@@ -184,7 +185,10 @@ export default {
       const points = [];
       if (vehicle) points.push(...this.corners(vehicle, CLOSEST_M, 4));
       if (waypoint && UNDER_WAY.includes(picture.phase)) points.push(waypoint.place);
-      if (estimate) points.push(...this.corners(estimate.place, Math.max(CLOSEST_M, estimate.r95_m), 4));
+      if (estimate) {
+        const reachM = Math.max(CLOSEST_M, estimate.absolute_r95_m);
+        points.push(...this.corners(estimate.place, reachM, 4));
+      }
       if (!points.length) return;
       const wanted = L.latLngBounds(points.map(this.at));
       const shown = this.map.getBounds();
@@ -294,6 +298,8 @@ export default {
       add(this.area(estimate.ellipse, { color, weight: 2, fillOpacity: 0.25, className: "ellipse" }));
       add(this.ring(estimate.place, estimate.r95_m,
         { color, weight: 1.5, dashArray: "2 4", className: "r95" }));
+      add(this.ring(estimate.place, estimate.absolute_r95_m,
+        { color, weight: 1, dashArray: "8 6", className: "absolute-r95" }));
       add(this.dot(estimate.place, 4, { color, fillOpacity: 1, className: "estimate" }));
       if (estimate.alternative) {
         add(this.dot(estimate.alternative, 6, { color: this.colours.second, className: "second" }));
@@ -305,6 +311,8 @@ export default {
         const color = emitter.is_reported ? this.colours.reported : this.colours.estimate;
         add(this.ring(emitter.place, emitter.r95_m,
           { color, weight: 1, dashArray: "2 4", className: "other-r95" }));
+        add(this.ring(emitter.place, emitter.absolute_r95_m,
+          { color, weight: 1, dashArray: "8 6", className: "other-absolute-r95" }));
         add(this.dot(emitter.place, 5, { color, fillOpacity: 0.6, className: "other-emitter" }));
       }
     },

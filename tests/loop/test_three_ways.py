@@ -20,7 +20,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, CrossingKind, PlannerConfig
 from companion.config.tunables import Tunables
-from companion.domain import PositionEnu, RangingMeasurement, WaypointReason
+from companion.domain import OwnAccuracy, PositionEnu, RangingMeasurement, WaypointReason
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_planner
@@ -130,9 +130,13 @@ class WatchedTracker(TargetTracker):
         self.means: list[list[float]] = []
 
     def fuse(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
+        self,
+        measurement: RangingMeasurement,
+        sensor_enu_m: PositionEnu | None,
+        now_s: float,
+        own: OwnAccuracy | None = None,
     ) -> FusionReport:
-        report = super().fuse(measurement, sensor_enu_m, now_s)
+        report = super().fuse(measurement, sensor_enu_m, now_s, own)
         self.means.append(self.hypotheses[0].state.mean.tolist())
         return report
 

@@ -68,9 +68,9 @@ def test_the_payload_has_the_generated_layout(generated: Any, ours: Any) -> None
 
 
 ESTIMATES: list[tuple[Any, ...]] = [
-    (1, 473_977_410, 85_455_930, *(0.5 * number for number in range(12)), 99, 7, 2),
-    (2**32 - 1, 2**31 - 1, -(2**31), *[math.nan] * 12, 2**32 - 1, 65535, 255),
-    (0, 0, 0, *[0.0] * 12, 0, 0, 0),
+    (1, 473_977_410, 85_455_930, *(0.5 * number for number in range(12)), 99, 7, 2, 7.5, 3.0, 6.0),
+    (2**32 - 1, 2**31 - 1, -(2**31), *[math.nan] * 12, 2**32 - 1, 65535, 255, *[math.nan] * 3),
+    (0, 0, 0, *[0.0] * 12, 0, 0, 0, 0.0, 0.0, 0.0),
 ]
 
 

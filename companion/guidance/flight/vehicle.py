@@ -17,6 +17,7 @@ from companion.domain import ARDUPILOT_NAMES, Autopilot, FlightMode, LandedState
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
+from companion.guidance.flight.own_place import OwnPlaceWatch
 from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
 
 
@@ -123,6 +124,7 @@ class VehicleView:
     def __init__(self, *, needs_origin: bool = False) -> None:
         self.track = VehicleTrack()
         self.mode_watch = ModeWatch()
+        self.own_place = OwnPlaceWatch()
         self.heartbeat: events.HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
         self.frame: LocalOrigin | None = None
@@ -141,6 +143,7 @@ class VehicleView:
 
     def handle(self, event: events.Event) -> None:
         """Take in an event about the vehicle; others change nothing."""
+        self.own_place.handle(event)
         match event:
             case events.HeartbeatReceived():
                 self.heartbeat = event
@@ -172,6 +175,7 @@ class VehicleView:
         self.landed = LandedState.UNKNOWN
         self.battery_pct = None
         self.mode_watch.forget()
+        self.own_place = OwnPlaceWatch()
 
     def distrust(self, now_s: float) -> None:
         """Wait for a new mode and position, because what was heard so far is of the past."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import BatteryLevel, FlightMode, TargetEstimate
+from companion.domain import R95_OF_SIGMA, BatteryLevel, FlightMode, TargetEstimate
 from companion.estimation.screening.measurement_screen import Objection
 from companion.guidance import events
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
@@ -29,8 +29,6 @@ REGAIN_S = 1.0
 DEAF = (Reason.NO_LINK, Reason.MODE_UNKNOWN)
 AGREEING = 5
 """Measurements that the filter accepted since the dropout, before it counts as over."""
-R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
-"""R95 of a circular normal distribution with a sigma of 1."""
 COAST_SHARE = 0.5
 """Of the speed limit that is flown at most while ranging ages."""
 OTHER_TARGET_EVERY_S = 10.0

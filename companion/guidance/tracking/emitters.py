@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import Params, PositionEnu, RangingMeasurement
+from companion.domain import OwnAccuracy, Params, PositionEnu, RangingMeasurement
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
 from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
@@ -136,11 +136,15 @@ class EmitterQueue:
         return sorted(rest, key=self._rank)
 
     def fuse(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
+        self,
+        measurement: RangingMeasurement,
+        sensor_enu_m: PositionEnu | None,
+        now_s: float,
+        own: OwnAccuracy | None = None,
     ) -> FusionReport:
         """Take in a measurement of any emitter, its bearing in ENU, from the antenna's place."""
         if self.is_single:
-            return self.current.fuse(measurement, sensor_enu_m, now_s)
+            return self.current.fuse(measurement, sensor_enu_m, now_s, own)
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is None:
             reason = reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
@@ -148,7 +152,7 @@ class EmitterQueue:
             if reason is not None:
                 return self.current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
-        report = tracker.fuse(measurement, sensor_enu_m, now_s)
+        report = tracker.fuse(measurement, sensor_enu_m, now_s, own)
         if report.reject_reason is None and sensor_enu_m is not None:
             self._place = sensor_enu_m[:2]
             self._note_strength(measurement)

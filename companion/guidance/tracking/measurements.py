@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from companion.domain import RangingMeasurement
+from companion.domain import OwnAccuracy, RangingMeasurement
 from companion.estimation.antenna import seen_by_array
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.tracker import FusionReport
@@ -24,6 +24,7 @@ from companion.guidance.messages import (
     MotionMessages,
     RejectMessages,
     estimate_record,
+    radii_of,
     waiting_record,
 )
 from companion.guidance.tracking.emitters import EmitterQueue
@@ -62,8 +63,11 @@ class RangingListener:
         del self._waiting[oldest]
         return [self._emitters.current.reject(RejectReason.TOO_MANY)]
 
-    def fuse_due(self, now_s: float) -> list[FusionReport]:
-        """Fuse every measurement whose place is known, or will not become known any more."""
+    def fuse_due(self, now_s: float, own: OwnAccuracy | None = None) -> list[FusionReport]:
+        """Fuse every measurement whose place is known, or will not become known any more.
+
+        `own` is how well that place is known on the Earth; None says nothing about it.
+        """
         latest = self._track.latest
         due: list[RangingMeasurement] = []
         waiting: list[RangingMeasurement] = []
@@ -72,9 +76,11 @@ class RangingListener:
             is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
             (waiting if is_recent and not is_covered else due).append(measurement)
         self._waiting = waiting  # first, so that one that makes a filter fail is not tried again
-        return [self._fuse(measurement, now_s) for measurement in due]
+        return [self._fuse(measurement, now_s, own) for measurement in due]
 
-    def _fuse(self, measurement: RangingMeasurement, now_s: float) -> FusionReport:
+    def _fuse(
+        self, measurement: RangingMeasurement, now_s: float, own: OwnAccuracy | None
+    ) -> FusionReport:
         if not self._track.is_trusted_at(measurement.measured_at_s):
             return self._emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
@@ -89,7 +95,7 @@ class RangingListener:
             if yaw_ned_rad is not None and math.isfinite(body_rad):
                 bearing_enu_rad = bearing_enu_from_ned(yaw_ned_rad + body_rad)
                 measurement = replace(measurement, bearing_enu_rad=bearing_enu_rad)
-        report = self._emitters.fuse(measurement, sensor_enu_m, now_s)
+        report = self._emitters.fuse(measurement, sensor_enu_m, now_s, own)
         return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
 
 
@@ -160,7 +166,8 @@ class Measuring:
     def fuse_due(self, now_s: float) -> None:
         """Fuse what waited for an own position."""
         with self._contained(now_s):
-            reports = self._listener.fuse_due(now_s)
+            own = self._context.vehicle.own_place.accuracy(now_s)
+            reports = self._listener.fuse_due(now_s, own)
             if reports:
                 self._follow_reports(reports, now_s)
 
@@ -202,8 +209,7 @@ class Measuring:
         if estimate is None:
             return
         if before is None or estimate.state is not before.state:
-            text = f"{estimate.state.value}: R95 {estimate.r95_m:.1f} m"
-            context.announce(Severity.INFO, text)
+            context.announce(Severity.INFO, f"{estimate.state.value}: {radii_of(estimate)}")
         context.believe(estimate)
         context.send(estimate_record(report, estimate))
         if context.phase in FLYING:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.messages import radius_fields
 from companion.handoff import HandoffFiles
 from companion.io.background_files import BackgroundReplacer
 from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
@@ -123,7 +124,7 @@ class FlightJournal(BlackBox):
             "state": estimate.state.value,
             "latitude_deg": report.latitude_deg,
             "longitude_deg": report.longitude_deg,
-            "r95_m": estimate.r95_m,
+            **radius_fields(estimate),
             "east_m": estimate.position_enu_m[0],
             "north_m": estimate.position_enu_m[1],
             "covariance_m2": estimate.covariance_m2,

@@ -195,8 +195,12 @@ class McapLog(WriterThread[Message]):
             return
         self._put_json("/estimate/pose", _pose(stamp, (*place, 0.0)), now_s)
         if self._origin is not None:
-            self._put_json("/estimate/fix", _fix(stamp, place, covariance, self._origin), now_s)
-            outline = _outline(place, covariance, self._origin)
+            own_sigma_m = fields.get("own_sigma_m")
+            own_m2 = own_sigma_m**2 if isinstance(own_sigma_m, float) else 0.0
+            (east, cross), (_, north) = covariance
+            on_earth = ((east + own_m2, cross), (cross, north + own_m2))
+            self._put_json("/estimate/fix", _fix(stamp, place, on_earth, self._origin), now_s)
+            outline = _outline(place, on_earth, self._origin)
             self._put_json("/estimate/ellipse", {"geojson": json.dumps(outline)}, now_s)
 
     def _stamp(self, now_s: float) -> Json:

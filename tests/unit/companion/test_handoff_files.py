@@ -23,7 +23,8 @@ def test_every_emitter_has_its_place_and_the_newest_counts() -> None:
     contents = files.files(report(1, 0.5), 1.8e9 + 60)
     lines = contents[TEXT].splitlines()
     assert [line.split(":")[0] for line in lines] == ["emitter 1", "emitter 2"]
-    assert "R95 0.5 m, localised, 2027-01-15T08:01:00Z" in lines[0]
+    words = "R95 7.4 m with the vehicle's own error (3.00 m, not told), 0.5 m for this vehicle"
+    assert f"{words}, localised, 2027-01-15T08:01:00Z" in lines[0]
     assert len(json.loads(contents[GEOJSON])["features"]) == 4
     assert ET.fromstring(contents[KML]).tag.endswith("kml")
 
@@ -34,3 +35,10 @@ def test_an_emitter_without_an_id_is_unknown() -> None:
 
 def test_without_an_origin_there_is_nothing_to_hand_over() -> None:
     assert HandoffFiles().files(report(1, has_origin=False), 0.0) == {}
+
+
+def test_the_grid_is_no_finer_than_others_find_it() -> None:
+    """A metre for the vehicle, ten for whoever comes with another receiver."""
+    (line,) = HandoffFiles().files(report(1, 8.0), 0.0)[TEXT].splitlines()
+    grid = line.split("  ")[0].split(": ")[1]
+    assert [len(part) for part in grid.split()[2:]] == [4, 4]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.domain import EstimateState
+from companion.domain import UNTOLD, EstimateState, OwnAccuracy
 from companion.estimation.belief import DOUBT, Belief, BelievedPlace
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.kernel import Matrix
@@ -144,3 +144,49 @@ def test_a_belief_about_another_emitter_is_refused() -> None:
     assert tracker.resume(Belief(1, 10, (GOOD,)), 1.0, 0.0) == "another emitter"
     assert tracker.resume(Belief(2, -1, (GOOD,)), 1.0, 0.0) is not None
     assert tracker.resume(Belief(2, 10, (GOOD,)), 1.0, 0.0) is None
+
+
+RTK, CITY = OwnAccuracy(0.02, 0.03, is_told=True), OwnAccuracy(6.0, 9.0, is_told=True)
+
+
+def own_after(*accuracies: OwnAccuracy | None) -> TargetTracker:
+    tracker = TargetTracker(PARAMS)
+    for number, row in enumerate(walk(np.random.default_rng(4), len(accuracies))):
+        measurement, sensor_enu_m = measurement_of(row, 0.1 * number)
+        tracker.fuse(measurement, sensor_enu_m, 0.1 * number, accuracies[number])
+    return tracker
+
+
+def test_the_own_place_counts_as_it_was_at_the_worst_while_measuring() -> None:
+    for accuracies in ((RTK, CITY, RTK, None), (None, CITY, None, RTK)):
+        estimate = own_after(*accuracies).estimate(1.0)
+        assert estimate is not None
+        assert estimate.own == CITY
+    estimate = own_after(RTK, UNTOLD, RTK).estimate(1.0)
+    assert estimate is not None
+    assert estimate.own == UNTOLD
+
+
+def test_what_was_not_measured_from_does_not_count() -> None:
+    tracker = own_after(RTK)
+    measurement, _ = measurement_of(walk(np.random.default_rng(4), 1)[0], 0.1)
+    assert tracker.fuse(measurement, None, 0.1, CITY).reject_reason is not None
+    assert tracker.own == RTK
+    tracker.restart()
+    assert tracker.own is None
+
+
+def test_a_belief_keeps_how_well_the_own_place_was_known() -> None:
+    belief = own_after(*[CITY] * 5).belief
+    assert belief is not None
+    for kept, expected in ((belief, CITY), (replace(belief, own=None), UNTOLD)):
+        tracker = TargetTracker(PARAMS)
+        assert tracker.resume(kept, 1.0, 7.0) is None
+        assert tracker.own == expected
+
+
+@pytest.mark.parametrize("sigma_m", [-1.0, math.nan, math.inf])
+def test_an_impossible_accuracy_is_no_belief(sigma_m: float) -> None:
+    belief = belief_after(walk(np.random.default_rng(1), 5))
+    for own in (OwnAccuracy(sigma_m, 1.0), OwnAccuracy(1.0, sigma_m)):
+        assert replace(belief, own=own).problem(len(belief.places[0].mean)) is not None

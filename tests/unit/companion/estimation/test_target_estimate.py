@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from companion.domain import EstimateState, TargetEstimate
+from companion.domain import UNTOLD, EstimateState, OwnAccuracy, TargetEstimate
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.target_estimate import (
@@ -38,9 +39,12 @@ def _hypothesis(
 
 
 def _told(
-    *hypotheses: Hypothesis, params: FilterParams = PLANE, is_diverged: bool = False
+    *hypotheses: Hypothesis,
+    params: FilterParams = PLANE,
+    is_diverged: bool = False,
+    own: OwnAccuracy = UNTOLD,
 ) -> TargetEstimate:
-    return estimate_of(hypotheses, params.model, 2.0, 77, 5.0, is_diverged=is_diverged)
+    return estimate_of(hypotheses, params.model, 2.0, 77, 5.0, is_diverged=is_diverged, own=own)
 
 
 def test_one_place_is_told_with_the_vehicles_own_error() -> None:
@@ -112,3 +116,47 @@ def test_height_and_scale_are_told_as_known_or_as_estimated() -> None:
     state = FilterState.of(0.0, mean, np.diag(sigmas**2))
     told = _told(Hypothesis(0.0, state), params=params)
     assert (told.height_m, told.height_sigma_m, told.range_scale) == (6.0, 1.25, 0.03)
+
+
+RTK = OwnAccuracy(0.02, 0.03, is_told=True)
+CITY = OwnAccuracy(6.0, 9.0, is_told=True)
+
+
+@pytest.mark.parametrize("own", [UNTOLD, RTK, CITY])
+def test_the_absolute_radius_has_the_own_place_in_it(own: OwnAccuracy) -> None:
+    told = _told(_hypothesis(), own=own)
+    expected_m = math.hypot(0.5, own.horizontal_m) * R95_OF_EQUAL_AXES
+    assert told.absolute_r95_m == pytest.approx(expected_m)
+    grown = (0.25 + own.horizontal_m**2) * np.eye(2)
+    np.testing.assert_allclose(told.absolute_covariance_m2, grown)
+    assert told.own == own
+
+
+@pytest.mark.parametrize("own", [RTK, CITY])
+def test_the_own_place_changes_nothing_relative(own: OwnAccuracy) -> None:
+    for places in ([_hypothesis()], [_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4)]):
+        here, there = _told(*places), _told(*places, own=own)
+        assert here.r95_m == there.r95_m
+        assert (here.state, here.covariance_m2) == (there.state, there.covariance_m2)
+
+
+def test_the_absolute_radius_counts_rivals_and_never_promises_more() -> None:
+    rivals = (_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4))
+    assert _told(*rivals, own=CITY).absolute_r95_m > _told(*rivals).r95_m > 49.0
+    for share in np.linspace(0.02, 0.12, 21):
+        rivals = (_hypothesis(0.0, 1.0 - share), _hypothesis(12.0, share))
+        told = _told(*rivals, own=CITY)
+        assert told.absolute_r95_m >= told.r95_m
+
+
+def test_a_radius_that_nobody_worked_out_is_that_of_round_errors() -> None:
+    told = TargetEstimate(0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9)
+    assert told.absolute_r95_m == pytest.approx(math.hypot(1.0, 3.0 * R95_OF_EQUAL_AXES))
+    assert not told.own.is_told
+
+
+def test_a_height_that_is_estimated_has_the_own_height_in_it() -> None:
+    told = TargetEstimate(0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9)
+    assert told.absolute_height_sigma_m is None
+    estimated = replace(told, height_sigma_m=12.0, own=CITY)
+    assert estimated.absolute_height_sigma_m == pytest.approx(15.0)

@@ -1,8 +1,13 @@
 """What the event log says of an estimate: enough to draw and to check it afterwards."""
 
-from companion.domain import EstimateState, RangingMeasurement, TargetEstimate
+from dataclasses import replace
+
+import pytest
+
+from companion.domain import EstimateState, OwnAccuracy, RangingMeasurement, TargetEstimate
 from companion.estimation.tracker import FusionReport
-from companion.guidance.messages import estimate_record
+from companion.geometry.coordinates import LocalOrigin
+from companion.guidance.messages import estimate_record, radius_texts, result_of
 
 ESTIMATE = TargetEstimate(
     time_s=1.0,
@@ -31,3 +36,30 @@ def test_the_measurement_and_its_place_are_told() -> None:
 
 def test_without_a_place_nothing_is_claimed_of_one() -> None:
     assert "sensor_enu_m" not in estimate_record(FusionReport(None), ESTIMATE).fields
+
+
+CITY = OwnAccuracy(6.0, 9.0, is_told=True)
+
+
+def test_both_radii_are_told_and_what_is_between_them() -> None:
+    told = replace(ESTIMATE, own=CITY, absolute_r95_m=16.0)
+    fields = estimate_record(FusionReport(None), told).fields
+    assert (fields["r95_m"], fields["absolute_r95_m"]) == (5.0, 16.0)
+    assert (fields["own_sigma_m"], fields["own_sigma_told"]) == (6.0, True)
+
+
+def test_degrees_come_with_the_radius_of_who_walks_there() -> None:
+    told = replace(ESTIMATE, own=CITY, absolute_r95_m=16.0)
+    _, text = result_of(told, LocalOrigin(47.4, 8.54, 488.0), 0.0)
+    assert text.startswith("LOCALISED 47.4000")
+    assert text.endswith(" R95 16.0 m")
+    assert result_of(told, None, 0.0)[1] == "LOCALISED R95 5.0 m"
+    assert radius_texts(told) == ["R95 5.0 m for this vehicle, 16.0 m for others"]
+
+
+@pytest.mark.parametrize("sigma_m", [3.0, 12.5, 999.0])
+def test_what_is_not_told_is_said_in_one_text(sigma_m: float) -> None:
+    vague = replace(ESTIMATE, own=OwnAccuracy(sigma_m, sigma_m), r95_m=999.9, absolute_r95_m=999.9)
+    radii, own = radius_texts(vague)
+    assert own == f"own place's accuracy not told: counted as {sigma_m:g} m"
+    assert max(len(radii), len(own)) <= 50

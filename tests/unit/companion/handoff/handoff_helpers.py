@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.domain import EstimateState, TargetEstimate
+from companion.domain import UNTOLD, EstimateState, OwnAccuracy, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
 from companion.handoff import Handoff, handoff_of
@@ -14,7 +14,11 @@ HOSTILE = '7<b>&"\x1b[31m\x00'
 
 
 def handoff(
-    emitter: str = "7", alternative_enu_m: Point | None = None, r95_m: float = 5.2
+    emitter: str = "7",
+    alternative_enu_m: Point | None = None,
+    r95_m: float = 5.2,
+    own: OwnAccuracy = UNTOLD,
+    height_sigma_m: float | None = None,
 ) -> Handoff:
     state = EstimateState.LOCALISED if alternative_enu_m is None else EstimateState.AMBIGUOUS
     estimate = TargetEstimate(
@@ -27,5 +31,7 @@ def handoff(
         bearing_offset_rad=0.0,
         measurements=100,
         alternative_enu_m=alternative_enu_m,
+        own=own,
+        height_sigma_m=height_sigma_m,
     )
     return handoff_of(emitter, estimate, ORIGIN, 1.8e9)

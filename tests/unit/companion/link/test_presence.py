@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.domain import EstimateState, TargetEstimate
+from companion.domain import EstimateState, OwnAccuracy, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Trigger
 from companion.link.interface import LinkParams
@@ -43,6 +43,8 @@ ESTIMATE = TargetEstimate(
     alternative_enu_m=(1.0, 2.0),
     height_m=3.0,
     height_sigma_m=1.5,
+    own=OwnAccuracy(1.5, 2.5, is_told=True),
+    absolute_r95_m=7.5,
 )
 Estimate = MAVLink_target_estimate_message
 Icon = mavlink.MAVLink_adsb_vehicle_message
@@ -63,6 +65,7 @@ def test_an_estimate_goes_north_and_east_clockwise_with_its_covariance() -> None
     assert (told.height, told.height_std, told.range_offset) == (3.0, 1.5, 12.0)
     assert told.bearing_offset == pytest.approx(-0.1)
     assert told.r95 == pytest.approx(6.4)
+    assert (told.absolute_r95, told.own_std, told.own_height_std) == (7.5, 1.5, 2.5)
     assert (told.time_boot_ms, told.emitter_id, told.measurements) == (10_000, 7, 55)
     assert told.state == 2
     place = ORIGIN.enu_from_geodetic(told.lat / 1e7, told.lon / 1e7, 491.0)
@@ -76,25 +79,30 @@ def test_what_is_not_known_is_said_so() -> None:
     assert math.isnan(told.alt_north)
     assert math.isnan(told.alt_east)
     assert math.isnan(told.height_std)
+    assert math.isnan(told.own_std)
+    assert told.absolute_r95 == pytest.approx(math.hypot(9.0, 3.0 * 2.4477), abs=1e-3)
 
 
 def test_values_are_local_metres_with_names_that_fit() -> None:
     told = [on_the_wire(message) for message in named_values(ESTIMATE, 10.0)]
     values = {message.name: message.value for message in told}
-    assert values == {"TGT_EAST": 30.0, "TGT_NORTH": -40.0, "TGT_R95": pytest.approx(6.4)}
+    radii = {"TGT_R95": pytest.approx(6.4), "TGT_R95ABS": 7.5}
+    assert values == {"TGT_EAST": 30.0, "TGT_NORTH": -40.0, **radii}
     assert all(len(name) <= 10 for name in values)
 
 
 def test_an_icon_is_an_obstacle_with_a_name_that_fits() -> None:
     told = on_the_wire(icon_message(1007, ESTIMATE, ORIGIN, 10.0))
-    assert told.callsign == "E7:6m"
+    assert told.callsign == "E7:8m"
     assert told.emitter_type == mavlink.ADSB_EMITTER_TYPE_POINT_OBSTACLE
     assert told.flags == 1 | 2 | 16
     assert (told.tslc, told.altitude) == (2, pytest.approx(491_000, abs=20))
     assert told.lat == on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0)).lat
 
 
-def heard(config: CompanionConfig, ticks: int = 200, autopilot: int = PX4) -> Wire:
+def heard(
+    config: CompanionConfig, ticks: int = 200, autopilot: int = PX4, h_acc_mm: int | None = None
+) -> Wire:
     """In the air, around an emitter that answers truly, a tenth of a second for each tick."""
     wire = Wire(config, gcs_links=1).ready()
     wire.say(heartbeat(autopilot, is_armed=True, status=4))
@@ -107,6 +115,9 @@ def heard(config: CompanionConfig, ticks: int = 200, autopilot: int = PX4) -> Wi
         wire.say(local_position(stamp_ms, north_m, east_m, -20.0, vn_mps, ve_mps, 0.0))
         if tick % 5 == 0:
             wire.say(heartbeat(autopilot, HOLD, is_armed=True, status=4))
+            if h_acc_mm is not None:
+                fix = (1000 * stamp_ms, 3, 0, 0, 0, 0, 0, 0, 0, 9, 0, h_acc_mm)
+                wire.say(mavlink.MAVLink_gps_raw_int_message(*fix))
         bearing = math.atan2(30.0 - east_m, -40.0 - north_m)
         range_m = math.hypot(25.0, 20.0)
         ranging = (1000 * stamp_ms, range_m, 1.0, bearing, 0.05, math.nan, math.nan, 7, 255, 0)
@@ -129,8 +140,8 @@ def test_once_a_second_on_all_links_and_an_icon_on_those_of_stations_only() -> N
         assert estimates[-1].north == pytest.approx(-40.0, abs=5.0)
         assert estimates[-1].east == pytest.approx(30.0, abs=5.0)
         names = [m.name for m in told if isinstance(m, NamedValue)]
-        assert set(names) == {"TGT_EAST", "TGT_NORTH", "TGT_R95"}
-        assert len(names) == 3 * len(estimates)
+        assert set(names) == {"TGT_EAST", "TGT_NORTH", "TGT_R95", "TGT_R95ABS"}
+        assert len(names) == 4 * len(estimates)
     icons = [m for m in told_on(wire, 1) if isinstance(m, Icon)]
     assert icons
     assert not [m for m in told_on(wire, 0) if isinstance(m, Icon)]
@@ -143,6 +154,15 @@ def test_only_an_ardupilot_gets_estimates_in_tunnels_too(autopilot: int) -> None
     estimates = [m for m in told_on(wire, 0) if isinstance(m, Estimate)]
     assert len(tunnels) == (len(estimates) if autopilot == ARDUPILOT else 0)
     assert not [m for m in told_on(wire, 1) if isinstance(m, mavlink.MAVLink_tunnel_message)]
+
+
+@pytest.mark.parametrize(("h_acc_mm", "sigma_m"), [(20, 0.02), (5000, 5.0), (0, 3.0), (None, 3.0)])
+def test_the_absolute_radius_follows_the_receiver(h_acc_mm: int | None, sigma_m: float) -> None:
+    told = heard(CompanionConfig(), 100, h_acc_mm=h_acc_mm).of(Estimate)[-1]
+    assert told.own_std == pytest.approx(sigma_m) or not h_acc_mm
+    assert math.isnan(told.own_std) == (not h_acc_mm)
+    round_m = math.hypot(told.r95, 2.4477 * sigma_m)
+    assert told.r95 < told.absolute_r95 < 1.01 * round_m
 
 
 def test_nobody_gets_an_icon_unasked() -> None:

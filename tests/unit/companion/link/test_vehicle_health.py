@@ -12,6 +12,8 @@ from companion.guidance.events import (
     EstimatorRated,
     Event,
     FixReported,
+    OwnPlaceRated,
+    PlaceTeller,
     SetpointEchoed,
     SticksReported,
 )
@@ -19,11 +21,27 @@ from companion.link.inbound import VehicleInbound
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 
 NAN, INF = math.nan, math.inf
-UINT16_MAX = 2**16 - 1
+UINT16_MAX, UINT32_MAX = 2**16 - 1, 2**32 - 1
 
 
 def events(message: Message) -> list[Event]:
     return VehicleInbound().events(message, 5.0)
+
+
+def health_of(message: Message) -> list[Event]:
+    """Without how well the own place is known."""
+    return [event for event in events(message) if not isinstance(event, OwnPlaceRated)]
+
+
+def rating_of(message: Message) -> OwnPlaceRated:
+    """How well the own place is known."""
+    (rating,) = (event for event in events(message) if isinstance(event, OwnPlaceRated))
+    return rating
+
+
+def gps(fix_type: int = 3, h_acc: int = 0, v_acc: int = 0) -> Message:
+    fields = (0, fix_type, 0, 0, 0, 0, 0, 0, 0, 255, 0, h_acc, v_acc)
+    return mavlink.MAVLink_gps_raw_int_message(*fields)
 
 
 def target(north: float, east: float, down: float, mask: int = 0, frame: int = 1) -> Message:
@@ -74,7 +92,7 @@ def test_a_target_in_another_frame_cannot_be_compared() -> None:
 def test_px4_is_as_good_as_its_worst_ratio(
     ratios: tuple[float, float, float, float], worst: float
 ) -> None:
-    (event,) = events(estimator_status(*ratios))
+    (event,) = health_of(estimator_status(*ratios))
     assert isinstance(event, EstimatorRated)
     assert event.worst == pytest.approx(worst)
 
@@ -86,19 +104,50 @@ def test_ardupilot_doubts_from_a_variance_of_08_on() -> None:
 
 
 def test_ratios_that_nobody_knows_say_nothing() -> None:
-    assert events(estimator_status(NAN, NAN, NAN, NAN)) == []
+    assert health_of(estimator_status(NAN, NAN, NAN, NAN)) == []
 
 
 @pytest.mark.parametrize(
     ("fix_type", "expected"), [(0, False), (1, False), (2, False), (3, True), (6, True)]
 )
 def test_a_fix_has_three_dimensions(fix_type: int, expected: bool) -> None:
-    message = mavlink.MAVLink_gps_raw_int_message(0, fix_type, 0, 0, 0, 0, 0, 0, 0, 255)
-    assert events(message) == [FixReported(5.0, expected)]
+    assert health_of(gps(fix_type)) == [FixReported(5.0, expected)]
 
 
 def test_a_fix_of_no_known_type_says_nothing() -> None:
-    assert events(mavlink.MAVLink_gps_raw_int_message(0, 200, 0, 0, 0, 0, 0, 0, 0, 255)) == []
+    assert health_of(gps(200)) == []
+
+
+def test_the_accuracy_of_a_fix_is_in_millimetres() -> None:
+    expected = OwnPlaceRated(5.0, PlaceTeller.RECEIVER, 1.5, 2.25)
+    assert rating_of(gps(6, h_acc=1500, v_acc=2250)) == expected
+
+
+@pytest.mark.parametrize("unknown", [0, UINT32_MAX])
+def test_an_accuracy_that_is_not_known_is_none(unknown: int) -> None:
+    expected = OwnPlaceRated(5.0, PlaceTeller.RECEIVER, None, None)
+    assert rating_of(gps(3, h_acc=unknown, v_acc=unknown)) == expected
+
+
+@pytest.mark.parametrize("fix_type", [0, 1, 2, 200])
+def test_without_a_fix_there_is_no_accuracy(fix_type: int) -> None:
+    assert rating_of(gps(fix_type, h_acc=20, v_acc=30)).horizontal_m is None
+
+
+@pytest.mark.parametrize(("h_acc", "sigma_m"), [(1, 0.01), (UINT32_MAX - 1, 1000.0)])
+def test_an_accuracy_beyond_belief_counts_as_the_nearest_one(h_acc: int, sigma_m: float) -> None:
+    assert rating_of(gps(h_acc=h_acc)).horizontal_m == sigma_m
+
+
+@pytest.mark.parametrize(
+    ("told_m", "sigma_m"),
+    [(0.3, 0.3), (0.0, None), (-1.0, None), (NAN, None), (INF, None), (1e30, 1000.0)],
+)
+def test_px4_tells_metres_and_nonsense_is_none(told_m: float, sigma_m: float | None) -> None:
+    ratios = (0.1,) * 6
+    message = mavlink.MAVLink_estimator_status_message(0, 0, *ratios, told_m, told_m)
+    expected = OwnPlaceRated(5.0, PlaceTeller.ESTIMATOR, sigma_m, sigma_m)
+    assert rating_of(message) == expected
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import pytest
 from hypothesis import given
@@ -197,7 +198,10 @@ def test_three_messages_are_read_as_ranging() -> None:
 ESTIMATE = MAVLink_target_estimate_message(
     *(1000, 473977420, 85455940, -40.0, 30.0, 9.0, 0.5, 4.0, 6.5),
     *(math.nan, math.nan, 3.0, 1.5, 12.0, -0.125, 55, 7, 2),
+    *(16.0, 6.0, math.nan),
 )
+CORE = struct.Struct(str(ESTIMATE.unpacker.format).removesuffix("fff"))
+"""A TARGET_ESTIMATE as it was before its extensions."""
 
 
 def test_an_estimate_goes_through_a_tunnel_unchanged() -> None:
@@ -208,6 +212,7 @@ def test_an_estimate_goes_through_a_tunnel_unchanged() -> None:
     assert told is not None
     codec = MavCodec(1, 191)
     assert codec.encode(told)[10:-2] == MavCodec(1, 191).encode(ESTIMATE)[10:-2]
+    assert (told.absolute_r95, told.own_std) == (16.0, 6.0)
     direct = over_the_wire(ESTIMATE)
     assert estimate_in(direct) is direct
 
@@ -217,3 +222,36 @@ def test_another_tunnel_carries_no_estimate(kind: int, length: int) -> None:
     other = mavlink.MAVLink_tunnel_message(0, 0, kind, length, [0] * 128)
     assert estimate_in(over_the_wire(other)) is None
     assert estimate_in(mavlink.MAVLink_ping_message(0, 0, 0, 0)) is None
+
+
+def core_fields(estimate: MAVLink_target_estimate_message) -> bytes:
+    return CORE.pack(*(getattr(estimate, name) for name in estimate.ordered_fieldnames[:-3]))
+
+
+def test_whoever_knows_no_extensions_reads_the_rest_of_a_tunnel() -> None:
+    carried = over_the_wire(tunnelled(ESTIMATE))
+    assert isinstance(carried, mavlink.MAVLink_tunnel_message)
+    assert carried.payload_length == CORE.size == 67
+    assert bytes(carried.payload[: CORE.size]) == core_fields(ESTIMATE)
+
+
+@pytest.mark.parametrize("length", [67, 79, 128])
+def test_a_tunnel_is_read_at_any_length_and_without_extensions_they_are_unknown(
+    length: int,
+) -> None:
+    data = list(core_fields(ESTIMATE).ljust(128, b"\0"))
+    told = estimate_in(over_the_wire(mavlink.MAVLink_tunnel_message(0, 0, 45011, length, data)))
+    assert told is not None
+    assert (told.r95, told.state) == (6.5, 2)
+    assert (told.absolute_r95, told.own_std, told.own_height_std) == (0.0, 0.0, 0.0)
+
+
+def test_an_estimate_without_extensions_is_read_and_they_are_unknown() -> None:
+    """Zeros at the end are not sent: it is, to the byte, the frame of a sender from before them."""
+    core = [getattr(ESTIMATE, name) for name in ESTIMATE.fieldnames[:-3]]
+    older = MAVLink_target_estimate_message(*[*core, 0.0, 0.0, 0.0])
+    frame = MavCodec(1, 191).encode(older)
+    assert frame[10:-2] == core_fields(ESTIMATE)
+    (told,) = MavCodec(9, 9).decode(frame)
+    assert isinstance(told, MAVLink_target_estimate_message)
+    assert (told.r95, told.state, told.absolute_r95) == (6.5, 2, 0.0)

@@ -120,6 +120,18 @@ def test_the_verdict_is_what_the_flight_came_to() -> None:
     assert verdict_of(summarize_events([])) == "no measurement of the emitter was used"
 
 
+@pytest.mark.parametrize(("is_told", "words"), [(True, "told"), (False, "not told")])
+def test_both_radii_are_told_where_the_log_has_both(is_told: bool, words: str) -> None:
+    own = {"absolute_r95_m": 3.7, "own_sigma_m": 1.5, "own_sigma_told": is_told}
+    lines = [{**estimate(1.0), **own}, {**RESULT, **own}]
+    told = f"R95 0.40 m, absolute 3.70 m (own place 1.50 m, {words})"
+    assert verdict_of(summarize_events(lines)) == f"localised, {told}"
+    page = page_of(lines)
+    assert f"reported: localised, {told}" in page
+    assert page.count('<circle class="radius"') == page.count('<circle class="absolute"') == 1
+    assert '<circle class="absolute"' not in page_of(FLIGHT)
+
+
 def test_guard_interventions_are_counted() -> None:
     fence: Line = {"t_s": 1.0, "kind": "guard", "reasons": ["fence", "lagging"]}
     over: Line = {"t_s": 2.0, "kind": "guard", "reasons": []}

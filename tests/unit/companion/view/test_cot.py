@@ -52,9 +52,10 @@ def test_what_changes_all_the_time_is_told_once_a_second() -> None:
     [
         replace(ESTIMATE, position_enu_m=(11.5, 20.0)),
         replace(ESTIMATE, r95_m=3.5),
+        replace(ESTIMATE, absolute_r95_m=12.0),
         replace(ESTIMATE, state=EstimateState.AMBIGUOUS),
     ],
-    ids=["moved", "narrower", "in doubt"],
+    ids=["moved", "narrower", "worse for others", "in doubt"],
 )
 def test_a_change_that_matters_is_told(changed: TargetEstimate) -> None:
     little = replace(ESTIMATE, position_enu_m=(10.3, 20.0))
@@ -105,7 +106,8 @@ def test_a_flight_leads_a_team_to_the_emitter(team: socket.socket) -> None:
     degrees = float(point.attrib["lat"]), float(point.attrib["lon"])
     place = origin.enu_from_geodetic(*degrees, origin.altitude_m)
     assert place[:2] == pytest.approx(loop.flight.scenario.emitter.position_enu_m[:2], abs=3.0)
-    assert float(point.attrib["ce"]) < 2.0
+    assert float(point.attrib["ce"]) == pytest.approx(estimate.absolute_r95_m, abs=0.2)
+    assert estimate.r95_m < 2.0
     view.update(loop.companion, loop.now_s + 100.0)  # its socket is gone: nothing is raised
     assert view.refused == 1
 

@@ -28,4 +28,10 @@ def test_a_picture_goes_into_json_and_stays_small() -> None:
     assert flight.companion is not None
     picture = {**scene_of(CONFIG), **picture_of(flight.companion, flight.now_s)}
     assert len(json.dumps(plain(picture), allow_nan=False)) < 8000
+    estimate = flight.companion.session.estimate
+    assert estimate is not None
+    drawn = picture["estimate"]
+    assert isinstance(drawn, dict)
+    assert (drawn["r95_m"], drawn["absolute_r95_m"]) == (estimate.r95_m, estimate.absolute_r95_m)
+    assert drawn["own_words"] == "3.00 m, not told"
     assert picture["phase_detail"] == "approach: crossing 1, 18.8 m beyond the estimate"

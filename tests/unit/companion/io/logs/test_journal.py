@@ -47,6 +47,8 @@ def test_frames_events_texts_and_the_result_are_kept(tmp_path: Path) -> None:
     assert [json.loads(line)["kind"] for line in lines] == ["text", "result"]
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["east_m"], result["latitude_deg"], result["unix_s"]) == (12.0, 47.0, 1060.0)
+    assert (result["r95_m"], result["own_sigma_m"], result["own_sigma_told"]) == (0.5, 3.0, False)
+    assert result["absolute_r95_m"] == pytest.approx(7.36, abs=0.01)
     assert journal.health.dropped == 0
 
 

@@ -16,6 +16,7 @@ from companion.mav.dialect import mavlink
 ESTIMATE = {
     "position_enu_m": (10.0, 20.0),
     "covariance_m2": ((4.0, 1.0), (1.0, 2.0)),
+    "own_sigma_m": 3.0,
     "sensor_enu_m": (1.0, 2.0, 30.0),
     "nis": 1.5,
     "range_innovation": 7.0,
@@ -48,7 +49,8 @@ def test_an_estimate_is_a_place_poses_residuals_and_an_outline(tmp_path: Path) -
     found = messages(tmp_path / "f.mcap")
     (fix,) = found["/estimate/fix"]
     assert fix["latitude"] == pytest.approx(47.4 + 15.0 / 111_180, abs=1e-6)
-    assert fix["position_covariance"] == [4.0, 1.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0]
+    on_earth = [13.0, 1.0, 0.0, 1.0, 11.0, 0.0, 0.0, 0.0, 0.0]
+    assert fix["position_covariance"] == on_earth
     assert fix["timestamp"] == {"sec": 1_800_000_001, "nsec": 250_000_000}
     assert found["/vehicle/pose"][0]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 30.0}
     assert found["/residual"] == [{"nis": 1.5, "range_innovation": 7.0, "range_weight": 0.3}]

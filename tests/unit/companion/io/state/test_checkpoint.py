@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.domain import Autopilot, EstimateState, TargetEstimate
+from companion.domain import UNTOLD, Autopilot, EstimateState, TargetEstimate
 from companion.estimation.belief import Belief, BelievedPlace
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Phase
@@ -25,7 +25,9 @@ from companion.io.state.checkpoints import (
     Moment,
     age_s,
     decode_checkpoint,
+    decode_memory,
     encode_checkpoint,
+    encode_memory,
 )
 
 ESTIMATE = TargetEstimate(
@@ -199,3 +201,19 @@ def test_an_age_is_told_by_the_kernels_clock_or_by_one_that_did_not_go_back(
 
 def test_without_a_boot_id_the_wall_clock_counts() -> None:
     assert age_s(Moment(1000.0, "", 50.0), Moment(1005.0, "", 10.0)) == 5.0
+
+
+def test_a_memory_from_before_the_absolute_radius_is_read_and_promises_no_more() -> None:
+    report = ReportResult(ESTIMATE, 47.0, 8.0)
+    memory = replace(a_checkpoint().memory, report=report)
+    older = msgspec.msgpack.decode(encode_memory(memory))
+    for name in ("own", "absolute_r95_m"):
+        del older["report"]["estimate"][name]
+    del older["belief"]["own"]
+    read = decode_memory(msgspec.msgpack.encode(older))
+    assert read.belief is not None
+    assert read.belief.own is None
+    assert read.report is not None
+    assert read.report.estimate.own == UNTOLD
+    assert read.report.estimate.absolute_r95_m == pytest.approx(7.36, abs=0.01)
+    assert decode_memory(encode_memory(memory)) == memory
