@@ -60,7 +60,9 @@ def test_the_ellipse_shrinks_to_the_emitter_on_a_desk_and_on_a_phone(
         live.speed = SLOWLY
         for watched in pages:
             watched.page.get_by_role("button", name="Whole").click()
-            expect(watched.page.locator("path.ellipse")).to_have_count(1, timeout=PATIENCE_MS)
+            for circle in ("ellipse", "r95", "absolute-r95"):
+                drawn = watched.page.locator(f"path.{circle}")
+                expect(drawn).to_have_count(1, timeout=PATIENCE_MS)
         first_px, first_m = pages[0].ellipse_px(), pages[0].r95_m()
         live.speed = SPEED
         for watched in pages:
