@@ -16,7 +16,13 @@ import msgspec
 
 from companion.domain import ArrayDirection, Params, PositionEnu, RangingMeasurement
 from companion.estimation.measurement_model import AZIMUTH, COSINES, PLANAR
-from companion.geometry.coordinates import Triple, body_axes_ned, combined, enu_from_ned
+from companion.geometry.coordinates import (
+    Triple,
+    bearing_enu_from_ned,
+    body_axes_ned,
+    combined,
+    enu_from_ned,
+)
 
 AntennaKind = Literal["azimuth", "planar", "line", "two_axis"]
 MODELS: dict[AntennaKind, int] = {
@@ -55,33 +61,48 @@ def antenna_axes_enu(attitude_rad: Triple, mount_deg: Triple) -> Axes:
     )
 
 
-def seen_by_array(
+def seen_in_enu(
     measurement: RangingMeasurement, attitude_rad: Triple | None, antenna: AntennaParams
 ) -> RangingMeasurement:
-    """The measurement with its direction in the axes of the array that made it.
+    """The measurement with its direction in the local frame, as far as that is known.
 
-    Without the attitude at its time there is no such direction, nor outside the field of view. A
-    planar array that tells its azimuth by north itself is taken for a level one.
+    It takes the roll, pitch and yaw at the time, NaN where not told; an azimuth about the vertical
+    needs the yaw alone. What an array prints is no direction for somebody who does not know the
+    array, and nothing is outside the field of view. A planar array that tells its azimuth by north
+    itself is taken for a level one.
     """
     m = measurement
-    if m.bearing_body_rad is None and m.bearing_enu_rad is None:
+    if antenna.kind == "azimuth" and m.bearing_enu_rad is not None:
         return m
-    bare = replace(m, bearing_enu_rad=None, elevation_rad=None, elevation_sigma_rad=None)
     if m.bearing_body_rad is None:
-        assert m.bearing_enu_rad is not None
-        if antenna.kind != "planar":
-            return bare
-        return _with_azimuth(bare, -m.bearing_enu_rad, LEVEL)
-    if attitude_rad is None or not math.isfinite(m.bearing_body_rad):
-        return bare
-    if abs(m.bearing_body_rad) > math.radians(0.5 * antenna.field_of_view_deg):
+        if m.bearing_enu_rad is None:
+            return m
+        bare = replace(m, bearing_enu_rad=None, elevation_rad=None)
+        return _with_azimuth(bare, -m.bearing_enu_rad, LEVEL) if antenna.kind == "planar" else bare
+    if lost_direction(m, antenna) or attitude_rad is None or not math.isfinite(m.bearing_body_rad):
+        # the wire may carry infinities; the screen refuses those as they are
+        return m if antenna.kind == "azimuth" else replace(m, elevation_rad=None)
+    if antenna.kind == "azimuth":
+        bearing_enu_rad = bearing_enu_from_ned(attitude_rad[2] + m.bearing_body_rad)
+        return m if math.isnan(bearing_enu_rad) else replace(m, bearing_enu_rad=bearing_enu_rad)
+    bare = replace(m, elevation_rad=None)
+    if not math.isfinite(sum(attitude_rad)):
         return bare
     axes = antenna_axes_enu(attitude_rad, antenna.mount_deg)
     if antenna.kind == "planar":
         return _with_azimuth(bare, m.bearing_body_rad, axes)
-    has_second = antenna.kind == "two_axis" and m.elevation_rad is not None
-    second_rad = m.elevation_rad if has_second else None
-    return _with_cosines(bare, m, second_rad, axes)
+    return _with_cosines(bare, m.elevation_rad if antenna.kind == "two_axis" else None, axes)
+
+
+def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> str:
+    """Why a printed angle says no direction to whom knows this antenna; empty: it does."""
+    if m.bearing_body_rad is None:
+        return ""
+    if m.is_array_angle and antenna.kind in ("azimuth", "planar"):
+        return "array"
+    if abs(m.bearing_body_rad) > math.radians(0.5 * antenna.field_of_view_deg):
+        return "view"
+    return ""
 
 
 def _with_azimuth(m: RangingMeasurement, azimuth_rad: float, axes: Axes) -> RangingMeasurement:
@@ -95,21 +116,18 @@ def _with_azimuth(m: RangingMeasurement, azimuth_rad: float, axes: Axes) -> Rang
 
 
 def _with_cosines(
-    bare: RangingMeasurement, m: RangingMeasurement, second_rad: float | None, axes: Axes
+    m: RangingMeasurement, elevation_rad: float | None, axes: Axes
 ) -> RangingMeasurement:
     """The cosines; the bearing, too, where both are known and the emitter is in front."""
     assert m.bearing_body_rad is not None
     _, right, (east, north, up) = axes  # the third looks down, the second cosine is upwards
     above = (-east, -north, -up)
     first = math.sin(m.bearing_body_rad)
-    if second_rad is None:
-        return replace(bare, array=ArrayDirection(right, above, first))
-    second = math.sin(second_rad)
+    if elevation_rad is None:
+        return replace(m, array=ArrayDirection(right, above, first))
+    second = math.sin(elevation_rad)
     ahead = math.sqrt(max(0.0, 1.0 - first * first - second * second))
     pointed = combined(axes, (ahead, first, -second))
-    return replace(
-        bare,
-        bearing_enu_rad=math.atan2(pointed[1], pointed[0]),
-        elevation_sigma_rad=m.elevation_sigma_rad,
-        array=ArrayDirection(right, above, first, second),
-    )
+    bearing_enu_rad = math.atan2(pointed[1], pointed[0])
+    array = ArrayDirection(right, above, first, second)
+    return replace(m, bearing_enu_rad=bearing_enu_rad, array=array)

@@ -253,7 +253,7 @@ RECORD_PERIOD_S = 1.0
 MANY, MANY_WITHIN_S = 20, 10.0
 """So many for one reason within that time are worth a text."""
 TEXT_PERIOD_S = 60.0
-HARMLESS = frozenset({RejectReason.OTHER_EMITTER, RejectReason.DUPLICATE})
+HARMLESS = frozenset({RejectReason.OTHER_EMITTER, RejectReason.DUPLICATE, RejectReason.OUT_OF_VIEW})
 """Reasons that say nothing against the radio."""
 
 

@@ -24,6 +24,7 @@ from enum import Enum
 from itertools import pairwise
 
 from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
+from companion.estimation.antenna import lost_direction
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.unit_check import UnitCheck
 from companion.geometry.coordinates import wrap_pi
@@ -51,6 +52,9 @@ class RejectReason(Enum):
     BEARING_OUTLIER = "bearing off the estimate"
     NO_POSITION = "own position unknown at its time"
     NO_YAW = "own yaw unknown at its time"
+    NO_ATTITUDE = "own roll, pitch or yaw unknown at its time"
+    NO_ANTENNA = "angle of an antenna array that is not configured"
+    OUT_OF_VIEW = "outside the antenna's field of view"
     OWN_JUMP = "own position or yaw jumped about its time"
 
 
@@ -319,9 +323,21 @@ class MeasurementScreen:
             return RejectReason.DUPLICATE
         if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
             return RejectReason.NO_POSITION
-        if measurement.range_m is None and not measurement.has_direction:
-            return RejectReason.NO_YAW
+        if measurement.range_m is None:
+            return self._lost_direction(measurement)
         return None
+
+    def _lost_direction(self, measurement: RangingMeasurement) -> RejectReason | None:
+        """Why a bearing that was measured says no direction; None: it does, or there is none."""
+        if measurement.has_direction:
+            return None
+        antenna = self._params.antenna
+        match lost_direction(measurement, antenna):
+            case "array":
+                return RejectReason.NO_ANTENNA
+            case "view":
+                return RejectReason.OUT_OF_VIEW
+        return RejectReason.NO_YAW if antenna.kind == "azimuth" else RejectReason.NO_ATTITUDE
 
     def judge(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
@@ -358,8 +374,10 @@ class MeasurementScreen:
     ) -> RejectReason | None:
         m = measurement
         raw_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
-        if raw_rad is None or not m.has_direction:
+        if raw_rad is None:
             return None
+        if not m.has_direction:
+            return self._lost_direction(m)
         self._absurd_bearings.add(now_s, is_absurd=False)
         if self._frozen_bearing.add(raw_rad, m.measured_at_s, sensor_enu_m):
             return RejectReason.FROZEN

@@ -6,16 +6,14 @@ the scheduler makes everything about the one whose turn it is.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
 from companion.domain import OwnAccuracy, RangingMeasurement
-from companion.estimation.antenna import seen_by_array
+from companion.estimation.antenna import seen_in_enu
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.tracker import FusionReport
-from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
@@ -84,17 +82,8 @@ class RangingListener:
         if not self._track.is_trusted_at(measurement.measured_at_s):
             return self._emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
-        antenna = self._emitters.antenna
-        body_rad = measurement.bearing_body_rad
-        if antenna.kind != "azimuth":
-            attitude_rad = self._track.attitude_at(measurement.measured_at_s)
-            measurement = seen_by_array(measurement, attitude_rad, antenna)
-        elif body_rad is not None and measurement.bearing_enu_rad is None:
-            yaw_ned_rad = self._track.yaw_at(measurement.measured_at_s)
-            # The wire may carry infinities; the filter refuses those as they are.
-            if yaw_ned_rad is not None and math.isfinite(body_rad):
-                bearing_enu_rad = bearing_enu_from_ned(yaw_ned_rad + body_rad)
-                measurement = replace(measurement, bearing_enu_rad=bearing_enu_rad)
+        attitude_rad = self._track.attitude_at(measurement.measured_at_s)
+        measurement = seen_in_enu(measurement, attitude_rad, self._emitters.antenna)
         report = self._emitters.fuse(measurement, sensor_enu_m, now_s, own)
         return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
 

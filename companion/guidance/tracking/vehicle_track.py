@@ -108,16 +108,8 @@ class VehicleTrack:
         way_m = _step(after.position_enu_m, before.position_enu_m, -1.0)
         return _step(before.position_enu_m, way_m, (time_s - before.time_s) / gap_s)
 
-    def yaw_at(self, time_s: float) -> float | None:
-        """The heading at a time, clockwise from north, or None if the history does not tell."""
-        found = self._around(time_s)
-        if found is None:
-            return None
-        (_, _, yaw0), (_, _, yaw1), since_s, gap_s = found
-        return wrap_pi(yaw0 + wrap_pi(yaw1 - yaw0) * since_s / gap_s)
-
     def attitude_at(self, time_s: float) -> Triple | None:
-        """Roll, pitch and yaw at a time, or None if the history does not tell all of them."""
+        """Roll, pitch and yaw at a time, NaN where not told, or None if the history is silent."""
         found = self._around(time_s)
         if found is None:
             return None
@@ -126,7 +118,7 @@ class VehicleTrack:
             wrap_pi(a + wrap_pi(b - a) * since_s / gap_s)
             for a, b in zip(before, after, strict=True)
         )
-        return (roll, pitch, yaw) if math.isfinite(roll + pitch + yaw) else None
+        return (roll, pitch, yaw)
 
     def _around(self, time_s: float) -> tuple[Triple, Triple, float, float] | None:
         """The attitudes before and after a time, how long after the first, and between both."""

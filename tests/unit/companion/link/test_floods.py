@@ -106,7 +106,7 @@ def state(wire: Wire) -> tuple[object, ...]:
         vehicle.origin,
         vehicle.landed,
         vehicle.position_enu_m,
-        vehicle.track.yaw_at(wire.now_s),
+        vehicle.track.attitude_at(wire.now_s),
         session.tracker.accepted,
         sum(session.tracker.rejected.values()),
         wire.endpoint.binding.peer,

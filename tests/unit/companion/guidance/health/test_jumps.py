@@ -112,7 +112,7 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
     track.distrust(10.0, 12.1)
     track.add(state(10.1, (7.0, -1.0, 22.0)))
     assert track.position_at(10.05) == pytest.approx((7.0, -1.0, 22.0))
-    assert track.yaw_at(10.0) == pytest.approx(3.5 - 2.0 * math.pi)
+    assert track.attitude_at(10.0) == pytest.approx((0.0, 0.0, 3.5 - 2.0 * math.pi))
     assert track.is_trusted_at(10.0)
     assert not track.is_trusted_at(10.05)
     assert not track.is_trusted_at(12.0)

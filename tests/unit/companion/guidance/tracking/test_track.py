@@ -31,6 +31,11 @@ def _track(*states: VehicleState) -> VehicleTrack:
     return track
 
 
+def yaw_at(track: VehicleTrack, time_s: float) -> float | None:
+    attitude_rad = track.attitude_at(time_s)
+    return None if attitude_rad is None else attitude_rad[2]
+
+
 def _turning(*yaws: tuple[float, float]) -> VehicleTrack:
     track = VehicleTrack()
     for time_s, yaw_ned_rad in yaws:
@@ -42,7 +47,7 @@ def test_an_empty_track_knows_nothing() -> None:
     track = VehicleTrack()
     assert track.latest is None
     assert track.position_at(0.0) is None
-    assert track.yaw_at(0.0) is None
+    assert yaw_at(track, 0.0) is None
 
 
 def test_between_two_states_it_interpolates() -> None:
@@ -95,8 +100,8 @@ def test_only_the_last_seconds_are_remembered() -> None:
     assert track.position_at(newest_s - HISTORY_S - 0.01) is None
     for step in range(100):
         track.add_attitude(0.5 * step, (0.0, 0.0, 0.0))
-    assert track.yaw_at(newest_s - HISTORY_S) is not None
-    assert track.yaw_at(newest_s - HISTORY_S - 0.01) is None
+    assert yaw_at(track, newest_s - HISTORY_S) is not None
+    assert yaw_at(track, newest_s - HISTORY_S - 0.01) is None
 
 
 def test_a_cleared_track_starts_again_even_at_an_earlier_time() -> None:
@@ -104,11 +109,11 @@ def test_a_cleared_track_starts_again_even_at_an_earlier_time() -> None:
     track.add_attitude(1000.0, (0.0, 0.0, 1.0))
     track.clear()
     assert track.latest is None
-    assert track.yaw_at(1000.0) is None
+    assert yaw_at(track, 1000.0) is None
     track.add(_state(5.0))
     track.add_attitude(5.0, (0.0, 0.0, 2.0))
     assert track.position_at(5.0) == (0.0, 0.0, 20.0)
-    assert track.yaw_at(5.0) == 2.0
+    assert yaw_at(track, 5.0) == 2.0
 
 
 @pytest.mark.parametrize(
@@ -119,7 +124,7 @@ def test_headings_turn_the_short_way(
     before_deg: float, after_deg: float, between_deg: float
 ) -> None:
     track = _turning((10.0, math.radians(before_deg)), (10.4, math.radians(after_deg)))
-    found_rad = track.yaw_at(10.1)
+    found_rad = yaw_at(track, 10.1)
     assert found_rad is not None
     assert -math.pi < found_rad <= math.pi
     off_deg = math.remainder(math.degrees(found_rad) - between_deg, 360.0)
@@ -128,12 +133,12 @@ def test_headings_turn_the_short_way(
 
 def test_headings_have_the_same_limits_as_positions() -> None:
     track = _turning((10.0, 1.0), (10.1, 2.0), (10.05, 3.0), (10.1, 3.0))
-    assert track.yaw_at(9.9) is None
-    assert track.yaw_at(10.05) == pytest.approx(1.5)
-    assert track.yaw_at(10.1 + MAX_EXTRAPOLATION_S - 1e-6) == 2.0
-    assert track.yaw_at(10.1 + MAX_EXTRAPOLATION_S + 1e-6) is None
+    assert yaw_at(track, 9.9) is None
+    assert yaw_at(track, 10.05) == pytest.approx(1.5)
+    assert yaw_at(track, 10.1 + MAX_EXTRAPOLATION_S - 1e-6) == 2.0
+    assert yaw_at(track, 10.1 + MAX_EXTRAPOLATION_S + 1e-6) is None
     track.add_attitude(10.1 + MAX_GAP_S + 0.01, (0.0, 0.0, 2.0))
-    assert track.yaw_at(10.6) is None
+    assert yaw_at(track, 10.6) is None
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
@@ -145,3 +150,22 @@ def test_states_that_mean_nothing_are_told_from_others(axis: int, value: float) 
     assert is_plausible(_state(0.0))
     assert not is_plausible(_state(0.0, bad))
     assert not is_plausible(_state(0.0, velocity_enu_mps=bad))
+
+
+def test_roll_and_pitch_are_those_between_two_reports() -> None:
+    track = VehicleTrack()
+    track.add_attitude(10.0, (0.1, -0.2, 3.1))
+    track.add_attitude(10.1, (0.3, 0.2, -3.1))
+    attitude_rad = track.attitude_at(10.05)
+    assert attitude_rad is not None
+    assert attitude_rad[:2] == pytest.approx((0.2, 0.0))
+    assert math.cos(attitude_rad[2]) == pytest.approx(-1.0)
+
+
+def test_a_tilt_that_is_not_told_leaves_the_yaw_known() -> None:
+    track = VehicleTrack()
+    track.add_attitude(10.0, (math.nan, math.nan, 1.0))
+    attitude_rad = track.attitude_at(10.0)
+    assert attitude_rad is not None
+    assert math.isnan(attitude_rad[0])
+    assert attitude_rad[2] == 1.0

@@ -1,0 +1,111 @@
+"""What becomes of directions that an antenna array prints, told and not told to the estimator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from companion.domain import RangingMeasurement
+from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.measurement_model import jacobian, variances
+from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.geometry.coordinates import Triple
+
+PLACE = (0.0, 0.0, 20.0)
+LEVEL = (0.0, 0.0, 0.0)
+PRINTED = RangingMeasurement(
+    emitter_id=1, measured_at_s=0.0, range_m=30.0, bearing_body_rad=0.4, elevation_rad=0.2
+)
+
+
+def _tracker(antenna: AntennaParams) -> TargetTracker:
+    return TargetTracker(TrackerParams(filter=FilterParams(antenna=antenna)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "attitude_rad", "is_array_angle", "bearing_rad", "reason"),
+    [
+        ("planar", None, False, 0.4, RejectReason.NO_ATTITUDE),
+        ("two_axis", (math.nan, 0.0, 0.0), True, 0.4, RejectReason.NO_ATTITUDE),
+        ("azimuth", LEVEL, True, 0.4, RejectReason.NO_ANTENNA),
+        ("planar", LEVEL, True, 0.4, RejectReason.NO_ANTENNA),
+        ("line", LEVEL, True, 1.2, RejectReason.OUT_OF_VIEW),
+        ("azimuth", None, False, 0.4, RejectReason.NO_YAW),
+    ],
+)
+def test_a_direction_that_cannot_be_used_is_counted_and_its_range_stays(
+    kind: AntennaKind,
+    attitude_rad: Triple | None,
+    is_array_angle: bool,
+    bearing_rad: float,
+    reason: RejectReason,
+) -> None:
+    antenna = AntennaParams(kind=kind, field_of_view_deg=120.0)
+    told = replace(PRINTED, bearing_body_rad=bearing_rad, is_array_angle=is_array_angle)
+    seen = seen_in_enu(told, attitude_rad, antenna)
+    tracker = _tracker(antenna)
+    assert tracker.fuse(seen, PLACE, 0.0).reject_reason is None
+    assert tracker.rejected[reason] == 1
+    assert len(tracker.hypotheses) > 1  # a ring: the range alone
+    alone = replace(seen, range_m=None, measured_at_s=0.5)
+    assert tracker.fuse(alone, PLACE, 0.5).reject_reason is reason
+
+
+def _information(kind: AntennaKind, east_m: float) -> float:
+    """What one view of a place 20 m below says of it, in units of 1 / (slant sigma)^2."""
+    model = FilterParams(antenna=AntennaParams(kind=kind), own_position_sigma_m=0.0).model
+    _, right, down = antenna_axes_enu((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    ahead = antenna_axes_enu((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))[0]
+    axes = (ahead, right) if kind == "planar" else (right, tuple(-v for v in down))
+    pose = np.array([east_m, 0.0, 20.0, *axes[0], *axes[1]])
+    sigma = np.full(3, math.radians(3.0))
+    H = jacobian(np.zeros(4), pose, model)[1, :2]
+    R = variances(np.zeros((4, 4)), np.zeros(4), pose, sigma, model)[1]
+    return float(H @ H / R) * (east_m**2 + 400.0) * float(sigma[0]) ** 2
+
+
+@pytest.mark.parametrize(("east_m", "share"), [(40.0, 1.0), (10.0, 0.98), (1.0, 0.5), (0.3, 0.08)])
+def test_right_from_above_a_planar_azimuth_says_little(east_m: float, share: float) -> None:
+    """Nearer than slant times sigma to the array's normal it is no angle any more."""
+    assert _information("planar", east_m) == pytest.approx(share, rel=0.15)
+
+
+@pytest.mark.parametrize("east_m", [40.0, 10.0, 1.0, 0.3])
+def test_a_cosine_says_as_much_from_anywhere(east_m: float) -> None:
+    """Here the axis is across the way to the target, so that nothing of it is lost."""
+    assert _information("line", east_m) == pytest.approx(_across(east_m), rel=1e-6)
+
+
+def _across(east_m: float) -> float:
+    """Of an axis along east or north, what is seen across the line of sight, squared."""
+    _, right, _ = antenna_axes_enu((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    u = np.array([-east_m, 0.0, -20.0]) / math.hypot(east_m, 20.0)
+    partial = np.array(right) - float(np.dot(right, u)) * u
+    return float(partial[:2] @ partial[:2])
+
+
+def test_a_direction_by_north_needs_no_attitude_of_a_level_planar_array() -> None:
+    told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_enu_rad=0.7)
+    seen = seen_in_enu(told, None, AntennaParams(kind="planar"))
+    assert seen.bearing_enu_rad == pytest.approx(0.7)
+    assert seen.array is not None
+
+
+def test_a_line_that_tells_a_direction_by_north_is_no_line() -> None:
+    told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=9.0, bearing_enu_rad=0.7)
+    assert not seen_in_enu(told, LEVEL, AntennaParams(kind="line")).has_direction
+
+
+def test_without_a_range_a_line_leaves_two_sides() -> None:
+    antenna = AntennaParams(kind="line")
+    told = replace(PRINTED, range_m=None, elevation_rad=None)
+    tracker = _tracker(antenna)
+    tracker.fuse(seen_in_enu(told, LEVEL, antenna), PLACE, 0.0)
+    norths = [h.place_enu_m[1] for h in tracker.hypotheses]
+    assert min(norths) < 0.0 < max(norths)
+    assert all(h.place_enu_m[0] > 0.0 for h in tracker.hypotheses)
