@@ -133,7 +133,8 @@ def _from_radio_ranging(
     message: MAVLink_radio_ranging_message, measured_at_s: float
 ) -> RangingMeasurement:
     flags = message.flags
-    is_body = bool(flags & RangingFlag.BODY_FRAME)
+    # an arcsine is of the antenna's frame: without its other flag, too, it is nothing by north
+    is_body = bool(flags & (RangingFlag.BODY_FRAME | RangingFlag.ARRAY_ANGLE))
     line_of_sight = None
     if flags & RangingFlag.LINE_OF_SIGHT:
         line_of_sight = True

@@ -48,7 +48,7 @@ def measurements(draw: st.DrawFn) -> RangingMeasurement:
         bearing_sigma_rad=draw(_maybe(_sigmas)),
         elevation_rad=draw(_maybe(_angles)),
         elevation_sigma_rad=draw(_maybe(_sigmas)),
-        is_array_angle=draw(st.booleans()),
+        is_array_angle=is_body and draw(st.booleans()),
         quality=draw(_maybe(st.integers(0, 100).map(lambda percent: percent / 100.0))),
         line_of_sight=draw(st.sampled_from([None, True, False])),
         stamp_us=draw(st.integers(0, 2**64 - 1)),
@@ -77,6 +77,14 @@ def test_a_bearing_is_clockwise_from_north_on_the_wire() -> None:
 def test_the_angles_of_an_array_are_flagged() -> None:
     seen = RangingMeasurement(1, 0.0, bearing_body_rad=0.3, elevation_rad=0.1, is_array_angle=True)
     assert message_from_ranging(seen, 0).to_dict()["flags"] == 1 + 8
+
+
+@pytest.mark.parametrize("flags", [8, 8 + 1])
+def test_the_angle_of_an_array_is_never_one_by_north(flags: int) -> None:
+    seen = ranging_from_message(radio_ranging(bearing=0.3, flags=flags), 0.0)
+    assert seen is not None
+    assert (seen.bearing_enu_rad, seen.bearing_body_rad) == (None, pytest.approx(0.3))
+    assert seen.is_array_angle
 
 
 def test_what_was_not_measured_is_nan_on_the_wire() -> None:
@@ -124,7 +132,7 @@ def test_an_infinite_bearing_reaches_whoever_judges_it() -> None:
 
 
 def test_flag_bits_that_mean_nothing_are_ignored() -> None:
-    measurement = ranging_from_message(radio_ranging(flags=0xF8 | 2), 0.0)
+    measurement = ranging_from_message(radio_ranging(flags=0xF0 | 2), 0.0)
     assert measurement is not None
     assert measurement.line_of_sight is True
     assert measurement.bearing_body_rad is None
