@@ -265,8 +265,8 @@ class VehicleInbound:
             if not abs(message.yaw) <= MAX_YAW_RAD:
                 return []
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
-            at_s, m = reading.time_s, message
-            event = YawMeasured(now_s, at_s, m.yaw, m.roll, m.pitch, order=number)
+            tilt = (v if math.isfinite(v) else math.nan for v in (message.roll, message.pitch))
+            event = YawMeasured(now_s, reading.time_s, message.yaw, *tilt, order=number)
         else:
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
             place_enu_m = enu_from_ned((message.x, message.y, message.z))
