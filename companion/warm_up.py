@@ -8,11 +8,14 @@ would leave offboard mode.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from companion.domain import RangingMeasurement
+from companion.domain import ArrayDirection, RangingMeasurement
+from companion.estimation.antenna import LEVEL
+from companion.estimation.measurement_model import AZIMUTH, COSINES
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.kernel import IS_COMPILED
 from companion.planning.planner import Planner, PlanRequest
@@ -36,7 +39,10 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
         for step in range(params.window.size + 60):
             time_s, angle = 0.1 * step, 0.1 * step
             place = (RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle), HEIGHT_M)
-            tracker.fuse(_seen(place, time_s, rng, has_range, has_bearing), place, time_s)
+            seen = _seen(place, time_s, rng, has_range, has_bearing)
+            if has_bearing:
+                seen = _by_array(seen, place, params.filter.model.antenna)
+            tracker.fuse(seen, place, time_s)
         request = PlanRequest((RADIUS_M, 0.0), tracker.estimate(60.0), time_s=60.0, contact_s=60.0)
         memory = planner.plan(request, memory).memory
 
@@ -57,3 +63,18 @@ def _seen(
         range_m=range_m if has_range else None,
         bearing_enu_rad=bearing_rad if has_bearing else None,
     )
+
+
+def _by_array(
+    seen: RangingMeasurement, place: tuple[float, float, float], antenna: int
+) -> RangingMeasurement:
+    """The same with its direction by a level antenna array, if it is one that measures."""
+    ahead, right, down = LEVEL
+    bearing_rad = seen.bearing_enu_rad
+    if antenna == COSINES:
+        slant_m = math.dist((*TARGET_M, 0.0), place)
+        south, below = (place[1] - TARGET_M[1]) / slant_m, place[2] / slant_m
+        return replace(seen, array=ArrayDirection(right, down, south, below))
+    if antenna == AZIMUTH or bearing_rad is None:
+        return seen
+    return replace(seen, array=ArrayDirection(ahead, right, -bearing_rad))

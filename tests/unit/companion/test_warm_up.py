@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import Any
 
+import msgspec
 import pytest
 
 from companion import warm_up as module
+from companion.estimation.antenna import AntennaKind, AntennaParams
+from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
@@ -36,22 +40,26 @@ def test_plain_kernels_need_none(monkeypatch: pytest.MonkeyPatch) -> None:
     assert planner.requests == []
 
 
+@pytest.mark.parametrize("kind", ["azimuth", "planar", "line", "two_axis"])
 def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_for(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, kind: AntennaKind
 ) -> None:
+    antenna = FilterParams(antenna=AntennaParams(kind=kind))
+    params = msgspec.structs.replace(SMALL, filter=antenna)
     monkeypatch.setattr(module, "IS_COMPILED", True)
     kinds: Counter[tuple[bool, bool]] = Counter()
     fuse = TargetTracker.fuse
 
     def counted(self: TargetTracker, measurement: Any, *place_and_time: Any) -> Any:
-        kinds[measurement.range_m is not None, measurement.bearing_enu_rad is not None] += 1
+        values, _ = params.filter.seen(measurement)
+        kinds[measurement.range_m is not None, not math.isnan(values[1])] += 1
         report = fuse(self, measurement, *place_and_time)
         assert report.reject_reason is None
         return report
 
     monkeypatch.setattr(TargetTracker, "fuse", counted)
     planner = Counting()
-    warm_up(SMALL, planner)
+    warm_up(params, planner)
     assert set(kinds) == {(True, True), (True, False), (False, True)}
     assert min(kinds.values()) > SMALL.window.size
     assert len(planner.requests) == 3
