@@ -33,6 +33,10 @@ MODELS: dict[AntennaKind, int] = {
 }
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Axes = tuple[PositionEnu, PositionEnu, PositionEnu]
+MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
+"""A right angle, which in the wire's 32 bits is a little more than one; no arcsine is more."""
+MAX_BEARING_RAD = math.pi + 1e-6
+"""Half a turn, in the same way; more is most likely another unit."""
 
 LEVEL: Axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 """East, south and down: what a planar array that tells its azimuth by north is as good as."""
@@ -67,42 +71,63 @@ def seen_in_enu(
     """The measurement with its direction in the local frame, as far as that is known.
 
     It takes the roll, pitch and yaw at the time, NaN where not told; an azimuth about the vertical
-    needs the yaw alone. What an array prints is no direction for somebody who does not know the
-    array, and nothing is outside the field of view. A planar array that tells its azimuth by north
-    itself is taken for a level one.
+    needs the yaw alone. Nothing is a direction outside the field of view. A planar array that tells
+    its azimuth by north itself is taken for a level one. What is absurd comes back as it is: the
+    wire may carry infinities, which the screen refuses.
     """
     m = measurement
     if antenna.kind == "azimuth" and m.bearing_enu_rad is not None:
         return m
+    if antenna.kind != "azimuth" and _has_absurd_angle(m):
+        return m
     if m.bearing_body_rad is None:
-        if m.bearing_enu_rad is None:
-            return m
-        bare = replace(m, bearing_enu_rad=None, elevation_rad=None)
-        return _with_azimuth(bare, -m.bearing_enu_rad, LEVEL) if antenna.kind == "planar" else bare
+        if antenna.kind == "planar" and m.bearing_enu_rad is not None and not m.is_array_angle:
+            return _with_azimuth(m, -m.bearing_enu_rad, LEVEL)
+        return m
     if lost_direction(m, antenna) or attitude_rad is None or not math.isfinite(m.bearing_body_rad):
-        # the wire may carry infinities; the screen refuses those as they are
-        return m if antenna.kind == "azimuth" else replace(m, elevation_rad=None)
+        return m
     if antenna.kind == "azimuth":
         bearing_enu_rad = bearing_enu_from_ned(attitude_rad[2] + m.bearing_body_rad)
         return m if math.isnan(bearing_enu_rad) else replace(m, bearing_enu_rad=bearing_enu_rad)
-    bare = replace(m, elevation_rad=None)
     if not math.isfinite(sum(attitude_rad)):
-        return bare
+        return m
     axes = antenna_axes_enu(attitude_rad, antenna.mount_deg)
     if antenna.kind == "planar":
-        return _with_azimuth(bare, m.bearing_body_rad, axes)
-    return _with_cosines(bare, m.elevation_rad if antenna.kind == "two_axis" else None, axes)
+        return _with_azimuth(m, m.bearing_body_rad, axes)
+    return _with_cosines(m, m.elevation_rad if antenna.kind == "two_axis" else None, axes)
 
 
-def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> str:
+def _has_absurd_angle(m: RangingMeasurement) -> bool:
+    bearings = (m.bearing_enu_rad, m.bearing_body_rad)
+    is_plausible = all(b is None or abs(b) <= MAX_BEARING_RAD for b in bearings)
+    is_plausible &= m.elevation_rad is None or abs(m.elevation_rad) <= MAX_ELEVATION_RAD
+    return not is_plausible
+
+
+Loss = Literal["", "north", "array", "arcsine", "view"]
+
+
+def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> Loss:
     """Why a printed angle says no direction to whom knows this antenna; empty: it does."""
+    is_azimuth = antenna.kind in ("azimuth", "planar")
     if m.bearing_body_rad is None:
-        return ""
-    if m.is_array_angle and antenna.kind in ("azimuth", "planar"):
+        is_by_north = m.bearing_enu_rad is not None and m.array is None
+        return "north" if is_by_north and antenna.kind != "azimuth" else ""
+    if m.is_array_angle and is_azimuth:
         return "array"
-    if abs(m.bearing_body_rad) > math.radians(0.5 * antenna.field_of_view_deg):
+    if not is_azimuth and abs(m.bearing_body_rad) > MAX_ELEVATION_RAD:
+        return "arcsine"
+    if _off_boresight_rad(m, antenna) > math.radians(0.5 * antenna.field_of_view_deg):
         return "view"
     return ""
+
+
+def _off_boresight_rad(m: RangingMeasurement, antenna: AntennaParams) -> float:
+    """Angle from the boresight, as far as the antenna prints it."""
+    assert m.bearing_body_rad is not None
+    if antenna.kind != "two_axis" or m.elevation_rad is None or _has_absurd_angle(m):
+        return abs(m.bearing_body_rad)
+    return math.asin(min(1.0, math.hypot(math.sin(m.bearing_body_rad), math.sin(m.elevation_rad))))
 
 
 def _with_azimuth(m: RangingMeasurement, azimuth_rad: float, axes: Axes) -> RangingMeasurement:

@@ -252,7 +252,8 @@ class FilterParams(Params, frozen=True, dict=True):
     def seen(self, measurement: RangingMeasurement) -> tuple[Vector, Vector]:
         """A measurement as the kernels take it: values and standard deviations, each (3,)."""
         m, array = measurement, measurement.array
-        values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if self.use_elevation else None)
+        has_elevation = self.use_elevation and not m.is_array_angle
+        values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if has_elevation else None)
         if self.model.antenna != AZIMUTH:
             direction = (None, None) if array is None else (array.first, array.second)
             values = (m.range_m, *direction)

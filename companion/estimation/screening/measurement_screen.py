@@ -24,7 +24,7 @@ from enum import Enum
 from itertools import pairwise
 
 from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
-from companion.estimation.antenna import lost_direction
+from companion.estimation.antenna import MAX_BEARING_RAD, MAX_ELEVATION_RAD, lost_direction
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.unit_check import UnitCheck
 from companion.geometry.coordinates import wrap_pi
@@ -54,6 +54,7 @@ class RejectReason(Enum):
     NO_YAW = "own yaw unknown at its time"
     NO_ATTITUDE = "own roll, pitch or yaw unknown at its time"
     NO_ANTENNA = "angle of an antenna array that is not configured"
+    BY_NORTH = "bearing by north, but an antenna array is configured"
     OUT_OF_VIEW = "outside the antenna's field of view"
     OWN_JUMP = "own position or yaw jumped about its time"
 
@@ -68,10 +69,6 @@ class AcceptanceParams(Params, frozen=True):
 
 
 FUTURE_TOLERANCE_S = 0.1
-MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
-"""A right angle, which in the wire's 32 bits is a little more than one."""
-MAX_BEARING_RAD = math.pi + 1e-6
-"""Half a turn, in the same way; more is most likely another unit."""
 LEAST_NORMAL = 2.0**-126
 """Of 32 bits. Nothing is measured as finely: what is smaller, but not zero, was no float."""
 
@@ -329,12 +326,17 @@ class MeasurementScreen:
 
     def _lost_direction(self, measurement: RangingMeasurement) -> RejectReason | None:
         """Why a bearing that was measured says no direction; None: it does, or there is none."""
-        if measurement.has_direction:
-            return None
         antenna = self._params.antenna
-        match lost_direction(measurement, antenna):
+        loss = lost_direction(measurement, antenna)
+        if measurement.has_direction and loss != "north":
+            return None
+        match loss:
+            case "north":
+                return RejectReason.BY_NORTH
             case "array":
                 return RejectReason.NO_ANTENNA
+            case "arcsine":
+                return RejectReason.BEARING_ABSURD
             case "view":
                 return RejectReason.OUT_OF_VIEW
         return RejectReason.NO_YAW if antenna.kind == "azimuth" else RejectReason.NO_ATTITUDE
@@ -376,8 +378,9 @@ class MeasurementScreen:
         raw_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
         if raw_rad is None:
             return None
-        if not m.has_direction:
-            return self._lost_direction(m)
+        lost = self._lost_direction(m)
+        if lost is not None:
+            return lost
         self._absurd_bearings.add(now_s, is_absurd=False)
         if self._frozen_bearing.add(raw_rad, m.measured_at_s, sensor_enu_m):
             return RejectReason.FROZEN

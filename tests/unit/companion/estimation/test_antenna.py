@@ -35,6 +35,7 @@ def _tracker(antenna: AntennaParams) -> TargetTracker:
         ("azimuth", LEVEL, True, 0.4, RejectReason.NO_ANTENNA),
         ("planar", LEVEL, True, 0.4, RejectReason.NO_ANTENNA),
         ("line", LEVEL, True, 1.2, RejectReason.OUT_OF_VIEW),
+        ("line", LEVEL, True, 1.6, RejectReason.BEARING_ABSURD),
         ("azimuth", None, False, 0.4, RejectReason.NO_YAW),
     ],
 )
@@ -96,9 +97,56 @@ def test_a_direction_by_north_needs_no_attitude_of_a_level_planar_array() -> Non
     assert seen.array is not None
 
 
-def test_a_line_that_tells_a_direction_by_north_is_no_line() -> None:
-    told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=9.0, bearing_enu_rad=0.7)
-    assert not seen_in_enu(told, LEVEL, AntennaParams(kind="line")).has_direction
+@pytest.mark.parametrize("kind", ["line", "two_axis"])
+def test_an_array_that_tells_a_direction_by_north_is_none_and_that_is_counted(
+    kind: AntennaKind,
+) -> None:
+    antenna = AntennaParams(kind=kind)
+    tracker = _tracker(antenna)
+    told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=29.0, bearing_enu_rad=0.7)
+    assert tracker.fuse(seen_in_enu(told, LEVEL, antenna), PLACE, 0.0).reject_reason is None
+    assert tracker.rejected == {RejectReason.BY_NORTH: 1}
+    assert len(tracker.hypotheses) > 1
+    alone = seen_in_enu(replace(told, range_m=None), LEVEL, antenna)
+    assert tracker.fuse(alone, PLACE, 0.0).reject_reason is RejectReason.BY_NORTH
+
+
+@pytest.mark.parametrize(("elevation_rad", "is_seen"), [(0.2, True), (1.2, False), (-1.2, False)])
+def test_the_field_of_view_of_a_two_axis_array_is_a_cone(
+    elevation_rad: float, is_seen: bool
+) -> None:
+    antenna = AntennaParams(kind="two_axis", field_of_view_deg=120.0)
+    told = replace(PRINTED, elevation_rad=elevation_rad, is_array_angle=True)
+    tracker = _tracker(antenna)
+    tracker.fuse(seen_in_enu(told, LEVEL, antenna), PLACE, 0.0)
+    assert tracker.rejected[RejectReason.OUT_OF_VIEW] == (not is_seen)
+
+
+@pytest.mark.parametrize("kind", ["planar", "line", "two_axis"])
+@pytest.mark.parametrize(
+    ("absurd", "reason"),
+    [
+        ({"elevation_rad": math.inf}, RejectReason.NOT_FINITE),
+        ({"elevation_rad": 45.0}, RejectReason.ELEVATION_ABSURD),
+        ({"bearing_body_rad": -math.inf}, RejectReason.NOT_FINITE),
+        ({"bearing_body_rad": 40.0}, RejectReason.BEARING_ABSURD),
+        ({"bearing_body_rad": None, "bearing_enu_rad": math.inf}, RejectReason.NOT_FINITE),
+        ({"bearing_body_rad": None, "bearing_enu_rad": 40.0}, RejectReason.BEARING_ABSURD),
+    ],
+)
+def test_absurd_angles_of_an_array_are_refused(
+    kind: AntennaKind, absurd: dict[str, float | None], reason: RejectReason
+) -> None:
+    """As without one: its arithmetic would fail on infinities and believe degrees."""
+    antenna = AntennaParams(kind=kind)
+    seen = seen_in_enu(replace(PRINTED, **absurd), LEVEL, antenna)  # type: ignore[arg-type]
+    assert _tracker(antenna).fuse(seen, PLACE, 0.0).reject_reason is reason
+
+
+def test_the_elevation_of_an_array_that_is_not_configured_is_not_believed() -> None:
+    told = replace(PRINTED, is_array_angle=True)
+    values, _ = FilterParams().seen(seen_in_enu(told, LEVEL, AntennaParams()))
+    assert np.isnan(values).tolist() == [False, True, True]
 
 
 def test_without_a_range_a_line_leaves_two_sides() -> None:

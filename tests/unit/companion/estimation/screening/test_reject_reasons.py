@@ -162,6 +162,7 @@ def test_every_reason_is_covered_here() -> None:
     of_arrays = {  # see `test_antenna`
         RejectReason.NO_ATTITUDE,
         RejectReason.NO_ANTENNA,
+        RejectReason.BY_NORTH,
         RejectReason.OUT_OF_VIEW,
     }
     assert covered == set(RejectReason) - judged_beside_others - of_arrays
