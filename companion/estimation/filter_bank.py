@@ -25,6 +25,7 @@ from companion.estimation.filters.target_filter import (
     UpdateReport,
 )
 from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.measurement_model import AZIMUTH, COSINES
 from companion.estimation.screening.measurement_screen import RejectReason
 
 LIKELY_LOG_RATIO = math.log(0.05)
@@ -53,11 +54,13 @@ class Gate(NamedTuple):
         return self.agrees_in_range and self.agrees_in_bearing
 
     @classmethod
-    def of(cls, report: UpdateReport, inflation: Inflation) -> Gate:
-        """The gate's judgement of an update."""
+    def of(cls, report: UpdateReport, inflation: Inflation, antenna: int = AZIMUTH) -> Gate:
+        """The gate's judgement of an update; two direction cosines are one direction."""
         ranged = _in_sigmas(report.range, inflation[0])
-        borne = _in_sigmas(report.bearing, inflation[1])
-        is_short, is_off = ranged < -GATE_SIGMAS, abs(borne) > GATE_SIGMAS
+        borne = abs(_in_sigmas(report.bearing, inflation[1]))
+        if antenna == COSINES:
+            borne = max(borne, abs(_in_sigmas(report.elevation, inflation[2])))
+        is_short, is_off = ranged < -GATE_SIGMAS, borne > GATE_SIGMAS
         return cls(
             passes_range=not is_short,
             passes_bearing=not is_off,
@@ -134,7 +137,7 @@ def update_hypotheses(
         reports.append(report)
     least = max(before, default=0.0) + LIKELY_LOG_RATIO
     judged = [
-        Gate.of(report, shown)
+        Gate.of(report, shown, target_filter.params.model.antenna)
         for log_weight, report in zip(before, reports, strict=True)
         if log_weight >= least
     ]

@@ -38,8 +38,8 @@ from companion.kernel import Matrix, Vector, kernel
 EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = 0, 1, 2, 3
 """Places in the state that always exist."""
 
-RANGE, BEARING = 0, 1
-"""Rows of a measurement; the third is the elevation."""
+RANGE, BEARING, ELEVATION = 0, 1, 2
+"""Rows of a measurement; of direction cosines the last two."""
 MODALITIES = 3
 
 ABSENT = -1

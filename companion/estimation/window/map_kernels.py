@@ -17,6 +17,7 @@ import numpy as np
 
 from companion.estimation.measurement_model import (
     AZIMUTH,
+    COSINES,
     MIN_SINE2,
     PLANAR,
     RangingModel,
@@ -254,7 +255,11 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
     that is inflated by c, -c log p = loss + c log sigma. `sigmas` are (3, n) at the place.
     """
     wider = np.log(sigmas[1] / rows[:, 7])
-    return float(model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider)))
+    total = model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider))
+    if model.antenna == COSINES:
+        wider = np.log(sigmas[2] / rows[:, 8])
+        total += model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 5]), 0.0, wider))
+    return float(total)
 
 
 @kernel

@@ -43,6 +43,8 @@ from companion.estimation.filters.target_filter import FilterParams, Inflation, 
 from companion.estimation.measurement_model import (
     BEARING,
     BEARING_OFFSET,
+    COSINES,
+    ELEVATION,
     FIRST_AXIS,
     MODALITIES,
     RANGE,
@@ -204,6 +206,9 @@ class WindowMap:
         self._p = filter_params
         self._model = filter_params.model
         self._thresholds = filter_params.thresholds
+        both = (BEARING, ELEVATION)
+        self._directions = both if self._model.antenna == COSINES else (BEARING,)
+        """Rows that stand or fall together as one direction."""
         self.bounds = filter_params.bounds
         """Lower and upper bounds of the state, (2, k)."""
         self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
@@ -274,9 +279,10 @@ class WindowMap:
             sigmas = row_sigmas(rows, mean, self._model)
             if spread_m2 > 0.0:
                 bend = spread_m2 / view_distance2(rows, mean, self._model)
-                sigmas[BEARING] = np.sqrt(
-                    sigmas[BEARING] ** 2 + bend**2 / self._model.bearing_inflation
-                )
+                for row in self._directions:
+                    sigmas[row] = np.sqrt(
+                        sigmas[row] ** 2 + bend**2 / self._model.bearing_inflation
+                    )
             u = row_residuals(rows, mean, sigmas, self._model)
             H = row_partials(rows, mean, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
@@ -285,15 +291,18 @@ class WindowMap:
     def without_gross(self, rows: Matrix, optimum: Optimum) -> Matrix | None:
         """The rows, NaN for gross errors; None: there are none, or they are more than a half."""
         u = self.scores(rows, optimum.mean).u
-        bearing_noise = min(optimum.noise[BEARING], MAX_BEARING_NOISE)
         is_short = u[RANGE] < -GROSS_SIGMAS
-        is_off = np.abs(u[BEARING]) > GROSS_SIGMAS * math.sqrt(bearing_noise)
+        is_off = np.zeros(len(rows), dtype=bool)
+        for row in self._directions:
+            noise = min(optimum.noise[row], MAX_BEARING_NOISE)
+            is_off |= np.abs(u[row]) > GROSS_SIGMAS * math.sqrt(noise)
         count = int(np.sum(is_short | is_off))
         if not 0 < count <= len(rows) // 2:
             return None
         kept = np.array(rows)
         kept[is_short, VALUES + RANGE] = np.nan
-        kept[is_off, VALUES + BEARING] = np.nan
+        for row in self._directions:
+            kept[is_off, VALUES + row] = np.nan
         return kept
 
     def start_around(self, rows: Matrix, direction_rad: float, spread: int) -> Vector:

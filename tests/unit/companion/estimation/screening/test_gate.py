@@ -15,6 +15,7 @@ from companion.estimation.filters.target_filter import (
     ModalityReport,
     UpdateReport,
 )
+from companion.estimation.measurement_model import AZIMUTH, COSINES
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 BOTH = RangingMeasurement(1, 0.0, range_m=50.0, bearing_enu_rad=0.3)
@@ -53,6 +54,14 @@ def test_the_gate_is_where_it_says(
     assert gate.passes_range is passes_range
     assert gate.passes_bearing is passes_bearing
     assert gate.agrees is agrees
+
+
+def test_either_cosine_that_is_off_is_a_direction_that_is() -> None:
+    """An elevation of its own is none: it stays, weighed by its loss."""
+    for first, second in ((0.0, 1.01 * GATE_SIGMAS), (-1.01 * GATE_SIGMAS, 0.0)):
+        report = UpdateReport(STATE, None, _row(first), _row(second), 0.0, True)
+        assert not Gate.of(report, NO_INFLATION, COSINES).passes_bearing
+        assert Gate.of(report, NO_INFLATION, AZIMUTH).passes_bearing is (first == 0.0)
 
 
 def test_noise_that_the_run_has_shown_and_a_vague_state_widen_it() -> None:
