@@ -185,7 +185,7 @@ class TargetEstimate:
 
     def __post_init__(self) -> None:
         """Where nobody worked the absolute radius out, it is that of round errors."""
-        if self.absolute_r95_m < self.r95_m:
+        if not self.absolute_r95_m >= self.r95_m:  # NaN is no better than either
             radius_m = math.hypot(self.r95_m, R95_OF_SIGMA * self.own.horizontal_m)
             object.__setattr__(self, "absolute_r95_m", radius_m)
 

@@ -155,6 +155,13 @@ def test_a_radius_that_nobody_worked_out_is_that_of_round_errors() -> None:
     assert not told.own.is_told
 
 
+def test_a_radius_that_is_no_number_does_not_become_a_good_one() -> None:
+    lost = replace(_told(_hypothesis()), r95_m=math.nan)
+    assert math.isnan(lost.absolute_r95_m)
+    told = replace(_told(_hypothesis()), absolute_r95_m=math.nan)
+    assert told.absolute_r95_m > told.r95_m
+
+
 def test_a_height_that_is_estimated_has_the_own_height_in_it() -> None:
     told = TargetEstimate(0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9)
     assert told.absolute_height_sigma_m is None
