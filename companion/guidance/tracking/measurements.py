@@ -37,8 +37,9 @@ class RangingListener:
     """Feeds the filters.
 
     A measurement that is newer than the newest own position waits until a position on its other
-    side arrives, so that its place is interpolated; one that waits in vain is refused, and so is
-    one from a time that will not come.
+    side arrives, so that its place is interpolated, and what an antenna array printed for an
+    attitude, because a vehicle leans fast; one that waits in vain is refused, and so is one from a
+    time that will not come.
     """
 
     def __init__(self, emitters: EmitterQueue, track: VehicleTrack) -> None:
@@ -66,15 +67,22 @@ class RangingListener:
 
         `own` is how well that place is known on the Earth; None says nothing about it.
         """
-        latest = self._track.latest
         due: list[RangingMeasurement] = []
         waiting: list[RangingMeasurement] = []
         for measurement in self._waiting:
-            is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
             is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
-            (waiting if is_recent and not is_covered else due).append(measurement)
+            must_wait = is_recent and not self._is_covered(measurement)
+            (waiting if must_wait else due).append(measurement)
         self._waiting = waiting  # first, so that one that makes a filter fail is not tried again
         return [self._fuse(measurement, now_s, own) for measurement in due]
+
+    def _is_covered(self, measurement: RangingMeasurement) -> bool:
+        """Whether it lies between positions, and an array's angle between attitudes."""
+        at_s, latest, newest = measurement.measured_at_s, self._track.latest, self._track.latest_yaw
+        if latest is None or at_s > latest.time_s:
+            return False
+        is_plain = self._emitters.antenna.kind == "azimuth" or measurement.bearing_body_rad is None
+        return is_plain or (newest is not None and at_s <= newest[0])
 
     def _fuse(
         self, measurement: RangingMeasurement, now_s: float, own: OwnAccuracy | None

@@ -6,21 +6,24 @@ from dataclasses import replace
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement, VehicleState
+from companion.estimation.antenna import AntennaKind, AntennaParams
+from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.measurements import MAX_WAITING, RangingListener
 from companion.guidance.tracking.vehicle_track import VehicleTrack
 
+PAPER = AntennaParams()
 AT_10_S = RangingMeasurement(emitter_id=7, measured_at_s=10.0, range_m=50.0)
 
 
 class Flight:
     """A vehicle flying east at 5 m/s, with a listener; 10 s is at the origin."""
 
-    def __init__(self) -> None:
+    def __init__(self, antenna: AntennaParams = PAPER) -> None:
         self.track = VehicleTrack()
-        self.tracker = TargetTracker(TrackerParams())
+        self.tracker = TargetTracker(TrackerParams(filter=FilterParams(antenna=antenna)))
         self.listener = RangingListener(EmitterQueue.of(self.tracker), self.track)
 
     def moved(self, *times_s: float) -> None:
@@ -35,6 +38,34 @@ class Flight:
     def first_fix(self) -> tuple[float, float]:
         east, north = self.tracker.hypotheses[0].state.mean[:2]
         return float(east), float(north)
+
+
+@pytest.mark.parametrize(("kind", "waits"), [("azimuth", False), ("planar", True)])
+def test_an_angle_of_an_array_waits_for_the_attitude_on_its_other_side(
+    kind: AntennaKind, waits: bool
+) -> None:
+    flight = Flight(AntennaParams(kind=kind))
+    flight.moved(9.9, 10.1)
+    flight.track.add_attitude(9.9, (0.0, 0.0, 0.0))
+    flight.listener.receive(replace(AT_10_S, range_m=None, bearing_body_rad=0.4))
+    assert (flight.listener.fuse_due(10.1) == []) is waits
+    flight.track.add_attitude(10.1, (0.4, 0.0, 0.0))
+    reports = flight.listener.fuse_due(10.1)
+    assert len(reports) == waits
+    for report in reports:
+        assert report.measurement is not None
+        assert report.measurement.array is not None
+        down = report.measurement.array.second_axis_enu[2]
+        assert down == pytest.approx(-math.sin(0.2))  # half way between both attitudes
+
+
+def test_an_angle_of_an_array_waits_for_an_attitude_no_longer_than_for_a_place() -> None:
+    flight = Flight(AntennaParams(kind="planar"))
+    flight.moved(9.9, 10.1)
+    flight.listener.receive(replace(AT_10_S, bearing_body_rad=0.4))
+    assert flight.listener.fuse_due(10.25) == []
+    assert len(flight.listener.fuse_due(10.26)) == 1
+    assert flight.refusals == {RejectReason.NO_ATTITUDE: 1}
 
 
 @pytest.fixture
