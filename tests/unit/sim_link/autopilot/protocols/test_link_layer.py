@@ -84,7 +84,7 @@ def test_system_zero_is_heard_and_not_passed_on() -> None:
     [
         (heartbeat(), True),
         (mavlink.MAVLink_named_value_float_message(1, b"r95", 1.5), True),
-        (MAVLink_target_estimate_message(*[0] * 18), False),
+        (MAVLink_target_estimate_message(*[0] * 21), False),
         (MAVLink_radio_ranging_message(*[0] * 10), False),
     ],
 )
