@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.estimation.antenna import AntennaParams, antenna_axes_enu
 from companion.estimation.filters.kalman import admm_update
 from companion.estimation.filters.robust_update import (
     asymmetric_huber_influence,
@@ -23,7 +24,7 @@ from companion.estimation.filters.robust_update import (
     wrapped,
 )
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.measurement_model import jacobian, predicted, variances
+from companion.estimation.measurement_model import AZIMUTH, jacobian, predicted, variances
 from companion.estimation.window.map_kernels import (
     clipped,
     map_cost,
@@ -56,6 +57,8 @@ LAYOUTS = {
         target_height_sigma_m=4.0,
     ),
     "as printed": FilterParams(near_target_terms=False, own_position_sigma_m=0.0),
+    "planar": FilterParams(antenna=AntennaParams(kind="planar")),
+    "cosines": FilterParams(antenna=AntennaParams(kind="two_axis"), target_height_sigma_m=4.0),
 }
 SEEDS = 8
 IS_COMPILED = "is compiled"
@@ -117,10 +120,19 @@ def drawn_update(
     root = np.eye(mean.size) + 0.4 * rng.normal(size=(mean.size, mean.size))
     P = root @ root.T * np.outer(sigmas, sigmas)
     P = 0.5 * (P + P.T)
-    sensor = np.array([*rng.uniform(-60.0, 60.0, 2), 20.0])
+    sensor = np.array([*rng.uniform(-60.0, 60.0, 2), 20.0, *drawn_axes(params, rng)])
     z = predicted(mean, sensor, params.model) + rng.normal(size=3) * [9.0, 0.4, 0.3]
     z[rng.random(3) < 0.2] = np.nan
     return mean, P, sensor, z, np.array([1.5, 0.03, 0.09])
+
+
+def drawn_axes(params: FilterParams, rng: np.random.Generator) -> list[float]:
+    """Two axes of an antenna that leans anyhow, if there is one."""
+    if params.model.antenna == AZIMUTH:
+        return []
+    attitude_rad = (*rng.uniform(-0.4, 0.4, 2).tolist(), float(rng.uniform(-3.0, 3.0)))
+    ahead, right, _ = antenna_axes_enu(attitude_rad, (0.0, 0.0, 0.0))
+    return [*ahead, *right]
 
 
 def windows(name: str, params: FilterParams) -> Results:
@@ -155,14 +167,15 @@ def drawn_rows(params: FilterParams, rng: np.random.Generator) -> tuple[Matrix, 
     """A walk about a target, with reflections and gaps."""
     truth = np.array(params.prior[0])
     truth[:2] = 40.0, 25.0
-    rows = np.full((60, 10), np.nan)
+    rows = np.full((60, 10 + len(drawn_axes(params, rng))), np.nan)
     for index in range(60):
         angle = 0.1 * index
-        sensor = np.array([60.0 * math.cos(angle), 45.0 * math.sin(angle), 20.0])
+        place = (60.0 * math.cos(angle), 45.0 * math.sin(angle), 20.0)
+        sensor = np.array([*place, *drawn_axes(params, rng)])
         z = predicted(truth, sensor, params.model) + rng.normal(size=3) * [1.5, 0.03, 0.09]
         z[0] += rng.exponential(8.0) if rng.random() < 0.4 else 0.0
         z[rng.random(3) < 0.2] = np.nan
-        rows[index] = [*sensor, *z, 1.5, 0.03, 0.09, index]
+        rows[index] = [*place, *z, 1.5, 0.03, 0.09, index, *sensor[3:]]
     return rows, truth
 
 
