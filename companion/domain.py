@@ -90,6 +90,16 @@ class RangingMeasurement:
 
 
 @dataclass(frozen=True, slots=True)
+class Attitude:
+    """How the vehicle lies in the air."""
+
+    yaw_ned_rad: float
+    """Clockwise from north."""
+    tilt_rad: tuple[float, float] | None = None
+    """Roll, to the right positive, and pitch, nose up positive; None: not told."""
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleState:
     """Where the vehicle is and how it moves."""
 

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import ArrayDirection, Params, PositionEnu, RangingMeasurement
+from companion.domain import ArrayDirection, Attitude, Params, PositionEnu, RangingMeasurement
 from companion.estimation.measurement_model import AZIMUTH, COSINES, PLANAR
 from companion.geometry.coordinates import (
     Triple,
@@ -66,14 +66,14 @@ def antenna_axes_enu(attitude_rad: Triple, mount_deg: Triple) -> Axes:
 
 
 def seen_in_enu(
-    measurement: RangingMeasurement, attitude_rad: Triple | None, antenna: AntennaParams
+    measurement: RangingMeasurement, attitude: Attitude | None, antenna: AntennaParams
 ) -> RangingMeasurement:
     """The measurement with its direction in the local frame, as far as that is known.
 
-    It takes the roll, pitch and yaw at the time, NaN where not told; an azimuth about the vertical
-    needs the yaw alone. Nothing is a direction outside the field of view. A planar array that tells
-    its azimuth by north itself is taken for a level one. What is absurd comes back as it is: the
-    wire may carry infinities, which the screen refuses.
+    It takes the attitude at the time; an azimuth about the vertical needs its yaw alone. Nothing is
+    a direction outside the field of view. A planar array that tells its azimuth by north itself is
+    taken for a level one. What is absurd comes back as it is: the wire may carry infinities, which
+    the screen refuses.
     """
     m = measurement
     if antenna.kind == "azimuth" and m.bearing_enu_rad is not None:
@@ -84,14 +84,14 @@ def seen_in_enu(
         if antenna.kind == "planar" and m.bearing_enu_rad is not None and not m.is_array_angle:
             return _with_azimuth(m, -m.bearing_enu_rad, LEVEL)
         return m
-    if lost_direction(m, antenna) or attitude_rad is None or not math.isfinite(m.bearing_body_rad):
+    if lost_direction(m, antenna) or attitude is None or not math.isfinite(m.bearing_body_rad):
         return m
     if antenna.kind == "azimuth":
-        bearing_enu_rad = bearing_enu_from_ned(attitude_rad[2] + m.bearing_body_rad)
-        return m if math.isnan(bearing_enu_rad) else replace(m, bearing_enu_rad=bearing_enu_rad)
-    if not math.isfinite(sum(attitude_rad)):
+        bearing_enu_rad = bearing_enu_from_ned(attitude.yaw_ned_rad + m.bearing_body_rad)
+        return replace(m, bearing_enu_rad=bearing_enu_rad)
+    if attitude.tilt_rad is None:
         return m
-    axes = antenna_axes_enu(attitude_rad, antenna.mount_deg)
+    axes = antenna_axes_enu((*attitude.tilt_rad, attitude.yaw_ned_rad), antenna.mount_deg)
     if antenna.kind == "planar":
         return _with_azimuth(m, m.bearing_body_rad, axes)
     return _with_cosines(m, m.elevation_rad if antenna.kind == "two_axis" else None, axes)

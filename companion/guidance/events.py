@@ -101,12 +101,11 @@ class VehicleMoved(OrderedEvent):
 
 @dataclass(frozen=True, slots=True)
 class YawMeasured(OrderedEvent):
-    """A new own heading, clockwise from north, and the tilt, NaN where it is not told."""
+    """A new own heading, clockwise from north, with roll and pitch where they are told."""
 
     measured_at_s: float
     yaw_ned_rad: float
-    roll_rad: float = math.nan
-    pitch_rad: float = math.nan
+    tilt_rad: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -265,8 +265,11 @@ class VehicleInbound:
             if not abs(message.yaw) <= MAX_YAW_RAD:
                 return []
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
-            tilt = (v if math.isfinite(v) else math.nan for v in (message.roll, message.pitch))
-            event = YawMeasured(now_s, reading.time_s, message.yaw, *tilt, order=number)
+            tilt = (message.roll, message.pitch)
+            is_told = all(abs(angle) <= MAX_YAW_RAD for angle in tilt)
+            event = YawMeasured(
+                now_s, reading.time_s, message.yaw, tilt if is_told else None, order=number
+            )
         else:
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
             place_enu_m = enu_from_ned((message.x, message.y, message.z))

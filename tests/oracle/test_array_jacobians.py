@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from companion.domain import RangingMeasurement
+from companion.domain import Attitude, RangingMeasurement
 from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import (
@@ -141,7 +141,7 @@ def test_what_is_printed_is_what_is_expected_of_the_true_place(
         bearing_body_rad=bearing_rad,
         elevation_rad=elevation_rad,
     )
-    seen = seen_in_enu(told, attitude, antenna)
+    seen = seen_in_enu(told, Attitude(attitude[2], attitude[:2]), antenna)
     params = FilterParams(antenna=antenna)
     z, _ = params.seen(seen)
     pose = np.array(params.pose(seen, tuple(sensor.tolist())))
@@ -158,7 +158,7 @@ def test_a_compass_that_is_off_turns_every_direction_alike() -> None:
     true_yaw, target = 0.7, (30.0, 10.0, 0.0)
     azimuth = math.atan2(30.0, 10.0) - true_yaw  # clockwise from the nose, from above the origin
     told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_body_rad=azimuth)
-    seen = seen_in_enu(told, (0.0, 0.0, true_yaw + math.radians(10.0)), antenna)
+    seen = seen_in_enu(told, Attitude(true_yaw + math.radians(10.0), (0.0, 0.0)), antenna)
     z, _ = params.seen(seen)
     pose = np.array(params.pose(seen, (0.0, 0.0, 20.0)))
     mean = np.array([target[0], target[1], 0.0, math.radians(-10.0)])
@@ -181,4 +181,4 @@ def test_nothing_is_believed_outside_the_field_of_view() -> None:
         told = RangingMeasurement(
             emitter_id=1, measured_at_s=0.0, bearing_body_rad=math.radians(degrees)
         )
-        assert seen_in_enu(told, (0.0, 0.0, 0.0), antenna).has_direction is is_believed
+        assert seen_in_enu(told, Attitude(0.0, (0.0, 0.0)), antenna).has_direction is is_believed

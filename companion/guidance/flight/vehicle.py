@@ -13,7 +13,14 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from companion.domain import ARDUPILOT_NAMES, Autopilot, FlightMode, LandedState, PositionEnu
+from companion.domain import (
+    ARDUPILOT_NAMES,
+    Attitude,
+    Autopilot,
+    FlightMode,
+    LandedState,
+    PositionEnu,
+)
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
@@ -151,8 +158,8 @@ class VehicleView:
             case events.VehicleMoved():
                 self._move(event)
             case events.YawMeasured() if math.isfinite(event.yaw_ned_rad):
-                attitude_rad = (event.roll_rad, event.pitch_rad, event.yaw_ned_rad)
-                self.track.add_attitude(event.measured_at_s, attitude_rad)
+                attitude = Attitude(event.yaw_ned_rad, event.tilt_rad)
+                self.track.add_attitude(event.measured_at_s, attitude)
                 self.mode_watch.note_stamp(event.measured_at_s, event.order)
             case events.OriginSet():
                 self.origin = event.origin

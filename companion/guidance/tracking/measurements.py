@@ -91,8 +91,8 @@ class RangingListener:
             return self._emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
         is_turned = measurement.bearing_body_rad is not None
-        attitude_rad = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
-        measurement = seen_in_enu(measurement, attitude_rad, self._emitters.antenna)
+        attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
+        measurement = seen_in_enu(measurement, attitude, self._emitters.antenna)
         report = self._emitters.fuse(measurement, sensor_enu_m, now_s, own)
         return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
 

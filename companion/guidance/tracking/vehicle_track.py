@@ -7,8 +7,8 @@ import math
 from collections import deque
 from dataclasses import replace
 
-from companion.domain import PositionEnu, VehicleState
-from companion.geometry.coordinates import Triple, wrap_pi
+from companion.domain import Attitude, PositionEnu, VehicleState
+from companion.geometry.coordinates import wrap_pi
 
 HISTORY_S = 3.0
 """How far back a delayed measurement may reach."""
@@ -30,7 +30,7 @@ class VehicleTrack:
     def clear(self) -> None:
         """Forget everything, because the autopilot restarted or moved its frame."""
         self._states: deque[VehicleState] = deque()
-        self._attitudes: deque[tuple[float, Triple]] = deque()
+        self._attitudes: deque[tuple[float, Attitude]] = deque()
         self._distrusted_s = (math.inf, -math.inf)
 
     @property
@@ -43,8 +43,8 @@ class VehicleTrack:
         """Time and value of the newest heading."""
         if not self._attitudes:
             return None
-        time_s, (_, _, yaw_rad) = self._attitudes[-1]
-        return time_s, yaw_rad
+        time_s, attitude = self._attitudes[-1]
+        return time_s, attitude.yaw_ned_rad
 
     def shift(self, jump_enu_m: PositionEnu) -> None:
         """Move the past along with a position that jumped."""
@@ -56,8 +56,8 @@ class VehicleTrack:
     def turn(self, jump_rad: float) -> None:
         """Turn the past along with a heading that jumped, clockwise."""
         self._attitudes = deque(
-            (time_s, (roll, pitch, wrap_pi(yaw + jump_rad)))
-            for time_s, (roll, pitch, yaw) in self._attitudes
+            (time_s, replace(attitude, yaw_ned_rad=wrap_pi(attitude.yaw_ned_rad + jump_rad)))
+            for time_s, attitude in self._attitudes
         )
 
     def distrust(self, since_s: float, until_s: float) -> None:
@@ -78,11 +78,11 @@ class VehicleTrack:
         while self._states[0].time_s < state.time_s - HISTORY_S:
             self._states.popleft()
 
-    def add_attitude(self, time_s: float, attitude_rad: Triple) -> None:
-        """Take in roll, pitch and yaw, the yaw clockwise from north; NaN where not known."""
+    def add_attitude(self, time_s: float, attitude: Attitude) -> None:
+        """Take in an attitude."""
         if self._attitudes and time_s <= self._attitudes[-1][0]:
             return
-        self._attitudes.append((time_s, attitude_rad))
+        self._attitudes.append((time_s, attitude))
         while self._attitudes[0][0] < time_s - HISTORY_S:
             self._attitudes.popleft()
 
@@ -108,29 +108,27 @@ class VehicleTrack:
         way_m = _step(after.position_enu_m, before.position_enu_m, -1.0)
         return _step(before.position_enu_m, way_m, (time_s - before.time_s) / gap_s)
 
-    def attitude_at(self, time_s: float) -> Triple | None:
-        """Roll, pitch and yaw at a time, NaN where not told, or None if the history is silent."""
-        found = self._around(time_s)
-        if found is None:
-            return None
-        before, after, since_s, gap_s = found
-        roll, pitch, yaw = (
-            wrap_pi(a + wrap_pi(b - a) * since_s / gap_s)
-            for a, b in zip(before, after, strict=True)
-        )
-        return (roll, pitch, yaw)
-
-    def _around(self, time_s: float) -> tuple[Triple, Triple, float, float] | None:
-        """The attitudes before and after a time, how long after the first, and between both."""
+    def attitude_at(self, time_s: float) -> Attitude | None:
+        """The attitude at a time, or None if the history does not tell."""
         attitudes = self._attitudes
         if not attitudes or time_s < attitudes[0][0]:
             return None
         index = bisect.bisect_right(attitudes, time_s, key=lambda a: a[0])
         t0, before = attitudes[index - 1]
         if index == len(attitudes):
-            return (before, before, 0.0, 1.0) if time_s - t0 <= MAX_EXTRAPOLATION_S else None
+            return before if time_s - t0 <= MAX_EXTRAPOLATION_S else None
         t1, after = attitudes[index]
-        return None if t1 - t0 > MAX_GAP_S else (before, after, time_s - t0, t1 - t0)
+        if t1 - t0 > MAX_GAP_S:
+            return None
+
+        def between(one: float, other: float) -> float:
+            return wrap_pi(one + wrap_pi(other - one) * (time_s - t0) / (t1 - t0))
+
+        tilt_rad = None
+        if before.tilt_rad is not None and after.tilt_rad is not None:
+            (roll0, pitch0), (roll1, pitch1) = before.tilt_rad, after.tilt_rad
+            tilt_rad = (between(roll0, roll1), between(pitch0, pitch1))
+        return Attitude(between(before.yaw_ned_rad, after.yaw_ned_rad), tilt_rad)
 
 
 def _step(place: PositionEnu, way: PositionEnu, share: float) -> PositionEnu:

@@ -8,16 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.domain import RangingMeasurement
+from companion.domain import Attitude, RangingMeasurement
 from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import jacobian, variances
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
-from companion.geometry.coordinates import Triple
 
 PLACE = (0.0, 0.0, 20.0)
-LEVEL = (0.0, 0.0, 0.0)
+LEVEL = Attitude(0.0, (0.0, 0.0))
 PRINTED = RangingMeasurement(
     emitter_id=1, measured_at_s=0.0, range_m=30.0, bearing_body_rad=0.4, elevation_rad=0.2
 )
@@ -28,10 +27,10 @@ def _tracker(antenna: AntennaParams) -> TargetTracker:
 
 
 @pytest.mark.parametrize(
-    ("kind", "attitude_rad", "is_array_angle", "bearing_rad", "reason"),
+    ("kind", "attitude", "is_array_angle", "bearing_rad", "reason"),
     [
         ("planar", None, False, 0.4, RejectReason.NO_ATTITUDE),
-        ("two_axis", (math.nan, 0.0, 0.0), True, 0.4, RejectReason.NO_ATTITUDE),
+        ("two_axis", Attitude(0.0), True, 0.4, RejectReason.NO_ATTITUDE),
         ("azimuth", LEVEL, True, 0.4, RejectReason.NO_ANTENNA),
         ("planar", LEVEL, True, 0.4, RejectReason.NO_ANTENNA),
         ("line", LEVEL, True, 1.2, RejectReason.OUT_OF_VIEW),
@@ -41,14 +40,14 @@ def _tracker(antenna: AntennaParams) -> TargetTracker:
 )
 def test_a_direction_that_cannot_be_used_is_counted_and_its_range_stays(
     kind: AntennaKind,
-    attitude_rad: Triple | None,
+    attitude: Attitude | None,
     is_array_angle: bool,
     bearing_rad: float,
     reason: RejectReason,
 ) -> None:
     antenna = AntennaParams(kind=kind, field_of_view_deg=120.0)
     told = replace(PRINTED, bearing_body_rad=bearing_rad, is_array_angle=is_array_angle)
-    seen = seen_in_enu(told, attitude_rad, antenna)
+    seen = seen_in_enu(told, attitude, antenna)
     tracker = _tracker(antenna)
     assert tracker.fuse(seen, PLACE, 0.0).reject_reason is None
     assert tracker.rejected[reason] == 1

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.domain import PositionEnu, VehicleState
+from companion.domain import Attitude, PositionEnu, VehicleState
 from companion.guard.gate import Motion
 from companion.guidance.events import VehicleMoved
 from companion.guidance.health.position_jumps import (
@@ -106,13 +106,15 @@ def test_a_vehicle_that_turns_as_fast_as_it_can_does_not_jump(dt_s: float, share
 def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> None:
     track = VehicleTrack()
     track.add(state(10.0, (0.0, 0.0, 20.0)))
-    track.add_attitude(10.0, (0.0, 0.0, 3.0))
+    track.add_attitude(10.0, Attitude(3.0))
     track.shift((7.0, -1.0, 2.0))
     track.turn(0.5)
     track.distrust(10.0, 12.1)
     track.add(state(10.1, (7.0, -1.0, 22.0)))
     assert track.position_at(10.05) == pytest.approx((7.0, -1.0, 22.0))
-    assert track.attitude_at(10.0) == pytest.approx((0.0, 0.0, 3.5 - 2.0 * math.pi))
+    attitude = track.attitude_at(10.0)
+    assert attitude is not None
+    assert attitude.yaw_ned_rad == pytest.approx(3.5 - 2.0 * math.pi)
     assert track.is_trusted_at(10.0)
     assert not track.is_trusted_at(10.05)
     assert not track.is_trusted_at(12.0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.domain import PositionEnu, RangingMeasurement, VehicleState
+from companion.domain import Attitude, PositionEnu, RangingMeasurement, VehicleState
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.measurement_screen import RejectReason
@@ -46,10 +46,10 @@ def test_an_angle_of_an_array_waits_for_the_attitude_on_its_other_side(
 ) -> None:
     flight = Flight(AntennaParams(kind=kind))
     flight.moved(9.9, 10.1)
-    flight.track.add_attitude(9.9, (0.0, 0.0, 0.0))
+    flight.track.add_attitude(9.9, Attitude(0.0, (0.0, 0.0)))
     flight.listener.receive(replace(AT_10_S, range_m=None, bearing_body_rad=0.4))
     assert (flight.listener.fuse_due(10.1) == []) is waits
-    flight.track.add_attitude(10.1, (0.4, 0.0, 0.0))
+    flight.track.add_attitude(10.1, Attitude(0.0, (0.4, 0.0)))
     reports = flight.listener.fuse_due(10.1)
     assert len(reports) == waits
     for report in reports:
@@ -194,8 +194,8 @@ def test_a_body_bearing_is_turned_by_the_yaw(
     flight: Flight, yaw_deg: float, body_deg: float, east_m: float, north_m: float
 ) -> None:
     flight.moved(9.9, 10.1)
-    flight.track.add_attitude(9.9, (0.0, 0.0, math.radians(yaw_deg)))
-    flight.track.add_attitude(10.1, (0.0, 0.0, math.radians(yaw_deg)))
+    flight.track.add_attitude(9.9, Attitude(math.radians(yaw_deg)))
+    flight.track.add_attitude(10.1, Attitude(math.radians(yaw_deg)))
     body = replace(AT_10_S, range_m=math.hypot(50.0, 20.0), bearing_body_rad=math.radians(body_deg))
     flight.listener.receive(body)
     assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [None]
@@ -205,8 +205,8 @@ def test_a_body_bearing_is_turned_by_the_yaw(
 def test_the_yaw_is_that_of_the_measurements_time(flight: Flight) -> None:
     """While turning over south, from 170 to -170 degrees, the nose points south at half time."""
     flight.moved(9.9, 10.1)
-    flight.track.add_attitude(9.9, (0.0, 0.0, math.radians(170.0)))
-    flight.track.add_attitude(10.1, (0.0, 0.0, math.radians(-170.0)))
+    flight.track.add_attitude(9.9, Attitude(math.radians(170.0)))
+    flight.track.add_attitude(10.1, Attitude(math.radians(-170.0)))
     flight.listener.receive(replace(AT_10_S, range_m=math.hypot(50.0, 20.0), bearing_body_rad=0.0))
     flight.listener.fuse_due(10.1)
     assert flight.first_fix() == pytest.approx((0.0, -50.0), abs=1e-9)
@@ -227,7 +227,7 @@ def test_without_the_yaw_the_range_still_counts(flight: Flight) -> None:
 
 def test_a_bearing_in_the_local_frame_needs_no_yaw(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
-    flight.track.add_attitude(10.0, (0.0, 0.0, 2.0))
+    flight.track.add_attitude(10.0, Attitude(2.0))
     both = replace(
         AT_10_S, range_m=math.hypot(50.0, 20.0), bearing_enu_rad=0.0, bearing_body_rad=1.0
     )
@@ -240,14 +240,14 @@ def test_a_bearing_in_the_local_frame_needs_no_yaw(flight: Flight) -> None:
 def test_a_body_bearing_that_is_no_number_is_refused(flight: Flight, body_rad: float) -> None:
     """The wire may carry infinities."""
     flight.moved(9.9, 10.1)
-    flight.track.add_attitude(10.0, (0.0, 0.0, 0.0))
+    flight.track.add_attitude(10.0, Attitude(0.0))
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=body_rad))
     assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [RejectReason.NOT_FINITE]
 
 
 def test_a_body_bearing_in_degrees_is_refused(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
-    flight.track.add_attitude(10.0, (0.0, 0.0, 0.0))
+    flight.track.add_attitude(10.0, Attitude(0.0))
     flight.listener.receive(replace(AT_10_S, bearing_body_rad=90.0))
     assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [
         RejectReason.BEARING_ABSURD

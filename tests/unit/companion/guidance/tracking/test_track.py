@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.domain import PositionEnu, VehicleState
+from companion.domain import Attitude, PositionEnu, VehicleState
 from companion.guidance.tracking.vehicle_track import (
     HISTORY_S,
     MAX_EXTRAPOLATION_S,
@@ -32,14 +32,14 @@ def _track(*states: VehicleState) -> VehicleTrack:
 
 
 def yaw_at(track: VehicleTrack, time_s: float) -> float | None:
-    attitude_rad = track.attitude_at(time_s)
-    return None if attitude_rad is None else attitude_rad[2]
+    attitude = track.attitude_at(time_s)
+    return None if attitude is None else attitude.yaw_ned_rad
 
 
 def _turning(*yaws: tuple[float, float]) -> VehicleTrack:
     track = VehicleTrack()
     for time_s, yaw_ned_rad in yaws:
-        track.add_attitude(time_s, (0.0, 0.0, yaw_ned_rad))
+        track.add_attitude(time_s, Attitude(yaw_ned_rad))
     return track
 
 
@@ -99,19 +99,19 @@ def test_only_the_last_seconds_are_remembered() -> None:
     assert track.position_at(newest_s - HISTORY_S) is not None
     assert track.position_at(newest_s - HISTORY_S - 0.01) is None
     for step in range(100):
-        track.add_attitude(0.5 * step, (0.0, 0.0, 0.0))
+        track.add_attitude(0.5 * step, Attitude(0.0))
     assert yaw_at(track, newest_s - HISTORY_S) is not None
     assert yaw_at(track, newest_s - HISTORY_S - 0.01) is None
 
 
 def test_a_cleared_track_starts_again_even_at_an_earlier_time() -> None:
     track = _track(_state(1000.0))
-    track.add_attitude(1000.0, (0.0, 0.0, 1.0))
+    track.add_attitude(1000.0, Attitude(1.0))
     track.clear()
     assert track.latest is None
     assert yaw_at(track, 1000.0) is None
     track.add(_state(5.0))
-    track.add_attitude(5.0, (0.0, 0.0, 2.0))
+    track.add_attitude(5.0, Attitude(2.0))
     assert track.position_at(5.0) == (0.0, 0.0, 20.0)
     assert yaw_at(track, 5.0) == 2.0
 
@@ -137,7 +137,7 @@ def test_headings_have_the_same_limits_as_positions() -> None:
     assert yaw_at(track, 10.05) == pytest.approx(1.5)
     assert yaw_at(track, 10.1 + MAX_EXTRAPOLATION_S - 1e-6) == 2.0
     assert yaw_at(track, 10.1 + MAX_EXTRAPOLATION_S + 1e-6) is None
-    track.add_attitude(10.1 + MAX_GAP_S + 0.01, (0.0, 0.0, 2.0))
+    track.add_attitude(10.1 + MAX_GAP_S + 0.01, Attitude(2.0))
     assert yaw_at(track, 10.6) is None
 
 
@@ -154,18 +154,18 @@ def test_states_that_mean_nothing_are_told_from_others(axis: int, value: float) 
 
 def test_roll_and_pitch_are_those_between_two_reports() -> None:
     track = VehicleTrack()
-    track.add_attitude(10.0, (0.1, -0.2, 3.1))
-    track.add_attitude(10.1, (0.3, 0.2, -3.1))
-    attitude_rad = track.attitude_at(10.05)
-    assert attitude_rad is not None
-    assert attitude_rad[:2] == pytest.approx((0.2, 0.0))
-    assert math.cos(attitude_rad[2]) == pytest.approx(-1.0)
+    track.add_attitude(10.0, Attitude(3.1, (0.1, -0.2)))
+    track.add_attitude(10.1, Attitude(-3.1, (0.3, 0.2)))
+    attitude = track.attitude_at(10.05)
+    assert attitude is not None
+    assert attitude.tilt_rad == pytest.approx((0.2, 0.0))
+    assert math.cos(attitude.yaw_ned_rad) == pytest.approx(-1.0)
 
 
 def test_a_tilt_that_is_not_told_leaves_the_yaw_known() -> None:
     track = VehicleTrack()
-    track.add_attitude(10.0, (math.nan, math.nan, 1.0))
-    attitude_rad = track.attitude_at(10.0)
-    assert attitude_rad is not None
-    assert math.isnan(attitude_rad[0])
-    assert attitude_rad[2] == 1.0
+    track.add_attitude(10.0, Attitude(1.0))
+    track.add_attitude(10.1, Attitude(1.2, (0.3, 0.2)))
+    attitude = track.attitude_at(10.05)
+    assert attitude is not None
+    assert (attitude.tilt_rad, attitude.yaw_ned_rad) == (None, pytest.approx(1.1))
