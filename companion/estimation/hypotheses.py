@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
+from companion.domain import ArrayDirection, Params, PositionEnu, Positive, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.measurement_model import (
     AZIMUTH,
@@ -75,7 +75,7 @@ def first_hypotheses(
     params: HypothesisParams,
 ) -> tuple[Hypothesis, ...]:
     """Where the target may be after its first measurement."""
-    range_m, bearing_rad = measurement.range_m, measurement.bearing_enu_rad
+    range_m = measurement.range_m
     if range_m is None:
         placed = [
             place
@@ -85,10 +85,12 @@ def first_hypotheses(
     else:
         rise_m = sensor_enu_m[2] - filter_params.target_height_m
         ground_m = math.sqrt(max(range_m**2 - rise_m**2, 1.0))
-        if bearing_rad is None:
+        if measurement.bearing_enu_rad is None:
             placed = _on_ring(ground_m, filter_params)
         else:
-            placed = [(bearing_rad, ground_m, np.eye(2) * filter_params.position_sigma_m**2)]
+            covariance = np.eye(2) * filter_params.position_sigma_m**2
+            directions_rad = _directions_rad(measurement)
+            placed = [(direction_rad, ground_m, covariance) for direction_rad in directions_rad]
     hypotheses = []
     for direction_rad, distance_m, position_covariance in placed:
         mean, sigmas = filter_params.prior
@@ -105,15 +107,33 @@ _Placed = list[tuple[float, float, Matrix]]
 
 
 def _directions_rad(measurement: RangingMeasurement) -> list[float]:
-    """Where along the ground a direction points: a line of antennas leaves two sides of its own."""
+    """Where along the ground a direction points; not every array sees which side it comes from.
+
+    A line of antennas leaves two sides of its own, and a two-axis array what is behind it, unless
+    that is up in the air.
+    """
+    array = measurement.array
+    if array is not None and array.second is not None:
+        return _before_and_behind_rad(array, array.second)
     if measurement.bearing_enu_rad is not None:
         return [measurement.bearing_enu_rad]
-    assert measurement.array is not None
-    east, north, _ = measurement.array.first_axis_enu
+    assert array is not None
+    east, north, _ = array.first_axis_enu
     level = max(math.hypot(east, north), 1e-6)
-    aside_rad = math.acos(min(1.0, max(-1.0, measurement.array.first / level)))
+    aside_rad = math.acos(min(1.0, max(-1.0, array.first / level)))
     along_rad = math.atan2(north, east)
     return [along_rad - aside_rad, along_rad + aside_rad]
+
+
+def _before_and_behind_rad(array: ArrayDirection, second: float) -> list[float]:
+    first_axis, second_axis = np.array(array.first_axis_enu), np.array(array.second_axis_enu)
+    seen = array.first * first_axis + second * second_axis
+    ahead = math.sqrt(max(0.0, 1.0 - array.first**2 - second**2)) * np.cross(
+        second_axis, first_axis
+    )
+    pointed = [(seen + ahead).tolist(), (seen - ahead).tolist()]
+    below = [place for place in pointed if place[2] <= 0.0]
+    return [math.atan2(north, east) for east, north, _ in below or pointed]
 
 
 def _on_ring(ground_m: float, params: FilterParams) -> _Placed:

@@ -148,6 +148,25 @@ def test_the_elevation_of_an_array_that_is_not_configured_is_not_believed() -> N
     assert np.isnan(values).tolist() == [False, True, True]
 
 
+@pytest.mark.parametrize("range_m", [25.0, None])
+@pytest.mark.parametrize(
+    ("mount_deg", "elevation_rad", "sides"),
+    [((0.0, 0.0, 0.0), -0.9, {-1.0, 1.0}), ((0.0, -90.0, 0.0), 0.5, {1.0})],
+)
+def test_a_two_axis_array_leaves_what_is_behind_unless_that_is_the_sky(
+    mount_deg: Triple, elevation_rad: float, sides: set[float], range_m: float | None
+) -> None:
+    """It prints the same of both."""
+    antenna = AntennaParams(kind="two_axis", mount_deg=mount_deg)
+    told = replace(PRINTED, range_m=range_m, bearing_body_rad=0.1, elevation_rad=elevation_rad)
+    seen = seen_in_enu(told, LEVEL, antenna)  # its nose is to the north
+    tracker = _tracker(antenna)
+    tracker.fuse(seen, PLACE, 0.0)
+    assert {math.copysign(1.0, h.place_enu_m[1]) for h in tracker.hypotheses} == sides
+    bearings = [math.atan2(*h.place_enu_m[::-1]) for h in tracker.hypotheses]
+    assert min(abs(b - seen.bearing_enu_rad) for b in bearings) < 1e-9  # type: ignore[operator]
+
+
 def test_without_a_range_a_line_leaves_two_sides() -> None:
     antenna = AntennaParams(kind="line")
     told = replace(PRINTED, range_m=None, elevation_rad=None)
