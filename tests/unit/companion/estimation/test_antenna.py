@@ -154,7 +154,10 @@ def test_the_elevation_of_an_array_that_is_not_configured_is_not_believed() -> N
     [((0.0, 0.0, 0.0), -0.9, {-1.0, 1.0}), ((0.0, -90.0, 0.0), 0.5, {1.0})],
 )
 def test_a_two_axis_array_leaves_what_is_behind_unless_that_is_the_sky(
-    mount_deg: Triple, elevation_rad: float, sides: set[float], range_m: float | None
+    mount_deg: tuple[float, float, float],
+    elevation_rad: float,
+    sides: set[float],
+    range_m: float | None,
 ) -> None:
     """It prints the same of both."""
     antenna = AntennaParams(kind="two_axis", mount_deg=mount_deg)
