@@ -102,7 +102,7 @@ def changes_of(node: ast.AST) -> Iterator[ast.AST | None]:
                 changed = copy.copy(node)
                 changed.test = ast.Constant(value)
                 yield changed
-        case ast.Return(value=ast.expr()) if not _is_none(node.value):
+        case ast.Return(value=ast.expr()) if not _is_false(node.value):
             yield ast.Return(ast.Constant(None))
         case (
             ast.Expr() | ast.Assign() | ast.AugAssign() | ast.Raise() | ast.Continue() | ast.Break()
@@ -118,8 +118,9 @@ def _changed_calls(node: ast.Call) -> Iterator[ast.AST]:
         yield node.args[0]
 
 
-def _is_none(node: ast.expr | None) -> bool:
-    return isinstance(node, ast.Constant) and node.value is None
+def _is_false(node: ast.expr | None) -> bool:
+    """Whether it is None already, or says no more than that."""
+    return isinstance(node, ast.Constant) and (node.value is None or node.value is False)
 
 
 def _is_skipped(node: ast.AST, depth: int) -> bool:

@@ -85,8 +85,9 @@ class FrameSplitter:
                 guesses.append((start, end))
             self.counters.junk_bytes += 1
             start += 1
-        free_from = self._keep_unknown(buffer, guesses, taken) if guesses else 0
-        self._pending = b"" if is_datagram else buffer[max(start, free_from) :]
+        if guesses:
+            start = max(start, self._keep_unknown(buffer, guesses, taken))
+        self._pending = buffer[start:]  # of a datagram nothing is left
         self.counters.good += len(frames)
         return frames
 
