@@ -84,6 +84,7 @@ def test_without_a_search_the_same_flight_waits() -> None:
     assert loop.said("hold: waiting for ranging")
 
 
+@pytest.mark.slow
 def test_contact_that_is_lost_leads_back_to_the_search_and_may_come_again() -> None:
     loop = _loop(_config())
     loop.run_until(lambda: loop.companion.session.estimate is not None, 150.0)
@@ -103,6 +104,7 @@ def test_contact_that_is_lost_leads_back_to_the_search_and_may_come_again() -> N
     _check_places(loop)
 
 
+@pytest.mark.slow
 def test_a_pattern_alone_is_flown_over_the_emitter() -> None:
     loop = _loop(_config(None, kind="lawnmower"), reach_m=500.0)
     loop.run(150.0)
