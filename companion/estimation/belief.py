@@ -64,7 +64,7 @@ class Belief:
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:
             return "an impossible count or emitter"
         own = self.own
-        if own is not None and not (0.0 <= own.horizontal_m < math.inf > own.vertical_m >= 0.0):
+        if own is not None and not (0.0 < own.horizontal_m < math.inf > own.vertical_m >= 0.0):
             return "an impossible accuracy of the own place"
         problems = (_problem(place, size) for place in self.places)
         return next((problem for problem in problems if problem is not None), None)

@@ -76,6 +76,11 @@ class TrackerParams(Params, frozen=True):
     adapt_inflation: bool = True
     """Whether the inflation is measured; false keeps it at 1, as the paper's filter has it."""
 
+    def __post_init__(self) -> None:
+        """Refuse to learn an array's noise: it depends on where it looks."""
+        if self.adaptation is not None and self.filter.antenna.kind != "azimuth":
+            raise ValueError("adaptation needs filter.antenna.kind: azimuth")
+
     @property
     def believed(self) -> FilterParams:
         """What the tracker's filter believes: `filter`, ranges bounded on the short side."""

@@ -385,7 +385,9 @@ class MeasurementScreen:
         if self._frozen_bearing.add(raw_rad, m.measured_at_s, sensor_enu_m):
             return RejectReason.FROZEN
         height_m = abs(sensor_enu_m[2] - self._params.target_height_m)
-        if m.range_m is None or m.range_m > STEEP_RATIO * height_m:
+        is_flat = m.range_m is not None and m.range_m > STEEP_RATIO * height_m
+        # without a range only an azimuth about the vertical tells what is random, and what is steep
+        if is_flat or (m.range_m is None and m.array is None):
             _, sigma_rad, _ = self._params.seen_sigmas(m)
             self._bearings.add(m.measured_at_s, raw_rad, sigma_rad, sensor_enu_m)
         return RejectReason.WRONG_UNIT if self._bearings.is_rejected else None

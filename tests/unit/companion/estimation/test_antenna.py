@@ -12,6 +12,7 @@ from companion.domain import Attitude, RangingMeasurement
 from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import jacobian, variances
+from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 
@@ -178,3 +179,20 @@ def test_without_a_range_a_line_leaves_two_sides() -> None:
     norths = [h.place_enu_m[1] for h in tracker.hypotheses]
     assert min(norths) < 0.0 < max(norths)
     assert all(h.place_enu_m[0] > 0.0 for h in tracker.hypotheses)
+
+
+def test_what_a_planar_array_says_from_right_above_is_no_wrong_unit() -> None:
+    """Bearings alone do not tell how steep they are, and turn at random near the normal."""
+    antenna = AntennaParams(kind="planar")
+    tracker, rng = _tracker(antenna), np.random.default_rng(3)
+    for index in range(120):
+        at_s = 0.1 * index
+        told = RangingMeasurement(1, at_s, bearing_body_rad=float(rng.uniform(-3.1, 3.1)))
+        tracker.fuse(seen_in_enu(told, LEVEL, antenna), (0.05 * index, 0.0, 20.0), at_s)
+    assert tracker.rejected[RejectReason.WRONG_UNIT] == 0
+
+
+def test_the_noise_of_an_array_is_not_learnt() -> None:
+    array = FilterParams(antenna=AntennaParams(kind="planar"))
+    with pytest.raises(ValueError, match="adaptation needs"):
+        TrackerParams(filter=array, adaptation=AdaptationParams())
