@@ -177,7 +177,7 @@ class TargetTracker:
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Fuse what was let through, as far as the hypotheses can explain it."""
         params = self._filter.params
-        row = (params.pose(measurement, sensor_enu_m), *params.seen(measurement))
+        row = params.seen(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
         self.watch.add(measurement.measured_at_s, row)
         is_white = self._noise.is_white
@@ -206,7 +206,7 @@ class TargetTracker:
             )
             if not bank.reports:
                 return self._restart(measurement, sensor_enu_m)
-            row = (params.pose(passed, sensor_enu_m), *params.seen(passed))
+            row = params.seen(passed, sensor_enu_m)
         self._optimizer.add(row, self.hypotheses, is_white=is_white)
         several = len(bank.hypotheses) > 1
         self.hypotheses = consolidated(bank.hypotheses) if several else bank.hypotheses

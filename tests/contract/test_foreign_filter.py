@@ -46,7 +46,7 @@ class InformationFilter:
         inflation: Inflation = NO_INFLATION,
     ) -> UpdateReport:
         p, place = self.params, np.array(sensor_enu_m)
-        z, sigma = p.seen(measurement)
+        _, z, sigma = p.seen(measurement, sensor_enu_m)
         y = z - predicted(state.mean, place, p.model)
         y[1] = math.remainder(y[1], math.tau)
         H = jacobian(state.mean, place, p.model)

@@ -102,11 +102,11 @@ class RecursiveFilter:
         which makes the filter a little more careful than it had to be.)
         """
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
-        z, sigma = self.params.seen(measurement)
+        pose, z, sigma = self.params.seen(measurement, sensor_enu_m)
         mean, P, rows, is_sane = self._kernel(
             state.mean,
             state.covariance,
-            np.array(self.params.pose(measurement, sensor_enu_m)),
+            np.array(pose),
             z,
             sigma,
             self._walk**2 * late_s,

@@ -240,25 +240,21 @@ class FilterParams(Params, frozen=True, dict=True):
         ranges = (threshold(self.range_k_long), threshold(self.range_k_short))
         return np.array([ranges, (angle, angle), (angle, angle)])
 
-    def pose(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> Pose:
-        """Where, and with an array in which attitude, a measurement was made."""
-        if self.model.antenna == AZIMUTH:
-            return sensor_enu_m
-        array = measurement.array
-        if array is None:
-            return (*sensor_enu_m, *NO_AXES)
-        return (*sensor_enu_m, *array.first_axis_enu, *array.second_axis_enu)
-
-    def seen(self, measurement: RangingMeasurement) -> tuple[Vector, Vector]:
-        """A measurement as the kernels take it: values and standard deviations, each (3,)."""
-        m, array = measurement, measurement.array
+    def seen(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu
+    ) -> tuple[Pose, Vector, Vector]:
+        """A measurement as the kernels take it: the sensor's pose, values and sigmas, each (3,)."""
+        m = measurement
+        pose: Pose = sensor_enu_m
         has_elevation = self.use_elevation and not m.is_array_angle
         values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if has_elevation else None)
         if self.model.antenna != AZIMUTH:
-            direction = (None, None) if array is None else (array.first, array.second)
-            values = (m.range_m, *direction)
+            values, pose = (m.range_m, None, None), (*sensor_enu_m, *NO_AXES)
+            if m.array is not None:
+                values = (m.range_m, m.array.first, m.array.second)
+                pose = (*sensor_enu_m, *m.array.first_axis_enu, *m.array.second_axis_enu)
         z = np.array([math.nan if v is None else v for v in values])
-        return z, np.array(self.seen_sigmas(m))
+        return pose, z, np.array(self.seen_sigmas(m))
 
     def seen_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
         """Standard deviations of range, bearing and elevation, as they are believed."""

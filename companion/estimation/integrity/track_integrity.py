@@ -46,7 +46,8 @@ class Contact:
         at_s, newest_s = measurement.measured_at_s, self.newest_s
         range_s, bearing_s = self.range_s, self.bearing_s
         has_range = measurement.range_m is not None and gate.agrees_in_range
-        has_bearing = measurement.has_direction and gate.agrees_in_bearing
+        has_bearing = measurement.bearing_enu_rad is not None or measurement.array is not None
+        has_bearing = has_bearing and gate.agrees_in_bearing
         if not (has_range or has_bearing):
             return self
         if has_range:

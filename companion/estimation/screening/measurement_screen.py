@@ -354,9 +354,10 @@ class MeasurementScreen:
             passed = replace(passed, range_m=None)
         if bearing_reason is not None:
             passed = passed.without_direction()
-        if passed.has_direction:
+        has_direction = passed.bearing_enu_rad is not None or passed.array is not None
+        if has_direction:
             self.has_body_bearings = passed.bearing_body_rad is not None
-        has_any = passed.range_m is not None or passed.has_direction
+        has_any = passed.range_m is not None or has_direction
         return Judgement(passed if has_any else None, range_reason or bearing_reason, is_new)
 
     def _range_reason(
@@ -378,7 +379,8 @@ class MeasurementScreen:
         raw_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
         if raw_rad is None:
             return None
-        lost = self._lost_direction(m)
+        is_plain = m.bearing_enu_rad is not None and self._params.antenna.kind == "azimuth"
+        lost = None if is_plain else self._lost_direction(m)
         if lost is not None:
             return lost
         self._absurd_bearings.add(now_s, is_absurd=False)

@@ -66,6 +66,8 @@ class EmitterQueue:
         emitter_id: int | None = None,
     ) -> None:
         self.params = QueueParams() if params is None else params
+        self.is_single = self.params.order == "first"
+        """Whether only one emitter counts."""
         self._tracker_params = trackers
         self._strengths: dict[int, float] = {}
         self.reported: set[int] = set()
@@ -88,11 +90,6 @@ class EmitterQueue:
     def antenna(self) -> AntennaParams:
         """What measures the bearings of all of them."""
         return self._tracker_params.filter.antenna
-
-    @property
-    def is_single(self) -> bool:
-        """Whether only one emitter counts."""
-        return self.params.order == "first"
 
     @property
     def trackers(self) -> tuple[TargetTracker, ...]:

@@ -44,6 +44,8 @@ class RangingListener:
 
     def __init__(self, emitters: EmitterQueue, track: VehicleTrack) -> None:
         self._emitters = emitters
+        self._antenna = emitters.antenna
+        self._is_array = self._antenna.kind != "azimuth"
         self._track = track
         self._waiting: list[RangingMeasurement] = []
 
@@ -67,22 +69,23 @@ class RangingListener:
 
         `own` is how well that place is known on the Earth; None says nothing about it.
         """
+        latest = self._track.latest
         due: list[RangingMeasurement] = []
         waiting: list[RangingMeasurement] = []
         for measurement in self._waiting:
+            is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
+            if is_covered and self._is_array:
+                is_covered = self._has_attitude(measurement)
             is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
-            must_wait = is_recent and not self._is_covered(measurement)
-            (waiting if must_wait else due).append(measurement)
+            (waiting if is_recent and not is_covered else due).append(measurement)
         self._waiting = waiting  # first, so that one that makes a filter fail is not tried again
         return [self._fuse(measurement, now_s, own) for measurement in due]
 
-    def _is_covered(self, measurement: RangingMeasurement) -> bool:
-        """Whether it lies between positions, and an array's angle between attitudes."""
-        at_s, latest, newest = measurement.measured_at_s, self._track.latest, self._track.latest_yaw
-        if latest is None or at_s > latest.time_s:
-            return False
-        is_plain = self._emitters.antenna.kind == "azimuth" or measurement.bearing_body_rad is None
-        return is_plain or (newest is not None and at_s <= newest[0])
+    def _has_attitude(self, measurement: RangingMeasurement) -> bool:
+        """Whether an array's angle, if there is one, lies between attitudes."""
+        newest = self._track.latest_yaw
+        is_known = newest is not None and measurement.measured_at_s <= newest[0]
+        return is_known or measurement.bearing_body_rad is None
 
     def _fuse(
         self, measurement: RangingMeasurement, now_s: float, own: OwnAccuracy | None
@@ -91,8 +94,9 @@ class RangingListener:
             return self._emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
         is_turned = measurement.bearing_body_rad is not None
-        attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
-        measurement = seen_in_enu(measurement, attitude, self._emitters.antenna)
+        if is_turned or self._is_array:
+            attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
+            measurement = seen_in_enu(measurement, attitude, self._antenna)
         report = self._emitters.fuse(measurement, sensor_enu_m, now_s, own)
         return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
 

@@ -62,7 +62,7 @@ class FilterpyEkf:
     ) -> target_filter.UpdateReport:
         """The state after a measurement; see `TargetFilter.update`."""
         sensor = np.array(sensor_enu_m)
-        z, sigma = self.params.seen(measurement)
+        _, z, sigma = self.params.seen(measurement, sensor_enu_m)
         rows = np.flatnonzero(~np.isnan(z)).tolist()
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
         noise = self._variances(state, sensor, sigma, late_s)

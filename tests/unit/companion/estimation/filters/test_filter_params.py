@@ -12,6 +12,7 @@ from companion.domain import RangingMeasurement
 from companion.estimation.filters.target_filter import MAX_SIGMA, MIN_SIGMA, FilterParams
 from companion.estimation.measurement_model import ABSENT
 
+HERE = (0.0, 0.0, 20.0)
 EVERYTHING = RangingMeasurement(
     emitter_id=1,
     measured_at_s=0.0,
@@ -114,7 +115,7 @@ def test_no_threshold_is_an_infinite_one() -> None:
 
 
 def test_a_measurement_is_values_and_standard_deviations() -> None:
-    z, sigma = FilterParams().seen(EVERYTHING)
+    _, z, sigma = FilterParams().seen(EVERYTHING, HERE)
     assert z.tolist() == [50.0, 0.4, -0.3]
     assert sigma.tolist() == [0.7, 0.02, 0.05]
 
@@ -122,16 +123,16 @@ def test_a_measurement_is_values_and_standard_deviations() -> None:
 def test_what_is_not_reported_or_not_trusted_is_as_configured() -> None:
     own = [1.5, math.radians(2.0), math.radians(5.0)]
     deaf = FilterParams(use_reported_sigma=False)
-    assert deaf.seen(EVERYTHING)[1].tolist() == own
+    assert deaf.seen(EVERYTHING, HERE)[2].tolist() == own
     silent = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0)
-    z, sigma = FilterParams().seen(silent)
+    _, z, sigma = FilterParams().seen(silent, HERE)
     assert sigma.tolist() == own
     assert z[0] == 50.0
     assert np.isnan(z[1:]).all()
 
 
 def test_an_elevation_may_be_left_out() -> None:
-    z, _ = FilterParams(use_elevation=False).seen(EVERYTHING)
+    _, z, _ = FilterParams(use_elevation=False).seen(EVERYTHING, HERE)
     assert np.isnan(z[2])
     assert z[:2].tolist() == [50.0, 0.4]
 
@@ -139,6 +140,6 @@ def test_an_elevation_may_be_left_out() -> None:
 @pytest.mark.parametrize(("told", "taken"), [(1e-300, MIN_SIGMA), (1e300, MAX_SIGMA), (3.0, 3.0)])
 def test_a_reported_sigma_keeps_a_square(told: float, taken: float) -> None:
     seen = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0, range_sigma_m=told)
-    sigma = float(FilterParams().seen(seen)[1][0])
+    sigma = float(FilterParams().seen(seen, HERE)[2][0])
     assert sigma == taken
     assert 0.0 < sigma * sigma < math.inf
