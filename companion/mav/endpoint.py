@@ -31,6 +31,11 @@ class Chunk:
     is_droppable: bool = False
     """On the way out: given up first where a line is too slow for all of it."""
 
+    def readdressed(self, link: int, peer: Address | None) -> Chunk:
+        """The same bytes on another link, to another peer."""
+        but = self.except_peers
+        return Chunk(link, self.data, peer, but, self.is_datagram, self.is_droppable)
+
 
 class Endpoint(Protocol):
     """One MAVLink participant, without sockets or clocks."""

@@ -198,7 +198,8 @@ class SimEndpoint:
         output, self._output = self._output, []
         if not self._sole_peers:
             return output
-        return [replace(each, peer=self._sole_peers.get(each.link, each.peer)) for each in output]
+        peers = self._sole_peers
+        return [c.readdressed(c.link, peers.get(c.link, c.peer)) for c in output]
 
     def take_occurrences(self) -> list[Occurrence]:
         """Mode changes and other events since the last call."""

@@ -52,7 +52,7 @@ class Fleet:
     def take_output(self) -> list[Chunk]:
         """What all of them send."""
         return [
-            replace(chunk, link=index * self._links_each + chunk.link)
+            chunk.readdressed(index * self._links_each + chunk.link, chunk.peer)
             for index, endpoint in enumerate(self.endpoints)
             for chunk in endpoint.take_output()
         ]

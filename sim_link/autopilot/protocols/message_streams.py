@@ -95,11 +95,12 @@ class StreamTable:
         """Ids of the messages due at `now_s`, each once, whatever was missed before."""
         latest_s, streams = now_s + DUE_TOLERANCE_S, self._streams
         due = [(each.due_s, number) for number, each in streams.items() if each.due_s <= latest_s]
-        for due_s, number in sorted(due):
+        due.sort()
+        for due_s, number in due:
             stream = streams[number]
             stream.sent += 1 + math.floor((latest_s - due_s) / stream.interval_s)
             stream.due_s = stream.started_s + stream.sent * stream.interval_s
-        return [number for _, number in sorted(due)]
+        return [number for _, number in due]
 
     def knows(self, number: int) -> bool:
         """Whether the autopilot has such a message."""

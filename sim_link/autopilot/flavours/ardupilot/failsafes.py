@@ -41,6 +41,11 @@ EKF_PATIENCE_S = 1.0
 """How long the estimate must be bad, and as long good again."""
 ROUNDING_S = 1e-6
 FENCE, EKF, STATION, STICKS = "Fence breached", "EKF Failsafe", "GCS Failsafe", "Radio Failsafe"
+BATTERY_LEVELS = (
+    ("BATT_LOW_VOLT", "BATT_LOW_MAH", "Battery 1 is low", "BATT_FS_LOW_ACT"),
+    ("BATT_CRT_VOLT", "BATT_CRT_MAH", "Battery 1 is critical", "BATT_FS_CRT_ACT"),
+)
+"""Parameters of the least voltage and charge, the failsafe's name, and what it does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +57,11 @@ class FailsafeEvent:
     stops_motors: bool = False
     tells_mode: bool = False
     """Whether a second text names the new mode."""
+
+
+def cleared(name: str) -> FailsafeEvent:
+    """A failsafe that ended."""
+    return FailsafeEvent(f"{name} Cleared")
 
 
 class CopterFailsafes:
@@ -74,29 +84,27 @@ class CopterFailsafes:
         heard_s = self._aircraft.stations_s.get(int(self._parameters["SYSID_MYGCS"]))
         is_silent = heard_s is not None and now_s - heard_s > self._parameters["FS_GCS_TIMEOUT"]
         station, sticks = self._reaction("FS_GCS_ENABLE"), self._reaction("FS_THR_ENABLE")
-        is_gone = is_silent and station is not None
-        yield from self._note(STATION, is_gone, FailsafeEvent(STATION, station))
+        if self._changes(STATION, is_silent and station is not None):
+            yield self._told(STATION, station)
         has_sticks = self._aircraft.sticks.read(now_s) is not None
         self._had_sticks = self._had_sticks or has_sticks
-        is_lost = self._had_sticks and not has_sticks and sticks is not None
-        yield from self._note(STICKS, is_lost, FailsafeEvent(STICKS, sticks))
+        if self._changes(STICKS, self._had_sticks and not has_sticks and sticks is not None):
+            yield self._told(STICKS, sticks)
         yield from self._watch_battery()
-        breach = FailsafeEvent(FENCE, self._reaction("FENCE_ACTION"))
-        yield from self._note(FENCE, margin_m < 0.0, breach)
+        if self._changes(FENCE, margin_m < 0.0):
+            yield self._told(FENCE, self._reaction("FENCE_ACTION"))
         yield from self._watch_estimate(mode)
 
     def _watch_battery(self) -> Iterator[FailsafeEvent]:
         value, battery = self._parameters, self._aircraft.battery
         volts = CELLS * battery.cell_mv / 1e3
         left_mah = battery.share * value["BATT_CAPACITY"]
-        for level, word in (("LOW", "low"), ("CRT", "critical")):
-            is_under = volts <= value[f"BATT_{level}_VOLT"] or (
-                0.0 < value[f"BATT_{level}_MAH"] >= left_mah
-            )
-            name, action = f"Battery 1 is {word}", f"BATT_FS_{level}_ACT"
-            text = f"{name} {volts:.2f}V used {battery.consumed_mah} mAh"
-            event = FailsafeEvent(text, self._reaction(action), value[action] == TERMINATE)
-            yield from self._note(name, is_under, event)
+        for least_v, least_mah, name, action in BATTERY_LEVELS:
+            is_under = volts <= value[least_v] or 0.0 < value[least_mah] >= left_mah
+            if self._changes(name, is_under):
+                text = f"{name} {volts:.2f}V used {battery.consumed_mah} mAh"
+                event = FailsafeEvent(text, self._reaction(action), value[action] == TERMINATE)
+                yield event if is_under else cleared(name)
 
     def _watch_estimate(self, mode: CopterMode) -> Iterator[FailsafeEvent]:
         """A failsafe only where the mode needs the position, or FS_EKF_ACTION says so."""
@@ -107,17 +115,24 @@ class CopterFailsafes:
         limit_s = ROUNDING_S if EKF in self.active else EKF_PATIENCE_S - ROUNDING_S
         concerns = mode.needs_position or value["FS_EKF_ACTION"] == EVEN_WITHOUT_POSITION
         reaction = self._reaction("FS_EKF_ACTION") if concerns else None
-        event = FailsafeEvent(EKF, reaction, tells_mode=reaction is not None)
-        yield from self._note(EKF, self._bad_estimate_s >= limit_s, event)
+        if self._changes(EKF, self._bad_estimate_s >= limit_s):
+            yield self._told(EKF, reaction, tells_mode=reaction is not None)
 
     def _reaction(self, parameter: str) -> CopterMode | None:
         reactions, number = REACTIONS[parameter], int(self._parameters[parameter])
         return reactions[number] if 0 <= number < len(reactions) else None
 
-    def _note(self, name: str, is_present: bool, event: FailsafeEvent) -> Iterator[FailsafeEvent]:
-        if is_present and name not in self.active:
-            self.active.add(name)
-            yield event
-        elif not is_present and name in self.active:
-            self.active.discard(name)
-            yield FailsafeEvent(f"{name} Cleared")
+    def _changes(self, name: str, is_present: bool) -> bool:
+        """Note whether a failsafe is active; whether that is news."""
+        if is_present == (name in self.active):
+            return False
+        (self.active.add if is_present else self.active.discard)(name)
+        return True
+
+    def _told(
+        self, name: str, reaction: CopterMode | None, *, tells_mode: bool = False
+    ) -> FailsafeEvent:
+        """What is told of a failsafe that has just begun or ended."""
+        if name in self.active:
+            return FailsafeEvent(name, reaction, tells_mode=tells_mode)
+        return cleared(name)
