@@ -24,14 +24,17 @@ from companion.geometry.coordinates import (
     enu_from_ned,
 )
 
-AntennaKind = Literal["azimuth", "planar", "line", "two_axis"]
+AntennaKind = Literal["auto", "azimuth", "planar", "line", "two_axis"]
 MODELS: dict[AntennaKind, int] = {
+    "auto": AZIMUTH,
     "azimuth": AZIMUTH,
     "planar": PLANAR,
     "line": COSINES,
     "two_axis": COSINES,
 }
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+ABOUT_VERTICAL: tuple[AntennaKind, ...] = ("auto", "azimuth")
+"""Of these a bearing by north is as good as any, and a yaw is enough to turn one."""
 Axes = tuple[PositionEnu, PositionEnu, PositionEnu]
 MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
 """A right angle, which in the wire's 32 bits is a little more than one; no arcsine is more."""
@@ -45,8 +48,9 @@ LEVEL: Axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 class AntennaParams(Params, frozen=True):
     """The antenna that measures bearings, and how it is mounted."""
 
-    kind: AntennaKind = "azimuth"
-    """`azimuth`: about the vertical, as accurate at any elevation (the paper's)."""
+    kind: AntennaKind = "auto"
+    """`azimuth`: about the vertical, as accurate at any elevation (the paper's). `auto`: planar,
+    until the bearings show what they are; filters alone take it for `azimuth`."""
     mount_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the antenna's frame in the body's; (0, -90, 0) looks down."""
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] = 360.0
@@ -70,13 +74,13 @@ def seen_in_enu(
 ) -> RangingMeasurement:
     """The measurement with its direction in the local frame, as far as that is known.
 
-    It takes the attitude at the time; an azimuth about the vertical needs its yaw alone. Nothing is
-    a direction outside the field of view. A planar array that tells its azimuth by north itself is
-    taken for a level one. What is absurd comes back as it is: the wire may carry infinities, which
-    the screen refuses.
+    It takes the attitude at the time; an azimuth about the vertical needs its yaw alone. Where the
+    kind is not told it comes both ways. Nothing is a direction outside the field of view. A planar
+    array that tells its azimuth by north itself is taken for a level one. What is absurd comes back
+    as it is: the wire may carry infinities, which the screen refuses.
     """
     m = measurement
-    if antenna.kind == "azimuth" and m.bearing_enu_rad is not None:
+    if antenna.kind in ABOUT_VERTICAL and m.bearing_enu_rad is not None:
         return m
     if antenna.kind != "azimuth" and _has_absurd_angle(m):
         return m
@@ -84,16 +88,19 @@ def seen_in_enu(
         if antenna.kind == "planar" and m.bearing_enu_rad is not None and not m.is_array_angle:
             return _with_azimuth(m, -m.bearing_enu_rad, LEVEL)
         return m
-    if lost_direction(m, antenna) or attitude is None or not math.isfinite(m.bearing_body_rad):
+    printed_rad = m.bearing_body_rad
+    if lost_direction(m, antenna) or attitude is None or not math.isfinite(printed_rad):
         return m
-    if antenna.kind == "azimuth":
-        bearing_enu_rad = bearing_enu_from_ned(attitude.yaw_ned_rad + m.bearing_body_rad)
-        return replace(m, bearing_enu_rad=bearing_enu_rad)
-    if attitude.tilt_rad is None:
+    if antenna.kind in ABOUT_VERTICAL:
+        bearing_enu_rad = bearing_enu_from_ned(attitude.yaw_ned_rad + printed_rad)
+        m = replace(m, bearing_enu_rad=bearing_enu_rad)
+    if attitude.tilt_rad is None or antenna.kind == "azimuth":
         return m
     axes = antenna_axes_enu((*attitude.tilt_rad, attitude.yaw_ned_rad), antenna.mount_deg)
+    if antenna.kind == "auto":
+        return replace(m, array=ArrayDirection(*axes[:2], printed_rad))
     if antenna.kind == "planar":
-        return _with_azimuth(m, m.bearing_body_rad, axes)
+        return _with_azimuth(m, printed_rad, axes)
     return _with_cosines(m, m.elevation_rad if antenna.kind == "two_axis" else None, axes)
 
 
@@ -109,10 +116,10 @@ Loss = Literal["", "north", "array", "arcsine", "view"]
 
 def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> Loss:
     """Why a printed angle says no direction to whom knows this antenna; empty: it does."""
-    is_azimuth = antenna.kind in ("azimuth", "planar")
+    is_azimuth = antenna.kind in (*ABOUT_VERTICAL, "planar")
     if m.bearing_body_rad is None:
         is_by_north = m.bearing_enu_rad is not None and m.array is None
-        return "north" if is_by_north and antenna.kind != "azimuth" else ""
+        return "north" if is_by_north and antenna.kind not in ABOUT_VERTICAL else ""
     if m.is_array_angle and is_azimuth:
         return "array"
     if not is_azimuth and abs(m.bearing_body_rad) > MAX_ELEVATION_RAD:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -116,7 +116,7 @@ class BankUpdate:
 
 
 def update_hypotheses(
-    hypotheses: Iterable[Hypothesis],
+    hypotheses: Sequence[Hypothesis],
     target_filter: TargetFilter,
     measurement: RangingMeasurement,
     sensor_enu_m: PositionEnu,
@@ -131,8 +131,10 @@ def update_hypotheses(
         report = target_filter.update(state, measurement, sensor_enu_m, told)
         if not report.is_positive_definite:
             continue
-        log_weight = hypothesis.log_weight + log_likelihood(report, thresholds, told)
-        before.append(hypothesis.log_weight)
+        log_weight = hypothesis.log_weight
+        before.append(log_weight)
+        if len(hypotheses) > 1:  # one alone has no rival to be weighed against
+            log_weight += log_likelihood(report, thresholds, told)
         survivors.append(replace(hypothesis, log_weight=log_weight, state=report.state))
         reports.append(report)
     least = max(before, default=0.0) + LIKELY_LOG_RATIO

@@ -247,17 +247,8 @@ def array_variances(
         x, y = cosines(de * unit, dn * unit, du * unit, float(mean[3]), pose)
         sine2 = max(x * x + y * y, MIN_SINE2)
         view2 = slant2 * sine2
-        R[1] = azimuth_variance(R[1], sine2)
+        R[1] /= sine2
+        R[1] *= 1.0 + R[1]  # what a phase that is no small angle says less
     R[1] += own2 / view2 + (trace / view2) ** 2
     R[2] += own2 / slant2 + (trace / slant2) ** 2
     return R
-
-
-@kernel
-def azimuth_variance(component2: float, sine2: float) -> float:
-    """Variance of a planar array's azimuth, rad^2, by that of a component and sin^2 off its normal.
-
-    The second factor is what a phase that is no small angle says less.
-    """
-    spread2 = component2 / sine2
-    return float(spread2 * (1.0 + spread2))

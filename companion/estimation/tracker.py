@@ -22,6 +22,7 @@ from companion.domain import (
     RangingMeasurement,
     TargetEstimate,
 )
+from companion.estimation.antenna import ABOUT_VERTICAL
 from companion.estimation.belief import Belief, belief_of, hypotheses_of
 from companion.estimation.filter_bank import update_hypotheses
 from companion.estimation.filters.kalman import FilterKind, filter_of
@@ -51,6 +52,7 @@ from companion.estimation.screening.measurement_screen import (
     RejectReason,
 )
 from companion.estimation.target_estimate import estimate_of
+from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import WindowOptimizer
 from companion.estimation.window.window_map import WindowParams
 
@@ -78,7 +80,7 @@ class TrackerParams(Params, frozen=True):
 
     def __post_init__(self) -> None:
         """Refuse to learn an array's noise: it depends on where it looks."""
-        if self.adaptation is not None and self.filter.antenna.kind != "azimuth":
+        if self.adaptation is not None and self.filter.antenna.kind not in ABOUT_VERTICAL:
             raise ValueError("adaptation needs filter.antenna.kind: azimuth")
 
     @property
@@ -120,9 +122,17 @@ class TargetTracker:
         err by the same for minutes, so a time of a worse fix is not made good by a better one."""
         self.integrity = TrackIntegrity()
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
+        self.antenna: AntennaCheck | None = None
+        """What the bearings show of an antenna that is not told; None: it is told."""
         self._screen = MeasurementScreen(params.filter, params.acceptance)
-        self._filter = filter_of(params.kind, params.believed)
-        self._optimizer = WindowOptimizer(self._filter.params, params.window)
+        believed = params.believed
+        # noise that is learnt on the run is that of an azimuth
+        if params.filter.antenna.kind == "auto" and params.adaptation is None:
+            self.antenna = AntennaCheck(believed)
+            believed = self.antenna.params
+        self._filter = filter_of(params.kind, believed)
+        kept_as = None if self.antenna is None else self._filter.params
+        self._optimizer = WindowOptimizer(self._filter.params, params.window, kept_as)
         self._noise = InnovationNoise.starting(params.initial_inflation)
         self._learner: NoiseLearner | None = None
         if params.adaptation is not None:
@@ -162,7 +172,7 @@ class TargetTracker:
             return report
         self.accepted += 1
         self.last_accepted_s = now_s
-        self.own = own if self.own is None else self.own.or_worse(own)
+        self.own = own if self.own in (None, own) else self.own.or_worse(own)
         if report.update is not None and self._learner is not None:
             self._learn(report.update, self._learner)
         if self.hypotheses and self._optimizer.is_due(self.accepted):
@@ -177,9 +187,9 @@ class TargetTracker:
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Fuse what was let through, as far as the hypotheses can explain it."""
         params = self._filter.params
-        row = params.seen(measurement, sensor_enu_m)
+        row = self._optimizer.kept_as.seen(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
-        self.watch.add(measurement.measured_at_s, row)
+        self.watch.add(measurement.measured_at_s, params.seen(measurement, sensor_enu_m))
         is_white = self._noise.is_white
         if not self.hypotheses:
             self._optimizer.add(row, (), is_white=is_white)
@@ -206,7 +216,7 @@ class TargetTracker:
             )
             if not bank.reports:
                 return self._restart(measurement, sensor_enu_m)
-            row = params.seen(passed, sensor_enu_m)
+            row = self._optimizer.kept_as.seen(passed, sensor_enu_m)
         self._optimizer.add(row, self.hypotheses, is_white=is_white)
         several = len(bank.hypotheses) > 1
         self.hypotheses = consolidated(bank.hypotheses) if several else bank.hypotheses
@@ -240,10 +250,19 @@ class TargetTracker:
         `fresh_starts` is how many starts there are besides them: `params.window.starts` are from
         every direction, and None are as many as the evidence calls for.
         """
+        inflation = self._noise.inflation(self._optimizer.noise)
+        mean = self.hypotheses[0].state.mean
+        if self.antenna is not None and self.antenna.look(
+            self._optimizer.window.rows, mean, inflation
+        ):
+            self._filter = filter_of(self.params.kind, self.antenna.params)
+            self._optimizer.believe(self._filter.params)
+            self.watch.clear()
+            fresh_starts = self.params.window.starts
         self.hypotheses = self._optimizer.optimize(
             self.hypotheses,
             self.accepted,
-            self._noise.inflation(self._optimizer.noise),
+            inflation,
             is_white=self._noise.is_white,
             fresh_starts=fresh_starts,
         )

@@ -18,6 +18,7 @@ from companion.domain import TargetEstimate, Waypoint
 from companion.estimation.integrity.target_motion import Motion
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.window.antenna_check import AntennaCheck
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
@@ -246,6 +247,30 @@ class MotionMessages:
         pace = f"{motion.speed_mps:.1f} m/s"
         text = f"target seems to move at {pace}, or is shadowed"
         return [Announce(Severity.WARNING, text)]
+
+
+ANTENNA_TEXTS: dict[str, str] = {
+    "planar": "bearings are worthless from above: planar antenna? Set estimation.filter.antenna",
+    "line": "bearings fit a line of antennas, no azimuth: set estimation.filter.antenna",
+}
+
+
+class AntennaMessages:
+    """What was told of the antenna that nobody told us of."""
+
+    def __init__(self) -> None:
+        self._told: str | None = None
+
+    def messages_for(self, check: AntennaCheck | None) -> list[Command]:
+        """What is news, mostly nothing, of what the bearings show."""
+        shown = check.taken if check is not None and check.is_shown else None
+        if shown is None or shown == self._told:
+            return []
+        self._told = shown
+        commands: list[Command] = [Record("antenna", {"kind": shown})]
+        if shown in ANTENNA_TEXTS:
+            commands.append(Announce(Severity.WARNING, ANTENNA_TEXTS[shown]))
+        return commands
 
 
 RECORD_PERIOD_S = 1.0

@@ -45,8 +45,9 @@ class InformationFilter:
         sensor_enu_m: PositionEnu,
         inflation: Inflation = NO_INFLATION,
     ) -> UpdateReport:
-        p, place = self.params, np.array(sensor_enu_m)
-        _, z, sigma = p.seen(measurement, sensor_enu_m)
+        p = self.params
+        pose, z, sigma = p.seen(measurement, sensor_enu_m)
+        place = np.array(pose)
         y = z - predicted(state.mean, place, p.model)
         y[1] = math.remainder(y[1], math.tau)
         H = jacobian(state.mean, place, p.model)

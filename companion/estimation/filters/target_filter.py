@@ -18,13 +18,14 @@ import msgspec
 import numpy as np
 
 from companion.domain import NonNegative, Params, PositionEnu, Positive, RangingMeasurement
-from companion.estimation.antenna import MODELS, AntennaParams
+from companion.estimation.antenna import LEVEL, MODELS, AntennaParams
 from companion.estimation.filters.robust_update import threshold
 from companion.estimation.measurement_model import (
     ABSENT,
     AZIMUTH,
     BEARING_OFFSET,
     COSINES,
+    PLANAR,
     RANGE_OFFSET,
     RangingModel,
 )
@@ -250,7 +251,10 @@ class FilterParams(Params, frozen=True, dict=True):
         values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if has_elevation else None)
         if self.model.antenna != AZIMUTH:
             values, pose = (m.range_m, None, None), (*sensor_enu_m, *NO_AXES)
-            if m.array is not None:
+            if m.array is None and m.bearing_enu_rad is not None and self.model.antenna == PLANAR:
+                values = (m.range_m, -m.bearing_enu_rad, None)  # by north: of a level array
+                pose = (*sensor_enu_m, *LEVEL[0], *LEVEL[1])
+            elif m.array is not None:
                 values = (m.range_m, m.array.first, m.array.second)
                 pose = (*sensor_enu_m, *m.array.first_axis_enu, *m.array.second_axis_enu)
         z = np.array([math.nan if v is None else v for v in values])

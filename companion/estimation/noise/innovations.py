@@ -133,10 +133,6 @@ class NoiseMonitor:
         rho = self.correlation
         return (1.0 + rho) / (1.0 - rho)
 
-    def reset_correlation(self) -> NoiseMonitor:
-        """The same moments with the chain of consecutive innovations broken."""
-        return replace(self, previous=None)
-
 
 def mean_band(dof: float, count: float) -> tuple[float, float]:
     """Where the mean of `count` chi-square values of `dof` degrees of freedom lies with 95 %.
@@ -223,7 +219,7 @@ class InnovationNoise:
             if row is None:
                 monitors.append(monitor)
             elif row.prior_share > MAX_PRIOR_SHARE:
-                monitors.append(monitor.reset_correlation())
+                monitors.append(replace(monitor, previous=None))  # the chain is broken
             else:
                 monitors.append(monitor.after(row.whitened_innovation, k_long, k_short))
         return InnovationNoise(tuple(monitors), self.nis.after(report))

@@ -24,7 +24,12 @@ from enum import Enum
 from itertools import pairwise
 
 from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
-from companion.estimation.antenna import MAX_BEARING_RAD, MAX_ELEVATION_RAD, lost_direction
+from companion.estimation.antenna import (
+    ABOUT_VERTICAL,
+    MAX_BEARING_RAD,
+    MAX_ELEVATION_RAD,
+    lost_direction,
+)
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.unit_check import UnitCheck
 from companion.geometry.coordinates import wrap_pi
@@ -339,7 +344,8 @@ class MeasurementScreen:
                 return RejectReason.BEARING_ABSURD
             case "view":
                 return RejectReason.OUT_OF_VIEW
-        return RejectReason.NO_YAW if antenna.kind == "azimuth" else RejectReason.NO_ATTITUDE
+        is_turned_by_yaw = antenna.kind in ABOUT_VERTICAL
+        return RejectReason.NO_YAW if is_turned_by_yaw else RejectReason.NO_ATTITUDE
 
     def judge(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
@@ -379,7 +385,7 @@ class MeasurementScreen:
         raw_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
         if raw_rad is None:
             return None
-        is_plain = m.bearing_enu_rad is not None and self._params.antenna.kind == "azimuth"
+        is_plain = m.bearing_enu_rad is not None and self._params.antenna.kind in ABOUT_VERTICAL
         lost = None if is_plain else self._lost_direction(m)
         if lost is not None:
             return lost

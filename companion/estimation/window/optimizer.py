@@ -32,6 +32,7 @@ from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
 from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE
+from companion.estimation.window.antenna_check import rows_as
 from companion.estimation.window.map_kernels import (
     ARRAY_COLUMNS,
     COLUMNS,
@@ -177,8 +178,16 @@ CONTRADICTED_DISTANCE2 = 16.0
 class WindowOptimizer:
     """The window of one target, and when and how it is solved."""
 
-    def __init__(self, filter_params: FilterParams, params: WindowParams) -> None:
+    def __init__(
+        self,
+        filter_params: FilterParams,
+        params: WindowParams,
+        kept_as: FilterParams | None = None,
+    ) -> None:
         self._filter_params = filter_params
+        self._is_antenna_told = kept_as is None
+        self.kept_as = kept_as or filter_params
+        """Whose rows the window keeps: where the antenna is yet to be found, a planar array's."""
         self._params = params
         self.map = WindowMap(filter_params)
         self.latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
@@ -194,12 +203,19 @@ class WindowOptimizer:
 
     def _begin(self, due_at: int) -> None:
         """An empty window, to be solved after so many measurements."""
-        columns = COLUMNS if self._filter_params.model.antenna == AZIMUTH else ARRAY_COLUMNS
+        columns = COLUMNS if self.kept_as.model.antenna == AZIMUTH else ARRAY_COLUMNS
         self.window = MeasurementWindow(self._params.size, columns)
         self.noise: Inflation | None = None
         """How much worse than thermal the best optimum found each modality; None: not solved."""
         self._older = OlderEvidence.none(self.map.size)
         self._due_at = due_at
+
+    @property
+    def rows(self) -> Matrix:
+        """The window as the antenna that is believed in measured it, oldest first."""
+        if self._is_antenna_told:
+            return self.window.rows
+        return rows_as(self.window.rows, self._filter_params.antenna.kind)
 
     def begin_from(self, hypothesis: Hypothesis) -> None:
         """Take a hypothesis for what was measured before the first measurement."""
@@ -210,7 +226,7 @@ class WindowOptimizer:
         self.latest.clear()
         self._older = self._older.moved(step)
         window = self.window
-        window.rows = shift_rows(window.rows, shift_enu_m, step, self._filter_params)
+        window.rows = shift_rows(window.rows, shift_enu_m, step, self.kept_as)
 
     def begin_with_latest(self) -> None:
         """Forget what led to an estimate that was given up, all but the latest measurements."""
@@ -219,9 +235,15 @@ class WindowOptimizer:
         for row in self.latest:
             self.window.add(row, (row[0][0], row[0][1]))
 
+    def believe(self, filter_params: FilterParams) -> None:
+        """Take what was measured for that of another antenna."""
+        self._filter_params = filter_params
+        self.map = WindowMap(filter_params)
+        self._older = OlderEvidence.none(self.map.size)
+
     def retune(self, filter_params: FilterParams) -> None:
         """Believe in other noise and thresholds, for what was measured already, too."""
-        self._filter_params = filter_params
+        self._filter_params = self.kept_as = filter_params
         self.map = WindowMap(filter_params)
         rows = self.window.rows
         rows[:, SIGMAS + RANGE] = filter_params.range_sigma_m
@@ -240,6 +262,8 @@ class WindowOptimizer:
         dropped = self.window.add(row, place)
         if len(dropped) and len(hypotheses) == 1 and is_white:
             mean, params = hypotheses[0].state.mean, self._filter_params
+            if not self._is_antenna_told:
+                dropped = rows_as(dropped, params.antenna.kind)
             self._older = self._older.joined(dropped, mean, params.thresholds, params.model)
 
     def is_due(self, accepted: int) -> bool:
@@ -267,7 +291,7 @@ class WindowOptimizer:
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
         self.map.expect(inflation)
-        rows, starts = self.window.rows, self._starts(hypotheses, fresh_starts)
+        rows, starts = self.rows, self._starts(hypotheses, fresh_starts)
         optima = self.map.optima(rows, starts, self._older, is_white=is_white)
         if optima and not self._older.is_empty and self._is_contradicted(optima[0]):
             self._older = OlderEvidence.none(self.map.size)
@@ -290,7 +314,7 @@ class WindowOptimizer:
         """What the window can tell about a target at `mean`; None before the first measurement."""
         if not len(self.window.rows):
             return None
-        rows = self.window.rows
+        rows = self.rows
         return observability_of(rows, self.map.scores(rows, mean))
 
     def _fresh_starts(self, hypotheses: int, accepted: int) -> int:
@@ -303,7 +327,7 @@ class WindowOptimizer:
 
     def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
         """The hypotheses, the best one's mirror image, and places around the path."""
-        rows, directions = self.window.rows, self._params.starts
+        rows, directions = self.rows, self._params.starts
         starts = [h.state.mean for h in hypotheses[:MAX_STARTS_KEPT]]
         if fresh:
             starts.append(mirrored(starts[0], rows[:, :2]))
@@ -318,7 +342,7 @@ class WindowOptimizer:
         self, optima: list[Optimum], starts: Sequence[Vector], *, is_white: bool
     ) -> list[Optimum]:
         """The optima without gross errors, if any: not even a linear loss outvotes many."""
-        rows = self.map.without_gross(self.window.rows, optima[0])
+        rows = self.map.without_gross(self.rows, optima[0])
         if rows is None:
             return optima
         starts = [*starts, *(optimum.mean for optimum in optima)]
@@ -328,7 +352,7 @@ class WindowOptimizer:
         """Whether the window, if full enough to know, leads elsewhere than with older evidence."""
         if len(self.window.rows) < CONTRADICTING_SHARE * self._params.size:
             return False
-        alone = self.map.optima(self.window.rows, [best.mean])
+        alone = self.map.optima(self.rows, [best.mean])
         if not alone:
             return False
         difference = alone[0].mean[:2] - best.mean[:2]

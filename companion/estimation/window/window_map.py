@@ -161,6 +161,8 @@ def _stretch(mean: Vector, edge: Vector, wanted: float, cost: Cost) -> float:
 MIN_MEASUREMENTS = 12
 MAX_POSITION_SIGMA_M = 200.0
 """An optimum vaguer than this is no place."""
+FARTHEST_M = 1e6
+"""Where bearings run parallel a solution may go on for ever: beyond this it leads nowhere."""
 GROSS_SIGMAS = 6.0
 """A range shorter by more than this, or a bearing off by more, is no noise."""
 MAX_BEARING_NOISE = 4.0
@@ -264,7 +266,8 @@ class WindowMap:
                 )
         except np.linalg.LinAlgError:
             return None
-        if not (np.isfinite(mean).all() and math.isfinite(cost)):
+        is_finite = np.isfinite(mean).all() and math.isfinite(cost)
+        if not is_finite or np.abs(mean[:2]).max() > FARTHEST_M:
             return None
         sigmas = row_sigmas(rows, mean, self._model)
         return mean, float(cost) + normaliser(rows, sigmas, self._model)

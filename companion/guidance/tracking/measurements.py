@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from companion.domain import OwnAccuracy, RangingMeasurement
-from companion.estimation.antenna import seen_in_enu
+from companion.estimation.antenna import ABOUT_VERTICAL, seen_in_enu
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.tracker import FusionReport
 from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase
@@ -19,6 +19,7 @@ from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.health.watches import InputWatch
 from companion.guidance.messages import (
+    AntennaMessages,
     MotionMessages,
     RejectMessages,
     estimate_record,
@@ -45,7 +46,8 @@ class RangingListener:
     def __init__(self, emitters: EmitterQueue, track: VehicleTrack) -> None:
         self._emitters = emitters
         self._antenna = emitters.antenna
-        self._is_array = self._antenna.kind != "azimuth"
+        self._is_array = self._antenna.kind not in ABOUT_VERTICAL
+        self._takes_tilt = self._antenna.kind != "azimuth"
         self._track = track
         self._waiting: list[RangingMeasurement] = []
 
@@ -74,7 +76,7 @@ class RangingListener:
         waiting: list[RangingMeasurement] = []
         for measurement in self._waiting:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
-            if is_covered and self._is_array:
+            if is_covered and self._takes_tilt and measurement.bearing_body_rad is not None:
                 is_covered = self._has_attitude(measurement)
             is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
             (waiting if is_recent and not is_covered else due).append(measurement)
@@ -82,10 +84,11 @@ class RangingListener:
         return [self._fuse(measurement, now_s, own) for measurement in due]
 
     def _has_attitude(self, measurement: RangingMeasurement) -> bool:
-        """Whether an array's angle, if there is one, lies between attitudes."""
+        """Whether an angle in the body's frame lies between attitudes, or none will be told."""
         newest = self._track.latest_yaw
-        is_known = newest is not None and measurement.measured_at_s <= newest[0]
-        return is_known or measurement.bearing_body_rad is None
+        if newest is None:
+            return not self._is_array
+        return measurement.measured_at_s <= newest[0]
 
     def _fuse(
         self, measurement: RangingMeasurement, now_s: float, own: OwnAccuracy | None
@@ -153,6 +156,7 @@ class Measuring:
         self._scheduler = scheduler
         self._rejects = RejectMessages()
         self._motions = MotionMessages()
+        self._antennas = AntennaMessages()
         self._listener = RangingListener(context.emitters, context.vehicle.track)
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
@@ -207,6 +211,7 @@ class Measuring:
             self._inputs.note_accepted()
         if tracker.emitter_id is not None:
             context.send(*self._motions.messages_for(tracker.emitter_id, tracker.watch.motion))
+        context.send(*self._antennas.messages_for(tracker.antenna))
         before, estimate = context.estimate, tracker.estimate(now_s)
         if estimate is None:
             return

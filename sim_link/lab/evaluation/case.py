@@ -30,6 +30,7 @@ import msgspec
 import numpy as np
 
 from companion.domain import NonNegative, Params, Positive
+from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.robust_update import wrapped
 from companion.estimation.filters.target_filter import FilterParams
 from companion.geometry.polygons import Point
@@ -53,7 +54,7 @@ FirstEstimate = Literal["measured", "uniform"]
 Offsets = Literal["fixed", "prior"]
 NlosDraws = Literal["joint", "separate"]
 
-PAPER_BELIEF = FilterParams(own_position_sigma_m=0.0)
+PAPER_BELIEF = FilterParams(own_position_sigma_m=0.0, antenna=AntennaParams(kind="azimuth"))
 """What every filter believes in the canonical scenario."""
 
 STUDY_SHADOW = ShadowParams(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
+from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.kalman import KINDS, FilterKind, filter_of
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
@@ -133,8 +134,9 @@ def test_well_specified_noise_never_restarts_it() -> None:
 
 def test_a_lost_covariance_restarts_it_and_says_so() -> None:
     """A radio that claims an impossible precision takes the rounding out of the covariance."""
-    params = TrackerParams(filter=FilterParams(own_position_sigma_m=0.0, near_target_terms=False))
-    tracker = TargetTracker(params)
+    azimuth = AntennaParams(kind="azimuth")
+    believed = FilterParams(own_position_sigma_m=0.0, near_target_terms=False, antenna=azimuth)
+    tracker = TargetTracker(TrackerParams(filter=believed))
     place = (0.0, 0.0, HEIGHT_M)
     restarted = False
     for step in range(20):
@@ -197,14 +199,15 @@ RUNS = 100
 STEP_M = 5.0
 
 
-def _coverage_of_run(seed: int, p_nlos: float) -> list[bool]:
+def _coverage_of_run(seed: int, p_nlos: float, kind: AntennaKind) -> list[bool]:
     """One search from 30 to 60 m away; whether R95 holds the truth at each checked step.
 
     All is as the filter believes it, the error of the vehicle's own place included, but for
     reflections.
     """
     rng = np.random.default_rng(seed)
-    tracker, planner = TargetTracker(TrackerParams(), 1), LatchedCrossing(LatchedCrossingParams())
+    told = TrackerParams(filter=FilterParams(antenna=AntennaParams(kind=kind)))
+    tracker, planner = TargetTracker(told, 1), LatchedCrossing(LatchedCrossingParams())
     params = tracker.params.filter
     offset_m = rng.normal(0.0, params.range_offset_sigma_m)
     offset_rad = rng.normal(0.0, math.radians(params.bearing_offset_sigma_deg))
@@ -238,10 +241,16 @@ def _coverage_of_run(seed: int, p_nlos: float) -> list[bool]:
 
 @pytest.mark.parametrize("p_nlos", [pytest.param(0.0, marks=pytest.mark.slow), 0.9])
 def test_r95_holds_the_truth_as_often_as_it_says(p_nlos: float) -> None:
-    covered = np.array([_coverage_of_run(seed, p_nlos) for seed in range(RUNS)])
+    covered = np.array([_coverage_of_run(seed, p_nlos, "azimuth") for seed in range(RUNS)])
     shares = covered.mean(axis=0)
     assert (shares >= 0.93).all(), shares
     assert (shares <= 0.995).all(), shares
+
+
+@pytest.mark.slow
+def test_r95_of_an_antenna_that_is_not_told_promises_no_more() -> None:
+    covered = np.array([_coverage_of_run(seed, 0.9, "auto") for seed in range(RUNS)])
+    assert (covered.mean(axis=0) >= 0.93).all()
 
 
 def test_ranges_alone_need_a_base_line_as_long_as_the_height() -> None:

@@ -314,3 +314,8 @@ def test_well_known_places_keep_their_covariance() -> None:
     spread_m2 = float(np.trace(best.covariance[:2, :2]))
     plain, bent = solver.scores(rows, best.mean), solver.scores(rows, best.mean, spread_m2)
     np.testing.assert_allclose(bent.H, plain.H, rtol=1e-3, atol=1e-6)
+
+
+def test_a_place_so_far_off_that_nothing_points_to_it_is_no_optimum() -> None:
+    rows = walk(np.random.default_rng(3), ranges=False)
+    assert WindowMap(params()).optima(rows, [np.array([1e157, 4e157, 0.0, 0.0])]) == []

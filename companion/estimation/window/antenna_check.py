@@ -1,0 +1,171 @@
+"""Which antenna measured the bearings, where nobody says: the one that explains them best.
+
+A radio that tells an angle does not say of which direction. An azimuth about the vertical is as
+accurate from above as from afar. That of a planar array is worth nothing right above the emitter,
+and leans with the vehicle. A line of antennas prints an arcsine, which folds behind onto ahead. Far
+off and ahead the three are the same; from above they differ, and so do the errors that each of them
+leaves.
+
+Each is solved for its own place. Errors are taken to be Laplacian with a scale that is found along
+with them, so that reflections weigh little and no noise needs to be known:
+
+    cost = sum of log(sigma_i scale) + |u_i| / scale,    scale = mean |u_i|
+
+with u the whitened residuals; ranges add their robust loss. An antenna is taken for another when
+the difference of the costs is `DECIDED`, and more than `DECIDED_SIGMAS` of what the noise that was
+drawn makes of it, the repetition of neighbours counted. Until then the planar array is believed,
+which promises the least.
+
+Source: Q. H. Vuong, Econometrica 57 (1989), for models that need not be true.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from companion.estimation.antenna import AntennaKind
+from companion.estimation.filters.target_filter import FilterParams, Inflation
+from companion.estimation.measurement_model import BEARING, RANGE
+from companion.estimation.window.map_kernels import (
+    AXES,
+    VALUES,
+    clipped,
+    row_residuals,
+    row_sigmas,
+)
+from companion.estimation.window.sandwich import long_run_variance
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix, Vector
+
+MIN_BEARINGS = 24
+DECIDED = math.log(1000.0)
+"""Odds between two antennas, their noise taken for white."""
+DECIDED_SIGMAS = 3.0
+EVERY = 4
+"""An antenna that was found is looked at again at each of so many solutions."""
+
+Candidate = Literal["azimuth", "planar", "line"]
+CANDIDATES: tuple[Candidate, ...] = ("planar", "azimuth", "line")
+
+
+def with_antenna(params: FilterParams, kind: AntennaKind) -> FilterParams:
+    """The same beliefs about bearings of another antenna."""
+    antenna = msgspec.structs.replace(params.antenna, kind=kind)
+    return msgspec.structs.replace(params, antenna=antenna)
+
+
+def rows_as(rows: Matrix, kind: AntennaKind) -> Matrix:
+    """Rows of a planar array, (n, 16), as if another antenna had printed their angles."""
+    if kind not in ("azimuth", "line"):
+        return rows
+    other = np.array(rows)
+    ahead, right = rows[:, AXES : AXES + 3], rows[:, AXES + 3 : AXES + 6]
+    printed_rad = rows[:, VALUES + BEARING]
+    if kind == "azimuth":
+        other[:, VALUES + BEARING] = np.arctan2(ahead[:, 1], ahead[:, 0]) - printed_rad
+        return other
+    other[:, VALUES + BEARING] = np.sin(printed_rad)
+    other[:, AXES : AXES + 3] = right
+    other[:, AXES + 3 : AXES + 6] = np.cross(right, ahead)
+    return other
+
+
+class AntennaCheck:
+    """Keeps what is believed of the antenna."""
+
+    def __init__(self, params: FilterParams) -> None:
+        self._params = {kind: with_antenna(params, kind) for kind in CANDIDATES}
+        self._maps = {kind: WindowMap(each) for kind, each in self._params.items()}
+        self.clear()
+
+    def clear(self) -> None:
+        """Nothing is known of the antenna any more."""
+        self.taken: Candidate = "planar"
+        self.is_shown = False
+        """Whether the bearings show that they are no azimuth, or an azimuth."""
+        self._solutions = 0
+
+    @property
+    def params(self) -> FilterParams:
+        """What is believed with the antenna that is taken."""
+        return self._params[self.taken]
+
+    def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> bool:
+        """Compare the candidates on the rows (n, 16), from `mean` (k,); whether another is taken.
+
+        The rows are those of a planar array, each with its printed angle.
+        """
+        self._solutions += 1
+        printed_rad = rows[:, VALUES + BEARING]
+        is_due = not self.is_shown or self._solutions % EVERY == 0
+        if not is_due or np.count_nonzero(~np.isnan(printed_rad)) < MIN_BEARINGS:
+            return False
+        found: dict[Candidate, Explained] = {}
+        for kind in CANDIDATES:
+            if kind == "line" and np.nanmax(np.abs(printed_rad)) > 0.5 * math.pi:
+                continue
+            explained = self._explained(kind, rows, mean, inflation)
+            if explained is not None:
+                found[kind] = explained
+        before = self.taken
+        if before not in found:
+            return False
+        best = min(found, key=lambda kind: found[kind].cost)
+        if is_decided(found[before], found[best]):
+            self.taken = best
+        others = [found[kind] for kind in found if kind != self.taken]
+        self.is_shown = bool(others) and all(is_decided(o, found[self.taken]) for o in others)
+        return self.taken != before
+
+    def _explained(
+        self, kind: Candidate, rows: Matrix, mean: Vector, inflation: Inflation
+    ) -> Explained | None:
+        """The rows as one antenna explains them, at the place where it does best; None: nowhere."""
+        window_map, params = self._maps[kind], self._params[kind]
+        window_map.expect(inflation)
+        seen = rows_as(rows, kind)
+        solution = window_map.solve(seen, mean)
+        if solution is None:
+            return None
+        model = params.model._replace(bearing_inflation=inflation[BEARING])
+        sigmas = row_sigmas(seen, solution[0], model)
+        u = row_residuals(seen, solution[0], sigmas, model)
+        psi = clipped(u, params.thresholds)[RANGE]
+        is_borne = ~np.isnan(rows[:, VALUES + BEARING])
+        off = np.abs(u[BEARING][is_borne])
+        scale = max(float(off.mean()), 1e-3)
+        spread_rad = scale * sigmas[BEARING][is_borne]
+        if kind == "line":  # the error of the angle, not of its sine
+            spread_rad /= np.maximum(np.cos(rows[is_borne, VALUES + BEARING]), 1e-3)
+        # an angle is off by no more than half a turn, however vague
+        costs = np.log(spread_rad) + off / scale + np.log1p(-np.exp(-math.pi / spread_rad))
+        ranging_cost = float(np.sum(psi * (u[RANGE] - 0.5 * psi)))
+        return Explained(ranging_cost + float(costs.sum()), spread_rad, off / scale)
+
+
+class Explained(NamedTuple):
+    """What one antenna makes of the window."""
+
+    cost: float
+    spread_rad: Vector
+    """(m,) how far off each bearing is expected to be."""
+    error: Vector
+    """(m,) how far off it is, in that unit."""
+
+
+def is_decided(before: Explained, better: Explained) -> bool:
+    """Whether the second is better beyond doubt, and not by the very noise that was drawn.
+
+    Where it is true, an error that is larger by d raises the difference by (ratio - 1) d, with the
+    ratio of what is expected of both: the rest of the difference is geometry.
+    """
+    gain = before.cost - better.cost
+    if gain < DECIDED:
+        return False
+    noise = (better.spread_rad / before.spread_rad - 1.0) * (better.error - 1.0)
+    scatter2 = float(long_run_variance(noise[:, None])[0, 0])
+    return gain > DECIDED_SIGMAS * math.sqrt(max(scatter2, 0.0))

@@ -1,0 +1,131 @@
+"""Which antenna measured the bearings, found from flights across an emitter, 20 m above it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.estimation.antenna import AntennaKind
+from companion.estimation.filters.target_filter import NO_INFLATION, FilterParams
+from companion.estimation.measurement_model import AZIMUTH, COSINES, PLANAR, predicted
+from companion.estimation.window.antenna_check import AntennaCheck, rows_as, with_antenna
+from companion.estimation.window.map_kernels import ARRAY_COLUMNS, row_residuals
+from companion.kernel import Matrix
+from companion.kernel import Vector as Array
+
+TARGET = np.array([3.0, -4.0, 0.0, 0.0])
+HEIGHT_M = 20.0
+SIGMA_RAD = math.radians(2.0)
+PARAMS = FilterParams()
+
+
+def legs(far_m: float = 45.0, near_m: float = -45.0, count: int = 120) -> Matrix:
+    """Places of two crossing legs, (2 count, 3), from `far_m` to `near_m` about the emitter."""
+    along = np.linspace(far_m, near_m, count)
+    east = np.concatenate([TARGET[0] + along, np.full(count, TARGET[0] + 2.0)])
+    north = np.concatenate([np.full(count, TARGET[1] + 2.0), TARGET[1] + along])
+    return np.stack([east, north, np.full(2 * count, HEIGHT_M)], axis=1)
+
+
+def printed(kind: AntennaKind, places: Matrix, rng: np.random.Generator) -> Matrix:
+    """Rows of a planar array, (n, 16), whose angles an antenna of that kind has printed.
+
+    The nose points at the emitter, up to 40 degrees off, and the vehicle leans by some degrees.
+    """
+    rows = np.full((len(places), ARRAY_COLUMNS), np.nan)
+    for row, place in zip(rows, places, strict=True):
+        to = TARGET[:3] * (1.0, 1.0, 0.0) - place
+        slant = float(np.linalg.norm(to))
+        yaw = math.atan2(to[1], to[0]) + rng.uniform(-0.7, 0.7)
+        ahead = np.array([math.cos(yaw), math.sin(yaw), 0.05 * rng.normal()])
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        x, y = float(ahead @ to) / slant, float(right @ to) / slant
+        if kind == "azimuth":
+            angle = yaw - math.atan2(to[1], to[0]) + SIGMA_RAD * rng.normal()
+        elif kind == "planar":
+            angle = math.atan2(y + SIGMA_RAD * rng.normal(), x + SIGMA_RAD * rng.normal())
+        else:
+            angle = math.asin(min(1.0, max(-1.0, y + SIGMA_RAD * rng.normal())))
+        row[:3] = place
+        row[3] = slant + 1.5 * rng.normal()
+        row[4] = math.remainder(angle, math.tau)
+        row[6:9] = 1.5, SIGMA_RAD, math.radians(5.0)
+        row[10:16] = *ahead, *right
+    return rows
+
+
+def looked(kind: AntennaKind, seed: int, places: Matrix) -> AntennaCheck:
+    check = AntennaCheck(with_antenna(PARAMS, "planar"))
+    rows = printed(kind, places, np.random.default_rng(seed))
+    start: Array = TARGET + np.array([1.0, -1.0, 0.0, 0.0])
+    check.look(rows, start, NO_INFLATION)
+    return check
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", ["azimuth", "planar", "line"])
+def test_flights_across_show_what_the_antenna_is(kind: AntennaKind, seed: int) -> None:
+    check = looked(kind, seed, legs())
+    assert (check.taken, check.is_shown) == (kind, True)
+    assert check.params.antenna.kind == kind
+
+
+@pytest.mark.parametrize("kind", ["azimuth", "planar"])
+def test_from_afar_a_planar_array_is_believed_and_nothing_is_shown(kind: AntennaKind) -> None:
+    check = looked(kind, 1, legs(far_m=220.0, near_m=150.0))
+    assert (check.taken, check.is_shown) == ("planar", False)
+
+
+def test_few_bearings_show_nothing() -> None:
+    check = looked("azimuth", 2, legs(count=11))
+    assert (check.taken, check.is_shown) == ("planar", False)
+
+
+def test_reflections_do_not_make_an_azimuth_of_a_planar_array() -> None:
+    rng = np.random.default_rng(3)
+    rows = printed("planar", legs(), rng)
+    is_bent = rng.random(len(rows)) < 0.3
+    rows[is_bent, 4] += rng.normal(0.0, 0.4, int(is_bent.sum()))
+    check = AntennaCheck(with_antenna(PARAMS, "planar"))
+    check.look(rows, TARGET, NO_INFLATION)
+    assert check.taken == "planar"
+
+
+def test_what_was_found_is_given_up_when_the_bearings_show_another() -> None:
+    check = looked("azimuth", 4, legs())
+    rows = printed("planar", legs(), np.random.default_rng(5))
+    changes = [check.look(rows, TARGET, NO_INFLATION) for _ in range(4)]
+    assert changes.count(True) == 1
+    assert check.taken == "planar"
+
+
+@pytest.mark.parametrize(
+    ("kind", "model"), [("azimuth", AZIMUTH), ("planar", PLANAR), ("line", COSINES)]
+)
+def test_rows_in_another_form_are_what_that_antenna_predicts(kind: AntennaKind, model: int) -> None:
+    rng = np.random.default_rng(6)
+    rows = printed("planar", legs(count=8), rng)
+    params = with_antenna(PARAMS, kind)
+    assert params.model.antenna == model
+    for row in rows:
+        row[4] = predicted(
+            TARGET, np.array([*row[:3], *row[10:16]]), with_antenna(PARAMS, "planar").model
+        )[1]
+    if kind == "line":  # its angle is another one
+        to = TARGET[:3] * (1.0, 1.0, 0.0) - rows[:, :3]
+        slant = np.linalg.norm(to, axis=1)
+        rows[:, 4] = np.arcsin(np.sum(rows[:, 13:16] * to, axis=1) / slant)
+    if kind == "azimuth":  # the same where it is level
+        rows[:, 12] = 0.0
+        rows[:, 10:12] /= np.linalg.norm(rows[:, 10:12], axis=1)[:, None]
+        for row in rows:
+            row[4] = predicted(
+                TARGET, np.array([*row[:3], *row[10:16]]), with_antenna(PARAMS, "planar").model
+            )[1]
+    other = rows_as(rows, kind)
+    u = row_residuals(other, TARGET, np.ones((3, len(rows))), params.model)
+    np.testing.assert_allclose(u[1], 0.0, atol=1e-9)
