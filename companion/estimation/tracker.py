@@ -8,6 +8,7 @@ much worse than thermal the innovations are, and integrity whether measurements 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -41,7 +42,7 @@ from companion.estimation.hypotheses import (
 )
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
-from companion.estimation.measurement_model import target_height_m
+from companion.estimation.measurement_model import BEARING, RANGE, target_height_m
 from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.noise.innovations import InnovationNoise, NoiseLearner, TrackerHealth
 from companion.estimation.screening.measurement_screen import (
@@ -328,6 +329,28 @@ class TargetTracker:
             return 0.0
         mean = self.hypotheses[0].state.mean
         return abs(sensor_up_m - target_height_m(mean, self._filter.params.model))
+
+    @property
+    def array_sigmas(self) -> tuple[float, float] | None:
+        """Of a range, m, infinite where none came of late, and of a direction cosine, rad.
+
+        With the inflation that the run has shown, and a range with the own place in it. A direction
+        may be out of view now, and counts as it is configured then. None: no measurement yet.
+        """
+        if not self._optimizer.latest or not self.hypotheses:
+            return None
+        inflation: Inflation = NO_INFLATION
+        if self.params.adapt_inflation:
+            inflation = self._noise.inflation(self._optimizer.noise)
+        sigmas = [math.inf, math.radians(self._filter.params.bearing_sigma_deg)]
+        factors = [math.sqrt(factor) for factor in inflation]
+        sigmas[BEARING] *= factors[BEARING]
+        for _, values, noise in self._optimizer.latest:
+            for row in (RANGE, BEARING):
+                if not math.isnan(values[row]):
+                    sigmas[row] = factors[row] * float(noise[row])
+        own_m = self._filter.params.own_position_sigma_m
+        return math.hypot(sigmas[0], own_m), sigmas[1]
 
     @property
     def health(self) -> TrackerHealth:

@@ -15,6 +15,10 @@ information and the offsets open (with them known, any new place looks equally g
 slant, as the radio measures them; and `near_target_terms` adds the second-order variances that the
 filter has too, without which the bearing of a place on top of the estimate is believed to be
 perfect. Off, the criterion is the linearised one.
+
+With an antenna array the rows are those of its own measurement model, about a level vehicle that
+keeps its heading: of an azimuth in the array's plane, sigma_0 over the sine off its normal, or of
+direction cosines, sigma_0 each; and what is out of the field of view is no row.
 """
 
 from __future__ import annotations
@@ -29,8 +33,9 @@ from numpy.typing import NDArray
 from companion.domain import Params, Positive, TargetEstimate, Waypoint, WaypointReason
 from companion.geometry.coordinates import bearing_ned_from_enu
 from companion.geometry.polygons import Point
-from companion.kernel import Matrix, frozen, kernel
+from companion.kernel import Matrix, Vector, frozen, kernel
 from companion.planning.planner import Plan, PlanRequest, hold_position, route_to, way_finder
+from companion.planning.views import Antenna, Triple
 
 HEADINGS = 16
 """Directions of the candidates, where nothing else is said."""
@@ -101,6 +106,99 @@ def worst_variance_m2(
 
 
 @kernel
+def array_worst_variance_m2(
+    P: Matrix,
+    de_m: float,
+    dn_m: float,
+    du_m: float,
+    sigmas: tuple[float, float],
+    antenna: Antenna,
+    yaw_enu_rad: float,
+    near_target_terms: bool,
+) -> float:
+    """The same of an antenna array, row by row; `sigmas` are of a range and of a cosine."""
+    slant2 = max(de_m * de_m + dn_m * dn_m + du_m * du_m, MIN_DISTANCE_M * MIN_DISTANCE_M)
+    slant = math.sqrt(slant2)
+    u = (de_m / slant, dn_m / slant, du_m / slant)
+    trace = P[0, 0] + P[1, 1] if near_target_terms else 0.0
+    after, h = P.copy(), np.zeros(4)
+    if not math.isinf(sigmas[0]):
+        h[0], h[1], h[2] = u[0], u[1], 1.0
+        take_in(after, h, sigmas[0] ** 2 + trace * trace / (4.0 * slant2))
+    first, x = cosine_row(antenna.first, u, slant, yaw_enu_rad)
+    second, y = cosine_row(antenna.second, u, slant, yaw_enu_rad)
+    _, off = cosine_row(antenna.boresight, u, slant, yaw_enu_rad)
+    noise2, second_order = sigmas[1] ** 2, (trace / slant2) ** 2
+    if antenna.is_planar:
+        level = math.sqrt(max(x * x + y * y, MIN_DISTANCE_M * MIN_DISTANCE_M))
+        if x >= level * math.cos(antenna.half_view_rad):
+            spread2, view4 = noise2 / (level * level), level**4
+            take_in(
+                after,
+                (x * second - y * first) / (level * level),
+                spread2 * (1.0 + spread2) + second_order / view4,
+            )
+    elif abs(off) >= math.cos(antenna.half_view_rad):
+        take_in(after, first, noise2 + second_order)
+        if antenna.rows > 1:
+            take_in(after, second, noise2 + second_order)
+    ee, en, nn = after[0, 0], after[0, 1], after[1, 1]
+    return float(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
+
+
+@kernel
+def cosine_row(axis: Triple, u: Triple, slant_m: float, yaw_enu_rad: float) -> tuple[Vector, float]:
+    """Partials (4,) of the cosine along an axis of the level body, and the cosine itself."""
+    c, s = math.cos(yaw_enu_rad), math.sin(yaw_enu_rad)
+    east, north = c * axis[0] - s * axis[1], s * axis[0] + c * axis[1]
+    cosine = east * u[0] + north * u[1] + axis[2] * u[2]
+    h = np.zeros(4)
+    h[0], h[1] = (east - cosine * u[0]) / slant_m, (north - cosine * u[1]) / slant_m
+    h[3] = north * u[0] - east * u[1]
+    return h, cosine
+
+
+@kernel
+def take_in(P: Matrix, h: Vector, variance: float) -> None:
+    """Update a covariance (4, 4) in place by one row (4,), as a Kalman filter does."""
+    Ph = np.zeros(4)
+    for i in range(4):
+        for j in range(4):
+            Ph[i] += P[i, j] * h[j]
+    S = variance
+    for i in range(4):
+        S += h[i] * Ph[i]
+    for i in range(4):
+        for j in range(4):
+            P[i, j] -= Ph[i] * Ph[j] / S
+
+
+@kernel
+def best_array_candidate(
+    P: Matrix,
+    to_target_m: Triple,
+    ring_m: Matrix,
+    may_fly: NDArray[np.bool_],
+    sigmas: tuple[float, float],
+    antenna: Antenna,
+    yaw_enu_rad: float,
+    near_target_terms: bool,
+) -> int:
+    """`best_candidate` with an antenna array."""
+    best, least = STAY, math.inf
+    for index in range(-1, ring_m.shape[0]):
+        if index == STAY or may_fly[index]:
+            east, north = (0.0, 0.0) if index == STAY else (ring_m[index, 0], ring_m[index, 1])
+            de_m, dn_m, du_m = to_target_m[0] - east, to_target_m[1] - north, to_target_m[2]
+            variance = array_worst_variance_m2(
+                P, de_m, dn_m, du_m, sigmas, antenna, yaw_enu_rad, near_target_terms
+            )
+            if variance < least:
+                best, least = index, variance
+    return best
+
+
+@kernel
 def best_candidate(
     P: Matrix,
     de_m: float,
@@ -149,8 +247,12 @@ class FimPlanner:
         params: FimParams,
         range_sigma_m: float = 1.5,
         bearing_sigma_rad: float = math.radians(2.0),
+        antenna: Antenna | None = None,
     ) -> None:
+        """Without an antenna bearings are azimuths about the vertical, as the paper has them."""
         self.params = params
+        self._antenna = antenna
+        self._sigmas = (range_sigma_m, bearing_sigma_rad)
         self._ring_m = candidate_ring_m(params.step_m, params.headings)
         self._range_variance_m2 = range_sigma_m**2
         self._bearing_variance_rad2 = bearing_sigma_rad**2
@@ -163,18 +265,8 @@ class FimPlanner:
         """The best candidate about the vehicle."""
         if request.estimate is None:
             return Plan(hold_position(request, "no estimate yet"), memory)
-        vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
-        index = best_candidate(
-            self._covariance(request, request.estimate),
-            target[0] - vehicle[0],
-            target[1] - vehicle[1],
-            -request.height_m,
-            self._ring_m,
-            self._may_fly(request),
-            self._range_variance_m2,
-            NO_BEARINGS_RAD2 if request.baseline_m > 0.0 else self._bearing_variance_rad2,
-            self.params.near_target_terms,
-        )
+        vehicle = request.vehicle_enu_m
+        index = self._best(request, request.estimate)
         if index == STAY:
             return Plan(hold_position(request, "staying is expected to tell most"), memory)
         turn_rad = 2.0 * math.pi * index / self.params.headings
@@ -183,6 +275,24 @@ class FimPlanner:
         detail = f"heading {heading_deg:03.0f} is expected to tell most"
         waypoint = Waypoint(self._candidate(vehicle, index), WaypointReason.INFORMATION, detail)
         return Plan(route_to(request, waypoint), memory)
+
+    def _best(self, request: PlanRequest, estimate: TargetEstimate) -> int:
+        """The index of the best candidate, by what bearings are."""
+        vehicle, target = request.vehicle_enu_m, estimate.position_enu_m
+        de_m, dn_m, du_m = target[0] - vehicle[0], target[1] - vehicle[1], -request.height_m
+        P, near = self._covariance(request, estimate), self.params.near_target_terms
+        ring_m, may_fly = self._ring_m, self._may_fly(request)
+        if self._antenna is not None:
+            yaw_rad, sigmas = request.yaw_enu_rad, request.sigmas or self._sigmas
+            if yaw_rad is None:
+                yaw_rad = math.atan2(dn_m, de_m)
+            to_target_m = (de_m, dn_m, du_m)
+            return best_array_candidate(
+                P, to_target_m, ring_m, may_fly, sigmas, self._antenna, yaw_rad, near
+            )
+        bearing2 = NO_BEARINGS_RAD2 if request.baseline_m > 0.0 else self._bearing_variance_rad2
+        range2 = self._range_variance_m2
+        return best_candidate(P, de_m, dn_m, du_m, ring_m, may_fly, range2, bearing2, near)
 
     def _covariance(self, request: PlanRequest, estimate: TargetEstimate) -> Matrix:
         """Of position and offsets, as the filter tells it or as it is known before the flight."""
