@@ -160,7 +160,8 @@ class LatchedCrossing:
             return Plan(self._waypoint(request, memory), memory)
         heading = next_direction(before, verdict, vehicle, target)
         if sight is not None:
-            before = before._replace(descent_m=self._descent_m(request, sight, before, sigmas_m))
+            descent_m = self._descent_m(request, sight, before, over_m, sigmas_m)
+            before = before._replace(descent_m=descent_m)
             ahead = before._replace(direction=heading)
             over_m = self._reach_m(request, sight, ahead, sigmas_m)
         chosen = self._best_point(request, target, heading, over_m)
@@ -180,16 +181,17 @@ class LatchedCrossing:
 
     def _reach_m(self, request: PlanRequest, sight: Sight, latch: Latch, sigmas_m: float) -> float:
         """The overshoot of a latch by what its leg tells, but to both sides of the target."""
-        best_m = self._best_reach_m(_leg(request, sight, latch.direction, latch.descent_m))
-        return max(best_m, min(sigmas_m, self.params.overshoot_max_m))
-
-    def _best_reach_m(self, leg: Leg) -> float:
-        return best_reach_m(leg, self.params.overshoot_min_m, self.params.overshoot_max_m)
+        most_m = self.params.overshoot_max_m
+        leg = _leg(request, sight, latch.direction, latch.descent_m)
+        return max(best_reach_m(leg, self.params.overshoot_min_m, most_m), min(sigmas_m, most_m))
 
     def _descent_m(
-        self, request: PlanRequest, sight: Sight, before: Latch, sigmas_m: float
+        self, request: PlanRequest, sight: Sight, before: Latch, over_m: float, sigmas_m: float
     ) -> float:
-        """How much lower to fly: where it pays, down to the lowest, and not while in doubt."""
+        """How much lower to fly, down to the lowest: where it pays at the present overshoot.
+
+        Not while the target is in doubt.
+        """
         is_low = before.descent_m > 0.0
         known_m = self.params.overshoot_max_m * (2.0 if is_low else 1.0)
         if not self.params.descend or request.altitude_offset_m is None or sigmas_m > known_m:
@@ -201,8 +203,8 @@ class LatchedCrossing:
         if descent_m < LEAST_DESCENT_M:
             return 0.0
         high, low = (_leg(request, sight, before.direction, each) for each in (0.0, descent_m))
-        high_rate, low_rate = (rate(self._best_reach_m(leg), leg) for leg in (high, low))
-        return descent_m if is_low or low_rate > DESCENT_GAIN * high_rate else 0.0
+        pays = is_low or rate(over_m, low) > DESCENT_GAIN * rate(over_m, high)
+        return descent_m if pays else 0.0
 
     def _is_at_height(self, request: PlanRequest, memory: Latch | None) -> bool:
         """Whether a crossing may end: a point in space is reached in height as well."""

@@ -37,7 +37,7 @@ from companion.kernel import kernel
 Triple = tuple[float, float, float]
 LEAST_HEIGHT_M = 1.0
 """Nearer than this no angle is better: place and antenna are known no better themselves."""
-BISECTIONS = 20
+BISECTIONS = 8
 WHOLE_RAD = 0.5 * math.pi
 """From the nadir to the horizon."""
 
@@ -98,9 +98,9 @@ def leg_over(
         middle, half = 0.0, WHOLE_RAD
         if antenna.half_view_rad < math.pi:  # by azimuth: a target on the leg is ahead or behind
             level = math.cos(antenna.half_view_rad) * math.hypot(forward, left)
-            is_ahead, is_behind = ahead >= level, -ahead >= level
-            middle = 0.25 * math.pi * (float(is_ahead) - float(is_behind))
-            half = WHOLE_RAD if is_ahead and is_behind else abs(middle)
+            if ahead < level or -ahead < level:
+                half = 0.25 * math.pi if abs(ahead) >= level else 0.0
+                middle = math.copysign(half, ahead)
     else:
         across2 = 0.0
         for row in range(antenna.rows):
@@ -131,8 +131,10 @@ def leg_over(
 @kernel
 def _directions_to(angle_rad: float, leg: Leg) -> float:
     """Antiderivative of what directions tell, by the angle from the nadir; times h sigma_0^2."""
-    double, fourfold = math.sin(2.0 * angle_rad), math.sin(4.0 * angle_rad)
-    told = leg.across2 * angle_rad - 0.5 * leg.ahead_up * math.cos(angle_rad) ** 4
+    s, c = math.sin(angle_rad), math.cos(angle_rad)
+    double, c2 = 2.0 * s * c, c * c
+    fourfold = 2.0 * double * (c2 - s * s)
+    told = leg.across2 * angle_rad - 0.5 * leg.ahead_up * c2 * c2
     told += leg.ahead2 * (0.375 * angle_rad + 0.25 * double + fourfold / 32.0)
     return told + leg.up2 * (0.125 * angle_rad - fourfold / 32.0)
 
@@ -155,8 +157,8 @@ def information(reach_m: float, leg: Leg) -> float:
 @kernel
 def marginal(reach_m: float, leg: Leg) -> float:
     """What one more metre at both ends tells: the derivative of `information`."""
-    angle = math.atan2(reach_m, leg.height_m)
-    s, c = math.sin(angle), math.cos(angle)
+    angle, slant_m = math.atan2(reach_m, leg.height_m), math.hypot(reach_m, leg.height_m)
+    s, c = reach_m / slant_m, leg.height_m / slant_m
     told = 2.0 * leg.per_range_m2 * s * s
     for side in (-1.0, 1.0):
         off = (side * angle - leg.middle_rad) % math.pi
