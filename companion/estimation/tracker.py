@@ -339,18 +339,17 @@ class TargetTracker:
         """
         if not self._optimizer.latest or not self.hypotheses:
             return None
-        inflation: Inflation = NO_INFLATION
+        params, inflation = self._filter.params, NO_INFLATION
         if self.params.adapt_inflation:
             inflation = self._noise.inflation(self._optimizer.noise)
-        sigmas = [math.inf, math.radians(self._filter.params.bearing_sigma_deg)]
-        factors = [math.sqrt(factor) for factor in inflation]
-        sigmas[BEARING] *= factors[BEARING]
+        sigmas = [math.inf, math.radians(params.bearing_sigma_deg)]
         for _, values, noise in self._optimizer.latest:
             for row in (RANGE, BEARING):
-                if not math.isnan(values[row]):
-                    sigmas[row] = factors[row] * float(noise[row])
-        own_m = self._filter.params.own_position_sigma_m
-        return math.hypot(sigmas[0], own_m), sigmas[1]
+                sigmas[row] = sigmas[row] if math.isnan(values[row]) else float(noise[row])
+        range_m, cosine_rad = (
+            math.sqrt(f) * sigma for f, sigma in zip(inflation, sigmas, strict=False)
+        )
+        return math.hypot(range_m, params.own_position_sigma_m), cosine_rad
 
     @property
     def health(self) -> TrackerHealth:

@@ -24,7 +24,7 @@ direction cosines, sigma_0 each; and what is out of the field of view is no row.
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -105,72 +105,60 @@ def worst_variance_m2(
     return float(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
 
 
+class View(NamedTuple):
+    """An antenna array as a level vehicle carries it, and its noise."""
+
+    antenna: Antenna
+    yaw_enu_rad: float
+    sigmas: tuple[float, float]
+    """Of a range, m, infinite where none is measured, and of a direction cosine, rad."""
+
+
 @kernel
 def array_worst_variance_m2(
-    P: Matrix,
-    de_m: float,
-    dn_m: float,
-    du_m: float,
-    sigmas: tuple[float, float],
-    antenna: Antenna,
-    yaw_enu_rad: float,
-    near_target_terms: bool,
+    P: Matrix, to_target_m: Triple, view: View, near_target_terms: bool
 ) -> float:
-    """The same of an antenna array, row by row; `sigmas` are of a range and of a cosine."""
-    slant2 = max(de_m * de_m + dn_m * dn_m + du_m * du_m, MIN_DISTANCE_M * MIN_DISTANCE_M)
-    slant = math.sqrt(slant2)
-    u = (de_m / slant, dn_m / slant, du_m / slant)
-    trace = P[0, 0] + P[1, 1] if near_target_terms else 0.0
-    after, h = P.copy(), np.zeros(4)
-    if not math.isinf(sigmas[0]):
-        h[0], h[1], h[2] = u[0], u[1], 1.0
-        take_in(after, h, sigmas[0] ** 2 + trace * trace / (4.0 * slant2))
-    first, x = cosine_row(antenna.first, u, slant, yaw_enu_rad)
-    second, y = cosine_row(antenna.second, u, slant, yaw_enu_rad)
-    _, off = cosine_row(antenna.boresight, u, slant, yaw_enu_rad)
-    noise2, second_order = sigmas[1] ** 2, (trace / slant2) ** 2
+    """The same of an antenna array, row by row."""
+    de, dn, du = to_target_m
+    slant = max(math.sqrt(de * de + dn * dn + du * du), MIN_DISTANCE_M)
+    u, antenna, cosine2 = (de / slant, dn / slant, du / slant), view.antenna, view.sigmas[1] ** 2
+    spread = (P[0, 0] + P[1, 1]) / slant if near_target_terms else 0.0
+    after, h = P.copy(), np.array([u[0], u[1], 1.0, 0.0])
+    if not math.isinf(view.sigmas[0]):
+        take_in(after, h, view.sigmas[0] ** 2 + 0.25 * spread * spread)
+    second_order = (spread / slant) ** 2
+    first, x = cosine_row(antenna.first, u, slant, view.yaw_enu_rad)
+    second, y = cosine_row(antenna.second, u, slant, view.yaw_enu_rad)
+    _, off = cosine_row(antenna.boresight, u, slant, view.yaw_enu_rad)
+    edge = math.cos(antenna.half_view_rad)
     if antenna.is_planar:
-        level = math.sqrt(max(x * x + y * y, MIN_DISTANCE_M * MIN_DISTANCE_M))
-        if x >= level * math.cos(antenna.half_view_rad):
-            spread2, view4 = noise2 / (level * level), level**4
-            take_in(
-                after,
-                (x * second - y * first) / (level * level),
-                spread2 * (1.0 + spread2) + second_order / view4,
-            )
-    elif abs(off) >= math.cos(antenna.half_view_rad):
-        take_in(after, first, noise2 + second_order)
+        sine2 = max(x * x + y * y, MIN_DISTANCE_M * MIN_DISTANCE_M)
+        if x >= math.sqrt(sine2) * edge:
+            noise2 = cosine2 / sine2 * (1.0 + cosine2 / sine2) + second_order / (sine2 * sine2)
+            take_in(after, (x * second - y * first) / sine2, noise2)
+    elif abs(off) >= edge:
+        take_in(after, first, cosine2 + second_order)
         if antenna.rows > 1:
-            take_in(after, second, noise2 + second_order)
+            take_in(after, second, cosine2 + second_order)
     ee, en, nn = after[0, 0], after[0, 1], after[1, 1]
     return float(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
 
 
 @kernel
-def cosine_row(axis: Triple, u: Triple, slant_m: float, yaw_enu_rad: float) -> tuple[Vector, float]:
+def cosine_row(axis: Triple, u: Triple, slant_m: float, yaw_rad: float) -> tuple[Vector, float]:
     """Partials (4,) of the cosine along an axis of the level body, and the cosine itself."""
-    c, s = math.cos(yaw_enu_rad), math.sin(yaw_enu_rad)
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     east, north = c * axis[0] - s * axis[1], s * axis[0] + c * axis[1]
     cosine = east * u[0] + north * u[1] + axis[2] * u[2]
-    h = np.zeros(4)
-    h[0], h[1] = (east - cosine * u[0]) / slant_m, (north - cosine * u[1]) / slant_m
-    h[3] = north * u[0] - east * u[1]
-    return h, cosine
+    by_east, by_north = (east - cosine * u[0]) / slant_m, (north - cosine * u[1]) / slant_m
+    return np.array([by_east, by_north, 0.0, north * u[0] - east * u[1]]), cosine
 
 
 @kernel
 def take_in(P: Matrix, h: Vector, variance: float) -> None:
     """Update a covariance (4, 4) in place by one row (4,), as a Kalman filter does."""
-    Ph = np.zeros(4)
-    for i in range(4):
-        for j in range(4):
-            Ph[i] += P[i, j] * h[j]
-    S = variance
-    for i in range(4):
-        S += h[i] * Ph[i]
-    for i in range(4):
-        for j in range(4):
-            P[i, j] -= Ph[i] * Ph[j] / S
+    Ph = (P * h).sum(axis=1)
+    P -= np.outer(Ph, Ph) / ((Ph * h).sum() + variance)
 
 
 @kernel
@@ -179,20 +167,16 @@ def best_array_candidate(
     to_target_m: Triple,
     ring_m: Matrix,
     may_fly: NDArray[np.bool_],
-    sigmas: tuple[float, float],
-    antenna: Antenna,
-    yaw_enu_rad: float,
-    near_target_terms: bool,
+    view: View,
+    near: bool,
 ) -> int:
     """`best_candidate` with an antenna array."""
-    best, least = STAY, math.inf
-    for index in range(-1, ring_m.shape[0]):
-        if index == STAY or may_fly[index]:
-            east, north = (0.0, 0.0) if index == STAY else (ring_m[index, 0], ring_m[index, 1])
-            de_m, dn_m, du_m = to_target_m[0] - east, to_target_m[1] - north, to_target_m[2]
-            variance = array_worst_variance_m2(
-                P, de_m, dn_m, du_m, sigmas, antenna, yaw_enu_rad, near_target_terms
-            )
+    de, dn, du = to_target_m
+    best, least = STAY, array_worst_variance_m2(P, to_target_m, view, near)
+    for index in range(ring_m.shape[0]):
+        if may_fly[index]:
+            there = (de - ring_m[index, 0], dn - ring_m[index, 1], du)
+            variance = array_worst_variance_m2(P, there, view, near)
             if variance < least:
                 best, least = index, variance
     return best
@@ -283,13 +267,10 @@ class FimPlanner:
         P, near = self._covariance(request, estimate), self.params.near_target_terms
         ring_m, may_fly = self._ring_m, self._may_fly(request)
         if self._antenna is not None:
-            yaw_rad, sigmas = request.yaw_enu_rad, request.sigmas or self._sigmas
-            if yaw_rad is None:
-                yaw_rad = math.atan2(dn_m, de_m)
-            to_target_m = (de_m, dn_m, du_m)
-            return best_array_candidate(
-                P, to_target_m, ring_m, may_fly, sigmas, self._antenna, yaw_rad, near
-            )
+            yaw_rad = request.yaw_enu_rad
+            ahead_rad = math.atan2(dn_m, de_m) if yaw_rad is None else yaw_rad
+            view = View(self._antenna, ahead_rad, request.sigmas or self._sigmas)
+            return best_array_candidate(P, (de_m, dn_m, du_m), ring_m, may_fly, view, near)
         bearing2 = NO_BEARINGS_RAD2 if request.baseline_m > 0.0 else self._bearing_variance_rad2
         range2 = self._range_variance_m2
         return best_candidate(P, de_m, dn_m, du_m, ring_m, may_fly, range2, bearing2, near)

@@ -23,6 +23,7 @@ from companion.planning.fim import (
     STAY,
     FimParams,
     FimPlanner,
+    View,
     array_worst_variance_m2,
     best_candidate,
     candidate_ring_m,
@@ -214,7 +215,8 @@ def test_an_antenna_array_counts_as_the_filters_own_model_has_it(
         J = np.linalg.inv(P) + sum(np.outer(H[i], H[i]) / R[i] for i in rows)
         worst_m2 = float(np.linalg.eigvalsh(np.linalg.inv(J)[:2, :2])[-1])
         sigmas = (1.5 if measures_range else math.inf, 0.05)
-        told = array_worst_variance_m2(P, de_m, dn_m, -20.0, sigmas, antenna, yaw_rad, True)
+        view = View(antenna, yaw_rad, sigmas)
+        told = array_worst_variance_m2(P, (de_m, dn_m, -20.0), view, True)
         assert told == pytest.approx(worst_m2, rel=1e-6)
 
 
@@ -224,7 +226,7 @@ def test_what_is_out_of_view_tells_nothing(antenna: Antenna) -> None:
     side, sigmas = (40.0, 40.0), (math.inf, 0.05)
     vague_east = np.diag([900.0, 1.0, 25.0, 0.01])
     seen, unseen = (
-        array_worst_variance_m2(vague_east, *side, -20.0, sigmas, each, 0.0, True)
+        array_worst_variance_m2(vague_east, (*side, -20.0), View(each, 0.0, sigmas), True)
         for each in (antenna, narrow)
     )
     assert seen < 900.0
