@@ -240,6 +240,8 @@ class Waypoint:
     """One phrase for the operator, for example the overshoot."""
     altitude_offset_m: float = 0.0
     """Above the search altitude; below it if negative."""
+    descent_m: float = 0.0
+    """How much of that is a lower pass."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from companion import __version__
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.config.tunables import Tunables
 from companion.errors import ConfigError
+from companion.estimation.antenna import AntennaParams, antenna_axes_enu
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.tracking.emitters import EmitterQueue
@@ -36,7 +37,7 @@ from companion.link.interface import (
     LinkSpec,
 )
 from companion.mav.signing import Signing
-from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
+from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, Sight
 from companion.planning.fim import FimPlanner
 from companion.planning.planner import Planner
 from companion.planning.search import (
@@ -44,6 +45,7 @@ from companion.planning.search import (
     SearchPlanner,
     SearchThenCross,
 )
+from companion.planning.views import Antenna
 
 
 def build_planner(config: CompanionConfig) -> Planner[Any]:
@@ -59,14 +61,43 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
     planner, noise = config.planner, config.estimation.filter
     match kind:
         case "latched_crossing":
-            return LatchedCrossing(planner.latched_crossing)
+            return LatchedCrossing(planner.latched_crossing, _sight(config))
         case "reactive_crossing":
             return ReactiveCrossing(planner.reactive_crossing)
         case "fim":
             bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
-            return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad)
+            antenna = None if noise.antenna.kind == "azimuth" else _antenna(noise.antenna)
+            return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad, antenna)
         case _:
             return SearchPlanner(_pattern(kind, planner))
+
+
+def _sight(config: CompanionConfig) -> Sight:
+    """What crossings are chosen by where the antenna, or the target's height, is told."""
+    limits, noise = config.limits, config.estimation.filter
+    lowest_m = limits.guard_limits().altitude_m[0]
+    return Sight(
+        _antenna(noise.antenna),
+        limits.speed_mps,
+        limits.acceleration_mps2,
+        lowest_m,
+        config.mission.altitude_m - lowest_m,
+        is_height_told=noise.target_height_m != 0.0 or noise.target_height_sigma_m > 0.0,
+    )
+
+
+def _antenna(params: AntennaParams) -> Antenna:
+    """The antenna in the level body's axes: forward, left and up are those of who looks east."""
+    is_planar = params.kind == "planar"
+    ahead, right, down = antenna_axes_enu((0.0, 0.0, 0.5 * math.pi), params.mount_deg)
+    return Antenna(
+        ahead,
+        ahead if is_planar else right,
+        right if is_planar else down,  # a cosine, whose sign says nothing of its information
+        {"azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}[params.kind],
+        is_planar,
+        math.radians(0.5 * params.field_of_view_deg),
+    )
 
 
 def _pattern(kind: PatternKind, config: PlannerConfig) -> SearchParams:

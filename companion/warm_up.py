@@ -43,7 +43,18 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
             if has_bearing:
                 seen = _by_array(seen, place, params.filter.model.antenna)
             tracker.fuse(seen, place, time_s)
-        request = PlanRequest((RADIUS_M, 0.0), tracker.estimate(60.0), time_s=60.0, contact_s=60.0)
+        request = PlanRequest(
+            (RADIUS_M, 0.0),
+            tracker.estimate(60.0),
+            baseline_m=tracker.baseline_m(HEIGHT_M),
+            time_s=60.0,
+            contact_s=60.0,
+            height_m=HEIGHT_M,
+            altitude_offset_m=0.0,
+            yaw_enu_rad=0.0,
+            sigmas=tracker.array_sigmas,
+            joint_covariance=tracker.hypotheses[0].state.covariance[:4, :4],
+        )
         memory = planner.plan(request, memory).memory
 
 

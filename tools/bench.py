@@ -16,7 +16,13 @@ from companion.io.files import check_writable, write_json_atomic
 from tools.console import OneLineParser, positive
 from tools.filter_bench import ROUNDS, FilterBench, Ratio, bench_filters
 from tools.planner_bench import ROUNDS as PLANNER_ROUNDS
-from tools.planner_bench import PlannerBench, StepCost, bench_planners
+from tools.planner_bench import (
+    SIGHTED,
+    SIGHTED_LIMIT_US,
+    PlannerBench,
+    StepCost,
+    bench_planners,
+)
 
 
 def main() -> int:
@@ -94,6 +100,7 @@ def planner_table(bench: PlannerBench) -> str:
             *(cost_line(cost) for cost in bench.costs),
             "",
             *(limit_line(cost) for cost in bench.costs if cost.limit_ms is not None),
+            f"{SIGHTED}: {bench.sighted_us:.2f} us; limit {SIGHTED_LIMIT_US:g} us compiled",
             f"FIM over reactive: {ratio.steps:.2f} by step, {ratio.decisions:.2f} by decision; "
             f"paper: {ratio.paper:g}",
         ]

@@ -31,6 +31,7 @@ Times are not the same bytes twice, so they are kept apart from the results.
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +42,9 @@ import numpy as np
 
 from companion.estimation.filters.kalman import KINDS
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
-from companion.planning.crossing_kernels import NO_LATCH
+from companion.planning.crossing import LatchedCrossingParams
+from companion.planning.crossing_kernels import NO_LATCH, LatchRule, latched_step
+from companion.planning.views import Antenna, best_reach_m, leg_over, rate
 from sim_link.lab.evaluation.campaign import run_trial
 from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured, stream
 from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
@@ -178,6 +181,35 @@ def decided(
     return places
 
 
+SIGHTED_LIMIT_US = 5.0
+"""What a decision by the antenna may take, compiled."""
+TWO_AXIS = Antenna((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), 2, False, math.pi / 3.0)
+
+
+@kernel
+def sighted(decisions: int, antenna: Antenna, rule: LatchRule) -> float:
+    """Next legs by what the antenna tells, the choice of the height among it; their overshoots."""
+    total_m = 0.0
+    for index in range(decisions):
+        high = leg_over(20.0, 10.0, (0.5, 0.05), antenna, 0.1 * index)
+        over_m = best_reach_m(high, rule.overshoot_min_m, rule.overshoot_max_m)
+        low = leg_over(6.0, 10.0, (0.5, 0.05), antenna, 0.1 * index)
+        if rate(over_m, low) > rate(over_m, high):
+            over_m = best_reach_m(low, rule.overshoot_min_m, rule.overshoot_max_m)
+        latch = latched_step(NO_LATCH, (-30.0, 0.0), (0.0, 0.0), over_m, True, rule)
+        total_m += latch.overshoot_m
+    return total_m
+
+
+def sighted_seconds(decisions: int = 50) -> dict[str, float]:
+    """Of a decision by the antenna, each."""
+    rule = LatchedCrossingParams().rule()
+    begun = process_time()
+    sighted(decisions, TWO_AXIS, rule)
+    return {SIGHTED: (process_time() - begun) / decisions}
+
+
+SIGHTED = "latched crossing by the antenna: decision"
 ROUNDS = 75
 DECISION_PASSES = 4 if IS_COMPILED else 1
 """Over a run, timed together: what the call of a compiled kernel takes is spread over them."""
@@ -255,6 +287,8 @@ class PlannerBench:
     rounds: int
     costs: list[StepCost]
     fim_over_reactive: CostRatio
+    sighted_us: float
+    """A decision of latched crossing that knows the antenna: a new leg and its height."""
 
 
 def bench_planners(
@@ -271,7 +305,8 @@ def bench_planners(
     """
     case = case or Case()
     runs = [recorded_run(case, system) for system in {REACTIVE: 0, FIM: 0} | dict.fromkeys(systems)]
-    costs_us = timed([timer for run in runs for timer in contenders(run)], rounds)
+    timers = [timer for run in runs for timer in contenders(run)]
+    costs_us = timed([*timers, sighted_seconds], rounds)
     return PlannerBench(
         python=platform.python_version(),
         numpy=np.__version__,
@@ -280,6 +315,7 @@ def bench_planners(
         rounds=rounds,
         costs=[step_cost(system, costs_us, is_compiled=IS_COMPILED) for system in systems],
         fim_over_reactive=cost_ratio(costs_us),
+        sighted_us=costs_us[SIGHTED],
     )
 
 

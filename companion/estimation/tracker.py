@@ -8,6 +8,7 @@ much worse than thermal the innovations are, and integrity whether measurements 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -42,7 +43,7 @@ from companion.estimation.hypotheses import (
 )
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
-from companion.estimation.measurement_model import target_height_m
+from companion.estimation.measurement_model import BEARING, RANGE, target_height_m
 from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.noise.innovations import InnovationNoise, NoiseLearner, TrackerHealth
 from companion.estimation.screening.measurement_screen import (
@@ -347,6 +348,27 @@ class TargetTracker:
             return 0.0
         mean = self.hypotheses[0].state.mean
         return abs(sensor_up_m - target_height_m(mean, self._filter.params.model))
+
+    @property
+    def array_sigmas(self) -> tuple[float, float] | None:
+        """Of a range, m, infinite where none came of late, and of a direction cosine, rad.
+
+        With the inflation that the run has shown, and a range with the own place in it. A direction
+        may be out of view now, and counts as it is configured then. None: no measurement yet.
+        """
+        if not self._optimizer.latest or not self.hypotheses:
+            return None
+        params, inflation = self._filter.params, NO_INFLATION
+        if self.params.adapt_inflation:
+            inflation = self._noise.inflation(self._optimizer.noise)
+        sigmas = [math.inf, math.radians(params.bearing_sigma_deg)]
+        for _, values, noise in self._optimizer.latest:
+            for row in (RANGE, BEARING):
+                sigmas[row] = sigmas[row] if math.isnan(values[row]) else float(noise[row])
+        range_m, cosine_rad = (
+            math.sqrt(f) * sigma for f, sigma in zip(inflation, sigmas, strict=False)
+        )
+        return math.hypot(range_m, params.own_position_sigma_m), cosine_rad
 
     @property
     def health(self) -> TrackerHealth:

@@ -17,6 +17,15 @@ Reactive crossing, for comparison, with s the vehicle, x the estimate, step eta 
 c lies on the line from s through x, so v = d for every l > 0: the printed crossing distance has no
 effect, and crossing only happens by overshooting by less than one step.
 
+With an antenna array, or with ranges alone to a target whose height is told, `views` says what a
+leg tells, and by that are chosen: the overshoot, of the greatest rate of information, though never
+shorter than the standard deviations above, because only what is seen from both sides parts the
+offset of bearings from the place; the turn, which begins where braking would, at most a quarter of
+the overshoot early; and, where `descend` lets it, the height, the lowest that the altitude band
+leaves, once the target is known to within the largest overshoot and if a pass there tells half as
+much again by the way. An azimuth about the vertical is as good at any height: it is the paper's,
+and crosses as above.
+
 Paper: section V-A and Appendix C, with the crossing distance made real; "Limitations and Scope" for
 the separation plane in 3-D; Algorithm 1 for reactive crossing. Deviation from that: the next point
 and the leg to it are kept in free space.
@@ -25,6 +34,7 @@ and the leg to it are kept in free space.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from companion.domain import NonNegative, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
@@ -42,6 +52,7 @@ from companion.planning.crossing_kernels import (
     next_direction,
     overshoot_m,
     turned,
+    worst_sigma_m,
 )
 from companion.planning.planner import (
     Plan,
@@ -54,6 +65,7 @@ from companion.planning.planner import (
     route_to,
     way_finder,
 )
+from companion.planning.views import Antenna, Leg, best_reach_m, leg_over, rate
 
 DIRECTIONS_TRIED = 5
 """Directions tried before a crossing cut short by the fence is accepted."""
@@ -61,6 +73,13 @@ HEIGHT_SHARE = 0.5
 """A crossing is at its height within this share of the swing."""
 LONG_ENOUGH_SHARE = 0.9
 """A crossing with this much of its overshoot is not cut short."""
+TURN_SHARE = 0.25
+"""A turn begins this much of the overshoot before its end at the earliest."""
+DESCENT_GAIN = 1.5
+"""A lower pass must tell this much more by the way: it takes time, and time to climb again."""
+LEAST_DESCENT_M = 1.0
+HEIGHT_SIGMAS = 2.0
+"""A target whose height is estimated may be higher by this much."""
 
 
 class LatchedCrossingParams(Params, frozen=True):
@@ -76,9 +95,13 @@ class LatchedCrossingParams(Params, frozen=True):
     """A move of the estimate by more than this, or half the overshoot, aims anew."""
     altitude_swing_m: NonNegative = 0.0
     """Crossings are flown this much above and below the search altitude by turns; 0: level."""
+    descend: bool = False
+    """Whether crossings are flown lower where that tells more; see `companion.planning.views`."""
 
     def __post_init__(self) -> None:
-        """Refuse an empty band for the overshoot."""
+        """Refuse an empty band for the overshoot, and two wishes for one height."""
+        if self.descend and self.altitude_swing_m > 0.0:
+            raise ValueError("descend and altitude_swing_m exclude each other")
         if self.overshoot_min_m > self.overshoot_max_m:
             raise ValueError("overshoot_min_m must not exceed overshoot_max_m")
 
@@ -87,13 +110,34 @@ class LatchedCrossingParams(Params, frozen=True):
         return LatchRule(*(getattr(self, name) for name in LatchRule._fields))
 
 
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What crossings are chosen by where they are chosen by what they tell."""
+
+    antenna: Antenna
+    speed_mps: float
+    acceleration_mps2: float
+    lowest_m: float
+    """The lowest height that may be flown: above home, and above the target."""
+    room_m: float
+    """How much lower than the search altitude that is."""
+    is_height_told: bool
+    """Whether the target is told at another height than the origin, which makes ranges oblique."""
+
+    @property
+    def turn_m(self) -> float:
+        """What a turn by the golden angle costs by half a crossing, as way: nearly v^2 / a."""
+        return self.speed_mps**2 / self.acceleration_mps2
+
+
 class LatchedCrossing:
-    """The default planner."""
+    """The default planner; without a `Sight` it knows neither heights nor antennas."""
 
     search_after_s: float | None = None
 
-    def __init__(self, params: LatchedCrossingParams) -> None:
+    def __init__(self, params: LatchedCrossingParams, sight: Sight | None = None) -> None:
         self.params = params
+        self._sight = sight
         self._rule = params.rule()
 
     def plan(self, request: PlanRequest, memory: Latch | None) -> Plan[Latch | None]:
@@ -103,18 +147,64 @@ class LatchedCrossing:
         vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
         (a, b), (_, c) = request.estimate.covariance_m2
         over_m = overshoot_m(a, b, c, request.baseline_m, self._rule)
-        before = NO_LATCH if memory is None else memory
+        before, rule = NO_LATCH if memory is None else memory, self._rule
+        sight, sigmas_m = self._sight_for(request), rule.overshoot_sigmas * worst_sigma_m(a, b, c)
+        if sight is not None:
+            over_m = self._reach_m(request, sight, before, sigmas_m)
+            early_m = min(0.5 * sight.turn_m, TURN_SHARE * over_m)
+            rule = rule._replace(arrival_radius_m=max(early_m, rule.arrival_radius_m))
         behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
         is_at_height = self._is_at_height(request, memory)
-        verdict = latch_verdict(before, vehicle, target, behind_m, is_at_height, self._rule)
+        verdict = latch_verdict(before, vehicle, target, behind_m, is_at_height, rule)
         if memory is not None and verdict == KEPT:
             return Plan(self._waypoint(request, memory), memory)
         heading = next_direction(before, verdict, vehicle, target)
+        if sight is not None:
+            descent_m = self._descent_m(request, sight, before, over_m, sigmas_m)
+            before = before._replace(descent_m=descent_m)
+            ahead = before._replace(direction=heading)
+            over_m = self._reach_m(request, sight, ahead, sigmas_m)
         chosen = self._best_point(request, target, heading, over_m)
         if chosen is None:
             return Plan(hold_position(request, "no way to any side of the estimate"), memory)
-        latch = new_latch(before, verdict, *chosen, vehicle, target, over_m, self._rule)
+        latch = new_latch(before, verdict, *chosen, vehicle, target, over_m, rule)
         return Plan(self._waypoint(request, latch), latch)
+
+    def _sight_for(self, request: PlanRequest) -> Sight | None:
+        """What to choose by what a leg tells; None: as the paper."""
+        sight = self._sight
+        if sight is None or request.sigmas is None:
+            return None
+        is_array, has_directions = sight.antenna.rows > 0, request.baseline_m == 0.0
+        is_oblique = sight.is_height_told or self.params.descend
+        return sight if is_array or (is_oblique and not has_directions) else None
+
+    def _reach_m(self, request: PlanRequest, sight: Sight, latch: Latch, sigmas_m: float) -> float:
+        """The overshoot of a latch by what its leg tells, but to both sides of the target."""
+        most_m = self.params.overshoot_max_m
+        leg = _leg(request, sight, latch.direction, latch.descent_m)
+        return max(best_reach_m(leg, self.params.overshoot_min_m, most_m), min(sigmas_m, most_m))
+
+    def _descent_m(
+        self, request: PlanRequest, sight: Sight, before: Latch, over_m: float, sigmas_m: float
+    ) -> float:
+        """How much lower to fly, down to the lowest: where it pays at the present overshoot.
+
+        Not while the target is in doubt.
+        """
+        is_low = before.descent_m > 0.0
+        known_m = self.params.overshoot_max_m * (2.0 if is_low else 1.0)
+        if not self.params.descend or request.altitude_offset_m is None or sigmas_m > known_m:
+            return 0.0
+        assert request.estimate is not None
+        above_m = request.height_m - request.altitude_offset_m
+        above_m -= HEIGHT_SIGMAS * (request.estimate.height_sigma_m or 0.0)
+        descent_m = min(sight.room_m, above_m - sight.lowest_m)
+        if descent_m < LEAST_DESCENT_M:
+            return 0.0
+        high, low = (_leg(request, sight, before.direction, each) for each in (0.0, descent_m))
+        pays = is_low or rate(over_m, low) > DESCENT_GAIN * rate(over_m, high)
+        return descent_m if pays else 0.0
 
     def _is_at_height(self, request: PlanRequest, memory: Latch | None) -> bool:
         """Whether a crossing may end: a point in space is reached in height as well."""
@@ -157,8 +247,23 @@ class LatchedCrossing:
         is_approach = is_ahead and math.dist(vehicle, estimate) > latch.overshoot_m
         reason = WaypointReason.APPROACH if is_approach else WaypointReason.CROSSING
         detail = f"crossing {latch.crossings + 1}, {latch.overshoot_m:.1f} m beyond the estimate"
-        offset_m = altitude_offset_m(latch.crossings, self.params.altitude_swing_m)
-        return route_to(request, Waypoint(latch.point_enu_m, reason, detail, offset_m))
+        descent_m = latch.descent_m
+        offset_m = altitude_offset_m(latch.crossings, self.params.altitude_swing_m) - descent_m
+        waypoint = Waypoint(latch.point_enu_m, reason, detail, offset_m, descent_m)
+        return route_to(request, waypoint)
+
+
+def _leg(request: PlanRequest, sight: Sight, along: Point, descent_m: float) -> Leg:
+    """A leg along a direction at the height of a descent; before the first one, along the way."""
+    assert request.estimate is not None
+    assert request.sigmas is not None
+    if along == NO_LATCH.direction:
+        along = direction(request.vehicle_enu_m, request.estimate.position_enu_m)
+    yaw_rad = 0.0
+    if request.yaw_enu_rad is not None:
+        yaw_rad = request.yaw_enu_rad - math.atan2(along[1], along[0])
+    height_m = request.height_m - (request.altitude_offset_m or 0.0) - descent_m
+    return leg_over(height_m, sight.turn_m, request.sigmas, sight.antenna, yaw_rad)
 
 
 def _far_point(anchor: Point, heading: Point, over_m: float) -> Point:

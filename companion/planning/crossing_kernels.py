@@ -53,6 +53,8 @@ class Latch(NamedTuple):
     overshoot_m: float
     crossings: int
     """Flown to their end so far."""
+    descent_m: float
+    """How much lower than the search altitude."""
 
     @property
     def pushed_m(self) -> float:
@@ -63,7 +65,7 @@ class Latch(NamedTuple):
         return beyond_m if beyond_m > self.overshoot_m + PUSHED_M else 0.0
 
 
-NO_LATCH = Latch((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 0.0, -1)
+NO_LATCH = Latch((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 0.0, -1, 0.0)
 
 FIRST, KEPT, FLOWN, MOVED = 0, 1, 2, 3
 """Verdicts: no latch yet, fly on, choose the next crossing, aim the same one anew."""
@@ -80,6 +82,15 @@ class LatchRule(NamedTuple):
 
 
 @kernel
+def worst_sigma_m(variance_east_m2: float, covariance_m2: float, variance_north_m2: float) -> float:
+    """Standard deviation in the worst direction."""
+    half_trace = 0.5 * (variance_east_m2 + variance_north_m2)
+    half_gap = 0.5 * (variance_east_m2 - variance_north_m2)
+    largest_m2 = half_trace + math.hypot(half_gap, covariance_m2)
+    return math.sqrt(max(largest_m2, 0.0))
+
+
+@kernel
 def overshoot_m(
     variance_east_m2: float,
     covariance_m2: float,
@@ -88,10 +99,8 @@ def overshoot_m(
     rule: LatchRule,
 ) -> float:
     """How far beyond the estimate: the worst direction's sigmas or the base line, within limits."""
-    half_trace = 0.5 * (variance_east_m2 + variance_north_m2)
-    half_gap = 0.5 * (variance_east_m2 - variance_north_m2)
-    largest_m2 = half_trace + math.hypot(half_gap, covariance_m2)
-    wanted_m = rule.overshoot_sigmas * math.sqrt(max(largest_m2, 0.0))
+    sigma_m = worst_sigma_m(variance_east_m2, covariance_m2, variance_north_m2)
+    wanted_m = rule.overshoot_sigmas * sigma_m
     least_m = max(rule.overshoot_min_m, min(baseline_m, rule.overshoot_max_m))
     return min(max(wanted_m, least_m), rule.overshoot_max_m)
 
@@ -148,7 +157,7 @@ def new_latch(
     if math.hypot(point[0] - vehicle[0], point[1] - vehicle[1]) <= rule.arrival_radius_m:
         heading = turned(heading, GOLDEN_ANGLE_RAD)
     flown = max(latch.crossings, 0) + (1 if verdict == FLOWN else 0)
-    return Latch(point, target, heading, vehicle, over_m, flown)
+    return Latch(point, target, heading, vehicle, over_m, flown, latch.descent_m)
 
 
 @kernel

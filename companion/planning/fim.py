@@ -15,12 +15,16 @@ information and the offsets open (with them known, any new place looks equally g
 slant, as the radio measures them; and `near_target_terms` adds the second-order variances that the
 filter has too, without which the bearing of a place on top of the estimate is believed to be
 perfect. Off, the criterion is the linearised one.
+
+With an antenna array the rows are those of its own measurement model, about a level vehicle that
+keeps its heading: of an azimuth in the array's plane, sigma_0 over the sine off its normal, or of
+direction cosines, sigma_0 each; and what is out of the field of view is no row.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -29,8 +33,9 @@ from numpy.typing import NDArray
 from companion.domain import Params, Positive, TargetEstimate, Waypoint, WaypointReason
 from companion.geometry.coordinates import bearing_ned_from_enu
 from companion.geometry.polygons import Point
-from companion.kernel import Matrix, frozen, kernel
+from companion.kernel import Matrix, Vector, frozen, kernel
 from companion.planning.planner import Plan, PlanRequest, hold_position, route_to, way_finder
+from companion.planning.views import Antenna, Triple
 
 HEADINGS = 16
 """Directions of the candidates, where nothing else is said."""
@@ -100,6 +105,83 @@ def worst_variance_m2(
     return float(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
 
 
+class View(NamedTuple):
+    """An antenna array as a level vehicle carries it, and its noise."""
+
+    antenna: Antenna
+    yaw_enu_rad: float
+    sigmas: tuple[float, float]
+    """Of a range, m, infinite where none is measured, and of a direction cosine, rad."""
+
+
+@kernel
+def array_worst_variance_m2(
+    P: Matrix, to_target_m: Triple, view: View, near_target_terms: bool
+) -> float:
+    """The same of an antenna array, row by row."""
+    de, dn, du = to_target_m
+    slant = max(math.sqrt(de * de + dn * dn + du * du), MIN_DISTANCE_M)
+    u, antenna, cosine2 = (de / slant, dn / slant, du / slant), view.antenna, view.sigmas[1] ** 2
+    spread = (P[0, 0] + P[1, 1]) / slant if near_target_terms else 0.0
+    after, h = P.copy(), np.array([u[0], u[1], 1.0, 0.0])
+    if not math.isinf(view.sigmas[0]):
+        take_in(after, h, view.sigmas[0] ** 2 + 0.25 * spread * spread)
+    second_order = (spread / slant) ** 2
+    first, x = cosine_row(antenna.first, u, slant, view.yaw_enu_rad)
+    second, y = cosine_row(antenna.second, u, slant, view.yaw_enu_rad)
+    _, off = cosine_row(antenna.boresight, u, slant, view.yaw_enu_rad)
+    edge = math.cos(antenna.half_view_rad)
+    if antenna.is_planar:
+        sine2 = max(x * x + y * y, MIN_DISTANCE_M * MIN_DISTANCE_M)
+        if x >= math.sqrt(sine2) * edge:
+            noise2 = cosine2 / sine2 * (1.0 + cosine2 / sine2) + second_order / (sine2 * sine2)
+            take_in(after, (x * second - y * first) / sine2, noise2)
+    elif abs(off) >= edge:
+        take_in(after, first, cosine2 + second_order)
+        if antenna.rows > 1:
+            take_in(after, second, cosine2 + second_order)
+    ee, en, nn = after[0, 0], after[0, 1], after[1, 1]
+    return float(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
+
+
+@kernel
+def cosine_row(axis: Triple, u: Triple, slant_m: float, yaw_rad: float) -> tuple[Vector, float]:
+    """Partials (4,) of the cosine along an axis of the level body, and the cosine itself."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    east, north = c * axis[0] - s * axis[1], s * axis[0] + c * axis[1]
+    cosine = east * u[0] + north * u[1] + axis[2] * u[2]
+    by_east, by_north = (east - cosine * u[0]) / slant_m, (north - cosine * u[1]) / slant_m
+    return np.array([by_east, by_north, 0.0, north * u[0] - east * u[1]]), cosine
+
+
+@kernel
+def take_in(P: Matrix, h: Vector, variance: float) -> None:
+    """Update a covariance (4, 4) in place by one row (4,), as a Kalman filter does."""
+    Ph = (P * h).sum(axis=1)
+    P -= np.outer(Ph, Ph) / ((Ph * h).sum() + variance)
+
+
+@kernel
+def best_array_candidate(
+    P: Matrix,
+    to_target_m: Triple,
+    ring_m: Matrix,
+    may_fly: NDArray[np.bool_],
+    view: View,
+    near: bool,
+) -> int:
+    """`best_candidate` with an antenna array."""
+    de, dn, du = to_target_m
+    best, least = STAY, array_worst_variance_m2(P, to_target_m, view, near)
+    for index in range(ring_m.shape[0]):
+        if may_fly[index]:
+            there = (de - ring_m[index, 0], dn - ring_m[index, 1], du)
+            variance = array_worst_variance_m2(P, there, view, near)
+            if variance < least:
+                best, least = index, variance
+    return best
+
+
 @kernel
 def best_candidate(
     P: Matrix,
@@ -149,8 +231,12 @@ class FimPlanner:
         params: FimParams,
         range_sigma_m: float = 1.5,
         bearing_sigma_rad: float = math.radians(2.0),
+        antenna: Antenna | None = None,
     ) -> None:
+        """Without an antenna bearings are azimuths about the vertical, as the paper has them."""
         self.params = params
+        self._antenna = antenna
+        self._sigmas = (range_sigma_m, bearing_sigma_rad)
         self._ring_m = candidate_ring_m(params.step_m, params.headings)
         self._range_variance_m2 = range_sigma_m**2
         self._bearing_variance_rad2 = bearing_sigma_rad**2
@@ -163,18 +249,8 @@ class FimPlanner:
         """The best candidate about the vehicle."""
         if request.estimate is None:
             return Plan(hold_position(request, "no estimate yet"), memory)
-        vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
-        index = best_candidate(
-            self._covariance(request, request.estimate),
-            target[0] - vehicle[0],
-            target[1] - vehicle[1],
-            -request.height_m,
-            self._ring_m,
-            self._may_fly(request),
-            self._range_variance_m2,
-            NO_BEARINGS_RAD2 if request.baseline_m > 0.0 else self._bearing_variance_rad2,
-            self.params.near_target_terms,
-        )
+        vehicle = request.vehicle_enu_m
+        index = self._best(request, request.estimate)
         if index == STAY:
             return Plan(hold_position(request, "staying is expected to tell most"), memory)
         turn_rad = 2.0 * math.pi * index / self.params.headings
@@ -183,6 +259,21 @@ class FimPlanner:
         detail = f"heading {heading_deg:03.0f} is expected to tell most"
         waypoint = Waypoint(self._candidate(vehicle, index), WaypointReason.INFORMATION, detail)
         return Plan(route_to(request, waypoint), memory)
+
+    def _best(self, request: PlanRequest, estimate: TargetEstimate) -> int:
+        """The index of the best candidate, by what bearings are."""
+        vehicle, target = request.vehicle_enu_m, estimate.position_enu_m
+        de_m, dn_m, du_m = target[0] - vehicle[0], target[1] - vehicle[1], -request.height_m
+        P, near = self._covariance(request, estimate), self.params.near_target_terms
+        ring_m, may_fly = self._ring_m, self._may_fly(request)
+        if self._antenna is not None:
+            yaw_rad = request.yaw_enu_rad
+            ahead_rad = math.atan2(dn_m, de_m) if yaw_rad is None else yaw_rad
+            view = View(self._antenna, ahead_rad, request.sigmas or self._sigmas)
+            return best_array_candidate(P, (de_m, dn_m, du_m), ring_m, may_fly, view, near)
+        bearing2 = NO_BEARINGS_RAD2 if request.baseline_m > 0.0 else self._bearing_variance_rad2
+        range2 = self._range_variance_m2
+        return best_candidate(P, de_m, dn_m, du_m, ring_m, may_fly, range2, bearing2, near)
 
     def _covariance(self, request: PlanRequest, estimate: TargetEstimate) -> Matrix:
         """Of position and offsets, as the filter tells it or as it is known before the flight."""

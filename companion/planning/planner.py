@@ -48,6 +48,11 @@ class PlanRequest:
     """Of the vehicle above the target, for slant ranges."""
     altitude_offset_m: float | None = None
     """Of the vehicle above the search altitude; None: heights are not waited for."""
+    yaw_enu_rad: float | None = None
+    """The vehicle's heading, counter-clockwise from east; None: unknown."""
+    sigmas: tuple[float, float] | None = None
+    """Of a range, m, and of a direction cosine, rad, as they are measured: infinite where they are
+    not. None: nobody asks, as there is no antenna array."""
     joint_covariance: Matrix | None = field(default=None, compare=False)
     """(4, 4) of [east, north, range offset, bearing offset]; metres and radians.
 

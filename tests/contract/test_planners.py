@@ -21,6 +21,7 @@ from companion.planning.crossing import (
     LatchedCrossingParams,
     ReactiveCrossing,
     ReactiveCrossingParams,
+    Sight,
 )
 from companion.planning.fim import FimParams, FimPlanner
 from companion.planning.planner import NO_ROOM, SLACK_M, START_TOLERANCE_M, Planner, PlanRequest
@@ -31,9 +32,12 @@ from companion.planning.search import (
     SearchThenCross,
     SectorParams,
 )
+from companion.planning.views import Antenna
 
 HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
 
+DOWN = Antenna((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), 2, False, math.pi / 3.0)
+SIGHT = Sight(DOWN, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_told=True)
 CROSSING: dict[str, Planner[Any]] = {
     "reactive": ReactiveCrossing(ReactiveCrossingParams()),
     "reactive, parking": ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=500.0)),
@@ -42,7 +46,9 @@ CROSSING: dict[str, Planner[Any]] = {
         LatchedCrossingParams(overshoot_max_m=2.0, arrival_radius_m=0.1)
     ),
     "latched, swinging": LatchedCrossing(LatchedCrossingParams(altitude_swing_m=5.0)),
+    "latched, by the antenna": LatchedCrossing(LatchedCrossingParams(descend=True), SIGHT),
     "fim": FimPlanner(FimParams()),
+    "fim, by the antenna": FimPlanner(FimParams(), antenna=DOWN),
     "fim, printed": FimPlanner(FimParams(near_target_terms=False), 0.5, 0.01),
 }
 SEARCHING: dict[str, Planner[Any]] = {
@@ -147,6 +153,10 @@ class Ground:
             keep_out_enu_m=self.keep_out,
             time_s=time_s,
             contact_s=None if estimate is None else 0.0,
+            height_m=20.0,
+            altitude_offset_m=0.0,
+            yaw_enu_rad=0.3,
+            sigmas=(0.5, 0.05),
         )
 
 

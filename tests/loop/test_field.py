@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from companion.config.schema import PlannerConfig
+from companion.estimation.antenna import AntennaParams
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.tracker import TrackerParams
 from companion.guidance.authority.state_machine import Phase
+from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.fleet.scenario_io import load_scenario
+from sim_link.world.antenna import AntennaParams as SensedAntenna
 from sim_link.world.environment import EmitterParams, FieldChannelParams
 from tests.loop.loop_helpers import AUTO, Loop
 
@@ -44,3 +51,21 @@ def test_the_search_goes_on_safely_whatever_the_radio_says(path: Path) -> None:
     assert loop.phase in (Phase.NORMAL, Phase.DEGRADED, Phase.HOLD, Phase.FINISHED)
     heights = [place[2] for place in loop.true_positions[-500:]]
     assert min(heights) > 3.0
+
+
+@pytest.mark.slow
+def test_an_array_is_crossed_lower_where_that_tells_more_and_never_below_the_band() -> None:
+    """The operator is told; the report comes from down there, and the climb back is not ours."""
+    array = SensedAntenna(kind="planar")
+    scenario = Scenario(emitter=NEAR, channel=CLEAR, payload=PayloadParams(antenna=array))
+    believed = FilterParams(antenna=AntennaParams(kind="planar"))
+    planner = PlannerConfig(latched_crossing=LatchedCrossingParams(descend=True))
+    estimation = TrackerParams(filter=believed)
+    config = msgspec.structs.replace(AUTO, estimation=estimation, planner=planner)
+    loop = Loop(config=config, scenario=scenario, seed=1)
+    loop.run_until(lambda: bool(loop.notes.results), 120.0)
+    assert loop.said("lower pass: 14 m below the search altitude")
+    least_m, _ = config.limits.guard_limits().altitude_m
+    flown = [sent.position_enu_m[2] for sent in loop.setpoints if sent.time_s > 25.0]
+    assert min(flown) == pytest.approx(least_m, abs=0.01)
+    assert loop.error_m < 0.5

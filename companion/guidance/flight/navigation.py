@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from companion.domain import PositionEnu, PositionSetpoint, TargetEstimate, Waypoint
+from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
@@ -81,14 +82,18 @@ class FlightPlan:
         if place_enu_m is None:
             return []
         previous, self._planned_s = self.waypoint, now_s
+        yaw = vehicle.track.latest_yaw
         request = replace(
             self._request(now_s, place_enu_m, estimate),
+            yaw_enu_rad=None if yaw is None else bearing_enu_from_ned(yaw[1]),
             leg_from_enu_m=None if setpoint_enu_m is None else setpoint_enu_m[:2],
             altitude_offset_m=None if height_m is None else height_m - self._altitude_m,
         )
         plan = self._planner.plan(request, self._memory)
         self.waypoint, self._memory = plan.waypoint, plan.memory
-        commands = self._search_messages(now_s, estimate)
+        commands = self._search_messages(now_s, estimate) + _descent_messages(
+            0.0 if previous is None else previous.descent_m, plan.waypoint.descent_m
+        )
         if previous is None or previous.detail != plan.waypoint.detail:
             commands.append(waypoint_record(plan.waypoint))
         return commands + self._target_messages(now_s, estimate)
@@ -97,7 +102,7 @@ class FlightPlan:
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
     ) -> PlanRequest:
         fence, tracker = self._guard.limits.fence, self._emitters.current
-        hypotheses = tracker.hypotheses
+        hypotheses, height_m = tracker.hypotheses, tracker.params.filter.target_height_m
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
             estimate=estimate,
@@ -107,7 +112,8 @@ class FlightPlan:
             keep_out_enu_m=() if fence is None else fence.keep_out_enu_m,
             time_s=now_s,
             contact_s=tracker.last_accepted_s,
-            height_m=place_enu_m[2] - tracker.params.filter.target_height_m,
+            height_m=place_enu_m[2] - (height_m if estimate is None else estimate.height_m),
+            sigmas=tracker.array_sigmas,
             joint_covariance=hypotheses[0].state.covariance[:4, :4] if hypotheses else None,
         )
 
@@ -141,6 +147,16 @@ class FlightPlan:
             return []
         self._told_outside_s = now_s
         return [Announce(Severity.WARNING, where)]
+
+
+def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
+    """A text when crossings go lower than the search altitude, and when they do no more."""
+    if descent_m > 0.0 and before_m == 0.0:
+        text = f"lower pass: {descent_m:.0f} m below the search altitude, which tells more"
+        return [Announce(Severity.INFO, text)]
+    if before_m > 0.0 and descent_m == 0.0:
+        return [Announce(Severity.INFO, "lower pass over: back to the search altitude")]
+    return []
 
 
 def _forbidden_place(fence: Fence, place: Point) -> str:

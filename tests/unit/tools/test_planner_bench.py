@@ -71,6 +71,7 @@ def test_only_what_is_asked_for_is_reported() -> None:
     bench = bench_planners(1, Case(steps=12), [LATCHED])
     assert [cost.system for cost in bench.costs] == ["Proposed (Latched)"]
     assert bench.fim_over_reactive.steps > 0.0
+    assert bench.sighted_us > 0.0
 
 
 def test_a_system_without_kernels_is_refused() -> None:

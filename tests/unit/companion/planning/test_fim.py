@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
+from companion.estimation.antenna import AntennaKind, AntennaParams
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.measurement_model import jacobian, variances
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, frozen
 from companion.planning import fim
@@ -19,11 +23,14 @@ from companion.planning.fim import (
     STAY,
     FimParams,
     FimPlanner,
+    View,
+    array_worst_variance_m2,
     best_candidate,
     candidate_ring_m,
     worst_variance_m2,
 )
 from companion.planning.planner import PlanRequest
+from companion.planning.views import Antenna
 
 RANGE_M2, BEARING_RAD2 = 1.5**2, math.radians(2.0) ** 2
 PRIOR = np.diag([900.0, 900.0, 25.0, math.radians(5.0) ** 2])
@@ -177,3 +184,59 @@ def test_compiled_and_plain_agree() -> None:
         bearing = NO_BEARINGS_RAD2 if index % 3 == 0 else BEARING_RAD2
         args = (root @ root.T, *where, ring, ALL, RANGE_M2, bearing, index % 2 == 0)
         assert best_candidate(*args) == plain(*args)
+
+
+DOWN = Antenna((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), 2, False, math.pi)
+LEVEL = Antenna((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), 1, True, math.pi)
+LINE = Antenna((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), 1, False, math.pi)
+KINDS: dict[str, Antenna] = {"two_axis": DOWN, "planar": LEVEL, "line": LINE}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("measures_range", [True, False])
+def test_an_antenna_array_counts_as_the_filters_own_model_has_it(
+    kind: AntennaKind, measures_range: bool
+) -> None:
+    """The information of the filter's Jacobian and variances, offsets eliminated."""
+    antenna, yaw_rad, rng = KINDS[kind], 0.7, np.random.default_rng(3)
+    params = FilterParams(own_position_sigma_m=0.0, antenna=AntennaParams(kind=kind))
+    axes = np.array([antenna.first, antenna.second])
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    axes = axes @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    for _ in range(20):
+        root = rng.standard_normal((4, 4)) * np.array([[2.0], [2.0], [1.0], [0.1]])
+        P = root @ root.T + np.diag([1.0, 1.0, 0.1, 1e-4])
+        de_m, dn_m = rng.uniform(-40.0, 40.0, 2).tolist()
+        pose = np.concatenate([[-de_m, -dn_m, 20.0], *axes])
+        H = jacobian(np.zeros(4), pose, params.model)
+        R = variances(P, np.zeros(4), pose, np.array([1.5, 0.05, 0.05]), params.model)
+        rows = [1] if antenna.rows == 1 else [1, 2]
+        rows += [0] if measures_range else []
+        J = np.linalg.inv(P) + sum(np.outer(H[i], H[i]) / R[i] for i in rows)
+        worst_m2 = float(np.linalg.eigvalsh(np.linalg.inv(J)[:2, :2])[-1])
+        sigmas = (1.5 if measures_range else math.inf, 0.05)
+        view = View(antenna, yaw_rad, sigmas)
+        told = array_worst_variance_m2(P, (de_m, dn_m, -20.0), view, True)
+        assert told == pytest.approx(worst_m2, rel=1e-6)
+
+
+@pytest.mark.parametrize("antenna", [DOWN, LEVEL, LINE])
+def test_what_is_out_of_view_tells_nothing(antenna: Antenna) -> None:
+    narrow = antenna._replace(half_view_rad=math.radians(30.0))
+    side, sigmas = (40.0, 40.0), (math.inf, 0.05)
+    vague_east = np.diag([900.0, 1.0, 25.0, 0.01])
+    seen, unseen = (
+        array_worst_variance_m2(vague_east, (*side, -20.0), View(each, 0.0, sigmas), True)
+        for each in (antenna, narrow)
+    )
+    assert seen < 900.0
+    assert unseen == pytest.approx(900.0)
+
+
+def test_an_array_is_planned_by_its_own_model() -> None:
+    planner = FimPlanner(FimParams(), antenna=LEVEL)
+    request = PlanRequest((0.0, 0.0), _target((0.0, 40.0)), height_m=20.0)
+    waypoint = planner.plan(request, None).waypoint
+    assert waypoint.reason is WaypointReason.INFORMATION
+    turned = planner.plan(replace(request, yaw_enu_rad=2.0, sigmas=(0.5, 0.05)), None)
+    assert turned.waypoint.reason is WaypointReason.INFORMATION

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -8,9 +10,10 @@ from hypothesis import strategies as st
 
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
-from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
+from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams, Sight
 from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD, Latch
 from companion.planning.planner import Plan, PlanRequest
+from companion.planning.views import Antenna, best_reach_m, leg_over
 
 PLANNER = LatchedCrossing(LatchedCrossingParams())
 SQUARE = ((-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0))
@@ -277,3 +280,111 @@ def test_where_there_is_no_way_to_any_side_it_holds() -> None:
     assert plan.waypoint.reason is WaypointReason.HOLD
     assert plan.waypoint.detail == "no way to any side of the estimate"
     assert plan.memory is None
+
+
+LEVEL = Antenna((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), 1, True, math.pi)
+NONE = LEVEL._replace(rows=0)
+SURE = ((0.01, 0.0), (0.0, 0.01))
+
+
+def _sighted(antenna: Antenna = LEVEL, *, descend: bool = False, told: bool = True) -> Any:
+    sight = Sight(antenna, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_told=told)
+    return LatchedCrossing(LatchedCrossingParams(descend=descend), sight)
+
+
+def _seen(**changes: Any) -> PlanRequest:
+    """A sure target 20 m below, by bearings alone."""
+    request = PlanRequest(
+        (-30.0, 0.0),
+        _target(covariance_m2=SURE),
+        height_m=20.0,
+        altitude_offset_m=0.0,
+        sigmas=(math.inf, 0.05),
+    )
+    return replace(request, **changes)
+
+
+def test_an_array_is_crossed_as_wide_as_its_height_wants() -> None:
+    wide = _latch(_sighted().plan(_seen(), None)).overshoot_m
+    low = _latch(_sighted().plan(_seen(height_m=6.0), None)).overshoot_m
+    leg = leg_over(20.0, 10.0, (math.inf, 0.05), LEVEL, 0.0)
+    assert wide == pytest.approx(best_reach_m(leg, 2.0, 20.0))
+    assert 2.0 < low < wide <= 20.0
+
+
+def test_an_overshoot_is_never_shorter_than_what_both_sides_need() -> None:
+    doubtful = _seen(height_m=2.0, estimate=_target(covariance_m2=((25.0, 0.0), (0.0, 1.0))))
+    assert _latch(_sighted().plan(doubtful, None)).overshoot_m >= 15.0
+
+
+@pytest.mark.parametrize(
+    ("planner", "changes"),
+    [
+        (_sighted(NONE), {}),  # an azimuth is as good at any height
+        (_sighted(NONE, descend=True), {}),
+        (_sighted(NONE, told=False), {"baseline_m": 20.0}),  # ranges to a target in the plane
+        (_sighted(), {"sigmas": None}),
+    ],
+)
+def test_without_array_or_told_height_it_is_the_planner_of_the_paper(
+    planner: Any, changes: dict[str, Any]
+) -> None:
+    request = _seen(**changes)
+    assert planner.plan(request, None) == PLANNER.plan(request, None)
+
+
+def test_ranges_alone_to_a_told_height_are_crossed_widely_and_turned_in_another_direction() -> None:
+    planner, ranges = _sighted(NONE), _seen(baseline_m=20.0, sigmas=(1.0, math.inf))
+    first = planner.plan(ranges, None)
+    assert _latch(first).overshoot_m == pytest.approx(20.0)
+    there = replace(ranges, vehicle_enu_m=first.waypoint.position_enu_m)
+    second = _latch(planner.plan(there, first.memory))
+    assert _direction_rad(second) == pytest.approx(GOLDEN_ANGLE_RAD)
+
+
+def test_a_turn_begins_where_braking_would() -> None:
+    latch = _latch(_sighted().plan(_seen(), None))
+    near = (latch.point_enu_m[0] - 4.5, 0.0)
+    assert _latch(_sighted().plan(_seen(vehicle_enu_m=near), latch)).crossings == 1
+    assert _latch(PLANNER.plan(_seen(vehicle_enu_m=near, estimate=_target()), latch)).crossings == 1
+    assert _latch(_sighted().plan(_seen(vehicle_enu_m=(0.0, 0.0)), latch)).crossings == 0
+
+
+def test_a_lower_pass_is_flown_where_it_pays_and_kept() -> None:
+    planner = _sighted(descend=True)
+    first = planner.plan(_seen(), None)
+    assert (first.waypoint.altitude_offset_m, first.waypoint.descent_m) == (-14.0, 14.0)
+    low = _seen(vehicle_enu_m=first.waypoint.position_enu_m, height_m=6.0, altitude_offset_m=-14.0)
+    second = planner.plan(low, first.memory)
+    assert _latch(second).crossings == 1
+    assert second.waypoint.descent_m == 14.0
+    assert _latch(second).overshoot_m < _latch(_sighted().plan(_seen(), None)).overshoot_m
+
+
+@pytest.mark.parametrize(
+    ("changes", "descent_m"),
+    [
+        ({"altitude_offset_m": None}, 0.0),
+        ({"estimate": _target(covariance_m2=((50.0, 0.0), (0.0, 1.0)))}, 0.0),  # still in doubt
+        ({"height_m": 13.0}, 7.0),  # of a target up a slope: as high above it as above home
+        ({"height_m": 6.5}, 0.0),
+        ({"estimate": replace(_target(covariance_m2=SURE), height_sigma_m=3.0)}, 8.0),
+        ({"height_m": 200.0}, 0.0),  # so high that it does not matter
+    ],
+)
+def test_how_low_a_lower_pass_goes(changes: dict[str, Any], descent_m: float) -> None:
+    plan = _sighted(descend=True).plan(_seen(**changes), None)
+    assert plan.waypoint.descent_m == pytest.approx(descent_m)
+    assert plan.waypoint.altitude_offset_m == pytest.approx(-descent_m)
+
+
+def test_a_lower_pass_is_given_up_when_the_target_is_lost_again() -> None:
+    planner = _sighted(descend=True)
+    first = planner.plan(_seen(), None)
+    lost = _target((40.0, 0.0), ((400.0, 0.0), (0.0, 400.0)))
+    assert planner.plan(_seen(estimate=lost), first.memory).waypoint.descent_m == 0.0
+
+
+def test_descend_and_swing_are_two_wishes_for_one_height() -> None:
+    with pytest.raises(ValueError, match="exclude each other"):
+        LatchedCrossingParams(descend=True, altitude_swing_m=2.0)

@@ -7,13 +7,14 @@ import math
 import pytest
 
 from companion.config.schema import LimitsConfig, PlannerConfig
-from companion.domain import FlightMode, WaypointReason
+from companion.domain import FlightMode, Waypoint, WaypointReason
 from companion.geometry.polygons import depth_m
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Record
 from companion.guidance.flight.navigation import PLAN_PERIOD_S
 from companion.guidance.session_params import SessionParams
 from companion.planning.crossing import LatchedCrossingParams
+from companion.planning.planner import Plan, PlanRequest
 from tests.unit.companion.guidance.scripted import TARGET, ScriptedFlight
 
 SEARCH = PlannerConfig(search="lawnmower", lost_after_s=12.0)
@@ -163,3 +164,25 @@ def test_a_target_in_a_keep_out_is_announced_once_and_found_from_around_it() -> 
     flight.fly_until_reported()
     assert len([text for text in flight.texts if "in a keep-out" in text]) == 1
     assert min(-depth_m(house, setpoint[:2]) for setpoint in flight.setpoints) >= 2.0 - 1e-9
+
+
+def test_a_lower_pass_is_told_when_it_begins_and_when_it_is_over() -> None:
+    flight = ScriptedFlight().in_control()
+
+    class Scripted:
+        search_after_s: float | None = None
+        descent_m = 0.0
+
+        def plan(self, request: PlanRequest, _memory: None) -> Plan[None]:
+            offsets = (-self.descent_m, self.descent_m)
+            place, reason = request.vehicle_enu_m, WaypointReason.CROSSING
+            return Plan(Waypoint(place, reason, "", *offsets), None)
+
+    planner = Scripted()
+    flight.session.flight_plan.use(planner, 20.0)
+    for planner.descent_m in (0.0, 14.0, 14.0, 0.0):
+        flight.fly(1.0)
+    assert [text for text in flight.texts if "lower pass" in text] == [
+        "lower pass: 14 m below the search altitude, which tells more",
+        "lower pass over: back to the search altitude",
+    ]
