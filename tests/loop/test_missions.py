@@ -61,6 +61,7 @@ def test_a_short_hop_on_both_autopilots(flavour: FlavourName) -> None:
 BROKEN = {
     "final_error_m": {"at_most": 0},
     "error_over_r95": {"at_most": 0},
+    "error_over_absolute_r95": {"at_most": 0},
     "reported_s": {"at_most": 0},
     "time_s": {"at_most": 1},
     "distance_m": {"at_most": 1},
