@@ -44,13 +44,13 @@ def test_a_picture_goes_into_json_and_stays_small() -> None:
 
 
 def antenna_view(mount_deg: tuple[float, float, float], kind: AntennaKind) -> dict[str, Any]:
-    """What is drawn of an antenna with a view of 120 degrees, 15 s after the start."""
+    """What is drawn of an antenna with a view of 120 degrees, in the first seconds."""
     antenna = AntennaParams(kind=kind, mount_deg=mount_deg, field_of_view_deg=120.0)
     change = msgspec.structs.replace
     believed = change(CONFIG.estimation.filter, antenna=antenna)
     config = change(CONFIG, estimation=change(CONFIG.estimation, filter=believed))
     flight = Flight(config, Scenario(), 1, MemoryJournal())
-    flight.run(15.0)
+    flight.run(7.0)
     picture = picture_of(flight.companion, flight.now_s)
     east, north, up = flight.companion.session.vehicle.track.latest.position_enu_m  # type: ignore[union-attr]
     view = picture["antenna"]
