@@ -33,6 +33,7 @@ METRICS = {
     "coverage_min": "Share of runs whose R95 circle holds the target: least over steps",
     "coverage_mean": "The same: mean over steps",
     "coverage_max": "The same: most over steps",
+    "flights": "Flights",
     "reported": "Share of flights that reported before the cut",
     "coverage": "Share of reports with the truth inside of R95, relative",
     "absolute_coverage": "The same, absolute",
