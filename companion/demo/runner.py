@@ -61,7 +61,7 @@ def scenario_named(path: Path) -> tuple[Path, Path | None]:
     A name is the path below `configs/scenarios` without its ending, of the working directory or of
     the checkout: `field/phone_ftm`. A ConfigError where there is neither.
     """
-    if path.exists() or path.suffix:
+    if path.exists() or path.suffix or path.is_absolute():
         return path, None
     for configs in CONFIGS:
         file, preset = (configs / kind / f"{path}.yaml" for kind in ("scenarios", "companion"))
