@@ -137,7 +137,8 @@ def _add_demo(commands: Commands) -> None:
         type=number_in(0.0, MAX_SPEED, is_open=True),
         default=1.0,
     )
-    _file(demo, "--scenario", "scenario for sim-link")
+    text = "scenario for sim-link: a file, or its name in configs/scenarios, for example "
+    _file(demo, "--scenario", text + "field/phone_ftm, which brings the preset of that name")
     text = "which autopilot to fly (default: the scenario's, px4)"
     demo.add_argument("--autopilot", choices=("px4", "ardupilot"), help=text)
     _file(demo, "--config", "companion configuration")

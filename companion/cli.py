@@ -259,12 +259,15 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    from companion.demo.runner import DemoOptions, run_demo
+    from companion.demo.runner import DemoOptions, run_demo, scenario_named
 
+    scenario, preset = None, None
+    if arguments.scenario is not None:
+        scenario, preset = scenario_named(arguments.scenario)
     options = DemoOptions(
         seed=arguments.seed,
         speed=arguments.speed,
-        scenario=arguments.scenario,
+        scenario=scenario,
         autopilot=arguments.autopilot,
         json=arguments.json,
         plot=None if arguments.no_plot else arguments.plot,
@@ -276,7 +279,8 @@ def _demo(arguments: argparse.Namespace) -> int:
         page = [] if settings is None else [_web_view(settings, config, truth_enu_m)]
         return [*page, _console_view()]
 
-    is_found = run_demo(options, load_config(arguments.config), make_views, _report_flight)
+    config = load_config(arguments.config or preset)
+    is_found = run_demo(options, config, make_views, _report_flight)
     return 0 if is_found else EXIT_FAILED
 
 

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, fields
+from dataclasses import fields
 from pathlib import Path
 
 import msgspec
@@ -20,14 +20,17 @@ import msgspec
 from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
+from sim_link.lab.campaign.field_flights import flights_of, fly_all, rows_kept
 from sim_link.lab.evaluation.campaign import RunSeries
 from sim_link.lab.evaluation.filterpy_ekf import LARGEST_DIFFERENCE_M, EkfCheck
-from sim_link.lab.evaluation.reporting.study_report import write_report
+from sim_link.lab.evaluation.reporting.field_report import drawing_of, markdown_of, summary_of
+from sim_link.lab.evaluation.reporting.study_report import Section, write_page, write_report
 from sim_link.lab.evaluation.reporting.study_tables import (
     rows_of,
     studies_of,
 )
-from sim_link.lab.evaluation.study import ResultRow
+from sim_link.lab.evaluation.reporting.tables import tables_of
+from sim_link.lab.evaluation.study import FlightRow, ResultRow, Study, StudyResult
 from sim_link.lab.evaluation.study_run import (
     FOLDER_NAME,
     PlannedStudy,
@@ -53,9 +56,13 @@ def main() -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         out: Path = arguments.out or Path("studies") / Path(arguments.study).stem
-        studies = planned(studies_of(arguments.study, STUDIES), arguments.runs)
+        studies = studies_of(arguments.study, STUDIES)
         check_folder(out)
-        return run(studies, arguments, out)
+        if studies[0].flights is not None:
+            return run_flights(studies[0], arguments, out)
+        if arguments.only:
+            raise ConfigError("--only: this study has no flights to choose from")
+        return run(planned(studies, arguments.runs), arguments, out)
     except ConfigError as error:
         print(f"run_study: {error}", file=sys.stderr)
         return 2
@@ -81,6 +88,13 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--backend", default="local", help="local, or dask://HOST:PORT")
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="of a study of flights: this radio, configuration or planner; may be given again",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: studies/STUDY")
     return parser.parse_args()
 
@@ -118,12 +132,48 @@ def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, ou
     return 1 if failed else 0
 
 
-def csv_text(rows: Sequence[ResultRow]) -> str:
+def run_flights(study: Study, arguments: argparse.Namespace, out: Path) -> int:
+    """The same of a study of flights; what is done by an interruption is written, too."""
+    assert study.flights is not None
+    runs = arguments.runs or study.runs
+    flights = flights_of(study.flights, STUDIES.parent, runs, arguments.seed, arguments.only)
+    with open_pool(arguments.backend, arguments.jobs) as pool:
+        make_folder(out)
+        store = Store(out / FOLDER_NAME)
+        kept = store.found(flight.key for flight in flights)
+        left = [flight for flight in flights if flight.key not in kept]
+        say(f"{len(flights)} flights, {len(kept)} of them done before")
+        try:
+            with shown(sum(flight.cut_s for flight in left), sys.stderr) as on_done:
+                fly_all(left, pool, store, on_done)
+        finally:
+            write_flights(study, rows_kept(flights, store), arguments.seed, out)
+    return 0
+
+
+def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path) -> None:
+    """Tables and the report of flights."""
+    rows = summary_of(flown)
+    write_text_atomic(out / "flights.csv", csv_text(flown, FlightRow.__struct_fields__))
+    write_json_atomic(out / "flights.json", msgspec.to_builtins(flown))
+    write_text_atomic(out / "results.csv", csv_text(rows))
+    write_text_atomic(out / "results.md", markdown_of(rows))
+    if flown:
+        runs = len({row.seed for row in flown})
+        result = StudyResult(study, runs, seed, ())
+        write_page(out, [Section(result, (drawing_of(flown),), tuple(tables_of(rows)))], rows)
+    say(f"{out}: flights.csv, flights.json, results.csv, results.md, report.html")
+
+
+ROW_NAMES = tuple(field.name for field in fields(ResultRow))
+
+
+def csv_text(rows: Sequence[object], names: Sequence[str] = ROW_NAMES) -> str:
     """Rows as a CSV file has them, with their header."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([field.name for field in fields(ResultRow)])
-    writer.writerows(astuple(row) for row in rows)
+    writer.writerow(names)
+    writer.writerows([getattr(row, name) for name in names] for row in rows)
     return text.getvalue()
 
 

@@ -31,6 +31,7 @@ from companion.run import FlightOptions, FlightView, fly, is_handed_over, prepar
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
 """Obstacles that end less than this below the search altitude are flown around."""
+CONFIGS = (Path("configs"), Path(__file__).parents[2] / "configs")
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
 """Real seconds after which a simulator that is not heard is given up."""
@@ -52,6 +53,26 @@ class DemoOptions:
     """px4 or ardupilot; None: the scenario's."""
     json: Path | None
     plot: Path | None
+
+
+def scenario_named(path: Path) -> tuple[Path, Path | None]:
+    """The file of a scenario, and the preset of its name if it was given by that.
+
+    A name is the path below `configs/scenarios` without its ending, of the working directory or of
+    the checkout: `field/phone_ftm`. A ConfigError where there is neither.
+    """
+    if path.exists() or path.suffix or path.is_absolute():
+        return path, None
+    for configs in CONFIGS:
+        file, preset = (configs / kind / f"{path}.yaml" for kind in ("scenarios", "companion"))
+        if file.is_file():
+            return file, preset if preset.is_file() else None
+    below = [
+        (file, configs / "scenarios") for configs in CONFIGS for file in configs.rglob("*.yaml")
+    ]
+    known = {str(file.relative_to(at).with_suffix("")) for file, at in below if at in file.parents}
+    there = f"; there are {', '.join(sorted(known))}" if known else ""
+    raise ConfigError(f"--scenario {path}: no such file, and no scenario of this name{there}")
 
 
 class DemoWatch(FlightView):
@@ -236,7 +257,8 @@ class DemoResult:
         east, north = self.estimate.position_enu_m
         return (
             f"{head}: east {east:.2f} m, north {north:.2f} m, R95 {self.estimate.r95_m:.2f} m, "
-            f"error against the truth {self.error_m:.2f} m\n"
+            f"absolute {self.estimate.absolute_r95_m:.2f} m (own place "
+            f"{self.estimate.own.words}), error against the truth {self.error_m:.2f} m\n"
             f"after {self.time_s:.1f} s and {self._report['distance_m']:.0f} m of flight, "
             f"{self.wall_s:.1f} s of real time"
         )
@@ -254,6 +276,7 @@ class DemoResult:
             "ended": self.ended,
             "final_error_m": self.error_m,
             "r95_m": getattr(estimate, "r95_m", None),
+            "absolute_r95_m": getattr(estimate, "absolute_r95_m", None),
             "east_m": east_m,
             "north_m": north_m,
             "range_offset_m": getattr(estimate, "range_offset_m", None),

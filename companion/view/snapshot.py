@@ -12,8 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from companion.config.schema import CompanionConfig
-from companion.domain import EstimateState, TargetEstimate, Waypoint
-from companion.geometry.polygons import ellipse_95
+from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint
+from companion.estimation.antenna import antenna_axes_enu
+from companion.geometry.coordinates import combined
+from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.session import EmitterStatus, GuidanceStatus
@@ -34,6 +36,7 @@ def scene_of(config: CompanionConfig) -> Json:
     mission = config.mission
     return {
         "stop_radius_m": mission.stop_radius_m,
+        "has_antenna": config.estimation.filter.antenna.kind != "azimuth",
         "old_after_s": {"autopilot": 1.0, "position": 0.5, "ranging": mission.ranging_timeout_s},
     }
 
@@ -57,6 +60,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "origin": None if origin is None else (origin.latitude_deg, origin.longitude_deg),
         "vehicle": status.vehicle_enu_m,
         "height_m": status.height_m,
+        "antenna": _antenna_view(endpoint, now_s),
         "distance_m": status.distance_m,
         "estimate": None if status.estimate is None else _estimate(status.estimate),
         "emitters": [_emitter(emitter) for emitter in status.emitters],
@@ -88,6 +92,46 @@ def _fence(fencing: Fencing) -> Json:
         "refusal": fencing.refusal,
         "missing": fencing.missing,
     }
+
+
+VIEW_REACH_M = 60.0
+"""How far a view that does not meet the ground is drawn."""
+VIEW_CORNERS = 36
+
+
+def _antenna_view(endpoint: CompanionEndpoint, now_s: float) -> Json | None:
+    """Where the boresight points, and what of the ground is in its field of view; None: unknown.
+
+    The ground lies at the height of the target. A view of half of all directions or more has no
+    outline: nothing, or next to nothing, is out of it.
+    """
+    session = endpoint.session
+    params = session.tracker.params.filter
+    antenna, track = params.antenna, session.vehicle.track
+    state, attitude = track.latest, track.attitude_at(now_s)
+    if antenna.kind == "azimuth" or state is None or attitude is None:
+        return None
+    roll_pitch = attitude.tilt_rad or (0.0, 0.0)
+    axes = antenna_axes_enu((*roll_pitch, attitude.yaw_ned_rad), antenna.mount_deg)
+    height_m = state.position_enu_m[2] - params.target_height_m
+    half_rad = math.radians(0.5 * antenna.field_of_view_deg)
+    turns = (2.0 * math.pi * i / VIEW_CORNERS for i in range(VIEW_CORNERS))
+    edge = [
+        (math.cos(half_rad), math.sin(half_rad) * math.cos(t), math.sin(half_rad) * math.sin(t))
+        for t in turns
+    ]
+    rays = [axes[0], *(combined(axes, each) for each in edge if half_rad < 0.5 * math.pi)]
+    points = [_met_on_ground(state.position_enu_m, ray, height_m) for ray in rays]
+    return {"ahead": points[0], "outline": points[1:]}
+
+
+def _met_on_ground(place: PositionEnu, ray: PositionEnu, height_m: float) -> Point:
+    """Where a ray from a place meets the ground so far below it, or `VIEW_REACH_M` from there."""
+    (east, north, _), (e, n, u) = place, ray
+    level = math.hypot(e, n)
+    reach_m = level * height_m / -u if u < 0.0 < height_m else VIEW_REACH_M
+    share = min(reach_m, VIEW_REACH_M) / level if level > 0.0 else 0.0
+    return (east + share * e, north + share * n)
 
 
 def _estimate(estimate: TargetEstimate) -> Json:

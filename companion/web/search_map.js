@@ -123,6 +123,7 @@ export default {
         L.DomUtil.create("span", "", row).textContent = text;
       };
       add("dot", "vehicle", "vehicle and its track");
+      if (this.scene.has_antenna) add("dotted", "vehicle", "what its antenna sees on the ground");
       add("area", "estimate", "estimate, 95 % ellipse");
       add("dotted", "estimate", "R95, relative");
       add("dashed", "estimate", "R95, absolute");
@@ -264,6 +265,7 @@ export default {
         add(this.line(this.track,
           { color: this.colours.vehicle, weight: 2, opacity: 0.75, className: "track" }));
       }
+      this.drawAntenna(picture, add);
       this.drawOthers(picture.emitters || [], add);
       this.drawEstimate(picture.estimate, add);
       this.drawPlan(picture, add);
@@ -272,6 +274,16 @@ export default {
           color: "#ffffff", fillColor: this.colours.vehicle, fillOpacity: 1, className: "vehicle",
         }));
       }
+    },
+    drawAntenna({ antenna, vehicle }, add) {
+      if (!antenna || !vehicle) return;
+      const color = this.colours.vehicle;
+      if (antenna.outline.length) {
+        add(this.area(antenna.outline,
+          { color, weight: 1, dashArray: "1 5", fillOpacity: 0.08, className: "antenna-view" }));
+      }
+      add(this.line([vehicle.slice(0, 2), antenna.ahead],
+        { color, weight: 1, opacity: 0.6, className: "boresight" }));
     },
     drawMark(mark, picture, add) {
       const freshness = 1 - (picture.t_s - mark.t_s) / RING_S;

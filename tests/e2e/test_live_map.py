@@ -14,9 +14,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from companion.estimation.antenna import AntennaParams
 from companion.guidance.commands import Severity
 from companion.web.live_map import MARKS
 from tests.e2e.live_map_rig import (
@@ -138,6 +140,19 @@ def test_it_follows_until_somebody_wants_the_whole_and_rings_stay_few(
             assert box is None or box["height"] >= 40.0
         follow.click()
         until(lambda: pixels_per_metre(page) > 1.5 * scale, "the map does not follow")
+        assert watched.complaints == []
+
+
+def test_a_configured_antenna_shows_where_it_looks(browser: Browser, tmp_path: Path) -> None:
+    antenna = AntennaParams(kind="two_axis", mount_deg=(0.0, -90.0, 0.0), field_of_view_deg=120.0)
+    change = msgspec.structs.replace
+    believed = change(ENDLESS.estimation.filter, antenna=antenna)
+    config = change(ENDLESS, estimation=change(ENDLESS.estimation, filter=believed))
+    with live_flight(tmp_path, config=config) as live:
+        watched = Watched(browser, live.settings.url, DESK)
+        for drawn in ("path.antenna-view", "path.boresight"):
+            expect(watched.page.locator(drawn)).to_have_count(1, timeout=PATIENCE_MS)
+        expect(watched.page.locator(".legend")).to_contain_text("what its antenna sees")
         assert watched.complaints == []
 
 

@@ -162,3 +162,55 @@ def test_a_place_that_cannot_be_written_is_refused(study: Path, tmp_path: Path) 
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "choose a folder" in line
+
+
+FLIGHTS = """
+table: short
+title: Short flights
+runs: 8
+flights:
+  cut_s: {phone_ftm: 20.0, uwb_two_axis: 20.0}
+"""
+
+
+def test_a_study_of_flights_goes_on_where_it_was_and_tells_what_it_has(tmp_path: Path) -> None:
+    path, out = tmp_path / "short.yaml", tmp_path / "out"
+    path.write_text(FLIGHTS)
+    only = ["--only", "phone_ftm", "--only", "told"]
+    with started(_command(path, out, "--jobs", "2", *only)) as process:
+        until(lambda: _kept(out) >= BEGUN, process)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 1
+    assert "Traceback" not in errors
+    kept = _kept(out)
+    assert BEGUN <= kept < 8
+    rows = (out / "flights.csv").read_text().splitlines()
+    assert len(rows) == 1 + kept
+    done = _run(path, out, "--jobs", "1", *only)
+    assert done.returncode == 0, done.stderr
+    assert f"8 flights, {kept} of them done before" in done.stderr
+    assert set(rows) < set((out / "flights.csv").read_text().splitlines())
+    assert len(json.loads((out / "flights.json").read_text())) == 8
+    assert "| latched_crossing, told | 8 | 0 % |" in (out / "results.md").read_text()
+    assert (out / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "word", "what"),
+    [
+        (FLIGHTS, "phone", "--only phone: there is no such thing here; did you mean `phone_ftm`?"),
+        (FLIGHTS.replace("phone_ftm", "phone"), "told", "scenarios/field/phone.yaml: no such file"),
+        (STUDY, "told", "--only: this study has no flights to choose from"),
+    ],
+)
+def test_flights_that_there_are_not_are_refused(
+    text: str, word: str, what: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    done = _run(path, tmp_path / "out", "--only", word)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert what in line
+    assert not (tmp_path / "out").exists()

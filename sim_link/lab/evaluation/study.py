@@ -15,7 +15,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from companion.domain import Params
+from companion.config.schema import CrossingKind, PatternKind
+from companion.domain import NonNegative, Params, Positive
 from companion.errors import ConfigError
 from sim_link.lab.evaluation.campaign import RunTally
 from sim_link.lab.evaluation.case import Case
@@ -82,6 +83,23 @@ class Sweep(Params, frozen=True):
     """By system and metric one number for each value."""
 
 
+Told = Literal["told", "not_told"]
+
+
+class FlightGrid(Params, frozen=True):
+    """Flights of the whole companion: every radio, configuration and planner with each other."""
+
+    cut_s: dict[str, Positive]
+    """By scenario of `scenarios/field`: how long after engaging a flight without a report ends."""
+    configs: tuple[Told, ...] = ("told", "not_told")
+    """With the scenario's preset of `companion/field`, or with the defaults."""
+    planners: tuple[CrossingKind | PatternKind, ...] = ("latched_crossing",)
+    ring_m: tuple[Positive, Positive] = (25.0, 90.0)
+    """Least and largest distance of the emitter from home."""
+    height_spread_m: NonNegative = 2.0
+    """By how much it is higher or lower than in the scenario, at most."""
+
+
 class Study(Params, frozen=True):
     """What is run and reported together."""
 
@@ -96,6 +114,8 @@ class Study(Params, frozen=True):
     figures: tuple[FigureName, ...] = ()
     studies: tuple[str, ...] = ()
     """Names of other studies: this one is their collection."""
+    flights: FlightGrid | None = None
+    """In the place of `sweeps`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,3 +300,26 @@ class ResultRow:
     bound: str
     """What no estimator can beat, of the same metric; for NEES and coverage what an honest one
     stays within."""
+
+
+class FlightRow(Params, frozen=True):
+    """What one flight came to: one row of flights.csv; None where there is nothing to say."""
+
+    radio: str
+    config: Told
+    planner: str
+    seed: int
+    is_reported: bool
+    time_s: float
+    """From engaging to the report, or to the cut."""
+    state: str | None
+    """Of the estimate, as all that follows: that of the report, or the last one."""
+    error_m: float | None
+    """Relative: from the truth as the vehicle's own receiver shows it at that time."""
+    absolute_error_m: float | None
+    r95_m: float | None
+    absolute_r95_m: float | None
+    east_m: float
+    """Of the emitter."""
+    north_m: float
+    flown_m: float

@@ -232,6 +232,7 @@ class EventReader:
             range_innovation_m=fields.get("range_innovation"),
             covariance_m2=fields.get("covariance_m2"),
             emitter_id=emitter,
+            absolute_r95_m=fields.get("absolute_r95_m"),
         )
         self._record.estimates.append(point)
         seen, truth = self._situation.estimate, self._emitters.get(emitter)

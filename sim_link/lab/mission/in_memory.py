@@ -112,7 +112,8 @@ class _MissionFlight:
         seen.is_ready = vehicle.is_armed or (
             flavour.has_home(vehicle.time_s) and flavour.arming_refusal(vehicle.time_s) is None
         )
-        east_m, north_m, up_m = place = vehicle.body.position_enu_m
+        # by what the autopilot believes, as telemetry has it and as its home is kept
+        east_m, north_m, up_m = place = vehicle.aircraft.motion.position_enu_m
         velocity = vehicle.body.velocity_enu_mps
         home = vehicle.home_enu_m
         seen.east_m, seen.north_m, seen.height_m = east_m, north_m, up_m - home[2]
@@ -123,7 +124,7 @@ class _MissionFlight:
         self.record.violations += self._monitor.violations[len(self.record.violations) :]
         self.record.situation.companion.violations = len(self.record.violations)
         if self._slices % TRACK_SLICES == 0:
-            self.record.track.append((now_s, place))
+            self.record.track.append((now_s, vehicle.body.position_enu_m))
 
 
 def _quiet(mission: Mission) -> Scenario:

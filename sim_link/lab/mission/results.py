@@ -202,17 +202,20 @@ Judged = tuple[bool, str]
 """Whether an expectation is met, and what was found."""
 
 
-def _final_error(
-    bound: EmitterBound, mission: Mission, record: FlightRecord, *, is_in_r95: bool = False
-) -> Judged:
+def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord, of: str) -> Judged:
+    """By one of the point's radii, "r95_m" or "absolute_r95_m", or by none."""
     emitter = _emitter_of(bound, mission)
     point = record.last_estimate(emitter)
     if point is None:
         return False, "there is no estimate"
     error_m = math.dist(point.place_enu_m, true_places(mission)[emitter])
-    if not is_in_r95:
+    if not of:
         return _judge_bound(error_m, bound, "m")
-    return _judge_bound(error_m / point.r95_m, bound, f"times the R95 of {point.r95_m:.2f} m")
+    radius_m = getattr(point, of)
+    if radius_m is None:
+        return False, "the absolute R95 was not told"
+    kind = "absolute R95" if of == "absolute_r95_m" else "R95"
+    return _judge_bound(error_m / radius_m, bound, f"times the {kind} of {radius_m:.2f} m")
 
 
 def _emitter_of(bound: EmitterBound, mission: Mission) -> int:
@@ -281,8 +284,9 @@ def _judge_bound(value: float, bound: Bound, unit: str) -> Judged:
 
 
 JUDGES: dict[str, Callable[..., Judged]] = {
-    "final_error_m": _final_error,
-    "error_over_r95": partial(_final_error, is_in_r95=True),
+    "final_error_m": partial(_final_error, of=""),
+    "error_over_r95": partial(_final_error, of="r95_m"),
+    "error_over_absolute_r95": partial(_final_error, of="absolute_r95_m"),
     "reported_s": _reported,
     "time_s": lambda bound, _, record: _judge_bound(record.ended_s, bound, "s"),
     "distance_m": lambda bound, _, record: _judge_bound(record.distance_m, bound, "m"),

@@ -114,7 +114,10 @@ class Expectation(Params, frozen=True, kw_only=True):
     final_error_m: EmitterBound | UnsetType = UNSET
     """Distance of the last estimate from the true emitter."""
     error_over_r95: EmitterBound | UnsetType = UNSET
-    """The same in R95: at most 1 in 95 of 100 flights if R95 is honest."""
+    """The same in R95: at most 1 in 95 of 100 flights if R95 is honest and the vehicle's own
+    place is right."""
+    error_over_absolute_r95: EmitterBound | UnsetType = UNSET
+    """The same in the absolute R95, which has the error of the own place in it."""
     reported_s: EmitterBound | UnsetType = UNSET
     """When the target was reported, since control was first given."""
     time_s: Bound | UnsetType = UNSET

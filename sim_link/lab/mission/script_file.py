@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import yaml
@@ -16,6 +17,7 @@ from companion.config.loader import parse_yaml, read_text
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.errors import ConfigError
 from sim_link.autopilot.incidents import renew_incidents
+from sim_link.fleet.scenario_io import load_scenario
 from sim_link.lab.faults.fault_models import KINDS
 from sim_link.lab.mission.conditions import ConditionError, did_you_mean, parse_condition
 from sim_link.lab.mission.script import (
@@ -51,7 +53,7 @@ def load_mission(path: Path) -> Mission:
 def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
     """The mission in YAML text; files that it names are in the folder, errors call it by name."""
     try:
-        mission = parse_yaml(text, Mission, name, renew_incidents)
+        mission = parse_yaml(text, Mission, name, lambda raw: _renew(raw, folder))
     except ConfigError as error:
         problems = _split_problems(str(error), name)
         if not problems:
@@ -63,6 +65,17 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
     for where, problem in _problems(mission):
         raise error_at(text, name, where, problem)
     return mission
+
+
+def _renew(raw: dict[str, Any], folder: Path) -> None:
+    """Present names for old keys; what the scenario of a file has, where the script has not."""
+    renew_incidents(raw)
+    path = raw.pop("scenario", None)
+    if isinstance(path, str):
+        for key, value in msgspec.to_builtins(load_scenario(folder / path)).items():
+            raw.setdefault(key, value)
+    elif path is not None:
+        raw["scenario"] = path  # an unknown key, unless it is a name
 
 
 def flown_config(mission: Mission) -> CompanionConfig:

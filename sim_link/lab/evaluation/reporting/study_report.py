@@ -80,7 +80,18 @@ def write_report(
     checks: Mapping[str, object],
 ) -> None:
     """Write the figures, PNG and SVG, and `report.html`; a CompanionError where that fails."""
-    sections = sections_of(results, rows)
+    write_page(out, sections_of(results, rows), rows, costs, checks)
+
+
+def write_page(
+    out: Path,
+    sections: Sequence[Section],
+    rows: Sequence[ResultRow],
+    costs: Sequence[ResultRow] = (),
+    checks: Mapping[str, object] | None = None,
+) -> None:
+    """Write figures and page of sections that are drawn and tabled; as `write_report`."""
+    results = [section.result for section in sections]
     folder = out / FIGURES
     try:
         folder.mkdir(exist_ok=True)
@@ -89,7 +100,7 @@ def write_report(
     for drawing in (drawing for section in sections for drawing in section.drawings):
         write_bytes_atomic(folder / f"{drawing.name}.svg", drawing.svg.encode())
         write_bytes_atomic(folder / f"{drawing.name}.png", drawing.png)
-    text = page(results, sections, rows, costs, checks, provenance())
+    text = page(results, sections, rows, costs, checks or {}, provenance())
     write_text_atomic(out / "report.html", text)
 
 
@@ -130,7 +141,7 @@ def page(
         costs=cost_tables,
         checks=checks_of(checks),
         tornado=tornado_of(results),
-        open_points=open_points(Case()),
+        open_points=open_points(Case()) if any(result.cells for result in results) else (),
         made_with=made_with,
         runs=sorted({result.runs for result in results}),
         seeds=sorted({result.seed for result in results}),

@@ -263,8 +263,8 @@ def load_study(path: Path) -> Study:
         study = load_yaml(path, Study)
     except ConfigError as error:
         raise ConfigError(_with_hint(str(error))) from None
-    if bool(study.studies) == bool(study.sweeps):
-        raise ConfigError(f"{path}: $: give `sweeps`, or `studies` of a collection")
+    if bool(study.studies) + bool(study.sweeps) + (study.flights is not None) != 1:
+        raise ConfigError(f"{path}: $: give `sweeps`, or `studies` of a collection, or `flights`")
     try:
         studies.cells_of(study)
     except ConfigError as error:
@@ -294,7 +294,7 @@ def _with_hint(problem: str) -> str:
     if key:
         names = [
             field
-            for kind in (Study, studies.Sweep, studies.SystemGrid)
+            for kind in (Study, studies.Sweep, studies.SystemGrid, studies.FlightGrid)
             for field in kind.__struct_fields__
         ]
         return f"{problem[: key.end()]}{studies.hint(key['key'], names)}"

@@ -33,6 +33,18 @@ METRICS = {
     "coverage_min": "Share of runs whose R95 circle holds the target: least over steps",
     "coverage_mean": "The same: mean over steps",
     "coverage_max": "The same: most over steps",
+    "flights": "Flights",
+    "reported": "Share of flights that reported before the cut",
+    "coverage": "Share of reports with the truth inside of R95, relative",
+    "absolute_coverage": "The same, absolute",
+    "beyond_3_r95": "Share of reports whose error is more than three times R95",
+    "error_m": "Median error, relative, m",
+    "r95_m": "Median R95, relative, m",
+    "r95_over_error": "Median R95 by median error",
+    "absolute_error_m": "Median error, absolute, m",
+    "absolute_r95_m": "Median R95, absolute, m",
+    "time_s": "Median time from engaging to the report, s",
+    "cut_error_m": "Median error at the cut of flights that did not report, m",
     "cost_ms_per_step": "Cost of a step, ms",
     "decision_ms": "Of this the decision, ms",
     "filterpy_update_ms": "filterpy's update on the same measurements, ms",
@@ -90,7 +102,7 @@ WITHIN = frozenset({"nees_final", "coverage_min", "coverage_mean", "coverage_max
 """Metrics whose bound is a band that an honest estimator stays within."""
 FOLDED = frozenset({"worst_final_m", "diverged_runs"})
 """Metrics that stand beside the final RMSE instead of in a table of their own."""
-OPEN = frozenset({"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step"}) | WITHIN
+OPEN = WITHIN | {"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step", "reported", "coverage"}
 """Metrics whose tables are unfolded at first."""
 
 Key = tuple[str, str, str]

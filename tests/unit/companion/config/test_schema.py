@@ -16,7 +16,7 @@ from companion.planning.fim import FimPlanner
 from companion.planning.search import SearchPlanner, SearchThenCross
 
 ROOT = Path(__file__).parents[4]
-PRESETS = sorted((ROOT / "configs/companion").glob("*.yaml"))
+PRESETS = sorted((ROOT / "configs/companion").rglob("*.yaml"))
 
 
 def test_default_preset_spells_out_the_defaults() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -8,7 +9,7 @@ import pytest
 
 from companion.cli import main
 from companion.config.schema import CompanionConfig
-from companion.demo.runner import _demo_config, busy_hint
+from companion.demo.runner import CONFIGS, _demo_config, busy_hint, scenario_named
 from companion.errors import ConfigError
 
 BLOCK = [[30.0, 30.0], [45.0, 30.0], [45.0, 60.0], [30.0, 60.0]]
@@ -46,6 +47,25 @@ def test_the_keep_outs_of_the_configuration_stay() -> None:
 def test_a_scenario_without_room_to_fly_is_refused() -> None:
     with pytest.raises(ConfigError, match="scenario test"):
         _demo_config(CompanionConfig(), truth(EVERYWHERE, None), "state")
+
+
+def test_a_scenario_may_be_named_and_brings_the_preset_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkout = CONFIGS[1]
+    monkeypatch.chdir(tmp_path)
+    file, preset = scenario_named(Path("field/rubble"))
+    assert (file, preset) == (
+        checkout / "scenarios/field/rubble.yaml",
+        checkout / "companion/field/rubble.yaml",
+    )
+    assert scenario_named(Path("obstacle"))[1] is None
+    assert scenario_named(file) == (file, None)
+
+
+def test_a_scenario_that_there_is_not_is_told_beside_those_that_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"field/rubl: no such file.*field/rubble"):
+        scenario_named(Path("field/rubl"))
 
 
 @pytest.mark.parametrize(

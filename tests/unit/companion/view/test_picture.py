@@ -1,8 +1,14 @@
 """What views are told of a moment."""
 
 import json
+import math
+from typing import Any
+
+import msgspec
+import pytest
 
 from companion.config.schema import CompanionConfig
+from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.guidance.session_params import SessionParams
 from companion.io.files import plain
 from companion.view.snapshot import picture_of, scene_of
@@ -35,3 +41,44 @@ def test_a_picture_goes_into_json_and_stays_small() -> None:
     assert (drawn["r95_m"], drawn["absolute_r95_m"]) == (estimate.r95_m, estimate.absolute_r95_m)
     assert drawn["own_words"] == "3.00 m, not told"
     assert picture["phase_detail"] == "approach: crossing 1, 18.8 m beyond the estimate"
+
+
+def antenna_view(mount_deg: tuple[float, float, float], kind: AntennaKind) -> dict[str, Any]:
+    """What is drawn of an antenna with a view of 120 degrees, in the first seconds."""
+    antenna = AntennaParams(kind=kind, mount_deg=mount_deg, field_of_view_deg=120.0)
+    change = msgspec.structs.replace
+    believed = change(CONFIG.estimation.filter, antenna=antenna)
+    config = change(CONFIG, estimation=change(CONFIG.estimation, filter=believed))
+    flight = Flight(config, Scenario(), 1, MemoryJournal())
+    flight.run(7.0)
+    picture = picture_of(flight.companion, flight.now_s)
+    east, north, up = flight.companion.session.vehicle.track.latest.position_enu_m  # type: ignore[union-attr]
+    view = picture["antenna"]
+    assert isinstance(view, dict)
+    assert scene_of(config)["has_antenna"] is True
+    return {**view, "vehicle": (east, north), "height_m": up}
+
+
+def test_an_antenna_that_looks_down_sees_a_disc_below_the_vehicle() -> None:
+    view = antenna_view((0.0, -90.0, 0.0), "two_axis")
+    radii = [math.dist(view["vehicle"], corner) for corner in view["outline"]]
+    assert sum(radii) / len(radii) == pytest.approx(
+        min(60.0, view["height_m"] * math.tan(math.radians(60.0))), rel=0.2
+    )
+    assert math.dist(view["vehicle"], view["ahead"]) < 0.3 * view["height_m"]
+
+
+def test_an_antenna_that_looks_ahead_sees_a_sector_and_nothing_behind() -> None:
+    view = antenna_view((0.0, 0.0, 0.0), "line")
+    east, north = view["vehicle"]
+    ahead = (view["ahead"][0] - east, view["ahead"][1] - north)
+    for corner in view["outline"]:
+        way = (corner[0] - east, corner[1] - north)
+        assert math.hypot(*way) <= 60.0 + 1e-6
+        assert ahead[0] * way[0] + ahead[1] * way[1] > 0.0
+
+
+def test_an_azimuth_about_the_vertical_has_no_view_to_draw() -> None:
+    flight = Flight(CONFIG, Scenario(), 1, MemoryJournal())
+    flight.run(5.0)
+    assert picture_of(flight.companion, flight.now_s)["antenna"] is None

@@ -227,3 +227,27 @@ steps:
 )
 def test_the_line_of_a_path(path: str, line: int | None) -> None:
     assert line_of(SCRIPT, path) == line
+
+
+def test_a_script_may_take_its_scenario_from_a_file_and_replace_keys(tmp_path: Path) -> None:
+    scenario = "name: elsewhere\nemitter: {height_m: 3.0}\nwind: {east_mps: 4.0}\n"
+    (tmp_path / "place.yaml").write_text(scenario)
+    script = "name: m\nscenario: place.yaml\nwind: {north_mps: 1.0}\nsteps: [connect]\n"
+    mission = parse_mission(script, "m", tmp_path)
+    assert mission.name == "m"
+    assert mission.emitter.height_m == 3.0
+    assert (mission.wind.east_mps, mission.wind.north_mps) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "what"),
+    [
+        ("nowhere.yaml", r"nowhere\.yaml: no such file"),
+        ("wrong.yaml", r"wrong\.yaml: \$\.wnid: unknown key"),
+        ("[a, b]", r"m:2: \$\.scenario: unknown key"),
+    ],
+)
+def test_a_scenario_file_that_is_wrong_is_named(tmp_path: Path, value: str, what: str) -> None:
+    (tmp_path / "wrong.yaml").write_text("wnid: {east_mps: 4.0}\n")
+    with pytest.raises(ConfigError, match=what):
+        parse_mission(f"name: m\nscenario: {value}\nsteps: [connect]\n", "m", tmp_path)

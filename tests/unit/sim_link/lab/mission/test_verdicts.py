@@ -33,7 +33,7 @@ expectations: [{{name: it, {expectation}}}]
         steps=[StepOutcome(1, "connect", "hearing", 0.0, 1.0)],
         estimates=[
             EstimatePoint(20.0, (90.0, 90.0), 30.0, "ambiguous", emitter_id=1),
-            EstimatePoint(30.0, (50.5, 50.0), 0.4, "localised", emitter_id=1),
+            EstimatePoint(30.0, (50.5, 50.0), 0.4, "localised", emitter_id=1, absolute_r95_m=2.5),
             EstimatePoint(31.0, (10.0, 13.0), 2.0, "searching", emitter_id=2),
         ],
         reports=[Report(32.0, 1, (50.5, 50.0), 0.4)],
@@ -81,6 +81,7 @@ def verdict(expectation: str) -> ExpectationVerdict:
         ("final_error_m", "{at_most: 0.6}", "{at_most: 0.4}", "0.50 m"),
         ("final_error_m", "{at_most: 4, emitter: 2}", "{at_most: 2, emitter: 2}", "3.00 m"),
         ("error_over_r95", "{at_most: 1.3}", "{at_most: 1.2}", "1.25 times the R95 of 0.40 m"),
+        ("error_over_absolute_r95", "{at_most: 0.3}", "{at_most: 0.1}", "absolute R95 of 2.50 m"),
         ("reported_s", "{at_most: 22}", "{at_most: 21}", "22.00 s"),
         ("time_s", "{at_least: 90, at_most: 100}", "{at_most: 99}", "100.00 s"),
         ("distance_m", "{at_most: 300}", "{at_least: 300}", "250.00 m"),
@@ -103,6 +104,12 @@ def test_what_never_came_is_never_good_enough() -> None:
     assert "no estimate" in _without("estimates", "final_error_m: {at_most: 1000}")
     assert "no estimate" in _without("estimates", "error_over_r95: {at_most: 1000}")
     assert "not reported" in _without("reports", "reported_s: {at_most: 1000}")
+
+
+def test_a_log_from_before_the_absolute_radius_is_no_promise_of_it() -> None:
+    bound = "error_over_absolute_r95: {at_most: 1000, emitter: 2}"
+    assert "not told" in verdict(bound).found
+    assert not verdict(bound).is_met
 
 
 def _without(what: str, expectation: str) -> str:

@@ -38,9 +38,9 @@ def test_the_projects_own_studies_are_right(name: str) -> None:
     assert studies_of(name, FOLDER)
 
 
-def test_all_is_everything_but_robustness() -> None:
+def test_all_is_everything_but_robustness_and_the_field() -> None:
     tables = {study.table for study in studies_of("all", FOLDER)}
-    assert tables == set(NAMES) - {"all", "robustness"}
+    assert tables == set(NAMES) - {"all", "robustness", "field"}
 
 
 def test_every_number_that_the_paper_prints_is_in_a_study() -> None:
