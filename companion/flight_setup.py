@@ -19,7 +19,12 @@ from companion import __version__
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.config.tunables import Tunables
 from companion.errors import ConfigError
-from companion.estimation.antenna import AntennaParams, antenna_axes_enu
+from companion.estimation.antenna import (
+    ABOUT_VERTICAL,
+    AntennaKind,
+    AntennaParams,
+    antenna_axes_enu,
+)
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.tracking.emitters import EmitterQueue
@@ -47,6 +52,9 @@ from companion.planning.search import (
 )
 from companion.planning.views import Antenna
 
+ROWS: dict[AntennaKind, int] = {"auto": 0, "azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}
+"""What crossings are chosen by; 0: as the paper does."""
+
 
 def build_planner(config: CompanionConfig) -> Planner[Any]:
     """The planner that the configuration names."""
@@ -66,7 +74,8 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
             return ReactiveCrossing(planner.reactive_crossing)
         case "fim":
             bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
-            antenna = None if noise.antenna.kind == "azimuth" else _antenna(noise.antenna)
+            is_array = noise.antenna.kind not in ABOUT_VERTICAL
+            antenna = _antenna(noise.antenna) if is_array else None
             return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad, antenna)
         case _:
             return SearchPlanner(_pattern(kind, planner))
@@ -94,7 +103,7 @@ def _antenna(params: AntennaParams) -> Antenna:
         ahead,
         ahead if is_planar else right,
         right if is_planar else down,  # a cosine, whose sign says nothing of its information
-        {"azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}[params.kind],
+        ROWS[params.kind],
         is_planar,
         math.radians(0.5 * params.field_of_view_deg),
     )

@@ -58,10 +58,9 @@ def test_a_flight_of_each_kind_that_is_flown_here_replays_to_the_bit(
     assert replay.verdict.startswith("IDENTICAL")
 
 
-def test_there_are_twenty_and_they_are_small() -> None:
+def test_there_are_as_many_as_planned_and_they_are_small() -> None:
     files = sorted(FOLDER.glob(f"*{SUFFIX}"))
     assert [file.name.removesuffix(SUFFIX) for file in files] == sorted(PLANS)
-    assert len(files) == 20
     assert sum(file.stat().st_size for file in files) < MAX_BYTES
 
 
