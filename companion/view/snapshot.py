@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint
-from companion.estimation.antenna import antenna_axes_enu
+from companion.estimation.antenna import ABOUT_VERTICAL, antenna_axes_enu
 from companion.geometry.coordinates import combined
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
@@ -36,7 +36,7 @@ def scene_of(config: CompanionConfig) -> Json:
     mission = config.mission
     return {
         "stop_radius_m": mission.stop_radius_m,
-        "has_antenna": config.estimation.filter.antenna.kind != "azimuth",
+        "has_antenna": config.estimation.filter.antenna.kind not in ABOUT_VERTICAL,
         "old_after_s": {"autopilot": 1.0, "position": 0.5, "ranging": mission.ranging_timeout_s},
     }
 
@@ -109,7 +109,7 @@ def _antenna_view(endpoint: CompanionEndpoint, now_s: float) -> Json | None:
     params = session.tracker.params.filter
     antenna, track = params.antenna, session.vehicle.track
     state, attitude = track.latest, track.attitude_at(now_s)
-    if antenna.kind == "azimuth" or state is None or attitude is None:
+    if antenna.kind in ABOUT_VERTICAL or state is None or attitude is None:
         return None
     roll_pitch = attitude.tilt_rad or (0.0, 0.0)
     axes = antenna_axes_enu((*roll_pitch, attitude.yaw_ned_rad), antenna.mount_deg)
