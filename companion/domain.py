@@ -165,9 +165,10 @@ class EstimateState(Enum):
 class TargetEstimate:
     """Where the target is believed to be, and how wrong that may be.
 
-    There are two radii. The relative one, `r95_m`, is about the vehicle's own frame: it decides
-    when to stop, and is what this vehicle finds back to. The absolute one is about the Earth, as
-    anybody else finds there: it has the error of the vehicle's own receiver in it as well.
+    There are two radii. The relative one, `r95_m`, is about the vehicle's own frame, and what this
+    vehicle finds back to; when to stop is decided by what measuring can make of it. The absolute
+    one is about the Earth, as anybody else finds there: it has the error of the vehicle's own
+    receiver in it as well.
     """
 
     time_s: float
@@ -192,9 +193,13 @@ class TargetEstimate:
     """The worst while the target was measured."""
     absolute_r95_m: float = -math.inf
     """The same radius with the own place's error in it; never less than `r95_m`."""
+    settled_r95_m: float = math.inf
+    """`r95_m` without how far the own place wanders meanwhile, which no more measuring improves."""
 
     def __post_init__(self) -> None:
-        """Where nobody worked the absolute radius out, it is that of round errors."""
+        """Where nobody worked the other radii out: of round errors, and of a place that stays."""
+        if not self.settled_r95_m <= self.r95_m:
+            object.__setattr__(self, "settled_r95_m", self.r95_m)
         if not self.absolute_r95_m >= self.r95_m:  # NaN is no better than either
             radius_m = math.hypot(self.r95_m, R95_OF_SIGMA * self.own.horizontal_m)
             object.__setattr__(self, "absolute_r95_m", radius_m)

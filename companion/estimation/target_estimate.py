@@ -4,6 +4,10 @@ R95 is the radius about the estimate that holds 95 % of the probability of all h
 relative, that is in the vehicle's own frame, and decides about the state. The absolute one takes
 the error of the vehicle's own place in, the same one for every hypothesis: each covariance grows by
 its variance on both axes.
+
+That error does not stand still. A receiver's wanders by sqrt(2 T / tau) of its sigma in a time T,
+so that the frame in which a search of some 40 s has its mean is not the one that the vehicle flies
+in at its end: with tau from 100 to 300 s they are a third to a half of the told sigma apart.
 """
 
 from __future__ import annotations
@@ -32,6 +36,8 @@ R95_MAX_STEPS = 20
 _PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
 _COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
 
+WANDER_SHARE = 0.4
+"""How far the own place wanders within a search, as a share of its sigma, where that is told."""
 AMBIGUOUS_PROBABILITY = 0.05
 """A second hypothesis with at least this probability makes the estimate ambiguous."""
 MAX_AMBIGUOUS = 3
@@ -51,8 +57,13 @@ def estimate_of(
     """What hypotheses, best first, add up to; `is_diverged`: the filter was started anew lately."""
     weights, best = probabilities(hypotheses), hypotheses[0]
     covariances = [position_covariance_m2(h, model.own_sigma_m) for h in hypotheses]
-    r95_m = _r95_m(hypotheses, weights, covariances)
-    state = EstimateState.DIVERGED if is_diverged else _state(weights, r95_m, localised_r95_m)
+    settled_m = r95_m = _r95_m(hypotheses, weights, covariances)
+    wander_m = WANDER_SHARE * own.horizontal_m if own.is_told else 0.0
+    more_m2 = wander_m**2 - model.own_sigma_m**2
+    if more_m2 > 0.0:  # beyond what is counted anyway
+        wandered = [covariance + more_m2 * np.eye(2) for covariance in covariances]
+        r95_m = max(settled_m, _r95_m(hypotheses, weights, wandered))
+    state = EstimateState.DIVERGED if is_diverged else _state(weights, settled_m, localised_r95_m)
     is_ambiguous = state is EstimateState.AMBIGUOUS
     mean, P = best.state.mean, best.state.covariance
     height, scale = model.height_index, model.scale_index
@@ -74,6 +85,7 @@ def estimate_of(
         own=own,
         # a rival's place that is blurred may come nearer: no reason to promise more
         absolute_r95_m=max(r95_m, _r95_m(hypotheses, weights, on_earth)),
+        settled_r95_m=settled_m,
     )
 
 

@@ -45,7 +45,7 @@ class StopRule:
     ) -> bool:
         """Whether the target is found; without an estimate the run is broken."""
         is_one_place = estimate is not None and estimate.state is EstimateState.LOCALISED
-        if estimate is None or not is_one_place or estimate.r95_m > radius_m:
+        if estimate is None or not is_one_place or estimate.settled_r95_m > radius_m:
             self._since_s = None
             return False
         if self._since_s is None:

@@ -237,7 +237,7 @@ class TimeToGo:
         """The seconds to go of a flight, whose end a ground station may change."""
         params, estimate = endpoint.session.params, endpoint.session.estimate
         self._stop_radius_m, self._confirm_s = params.stop_radius_m, params.stop_confirm_s
-        return self.observe(now_s, None if estimate is None else estimate.r95_m)
+        return self.observe(now_s, None if estimate is None else estimate.settled_r95_m)
 
     def observe(self, now_s: float, r95_m: float | None) -> float | None:
         """The seconds to go, or None where nothing can be said, as without an R95."""

@@ -141,7 +141,7 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
     # On a logarithmic scale each halving of the radius looks the same.
     share = math.log(max(estimate.r95_m, 0.1) / 0.1) / math.log(BAR_FULL_M / 0.1)
     length = round(BAR_WIDTH * min(max(share, 0.0), 1.0))
-    is_enough = estimate.r95_m <= stop_radius_m
+    is_enough = estimate.settled_r95_m <= stop_radius_m
     bar = Text(f"{estimate.r95_m:6.2f} m  ", "bold green" if is_enough else "default")
     bar.append("█" * length, "green" if is_enough else "yellow")
     bar.append("░" * (BAR_WIDTH - length), "dim")

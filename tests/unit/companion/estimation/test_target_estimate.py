@@ -133,10 +133,10 @@ def test_the_absolute_radius_has_the_own_place_in_it(own: OwnAccuracy) -> None:
 
 
 @pytest.mark.parametrize("own", [RTK, CITY])
-def test_the_own_place_changes_nothing_relative(own: OwnAccuracy) -> None:
+def test_the_own_place_changes_nothing_that_stops_the_search(own: OwnAccuracy) -> None:
     for places in ([_hypothesis()], [_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4)]):
         here, there = _told(*places), _told(*places, own=own)
-        assert here.r95_m == there.r95_m
+        assert here.settled_r95_m == there.settled_r95_m
         assert (here.state, here.covariance_m2) == (there.state, there.covariance_m2)
 
 
@@ -167,3 +167,19 @@ def test_a_height_that_is_estimated_has_the_own_height_in_it() -> None:
     assert told.absolute_height_sigma_m is None
     estimated = replace(told, height_sigma_m=12.0, own=CITY)
     assert estimated.absolute_height_sigma_m == pytest.approx(15.0)
+
+
+@pytest.mark.parametrize(("told_m", "widens"), [(0.02, False), (1.5, True)])
+def test_a_receiver_that_wanders_widens_r95_and_not_what_stops_the_search(
+    told_m: float, widens: bool
+) -> None:
+    own = OwnAccuracy(told_m, told_m, is_told=True)
+    still, wandering = _told(_hypothesis()), _told(_hypothesis(), own=own)
+    assert wandering.settled_r95_m == still.settled_r95_m == still.r95_m
+    assert wandering.state is still.state
+    if widens:
+        sigma_m = math.hypot(0.4, 0.4 * told_m)  # more than the 0.3 m that are configured
+        assert wandering.r95_m == pytest.approx(R95_OF_EQUAL_AXES * sigma_m)
+    else:
+        assert wandering.r95_m == still.r95_m
+    assert wandering.absolute_r95_m >= wandering.r95_m

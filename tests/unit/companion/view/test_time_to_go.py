@@ -39,7 +39,7 @@ def test_no_radius_no_time(r95_m: float | None) -> None:
 def test_another_radius_counts_at_once() -> None:
     session = SimpleNamespace(
         params=SimpleNamespace(stop_radius_m=1.0, stop_confirm_s=10.0),
-        estimate=SimpleNamespace(r95_m=1.5),
+        estimate=SimpleNamespace(settled_r95_m=1.5),
     )
     flight: Any = SimpleNamespace(session=session)
     rule = TimeToGo()
