@@ -1,0 +1,1 @@
+"""What real radios print: their formats, read without sockets, clocks or files."""

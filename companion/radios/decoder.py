@@ -1,0 +1,190 @@
+"""What every decoder of a radio's own format is: bytes and time in, readings out.
+
+Theory of operation. A decoder knows one format and nothing else. It reports what the radio said, in
+the radio's own sense: the emitter by the name that is on the wire, the device's own time, angles
+with the device's own sign and zero. What follows is the same for all of them and is done once, in
+`companion.link.radio_stage`: names to ids, offset and scale, sign, mount, clocks, what is stuck or
+stale. So a new radio is one class here, and cannot get a frame of reference wrong.
+
+A decoder never raises on what a radio sends. What it cannot use it counts by reason. What it keeps
+between two calls is bounded, and how the stream is cut into pieces makes no difference.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from companion.domain import Params
+
+MOST_KEPT_BYTES = 65_536
+"""No decoder keeps more of a stream than this between two calls."""
+MOST_REASONS = 32
+"""Reasons that are told apart in the counts; what comes beyond is counted as `other`."""
+
+
+class AngleFrame(Enum):
+    """What the zero of a reading's angles is."""
+
+    DEVICE = "device"
+    """The antenna's boresight; the angles are azimuth and elevation about its upright."""
+    ARRAY = "array"
+    """The antenna's boresight; each angle is the arcsine of a component in the array's plane."""
+    NOSE = "nose"
+    """The vehicle's nose, clockwise."""
+    NORTH = "north"
+    """True north, clockwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class RadioReading:
+    """One answer of an emitter as its radio says it; what was not measured is None."""
+
+    emitter: str | int | None = None
+    """By the name on the wire; None: the format has none."""
+    device_time_s: float | None = None
+    """By the device's own clock, as it stands on the wire: it may wrap, or start again."""
+    age_s: float = 0.0
+    """How old it was when it was sent, where the device says so."""
+    range_m: float | None = None
+    """As said: before any offset or scale; negative is possible."""
+    range_sigma_m: float | None = None
+    azimuth_rad: float | None = None
+    """With the device's sign."""
+    azimuth_sigma_rad: float | None = None
+    elevation_rad: float | None = None
+    elevation_sigma_rad: float | None = None
+    frame: AngleFrame = AngleFrame.DEVICE
+    quality: float | None = None
+    """0 (worst) to 1 (best)."""
+    line_of_sight: bool | None = None
+
+
+@dataclass(slots=True)
+class DecoderCounts:
+    """What a decoder has made of its stream so far."""
+
+    frames: int = 0
+    """Whole frames, lines or documents that were understood, with readings in them or not."""
+    readings: int = 0
+    bad_checksum: int = 0
+    resync_bytes: int = 0
+    """Bytes that belonged to nothing."""
+    refused: Counter[str] = field(default_factory=Counter)
+    """By reason, in the operator's words: `no bearing from above`, `status RX_TIMEOUT`."""
+
+    def refuse(self, reason: str, count: int = 1) -> None:
+        """Count what could not be used. The reason must not hold bytes of the stream."""
+        if reason not in self.refused and len(self.refused) >= MOST_REASONS:
+            reason = "other"
+        self.refused[reason] += count
+
+
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """What a polled radio is asked for."""
+
+    path: str
+    """Of the URL, where the link's address gives none."""
+    period_s: float
+
+
+class RadioDecoder(ABC):
+    """One radio's stream. `options` is a record of the class's own `Options`."""
+
+    Options: type[Params] = Params
+    """The settings that the format itself needs; unknown keys are refused by their path."""
+
+    def __init__(self, options: Params | None = None) -> None:
+        self.options = self.Options() if options is None else options
+        self.counts = DecoderCounts()
+
+    @abstractmethod
+    def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
+        """The readings that some bytes complete; any cut of the stream gives the same list.
+
+        `received_s` is when the bytes came, on the companion's clock. Never raises on bad bytes.
+        """
+
+    def reset(self) -> None:
+        """The line was lost and came back: what was begun will not be finished."""
+
+    def hello(self) -> bytes:
+        """What to send once the line is open, so that the radio talks."""
+        return b""
+
+
+@dataclass(frozen=True, slots=True)
+class RadioKind:
+    """A radio that can be chosen by its name: a built-in one, or a plugin's."""
+
+    name: str
+    """As in `--radio NAME@URL`: lower case, digits and underscores."""
+    decoder: type[RadioDecoder]
+    title: str
+    """For people: `Nooploop LinkTrack and LinkTrack AOA`."""
+    gives: str
+    """`range`, `bearing`, `range, azimuth, elevation`."""
+    emitter: str
+    """What the hidden one must carry: `a LinkTrack tag`, `nothing: any transmitter`."""
+    transport: str
+    """The usual one, as in an address: `serial:115200`, `http`, `exec`, `udp`."""
+    needs_emitter: bool = False
+    """Whether the format names no emitter, so that the settings must."""
+    clock_wrap_s: float | None = None
+    """After how long the device's clock starts again at zero; None: it does not, or it has none."""
+    poll: Poll | None = None
+    """How it is asked, where it does not talk by itself."""
+    defaults: Mapping[str, object] = field(default_factory=dict)
+    """Settings of the common stage that this radio differs in, `bearing_sign` for example."""
+
+
+class LineDecoder(RadioDecoder):
+    """A decoder of text: cuts the stream into lines and hands over each whole one.
+
+    A line ends with LF, CRLF or CR LF in any cut; one beyond `longest_line` is dropped whole and
+    counted. Bytes that are no text are replaced, so that a line is always a `str`.
+    """
+
+    longest_line = 4096
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._rest = b""
+        self._is_overlong = False
+
+    @abstractmethod
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """The readings that a line completes."""
+
+    def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
+        """Cut into lines, and read each."""
+        readings: list[RadioReading] = []
+        *lines, rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            if self._is_overlong or len(line) > self.longest_line:
+                self._drop(len(line))
+                self._is_overlong = False
+                continue
+            text = line.rstrip(b"\r").decode("utf-8", errors="replace")
+            readings += self.read_line(text, received_s)
+        if self._is_overlong or len(rest) > self.longest_line + 1:
+            self._drop(len(rest))
+            self._is_overlong = True
+            rest = b""
+        self._rest = rest
+        self.counts.readings += len(readings)
+        return readings
+
+    def reset(self) -> None:
+        """Forget the beginning of a line."""
+        self._rest = b""
+        self._is_overlong = False
+
+    def _drop(self, count: int) -> None:
+        self.counts.resync_bytes += count
+        if not self._is_overlong:
+            self.counts.refuse("line is too long")
