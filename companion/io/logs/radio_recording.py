@@ -1,0 +1,242 @@
+"""A recording of radios: the very bytes they sent, and where the vehicle was meanwhile.
+
+Theory of operation. A line of JSON each: a header, then bytes, poses and, once the autopilot tells
+it, the origin of its local frame, all in the order in which they came and with the time on the
+companion's clock. Raw bytes are kept, not readings, so that a recording can be decoded anew with
+other settings. Only whole lines are written; a power cut may still tear the last one, which is then
+left out. Neither writer nor reader keeps more than one buffer.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TypeAlias
+
+import msgspec
+
+from companion.domain import PositionEnu
+from companion.errors import CompanionError, ConfigError
+from companion.geometry.coordinates import LocalOrigin, Projection
+
+VERSION = 1
+MOST_DATA_BYTES = 65_536
+"""More than this becomes several records."""
+MOST_LINE_BYTES = 262_144
+BUFFER_BYTES = 65_536
+BUFFER_S = 1.0
+"""What a power cut may cost."""
+
+
+class RecordedRadio(msgspec.Struct, frozen=True, kw_only=True):
+    """A radio of a recording, as it was chosen."""
+
+    name: str
+    url: str
+    options: Mapping[str, object] = {}
+    """Of its format; what differs from the defaults."""
+    settings: Mapping[str, object] = {}
+    """Of the common stage; what differs from the defaults."""
+
+
+class RecordedOrigin(msgspec.Struct, frozen=True, kw_only=True, tag="origin", tag_field="kind"):
+    """Where the vehicle's local frame is zero; the last one told holds for all of a recording."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    projection: Projection = Projection.ELLIPSOID
+
+    @property
+    def local(self) -> LocalOrigin:
+        """The frame itself."""
+        return LocalOrigin(self.latitude_deg, self.longitude_deg, self.altitude_m, self.projection)
+
+
+class RecordingHeader(
+    msgspec.Struct, frozen=True, kw_only=True, tag="radio_recording", tag_field="kind"
+):
+    """The first line."""
+
+    version: int = VERSION
+    started_unix_s: float
+    radios: tuple[RecordedRadio, ...]
+    origin: RecordedOrigin | None = None
+    """Where it was known from the start."""
+
+
+class RadioBytes(msgspec.Struct, frozen=True, tag="bytes", tag_field="kind"):
+    """What a radio sent, in base64."""
+
+    t_s: float
+    radio: int
+    """Its place in the header, from 0."""
+    data: bytes
+
+
+class TimedPose(msgspec.Struct, frozen=True, tag="pose", tag_field="kind", omit_defaults=True):
+    """Where the vehicle was and how it lay, as far as the autopilot told."""
+
+    t_s: float
+    enu_m: PositionEnu
+    yaw_rad: float | None = None
+    """Clockwise from north."""
+    roll_rad: float | None = None
+    """To the right positive; as pitch, nose up positive, told together or not at all."""
+    pitch_rad: float | None = None
+    sigma_m: float | None = None
+    """Standard deviation of the place, per horizontal axis, where its source tells it."""
+
+
+Record: TypeAlias = RadioBytes | TimedPose | RecordedOrigin
+
+_encoder = msgspec.json.Encoder()
+_header_decoder = msgspec.json.Decoder(RecordingHeader)
+_decoder = msgspec.json.Decoder(RadioBytes | TimedPose | RecordedOrigin)
+
+
+class RadioRecordingWriter:
+    """Writes a new recording; an old file of that name is replaced.
+
+    Raises `CompanionError` where the disk does not take it; what is there then ends with a whole
+    line.
+    """
+
+    def __init__(self, path: Path, header: RecordingHeader) -> None:
+        self._path = path
+        try:
+            self._file = path.open("wb", buffering=0)
+        except OSError as error:
+            raise CompanionError(f"{path}: cannot be written ({error.strerror})") from error
+        self._buffer = bytearray()
+        self._flushed_s = -math.inf
+        self._written_bytes = 0
+        self.dropped = 0
+        """Poses with numbers that are none."""
+        self._add(header)
+        self.flush()
+
+    def write(self, record: Record) -> None:
+        """Add a record; it is on its way to the disk after a second of records at most."""
+        match record:
+            case RadioBytes() if len(record.data) > MOST_DATA_BYTES:
+                for start in range(0, len(record.data), MOST_DATA_BYTES):
+                    part = record.data[start : start + MOST_DATA_BYTES]
+                    self.write(RadioBytes(record.t_s, record.radio, part))
+                return
+            case TimedPose() if not _is_finite(record):
+                self.dropped += 1
+                return
+        self._add(record)
+        now_s = self._flushed_s if isinstance(record, RecordedOrigin) else record.t_s
+        if len(self._buffer) >= BUFFER_BYTES or not now_s - self._flushed_s < BUFFER_S:
+            self._flushed_s = now_s
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand all lines to the system."""
+        view = memoryview(bytes(self._buffer))
+        self._buffer.clear()
+        try:
+            done = 0
+            while done < len(view):
+                done += self._file.write(view[done:]) or 0
+        except OSError as error:
+            with suppress(OSError):  # a pipe has no length
+                os.ftruncate(self._file.fileno(), self._written_bytes)
+            self._file.close()
+            raise CompanionError(
+                f"{self._path}: cannot be written ({error.strerror}); is the disk full?"
+            ) from error
+        self._written_bytes += len(view)
+
+    def close(self) -> None:
+        """Write what is left."""
+        if not self._file.closed:
+            try:
+                self.flush()
+            finally:
+                self._file.close()
+
+    def __enter__(self) -> RadioRecordingWriter:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def _add(self, record: Record | RecordingHeader) -> None:
+        self._buffer += _encoder.encode(record)
+        self._buffer += b"\n"
+
+
+def _is_finite(pose: TimedPose) -> bool:
+    numbers = (pose.t_s, *pose.enu_m, pose.yaw_rad, pose.roll_rad, pose.pitch_rad, pose.sigma_m)
+    return all(number is None or math.isfinite(number) for number in numbers)
+
+
+def is_radio_recording(path: Path) -> bool:
+    """Whether a file begins as one does; a file that cannot be read is none."""
+    beginning = b'{"kind":"radio_recording"'
+    try:
+        with path.open("rb") as file:
+            return file.read(len(beginning)) == beginning
+    except OSError:
+        return False
+
+
+def read_radio_recording(path: Path) -> tuple[RecordingHeader, Iterator[Record]]:
+    """The header and, one by one, the records; a `ConfigError` names the line that is wrong."""
+    lines = _lines(path)
+    number, line = next(lines, (1, b""))
+    if not line:
+        raise ConfigError(f"{path}: is empty; a recording begins with a header")
+    try:
+        header = _header_decoder.decode(line)
+    except msgspec.MsgspecError as error:
+        raise ConfigError(
+            f"{path}: line {number}: no header of a radio recording: {error}"
+        ) from None
+    if header.version > VERSION:
+        raise ConfigError(
+            f"{path}: line 1: a recording of version {header.version}, and this companion reads "
+            f"{VERSION}; use a newer one"
+        )
+    return header, _records(path, lines, len(header.radios))
+
+
+def _records(path: Path, lines: Iterator[tuple[int, bytes]], radios: int) -> Iterator[Record]:
+    for number, line in lines:
+        try:
+            record = _decoder.decode(line)
+        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+            if not line.endswith(b"\n"):
+                return  # the power went while it was written
+            raise ConfigError(f"{path}: line {number}: {error}") from None
+        if isinstance(record, RadioBytes) and not 0 <= record.radio < radios:
+            raise ConfigError(f"{path}: line {number}: the header has no radio {record.radio}")
+        yield record
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    try:
+        with path.open("rb") as file:
+            for number in range(1, 2**63):
+                line = file.readline(MOST_LINE_BYTES)
+                if not line:
+                    return
+                if len(line) == MOST_LINE_BYTES and not line.endswith(b"\n"):
+                    raise ConfigError(f"{path}: line {number}: longer than any record")
+                yield number, line
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
