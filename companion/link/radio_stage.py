@@ -1,0 +1,424 @@
+"""The common stage after every radio's decoder: from what a radio says to a measurement.
+
+Theory of operation. A decoder reports in the radio's own sense; everything that depends on the site
+and not on the format is done here, once: names of emitters to ids, offset and scale of ranges, sign
+and mount of bearings, the field of view, defaults of sigmas, the device's clock, and what is stuck
+or was seen before. What is refused is counted by reason, and half a reading is kept where only the
+other half is refused.
+
+The mount has one place for each kind of antenna. What a direction finder prints about its upright
+is turned by `bearing_mount_deg` here, and is a bearing from the vehicle's nose then. What an array
+prints (`AngleFrame.ARRAY`) is no angle about any upright, cannot be turned by adding to it, and
+goes on as it is: its mount is `estimation.filter.antenna.mount_deg`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.domain import NonNegative, Params, Positive, RangingMeasurement
+from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
+from companion.link.conversion.sender_clock import ClockStep, SenderClock
+from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
+
+EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
+Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Sign = Literal[1, -1]
+MOST_EMITTERS = 256
+"""Names of a stream that are told apart; anybody can send any."""
+LAST_ID = 65_535
+MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
+"""A whole turn; more is most likely another unit."""
+_MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|[0-9a-f]{4}|[0-9a-f]{12}|[0-9a-f]{16}", re.I)
+_NUMBER = re.compile(r"0|[1-9][0-9]{0,18}|0[xX][0-9a-fA-F]{1,16}")
+
+
+class RadioSettings(Params, frozen=True):
+    """What turns the readings of one radio into measurements."""
+
+    emitters: dict[str, EmitterId] = msgspec.field(default_factory=dict)
+    """Ids by the name on the wire; MAC addresses in any case."""
+    emitter: EmitterId = 1
+    """The id of readings that name no emitter."""
+    unnamed: Literal["number", "refuse"] = "number"
+    """What becomes of an emitter that is not in `emitters`: a lasting id, or nothing."""
+    frequency_tolerance_khz: Positive | None = None
+    """Names are frequencies in MHz and match within this; null: names are names."""
+
+    range_offset_m: float = 0.0
+    """range = (said - range_offset_m) / range_scale."""
+    range_scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
+    range_min_m: float = 0.0
+    """A shorter corrected range is refused."""
+    range_max_m: Positive | None = None
+    """A longer one; null: `estimation.acceptance.max_range_m` decides."""
+    range_sigma_m: Positive | None = None
+    """Where the radio says none; null: the estimation's."""
+
+    bearing_sign: Sign = 1
+    """-1 where the device counts counter-clockwise."""
+    bearing_mount_deg: Degrees = 0.0
+    """The device's zero, clockwise from the vehicle's nose; not for arrays, see above."""
+    elevation_sign: Sign = 1
+    field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] = 360.0
+    """Whole angle about the device's zero in which its angles are believed."""
+    bearing_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
+    elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
+
+    quality_min: Share = 0.0
+    """A reading of less quality is refused."""
+    sigma_factors: tuple[tuple[Share, Positive], ...] = ()
+    """[quality, factor] pairs, ascending: from that quality on sigmas count so many times."""
+
+    clock: Literal["device", "arrival"] = "device"
+    """Whose time a reading has, where the device has a clock."""
+    clock_wrap_s: Positive | None = None
+    """After how long the device's clock starts again at zero; null: as the radio's kind has it."""
+    lag_s: Annotated[float, msgspec.Meta(ge=-1.0, le=5.0)] = 0.0
+    """How much earlier than that it was measured."""
+    max_age_s: Positive | None = None
+    """An older reading is refused; null: `estimation.acceptance.max_age_s` decides."""
+    stuck_after: Annotated[int, msgspec.Meta(ge=2)] | None = None
+    """Of more equal ranges in a row the rest is refused; null: only while the vehicle moves."""
+    poll_s: Annotated[float, msgspec.Meta(ge=0.02, le=60.0)] | None = None
+    """How often a polled radio is asked; null: as its kind has it."""
+    timeout_s: NonNegative = 5.0
+    """Silence for so long is said to the operator; 0: never."""
+
+    def __post_init__(self) -> None:
+        if self.range_max_m is not None and self.range_max_m <= self.range_min_m:
+            raise ValueError("range_max_m: must be above range_min_m")
+        qualities = [quality for quality, _ in self.sigma_factors]
+        if qualities != sorted(set(qualities)):
+            raise ValueError("sigma_factors: qualities must ascend")
+        EmitterNames(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RadioSetup:
+    """A radio that was chosen: its kind, and how it is set."""
+
+    kind: RadioKind
+    settings: RadioSettings
+    options: Params | None = None
+    """Of the decoder; None: its defaults."""
+
+
+class EmitterNames:
+    """The ids of emitters, by what is on the wire.
+
+    A name without an id gets one that depends on nothing but the name, so that it is the same
+    after a restart and on every radio.
+    """
+
+    def __init__(self, settings: RadioSettings) -> None:
+        self.news: list[str] = []
+        """What the operator is to be told; whoever tells it clears it."""
+        self._settings = settings
+        self._tolerance_mhz = 1e-3 * (settings.frequency_tolerance_khz or 0.0)
+        self._ids: dict[str | float, int] = {}
+        self._known: dict[str | int | None, int | None] = {None: settings.emitter}
+        for name, number in settings.emitters.items():
+            key = self._key(name)
+            if key is None:
+                raise ValueError(f"emitters: `{name}` is no frequency in MHz")
+            if key in self._ids:
+                raise ValueError(f"emitters: `{name}` is given twice")
+            self._ids[key] = number
+
+    def id_of(self, emitter: str | int | None) -> int | None:
+        """The id; None: it has none, and gets none."""
+        try:
+            return self._known[emitter]
+        except KeyError:
+            pass
+        number = self._find(emitter)
+        if len(self._known) < MOST_EMITTERS:
+            self._known[emitter] = number
+        return number
+
+    def _key(self, emitter: str | int) -> str | float | None:
+        """What a name is compared by; None: it is no frequency where only those are names."""
+        if self._tolerance_mhz:
+            try:
+                return float(emitter)
+            except ValueError:
+                return None
+        text = str(emitter).strip()
+        if _NUMBER.fullmatch(text):
+            return str(int(text, 0))
+        return text.lower().replace("-", ":") if _MAC.fullmatch(text) else text
+
+    def _find(self, emitter: str | int | None) -> int | None:
+        assert emitter is not None  # known from the start
+        key = self._key(emitter)
+        if isinstance(key, float):
+            key = self._nearest(key)
+        if key is None or key in self._ids:
+            return None if key is None else self._ids[key]
+        is_number = isinstance(key, str) and key.isdigit() and int(key) <= LAST_ID
+        if self._settings.unnamed == "refuse" or len(self._ids) >= MOST_EMITTERS:
+            return None
+        number = self._ids[key] = int(key) if is_number else self._new_id(str(key))
+        if not is_number:
+            shown = "".join(c if c.isprintable() else "?" for c in str(emitter)[:40])
+            self.news.append(f"emitter `{shown}` has the id {number}")
+        return number
+
+    def _nearest(self, mhz: float) -> float:
+        """The frequency that is known already, if one is near enough; else this one."""
+        frequencies = [known for known in self._ids if isinstance(known, float)]
+        nearest = min(frequencies, key=lambda known: abs(known - mhz), default=mhz)
+        return nearest if abs(nearest - mhz) <= self._tolerance_mhz else mhz
+
+    def _new_id(self, name: str) -> int:
+        number = 1 + zlib.crc32(name.encode()) % LAST_ID
+        taken = set(self._ids.values())
+        while number in taken:
+            number = 1 + number % LAST_ID
+        return number
+
+
+class DeviceClock:
+    """A radio's own clock on ours: wraps are undone, the rest is a sender's clock."""
+
+    def __init__(self, wrap_s: float | None = None) -> None:
+        self.restarts = 0
+        self._wrap_s = wrap_s
+        self._clock = SenderClock()
+        self._last: tuple[float, float] | None = None
+        """The newest stamp without its wraps, and when it came."""
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it says anything about the present."""
+        return not self._clock.is_wild
+
+    def read(self, stamp_s: float, now_s: float) -> float:
+        """When a stamp was, on our clock."""
+        if self._wrap_s is not None:
+            stamp_s = self._unwrapped(stamp_s, self._wrap_s, now_s)
+        reading = self._clock.read(stamp_s, now_s)
+        self.restarts += reading.step is not ClockStep.NONE
+        return reading.time_s if self.is_usable else now_s
+
+    def _unwrapped(self, stamp_s: float, wrap_s: float, now_s: float) -> float:
+        """The turn of the counter that is nearest to the time that has passed."""
+        if self._last is not None:
+            last_s, heard_s = self._last
+            stamp_s += wrap_s * round((last_s + now_s - heard_s - stamp_s) / wrap_s)
+        self._last = (stamp_s, now_s)
+        return stamp_s
+
+
+class RadioStage:
+    """One radio's bytes to measurements; a `companion.link.ranging_sources.RangingSource`.
+
+    A plugin's decoder that raises loses what it had begun, and is counted.
+    """
+
+    def __init__(self, setup: RadioSetup) -> None:
+        self.setup = setup
+        self.decoder = setup.kind.decoder(setup.options)
+        settings = setup.settings
+        self.names = EmitterNames(settings)
+        self.clock = DeviceClock(settings.clock_wrap_s or setup.kind.clock_wrap_s)
+        self.received = 0
+        """Bytes so far."""
+        self.received_s: float | None = None
+        """When the last ones came."""
+        self.lost = 0
+        """How often the line was lost."""
+        self.measured = 0
+        """Measurements so far."""
+        self.measured_s: float | None = None
+        self.age_s: float | None = None
+        """How old the last one was when it came."""
+        self.refused: Counter[str] = Counter()
+        self.newest: dict[int, RangingMeasurement] = {}
+        """The last measurement of each emitter."""
+        self._mount_rad = math.radians(settings.bearing_mount_deg)
+        self._half_view_rad = math.radians(0.5 * settings.field_of_view_deg) + 1e-9
+        self._last: dict[int, RadioReading] = {}
+        self._equal: Counter[int] = Counter()
+
+    def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
+        """The measurements that some bytes complete; no bytes at all: the line was lost."""
+        if not data:
+            self.decoder.reset()
+            self.lost += 1
+            return []
+        self.received += len(data)
+        self.received_s = now_s
+        try:
+            readings = self.decoder.feed(data, now_s)
+        except Exception as error:
+            self._refuse(f"the decoder failed ({type(error).__name__})")
+            self.decoder.reset()
+            return []
+        measured = [self._measure(reading, now_s) for reading in readings]
+        found = [measurement for measurement in measured if measurement is not None]
+        if found:
+            self.measured += len(found)
+            self.measured_s, self.age_s = now_s, now_s - found[-1].measured_at_s
+            self.newest.update((measurement.emitter_id, measurement) for measurement in found)
+        return found
+
+    @property
+    def all_refused(self) -> Counter[str]:
+        """What was not used, by reason: the decoder's and the stage's."""
+        counts = self.decoder.counts
+        bad = Counter({"bad checksum": counts.bad_checksum}) if counts.bad_checksum else Counter()
+        return self.refused + counts.refused + bad
+
+    def _refuse(self, reason: str) -> None:
+        self.refused[reason] += 1
+
+    def _measure(self, reading: RadioReading, now_s: float) -> RangingMeasurement | None:
+        settings = self.setup.settings
+        emitter_id = self.names.id_of(reading.emitter)
+        if emitter_id is None:
+            self._refuse("emitter is not listed")
+            return None
+        if self._is_repeated(emitter_id, reading):
+            return None
+        if reading.quality is not None and reading.quality < settings.quality_min:
+            self._refuse("too little quality")
+            return None
+        device_s = reading.device_time_s
+        time_s = now_s
+        if device_s is not None and settings.clock == "device" and math.isfinite(device_s):
+            time_s = self.clock.read(device_s, now_s)
+        time_s -= reading.age_s + settings.lag_s
+        if settings.max_age_s is not None and now_s - time_s > settings.max_age_s:
+            self._refuse("too old")
+            return None
+        return self._corrected(emitter_id, time_s, reading)
+
+    def _is_repeated(self, emitter_id: int, reading: RadioReading) -> bool:
+        """Whether it was seen before (a polled page that stood still), or the range is stuck."""
+        last = self._last.get(emitter_id)
+        self._last[emitter_id] = reading
+        if last is not None and reading.device_time_s is not None and reading == last:
+            self._refuse("seen before")
+            return True
+        limit = self.setup.settings.stuck_after
+        if limit is None or reading.range_m is None:
+            return False
+        is_equal = last is not None and last.range_m == reading.range_m
+        self._equal[emitter_id] = self._equal[emitter_id] + 1 if is_equal else 1
+        if self._equal[emitter_id] <= limit:
+            return False
+        self._refuse("range is stuck")
+        return True
+
+    def _corrected(
+        self, emitter_id: int, time_s: float, reading: RadioReading
+    ) -> RangingMeasurement | None:
+        range_m, bearing_rad = self._range_m(reading), self._bearing_rad(reading)
+        elevation_rad = self._elevation_rad(reading)
+        if range_m is None and bearing_rad is None and elevation_rad is None:
+            return None
+        settings, device_s = self.setup.settings, reading.device_time_s
+        factor = self._sigma_factor(reading.quality)
+        said_m = reading.range_sigma_m
+        said_m = settings.range_sigma_m if said_m is None else said_m / settings.range_scale
+        is_by_north = reading.frame is AngleFrame.NORTH
+        return RangingMeasurement(
+            emitter_id=emitter_id,
+            measured_at_s=time_s,
+            range_m=range_m,
+            range_sigma_m=None if range_m is None else _times(factor, said_m),
+            bearing_enu_rad=bearing_rad if is_by_north else None,
+            bearing_body_rad=None if is_by_north else bearing_rad,
+            bearing_sigma_rad=None
+            if bearing_rad is None
+            else _times(factor, _said_or(reading.azimuth_sigma_rad, settings.bearing_sigma_deg)),
+            elevation_rad=elevation_rad,
+            elevation_sigma_rad=None
+            if elevation_rad is None
+            else _times(
+                factor, _said_or(reading.elevation_sigma_rad, settings.elevation_sigma_deg)
+            ),
+            is_array_angle=reading.frame is AngleFrame.ARRAY,
+            quality=reading.quality,
+            line_of_sight=reading.line_of_sight,
+            stamp_us=None if device_s is None else _microseconds(device_s),
+        )
+
+    def _range_m(self, reading: RadioReading) -> float | None:
+        """The range without offset and scale, if it is plausible."""
+        said_m, settings = reading.range_m, self.setup.settings
+        if said_m is None:
+            return None
+        range_m = (said_m - settings.range_offset_m) / settings.range_scale
+        if not math.isfinite(range_m):
+            self._refuse("range is not finite")
+            return None
+        if range_m < settings.range_min_m:
+            self._refuse("range below range_min_m")
+            return None
+        if settings.range_max_m is not None and range_m > settings.range_max_m:
+            self._refuse("range above range_max_m")
+            return None
+        return range_m
+
+    def _bearing_rad(self, reading: RadioReading) -> float | None:
+        """The bearing as its frame has it: in ENU of one by north, else in the body or array."""
+        said_rad, settings = reading.azimuth_rad, self.setup.settings
+        if said_rad is None:
+            return None
+        if not abs(said_rad) <= MAX_ANGLE_RAD:
+            self._refuse("bearing is no angle in radians")
+            return None
+        if reading.frame is AngleFrame.NORTH:
+            return bearing_enu_from_ned(said_rad)
+        if abs(wrap_pi(said_rad)) > self._half_view_rad:
+            self._refuse("outside field_of_view_deg")
+            return None
+        turned_rad = settings.bearing_sign * said_rad
+        if reading.frame is AngleFrame.ARRAY:
+            if settings.bearing_mount_deg != 0.0:
+                self._refuse("an array has estimation.filter.antenna.mount_deg instead")
+                return None
+            return wrap_pi(turned_rad)
+        return wrap_pi(turned_rad + self._mount_rad)
+
+    def _elevation_rad(self, reading: RadioReading) -> float | None:
+        said_rad = reading.elevation_rad
+        if said_rad is None:
+            return None
+        if not abs(said_rad) <= MAX_ANGLE_RAD:
+            self._refuse("elevation is no angle in radians")
+            return None
+        return self.setup.settings.elevation_sign * said_rad
+
+    def _sigma_factor(self, quality: float | None) -> float:
+        """By the last pair whose quality is reached; below the first one: by that."""
+        steps = self.setup.settings.sigma_factors
+        if quality is None or not steps:
+            return 1.0
+        reached = [factor for least, factor in steps if quality >= least]
+        return reached[-1] if reached else steps[0][1]
+
+
+def _times(factor: float, sigma: float | None) -> float | None:
+    return None if sigma is None else factor * sigma
+
+
+def _said_or(said_rad: float | None, default_deg: float | None) -> float | None:
+    if said_rad is not None or default_deg is None:
+        return said_rad
+    return math.radians(default_deg)
+
+
+def _microseconds(time_s: float) -> int | None:
+    return round(1e6 * time_s) if math.isfinite(time_s) else None
