@@ -109,7 +109,7 @@ class RadioDecoder(ABC):
         `received_s` is when the bytes came, on the companion's clock. Never raises on bad bytes.
         """
 
-    def reset(self) -> None:
+    def reset(self) -> None:  # noqa: B027 -- most keep nothing
         """The line was lost and came back: what was begun will not be finished."""
 
     def hello(self) -> bytes:

@@ -1,0 +1,126 @@
+"""RADIO_RANGING as JSON, one object a line: for every radio that has a program to print it.
+
+Names and units are those of the message (docs/wire.md): metres, radians, microseconds. What is
+absent or null was not measured. Unknown keys are ignored, so a line may carry more for its log.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Annotated
+
+import msgspec
+
+from companion.domain import NonNegative
+from companion.radios.decoder import AngleFrame, LineDecoder, RadioKind, RadioReading
+
+MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
+MOST_ELEVATION_RAD = 0.5 * math.pi + 1e-6
+RECORD_SEPARATOR = "\x1e"
+"""Before each text of a JSON sequence (RFC 8142)."""
+
+EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65_535)]
+EmitterName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+
+
+class Line(msgspec.Struct, frozen=True):
+    """The keys of a line that count."""
+
+    emitter_id: EmitterId | EmitterName | None = None
+    time_usec: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)] | None = None
+    range: float | None = None
+    range_std: NonNegative | None = None
+    bearing: float | None = None
+    bearing_std: NonNegative | None = None
+    elevation: float | None = None
+    elevation_std: NonNegative | None = None
+    quality: Annotated[int, msgspec.Meta(ge=0, le=100)] | None = None
+    body_frame: bool | None = None
+    line_of_sight: bool | None = None
+
+
+RULES = {
+    "emitter_id": "emitter_id must be 0 to 65535, or a name in quotes",
+    "time_usec": "time_usec must be whole microseconds, not negative",
+    "range": "range must be a number of metres",
+    "range_std": "range_std must be a number of metres, not negative",
+    "bearing": "bearing must be a number of radians",
+    "bearing_std": "bearing_std must be a number of radians, not negative",
+    "elevation": "elevation must be a number of radians",
+    "elevation_std": "elevation_std must be a number of radians, not negative",
+    "quality": "quality must be a whole number from 0 to 100",
+    "body_frame": "body_frame must be true or false",
+    "line_of_sight": "line_of_sight must be true, false or null",
+}
+FIELD = re.compile(r"\$\.(\w+)")
+"""Where msgspec says that a value is wrong: of our own names, never of the line's."""
+
+DECODER = msgspec.json.Decoder(Line)
+
+
+class NdjsonDecoder(LineDecoder):
+    """One measurement a line, of any emitter."""
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """The reading of a line; blank ones and comments have none."""
+        text = line.strip(f"{RECORD_SEPARATOR} \t\r")
+        if not text or text.startswith("#"):
+            return []
+        parsed = self._parsed(text)
+        reason = parsed if isinstance(parsed, str) else _wrong_with(parsed)
+        if reason is not None:
+            self.counts.refuse(reason)
+            return []
+        assert isinstance(parsed, Line)
+        self.counts.frames += 1
+        return [_reading_of(parsed)]
+
+    def _parsed(self, text: str) -> Line | str:
+        """The line, or why it is none."""
+        if "\N{REPLACEMENT CHARACTER}" in text:
+            return "not UTF-8"
+        try:
+            return DECODER.decode(text)
+        except msgspec.ValidationError as error:
+            field = FIELD.search(str(error))
+            return RULES.get(field[1], "not as agreed") if field else "not a JSON object"
+        except (msgspec.DecodeError, RecursionError):
+            return "not JSON"
+
+
+def _wrong_with(line: Line) -> str | None:
+    """Why a line cannot be used, if so."""
+    if line.range is None and line.bearing is None and line.elevation is None:
+        return "no range, bearing or elevation"
+    if line.bearing is not None and abs(line.bearing) > MOST_BEARING_RAD:
+        return "bearing is in radians"
+    if line.elevation is not None and abs(line.elevation) > MOST_ELEVATION_RAD:
+        return "elevation is in radians"
+    return None
+
+
+def _reading_of(line: Line) -> RadioReading:
+    return RadioReading(
+        emitter=line.emitter_id,
+        device_time_s=None if line.time_usec is None else line.time_usec / 1e6,
+        range_m=line.range,
+        range_sigma_m=line.range_std,
+        azimuth_rad=line.bearing,
+        azimuth_sigma_rad=line.bearing_std,
+        elevation_rad=line.elevation,
+        elevation_sigma_rad=line.elevation_std,
+        frame=AngleFrame.NOSE if line.body_frame else AngleFrame.NORTH,
+        quality=None if line.quality is None else line.quality / 100.0,
+        line_of_sight=line.line_of_sight,
+    )
+
+
+NDJSON = RadioKind(
+    name="ndjson",
+    decoder=NdjsonDecoder,
+    title="Any radio, by a program that prints JSON lines",
+    gives="range, bearing, elevation",
+    emitter="whatever that radio looks for",
+    transport="udp",
+)
