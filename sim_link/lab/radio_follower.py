@@ -1,41 +1,40 @@
-"""`sim-link radio`: a ranging radio that rides on a vehicle which is not simulated here.
+"""A ranging radio that rides on a vehicle which is not simulated here.
 
 Theory of operation. The radio measures when LOCAL_POSITION_NED arrives and a measurement is due, at
 the frame's own time and place: so its stamps are the autopilot's, and no delay of the link shifts
 one. It asks for the stream and for the origin of the local frame while they are missing, and for
 ATTITUDE where its antenna feels how the vehicle leans. Its frames bear the vehicle's system id, as
 those of a payload on board would. What lags is stamped and sent with the first frame after its lag.
+
+With an emulator it prints what a real radio of that make would, on a link of its own, and the
+vehicle hears nothing but the questions. What it measures is the same with the same seed.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import os
-import sys
-import threading
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import msgspec
 import numpy as np
 
-from companion.arguments import number_in
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.errors import ConfigError
-from companion.geometry.coordinates import LocalOrigin, Projection, enu_from_ned
-from companion.io.links.transports import Transport, UdpConnect, parse_transport, udp_address
-from companion.io.shell import Clock, Shell
+from companion.geometry.coordinates import (
+    LocalOrigin,
+    Projection,
+    bearing_ned_from_enu,
+    enu_from_ned,
+    wrap_pi,
+)
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.flight_modes import autopilot_of
 from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
-from sim_link.autopilot.scenario import PayloadParams, Scenario
-from sim_link.fleet.scenario_io import load_scenario
+from sim_link.autopilot.scenario import PayloadParams
+from sim_link.emulators.emulator import Answer, Emulator, Round
 from sim_link.world.attitude import LEVEL, Attitude
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams, Environment
 from sim_link.world.field_radio import FieldRadio
@@ -69,6 +68,14 @@ class GeodeticEmitter:
         return Emitter(params)
 
 
+def seen_from_nose(heard: RangingMeasurement, yaw_rad: float) -> RangingMeasurement:
+    """With a world's bearing as one from the nose of a vehicle that heads so."""
+    if heard.bearing_enu_rad is None:
+        return heard
+    body_rad = wrap_pi(bearing_ned_from_enu(heard.bearing_enu_rad) - yaw_rad)
+    return replace(heard, bearing_enu_rad=None, bearing_body_rad=body_rad)
+
+
 class RadioFollower:
     """A `companion.mav.endpoint.Endpoint`; emitters with a place on Earth wait for the origin.
 
@@ -84,17 +91,19 @@ class RadioFollower:
         environment: Environment | None = None,
         *,
         has_own_link: bool = False,
+        emulator: Emulator | None = None,
     ) -> None:
         self._params = params
+        self._emulator = emulator
         self._radio = FieldRadio(channel, rng, environment, params.antenna, params.measures)
         self._attitude = LEVEL
         self._attitude_heard_s = -math.inf
-        self._late: deque[tuple[float, RangingMeasurement]] = deque()
-        """What is still to be told, and when."""
+        self._late: deque[Round] = deque()
+        """What is still to be told."""
         self._wanted = tuple(emitters)
         self._emitters: tuple[Emitter, ...] = ()
         self._place_emitters([each for each in emitters if isinstance(each, Emitter)])
-        self._link = SEND if has_own_link else FOLLOW
+        self._link = SEND if has_own_link or emulator is not None else FOLLOW
         self._codec = MavCodec(1, COMPONENT_ID)
         self._reader = MavCodec(0, 0)
         self._peer: Address | None = None
@@ -106,6 +115,7 @@ class RadioFollower:
         self._next_s = 0.0
         self._asked_s = -math.inf
         self._is_finished = False
+        self._has_booted = False
         self._output: list[Chunk] = []
         self.measurements = 0
 
@@ -119,9 +129,16 @@ class RadioFollower:
         """Whether emitters wait for the origin of the local frame."""
         return len(self._emitters) < len(self._wanted)
 
+    @property
+    def emitter_ids(self) -> tuple[int, ...]:
+        """Of everybody who is there."""
+        return tuple(emitter.emitter_id for emitter in self._wanted)
+
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Hear the vehicle."""
         if chunk.link != FOLLOW:
+            if self._emulator is not None:
+                self._print(self._emulator.hear(chunk.data))
             return
         for message in self._reader.decode(chunk.data, is_datagram=chunk.is_datagram):
             if self._is_the_vehicle(message):
@@ -183,31 +200,54 @@ class RadioFollower:
         self._measured_at_s = stamp_s - late_s if 0.0 < late_s < period_s else stamp_s
         if place[2] - self._ground_up_m < self._params.min_altitude_m:
             return
-        for emitter in self._emitters:
-            if emitter.slant_range_m(place) <= self._params.max_range_m:
-                measurement = self._radio.hear(emitter, place, stamp_s, self._attitude)
-                if measurement is not None:
-                    self._late.append((stamp_s + self._params.lag_s, measurement))
+        answers = tuple(
+            self._asked(emitter, place, stamp_s)
+            for emitter in self._emitters
+            if emitter.slant_range_m(place) <= self._params.max_range_m
+        )
+        self._late.append(Round(stamp_s + self._params.lag_s, answers))
+
+    def _asked(self, emitter: Emitter, place: PositionEnu, stamp_s: float) -> Answer:
+        """What comes back from an emitter; emulated, a world's bearing becomes one of the body."""
+        heard = self._radio.hear(emitter, place, stamp_s, self._attitude)
+        if heard is not None:
+            self.measurements += 1
+        if heard is None or self._emulator is None or self._emulator.tells_north:
+            return Answer(emitter.emitter_id, heard)
+        return Answer(emitter.emitter_id, seen_from_nose(heard, self._attitude.yaw_rad))
 
     def _tell_late(self, stamp_s: float) -> None:
-        while self._late and self._late[0][0] <= stamp_s:
-            told_s, measurement = self._late.popleft()
-            self._send(message_from_ranging(measurement, round(1e6 * told_s)), self._link)
-            self.measurements += 1
+        while self._late and self._late[0].told_s <= stamp_s:
+            told = self._late.popleft()
+            if self._emulator is not None:
+                self._print(self._emulator.tell(told))
+                continue
+            for answer in told.heard:
+                assert answer.heard is not None
+                stamp_us = round(1e6 * told.told_s)
+                self._send(message_from_ranging(answer.heard, stamp_us), self._link)
+
+    def _print(self, data: bytes) -> None:
+        if data:
+            self._output.append(Chunk(SEND, data))
 
     def handle_timer(self, now_s: float) -> None:
         """Heartbeat, and ask for what is missing."""
         self._next_s = now_s + HEARTBEAT_S
+        if self._emulator is not None and not self._has_booted:
+            self._has_booted = True
+            self._print(self._emulator.boot())
         if self._system_id is None:
             return
-        self._send(payload_heartbeat(), self._link)
+        if self._emulator is None:
+            self._send(payload_heartbeat(), self._link)
         if now_s - self._asked_s < ASK_AGAIN_S:
             return
         self._asked_s = now_s
         if now_s - self._position_heard_s > ASK_AGAIN_S:
             number = float(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
             self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, POSITION_INTERVAL_US)
-        is_turned = self._params.antenna.kind != "ideal"
+        is_turned = self._params.antenna.kind != "ideal" or self._emulator is not None
         if is_turned and now_s - self._attitude_heard_s > ASK_AGAIN_S:
             number = float(mavlink.MAVLINK_MSG_ID_ATTITUDE)
             self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, POSITION_INTERVAL_US)
@@ -243,117 +283,3 @@ class RadioFollower:
     def is_finished(self) -> bool:
         """Whether it was asked to end."""
         return self._is_finished
-
-
-SILENCE_S = 10.0
-"""Seconds without a vehicle after which somebody is told."""
-
-DESCRIPTION = """\
-Ride on a vehicle that is not simulated here: hear its telemetry and send RADIO_RANGING of an
-emitter that is not there, as a payload on board would."""
-EPILOG = """\
-examples, for a companion started with --ranging udp:127.0.0.1:14600, on ports that nobody else has:
-  sim-link radio --follow udpin:127.0.0.1:14030 --send-to 127.0.0.1:14600   beside PX4 SITL
-  sim-link radio --follow tcp:127.0.0.1:5763 --send-to 127.0.0.1:14600      beside ArduPilot SITL"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `radio`."""
-    add = parser.add_argument
-    add("--follow", metavar="URL", required=True, help="the link on which the vehicle is heard")
-    add(
-        "--emitter",
-        metavar="LAT,LON[,AMSL]",
-        action="append",
-        default=[],
-        help="where an emitter is, in degrees and metres; repeatable, ids count from 1 "
-        "(default: the scenario's, about the vehicle's local origin)",
-    )
-    add("--send-to", metavar="HOST:PORT", help="where measurements go (default: back to the link)")
-    add("--scenario", metavar="FILE", type=Path, help="channel, payload, obstacles and emitters")
-    add(
-        "--rate",
-        metavar="HZ",
-        type=number_in(0.0, 50.0, is_open=True),
-        help="measurements per second",
-    )
-    add("--seed", metavar="N", type=number_in(0, kind=int), default=0, help="of all randomness")
-    above_zero = number_in(0.0, 1000.0, is_open=True)
-    add("--speed", metavar="X", type=above_zero, default=1.0, help="of the simulator")
-    add("--stop-on-eof", action="store_true", help="stop when standard input ends")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Follow the vehicle until stopped; a ConfigError or LinkError for what is bad input."""
-    follower, links, clock = _follower(arguments), _links(arguments), Clock(arguments.speed)
-    print(f"sim-link: radio on {arguments.follow}", flush=True)
-    shell = Shell(follower, links, clock, _hints(follower, arguments.follow))
-    if arguments.stop_on_eof:
-        threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
-    shell.run_blocking()
-    print(f"sim-link: radio stopped after {follower.measurements} measurements")
-    return 0
-
-
-def _follower(arguments: argparse.Namespace) -> RadioFollower:
-    scenario = Scenario() if arguments.scenario is None else load_scenario(arguments.scenario)
-    payload = scenario.payload
-    if arguments.rate is not None:
-        payload = msgspec.structs.replace(payload, rate_hz=arguments.rate)
-    emitters: list[Emitter | GeodeticEmitter] = [
-        parse_emitter(text, number) for number, text in enumerate(arguments.emitter, 1)
-    ]
-    if not emitters:
-        emitters = [Emitter(each) for each in (scenario.emitter, *scenario.emitters)]
-    return RadioFollower(
-        payload,
-        scenario.channel,
-        emitters,
-        np.random.default_rng(arguments.seed),
-        scenario.environment,
-        has_own_link=arguments.send_to is not None,
-    )
-
-
-def parse_emitter(text: str, number: int) -> GeodeticEmitter:
-    """The emitter of `LAT,LON[,AMSL]`; `ConfigError`: it is none."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    is_place = len(values) in (2, 3) and all(map(math.isfinite, values))
-    if not is_place or abs(values[0]) > 89.0 or abs(values[1]) > 180.0:
-        raise ConfigError(f"--emitter {text}: give LAT,LON or LAT,LON,AMSL, for example 47.4,8.55")
-    altitude_m = values[2] if len(values) == 3 else None
-    return GeodeticEmitter(number, values[0], values[1], altitude_m)
-
-
-def _links(arguments: argparse.Namespace) -> list[Transport]:
-    links = [parse_transport(arguments.follow)]
-    if arguments.send_to is not None:
-        links.append(UdpConnect(*udp_address("--send-to", arguments.send_to)))
-    return links
-
-
-def _stop_at_eof(shell: Shell) -> None:
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
-    shell.request_stop()
-
-
-def _hints(follower: RadioFollower, link: str) -> Callable[[float], None]:
-    """Says that a vehicle is heard, or that none is, once each."""
-    said = ""
-
-    def check(now_s: float) -> None:
-        nonlocal said
-        text = said
-        if follower.is_following:
-            text = f"following the vehicle on {link}"
-        elif now_s > SILENCE_S:
-            text = f"no autopilot heard on {link} yet"
-        if text != said:
-            said = text
-            print(f"sim-link: {text}", flush=True)
-
-    return check

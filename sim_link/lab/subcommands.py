@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from companion.arguments import ComplaintParser
-from sim_link.lab import radio_follower
+from sim_link.lab import radio_command
 from sim_link.lab.faults import proxy
 from sim_link.lab.mission import mission_cli
 
@@ -25,7 +25,7 @@ def _parser() -> argparse.ArgumentParser:
     mission = commands.add_parser("mission", help="fly mission scripts")
     kinds = mission.add_subparsers(required=True, metavar="{run}")
     _add(kinds, "run", "fly scripts and tell pass or fail", mission_cli)
-    _add(commands, "radio", "a radio payload for a vehicle that has none", radio_follower)
+    _add(commands, "radio", "a radio payload for a vehicle that has none", radio_command)
     _add(commands, "proxy", "a bad link between a vehicle and a companion", proxy)
     return parser
 

@@ -12,7 +12,7 @@ import pytest
 from companion.arguments import ComplaintParser, argument_parser
 from companion.io.links.transports import parse_flight_link, parse_transport
 from companion.link.interface import LinkRole
-from sim_link.lab import radio_follower
+from sim_link.lab import radio_command
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
@@ -42,7 +42,7 @@ def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> N
                 assert parse_flight_link(url, LinkRole.VEHICLE)
         else:
             parser = ComplaintParser()
-            radio_follower.add_arguments(parser)
+            radio_command.add_arguments(parser)
             arguments = parser.parse_args(words[2:])
             assert parse_transport(arguments.follow)
             assert parse_transport(f"udpout:{arguments.send_to}")

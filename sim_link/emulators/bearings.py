@@ -1,0 +1,190 @@
+"""Direction finders: KrakenSDR by its two documents, u-blox AoA lines.
+
+A KrakenSDR says the direction twice: clockwise in its table, counter-clockwise (theta) in its XML.
+It tells transmitters apart by frequency alone. Nothing is added of the vehicle's heading.
+
+Sources: krakenrf, krakensdr_doa `kraken_sdr_signal_processor.py`; u-blox, XPLR-AOA user guide
+UBX-21004616.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_link.emulators.emulator import Answer, Emulator, Round, clamped, lines
+from sim_link.emulators.wifi import SIMULATION_BEGAN_S
+
+FIRST_HZ, CHANNEL_HZ = 433_920_000, 25_000
+"""Frequency of emitter 0, and the steps to the next."""
+MOST_CONFIDENCE = 99.0
+STATION = "S1"
+RING = tuple(f"{0.5 + 0.5 * math.cos(math.radians(degree)):.2f}" for degree in range(360))
+"""Direction pattern of a source at 0 degrees, printed."""
+
+
+@dataclass(frozen=True, slots=True)
+class KrakenDirection:
+    """What one receiver of a KrakenSDR found."""
+
+    epoch_ms: int
+    theta_deg: int
+    """Counter-clockwise from the array's front, 0 to 359."""
+    confidence: float
+    power_db: float
+    frequency_hz: int
+    latency_ms: float = 0.0
+    array: str = "UCA"
+
+    @property
+    def row(self) -> str:
+        """Of `DOA_value.html`, without its end."""
+        head = [
+            str(self.epoch_ms),
+            str(360 - self.theta_deg),
+            f"{self.confidence:.1f}",
+            f"{self.power_db:.1f}",
+            str(self.frequency_hz),
+            self.array,
+            f"{self.latency_ms:.1f}",
+            STATION,
+        ]
+        own_place = ["0.0", "0.0", "0", "0", "GPS", "R", "R", "R", "R"]
+        at = -self.theta_deg % 360
+        return ", ".join([*head, *own_place, *RING[at:], *RING[:at]])
+
+    @property
+    def xml(self) -> str:
+        """`doa.xml` of one receiver."""
+        tags = {
+            "STATION_ID": STATION,
+            "TIME": self.epoch_ms,
+            "GPS_TIME": 0,
+            "FREQUENCY": f"{self.frequency_hz / 1e6:.6f}",
+            "LOCATION": "<LATITUDE>0.0</LATITUDE><LONGITUDE>0.0</LONGITUDE>"
+            "<HEADING>0</HEADING><SPEED>0</SPEED>",
+            "DOA": self.theta_deg,
+            "PWR": f"{self.power_db + 100.0:.1f}",
+            "CONF": round(100.0 * self.confidence),
+            "LATENCY": round(self.latency_ms),
+            "PROCESSING_TIME": 60,
+            "ADC_OVERDRIVE": 0,
+            "NUM_CORRELATED_SOURCES": 1,
+            "SNR_DB": f"{self.power_db + 60.0:.1f}",
+        }
+        inside = "".join(f"<{tag}>{value}</{tag}>" for tag, value in tags.items())
+        return f'<?xml version="1.0" encoding="utf-8"?>\n<DATA>{inside}</DATA>\n'
+
+
+class Kraken(Emulator):
+    """A circular array of five whips; its table stays as it was while nothing is heard."""
+
+    name = "kraken"
+    title = "KrakenSDR, DOA_value.html"
+    gives = "azimuth"
+    antenna = "planar"
+    measures = "bearing"
+    rate_hz = 2.0
+    document = "/DOA_value.html"
+    epoch_s = SIMULATION_BEGAN_S
+    most = 16
+
+    def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
+        super().__init__(clock_s, rng)
+        self._found: dict[int, KrakenDirection] = {}
+        """By frequency."""
+
+    def tell(self, asked: Round) -> bytes:
+        """The whole table."""
+        self._update(asked)
+        return "".join(found.row + " \n" for found in self._found.values()).encode()
+
+    def _update(self, asked: Round) -> None:
+        for answer in asked.heard:
+            if answer.azimuth_rad is not None:
+                found = self._direction(answer, asked)
+                self._found[found.frequency_hz] = found
+
+    def _direction(self, answer: Answer, asked: Round) -> KrakenDirection:
+        """Its time is that of the end; the middle is half the latency earlier."""
+        theta_deg = round(-math.degrees(answer.azimuth_rad or 0.0)) % 360
+        confidence = max(MOST_CONFIDENCE * answer.quality, 1.0)
+        return KrakenDirection(
+            self.device_ms(asked.told_s),
+            theta_deg,
+            confidence,
+            max(-100.0, answer.power_dbm + 40.0),
+            frequency_hz(answer.emitter_id),
+            latency_ms=2e3 * asked.lag_s,
+        )
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """Megahertz."""
+        return f"{frequency_hz(emitter_id) / 1e6:g}"
+
+
+class KrakenXml(Kraken):
+    """The same, in the document of one receiver: that of the first emitter."""
+
+    name = "kraken_xml"
+    title = "KrakenSDR, doa.xml"
+    document = "/doa.xml"
+    most = 1
+
+    def tell(self, asked: Round) -> bytes:
+        """The whole document."""
+        self._update(asked)
+        return "".join(found.xml for found in self._found.values()).encode()
+
+
+def frequency_hz(emitter_id: int) -> int:
+    """Where an emitter transmits."""
+    return FIRST_HZ + CHANNEL_HZ * emitter_id
+
+
+def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, told: str) -> str:
+    """`+UUDF:`; `told` is what stands behind the second power."""
+    angles = f"{azimuth_deg},{elevation_deg}"
+    return f"+UUDF:{tag},{rssi_dbm},{angles},{told}"
+
+
+class Uudf(Emulator):
+    """A C209 board: whole degrees to the right and upwards, no range."""
+
+    name = "uudf"
+    title = "u-blox C209 and ANNA-B4, +UUDF"
+    gives = "azimuth, elevation"
+    antenna = "two_axis"
+    measures = "bearing"
+    ANCHOR = "CCF9578E0D89"
+    CHANNELS = (37, 38, 39)
+
+    def boot(self) -> bytes:
+        """It has started."""
+        return lines(["+STARTUP"])
+
+    def tell(self, asked: Round) -> bytes:
+        """A line for each tag whose advertisement was heard."""
+        clock_ms = self.device_ms(asked.told_s)
+        return lines([self._line(answer, clock_ms) for answer in asked.heard if _is_told(answer)])
+
+    def _line(self, answer: Answer, clock_ms: int) -> str:
+        angles = (answer.azimuth_rad or 0.0, answer.elevation_rad or 0.0)
+        azimuth_deg, elevation_deg = (clamped(math.degrees(angle), -90, 90) for angle in angles)
+        rssi_dbm, number = round(answer.power_dbm), self.next_number()
+        channel = self.CHANNELS[int(self._rng.integers(len(self.CHANNELS)))]
+        told = f'{rssi_dbm - 1},{channel},"{self.ANCHOR}","",{clock_ms},{number}'
+        name = self.name_on_wire(answer.emitter_id)
+        return uudf_line(name, azimuth_deg, elevation_deg, rssi_dbm, told)
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """The tag's address without colons."""
+        return f"02000000{emitter_id:04X}"
+
+
+def _is_told(answer: Answer) -> bool:
+    return answer.azimuth_rad is not None and abs(answer.azimuth_rad) <= 0.5 * math.pi

@@ -1,0 +1,71 @@
+"""All emulators, by the name under which `sim-link radio --as` knows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from companion.errors import ConfigError
+from sim_link.emulators import bearings, cellular, nlink, plain_lines, uwb_binary, uwb_text, wifi
+from sim_link.emulators.emulator import Emulator
+
+KINDS: tuple[type[Emulator], ...] = (
+    plain_lines.Ndjson,
+    nlink.NLinkAoa,
+    nlink.NLinkNode2,
+    nlink.NLinkNode3,
+    nlink.NLinkNode5,
+    nlink.NLinkTag0,
+    nlink.NLinkIot,
+    uwb_binary.FiraUci,
+    uwb_binary.Sr150,
+    uwb_text.Pans,
+    uwb_binary.PansTlv,
+    uwb_text.QorvoCli,
+    uwb_text.PdoaJs,
+    uwb_text.MakerfabsAt,
+    bearings.Kraken,
+    bearings.KrakenXml,
+    bearings.Uudf,
+    wifi.Esp32Ftm,
+    wifi.Esp32Arduino,
+    wifi.FtmCsv,
+    wifi.IwFtm,
+    wifi.AndroidRtt,
+    plain_lines.Sx1280,
+    cellular.Srsran4g,
+    cellular.Srsran,
+    cellular.Oai,
+    plain_lines.Lines,
+)
+OWN_STREAM = 45_010
+"""Beside a seed: what a radio makes up is not drawn from what measures."""
+EMULATORS = {kind.name: kind for kind in KINDS}
+
+
+def kind_of(name: str) -> type[Emulator]:
+    """The emulator of a name; a `ConfigError` tells all that are known."""
+    kind = EMULATORS.get(name)
+    if kind is None:
+        known = ", ".join(sorted(EMULATORS))
+        raise ConfigError(f"--as {name}: no such radio; known are {known}")
+    return kind
+
+
+def check_emitters(kind: type[Emulator], emitter_ids: Sequence[int]) -> None:
+    """Refuse, by a `ConfigError`, emitters that a format cannot name or has no room for."""
+    for emitter_id in emitter_ids:
+        if emitter_id not in kind.ids:
+            last = kind.ids[-1]
+            raise ConfigError(f"--as {kind.name}: it names emitters 0 to {last}, not {emitter_id}")
+    if len(emitter_ids) > kind.most:
+        said = f"it has room for {kind.most} emitters, not for {len(emitter_ids)}"
+        raise ConfigError(f"--as {kind.name}: {said}")
+
+
+def make_emulator(name: str, seed: int, clock_s: float | None = None) -> Emulator:
+    """A radio that is switched on; its clock shows something under an hour where nobody says."""
+    rng = np.random.default_rng((seed, OWN_STREAM))
+    drawn_s = float(rng.uniform(10.0, 3600.0))
+    return kind_of(name)(drawn_s if clock_s is None else clock_s, rng)

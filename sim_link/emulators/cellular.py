@@ -1,0 +1,134 @@
+"""Cells on board that tell the timing advance: srsRAN 4G, srsRAN Project, OAI.
+
+The timing advance is the round-trip time, in steps that are cut off downwards where the random
+access channel measures it: 16 Ts (78.07 m) in LTE, half of that in NR at 30 kHz. A phone is told
+apart by the temporary identity of its attachment.
+
+Sources: 3GPP TS 36.213 4.2.3 and TS 38.213 4.2; the logs' formats as srsRAN_4G, srsRAN Project and
+OpenAirInterface print them.
+"""
+
+from __future__ import annotations
+
+import json
+
+from sim_link.emulators.emulator import LIGHT_MPS, Answer, Emulator, Round, clamped, lines
+from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
+
+LTE_STEP_M = 0.5 * LIGHT_MPS * 16.0 / (15_000.0 * 2048.0)
+NR_STEP_M = 0.5 * LTE_STEP_M
+"""At a subcarrier spacing of 30 kHz."""
+FIRST_CRNTI = 0x46
+FIRST_RNTI = 17_921
+FRAMES, SUBFRAMES = 1024, 10
+"""After so many the counters begin anew: 10.24 s."""
+PREAMBLES = 64
+
+
+def steps_of(range_m: float, step_m: float) -> int:
+    """Whole steps of the timing advance; never negative."""
+    return max(0, int(range_m // step_m))
+
+
+def rach_line(tti: int, preamble: int, offset: int, crnti: int) -> str:
+    """Console and MAC log of srsRAN 4G."""
+    return (
+        f"RACH:  tti={tti}, cc=0, pci=1, preamble={preamble}, offset={offset}, "
+        f"temp_crnti=0x{crnti:x}"
+    )
+
+
+class Srsran4g(Emulator):
+    """An LTE cell: a line whenever a phone is made to attach."""
+
+    name = "srsran_4g"
+    title = "srsRAN 4G, RACH lines"
+    rate_hz = 2.0
+    ids = range((1 << 16) - FIRST_CRNTI)
+
+    def boot(self) -> bytes:
+        """A cell that is up."""
+        return lines(["", "==== eNodeB started ===", "Type <t> to view trace"])
+
+    def tell(self, asked: Round) -> bytes:
+        """A line for each whose random access was heard, and that it is connected."""
+        tti = self.device_ms(asked.told_s) % (FRAMES * SUBFRAMES)
+        texts = []
+        for answer in asked.heard:
+            if answer.range_m is not None:
+                offset, crnti = steps_of(answer.range_m, LTE_STEP_M), crnti_of(answer.emitter_id)
+                preamble = int(self._rng.integers(PREAMBLES))
+                texts += [rach_line(tti, preamble, offset, crnti), f"User 0x{crnti:x} connected"]
+        return lines(texts)
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """The temporary identity."""
+        return f"0x{crnti_of(emitter_id):x}"
+
+
+def crnti_of(emitter_id: int) -> int:
+    """Counts up from srsRAN's first."""
+    return FIRST_CRNTI + emitter_id
+
+
+class Srsran(Emulator):
+    """An NR cell whose timing advance loop is off, so that what is left over is all of it."""
+
+    name = "srsran"
+    title = "srsRAN Project, metrics of the remote control"
+    rate_hz = 1.0
+    ids = range((1 << 16) - FIRST_RNTI)
+    epoch_s = SIMULATION_BEGAN_S
+
+    def tell(self, asked: Round) -> bytes:
+        """A report with everybody in it; 0.0: not observed."""
+        ues = [self._ue(number, answer) for number, answer in enumerate(asked.answers)]
+        cell = {"cell_metrics": {"pci": 1}, "ue_list": ues}
+        report = {"timestamp": round(self.device_s(asked.told_s), 3), "cells": [cell]}
+        return (json.dumps(report, separators=(",", ":")) + "\n").encode()
+
+    def _ue(self, number: int, answer: Answer) -> dict[str, object]:
+        ta_ns = 0.0 if answer.range_m is None else round(1e9 * round_trip_s(answer.range_m), 1)
+        return {"ue": number, "pci": 1, "rnti": FIRST_RNTI + answer.emitter_id, "ta_ns": ta_ns}
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """The temporary identity."""
+        return str(FIRST_RNTI + emitter_id)
+
+
+class Oai(Emulator):
+    """An NR cell at 30 kHz: a line for each random access, which names nobody."""
+
+    name = "oai"
+    title = "OpenAirInterface gNB, RAPROC lines"
+    rate_hz = 2.0
+    most = 1
+
+    def tell(self, asked: Round) -> bytes:
+        """A line for who was heard."""
+        subframe = self.device_ms(asked.told_s) % (FRAMES * SUBFRAMES)
+        frame, slot = subframe // SUBFRAMES, 2 * (subframe % SUBFRAMES) + 1
+        texts = []
+        for answer in asked.heard:
+            if answer.range_m is not None:
+                delay = steps_of(answer.range_m, NR_STEP_M)
+                preamble = int(self._rng.integers(PREAMBLES))
+                energy = clamped(10.0 * (answer.power_dbm + 120.0), 1, 999)
+                texts.append(raproc_line(f"{frame}.{slot}", preamble, energy, delay))
+        return lines(texts)
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
+        """None."""
+        return ""
+
+
+def raproc_line(when: str, preamble: int, energy_tenths: int, delay: int) -> str:
+    """MAC log of the gNB."""
+    energy = f"{energy_tenths // 10}.{energy_tenths % 10}"
+    return (
+        f"[RAPROC] {when} Initiating RA procedure with preamble {preamble}, energy {energy} dB "
+        f"(I0 120, thres 120), delay {delay} start symbol 0 freq index 0"
+    )

@@ -1,0 +1,171 @@
+"""What every emulator of a radio's own format is: rounds of measurements in, its bytes out.
+
+Theory of operation. A simulated radio asks its emitters in rounds. An emulator is what a radio of
+one make would print of a round: in its own units and steps, with its own signs, by its own clock,
+and what it says where nothing was measured. Angles come as the antenna printed them, clockwise from
+its boresight and upwards; which antenna that is, the scenario decides. Nothing here knows a
+decoder: both are written from the same descriptions of the formats, and meet in tests only.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from companion.domain import RangingMeasurement
+from sim_link.world.antenna import AntennaKind
+from sim_link.world.field_radio import Measures
+
+LIGHT_MPS = 299_792_458.0
+U32 = 1 << 32
+FLOOR_DBM, AT_ONE_METRE_DBM = -95.0, -45.0
+"""Of the received power that is made up of the range: free space, and no less than noise."""
+LINE_END = "\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came back from one emitter."""
+
+    emitter_id: int
+    heard: RangingMeasurement | None = None
+    """Angles in the antenna's frame as `bearing_body_rad` and `elevation_rad`; None: nothing."""
+
+    @property
+    def range_m(self) -> float | None:
+        """Of what was heard."""
+        return None if self.heard is None else self.heard.range_m
+
+    @property
+    def azimuth_rad(self) -> float | None:
+        """Clockwise from boresight."""
+        return None if self.heard is None else self.heard.bearing_body_rad
+
+    @property
+    def elevation_rad(self) -> float | None:
+        """Upwards."""
+        return None if self.heard is None else self.heard.elevation_rad
+
+    @property
+    def quality(self) -> float:
+        """0 to 1; a radio that says nothing of it hears well."""
+        told = None if self.heard is None else self.heard.quality
+        return 1.0 if told is None else told
+
+    @property
+    def power_dbm(self) -> float:
+        """Received, of free space: a number that a log has, and nobody measures by."""
+        distance_m = max(1.0, self.range_m or 30.0)
+        return max(FLOOR_DBM, AT_ONE_METRE_DBM - 20.0 * math.log10(distance_m))
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """All emitters that a radio asked at one time."""
+
+    told_s: float
+    """When the radio says it, on the vehicle's clock."""
+    answers: tuple[Answer, ...]
+    """Of everybody who was asked, in the order of the scenario."""
+
+    @property
+    def heard(self) -> tuple[Answer, ...]:
+        """Of those who answered."""
+        return tuple(answer for answer in self.answers if answer.heard is not None)
+
+    @property
+    def lag_s(self) -> float:
+        """How long ago it was measured."""
+        times = [answer.heard.measured_at_s for answer in self.answers if answer.heard is not None]
+        return max(0.0, self.told_s - min(times)) if times else 0.0
+
+
+class Emulator(ABC):
+    """One radio that is switched on.
+
+    Args:
+        clock_s: What the radio's own clock shows at the vehicle's second 0.
+        rng: For what the radio makes up by itself; never for a measurement.
+    """
+
+    name: ClassVar[str]
+    """As in `sim-link radio --as NAME`."""
+    title: ClassVar[str]
+    gives: ClassVar[str] = "range"
+    antenna: ClassVar[AntennaKind] = "ideal"
+    """What the real one has, and what is emulated where no scenario says otherwise."""
+    measures: ClassVar[Measures] = "range"
+    rate_hz: ClassVar[float] = 10.0
+    """Usual."""
+    ids: ClassVar[range] = range(1 << 16)
+    """Of the emitters that the format can name."""
+    most: ClassVar[int] = 64
+    """Emitters in a round."""
+    tells_north: ClassVar[bool] = False
+    """Whether it can say a bearing from north, where that is what was measured."""
+    document: ClassVar[str | None] = None
+    """Path that is polled by HTTP; None: the radio talks by itself."""
+    epoch_s: ClassVar[float] = 0.0
+    """What its clock counts from: 0 is its own start."""
+
+    def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
+        self._clock_s = clock_s
+        self._rng = rng
+        self._count = -1
+
+    @abstractmethod
+    def tell(self, asked: Round) -> bytes:
+        """What it prints of a round."""
+
+    def boot(self) -> bytes:
+        """What it prints when it is switched on."""
+        return b""
+
+    def hear(self, data: bytes) -> bytes:  # noqa: ARG002  most do not listen
+        """What it answers at once to what it is told."""
+        return b""
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """What an emitter is called in this format; empty: the format names none."""
+        return str(emitter_id)
+
+    def device_s(self, told_s: float) -> float:
+        """What the radio's clock shows."""
+        return self.epoch_s + self._clock_s + told_s
+
+    def device_ms(self, told_s: float) -> int:
+        """The same in whole milliseconds."""
+        return round(1e3 * self.device_s(told_s))
+
+    def next_number(self, modulus: int = U32) -> int:
+        """Of the round: counts from 0, and starts again."""
+        self._count = (self._count + 1) % modulus
+        return self._count
+
+
+def lines(texts: Sequence[str]) -> bytes:
+    """Text as a serial port carries it."""
+    return "".join(text + LINE_END for text in texts).encode("ascii")
+
+
+def mac_of(emitter_id: int) -> str:
+    """A locally administered address."""
+    return f"02:00:00:00:{emitter_id >> 8:02x}:{emitter_id & 0xFF:02x}"
+
+
+def degrees_between(angle_rad: float | None, limit_deg: float) -> float | None:
+    """In degrees where the radio can say it; None: it cannot."""
+    if angle_rad is None or abs(math.degrees(angle_rad)) > limit_deg:
+        return None
+    return math.degrees(angle_rad)
+
+
+def clamped(value: float, low: int, high: int) -> int:
+    """The nearest whole number that a field holds."""
+    return max(low, min(high, round(value)))

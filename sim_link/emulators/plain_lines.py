@@ -1,0 +1,120 @@
+"""Radios that print lines of their program's: NDJSON, users' own, SX1280 sketches.
+
+Sources: RADIO_RANGING as JSON (docs/messages.md has the fields); RadioLib and SX12XX-LoRa examples
+(lines), Semtech's SX1280 data sheet (what a raw step is).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+
+from sim_link.emulators.emulator import Answer, Emulator, Round, clamped, lines, mac_of
+from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
+
+BANDWIDTH_HZ = 812_500.0
+RAW_STEP_M = 150.0 / (4.096 * BANDWIDTH_HZ / 1e3)
+"""Of the ranging engine at that bandwidth."""
+
+
+def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
+    """RADIO_RANGING as JSON: what is unknown is left out."""
+    heard = answer.heard
+    assert heard is not None
+    bearing_rad = heard.bearing_body_rad
+    if bearing_rad is None and heard.bearing_enu_rad is not None:
+        bearing_rad = math.remainder(0.5 * math.pi - heard.bearing_enu_rad, 2.0 * math.pi)
+    told: dict[str, object] = {
+        "emitter_id": answer.emitter_id,
+        "time_usec": time_usec,
+        "range": heard.range_m,
+        "range_std": heard.range_sigma_m,
+        "bearing": bearing_rad,
+        "bearing_std": heard.bearing_sigma_rad,
+        "elevation": heard.elevation_rad,
+        "elevation_std": heard.elevation_sigma_rad,
+        "quality": None if heard.quality is None else round(100.0 * heard.quality),
+        "body_frame": True if heard.bearing_body_rad is not None else None,
+        "array_angle": True if heard.is_array_angle else None,
+        "line_of_sight": heard.line_of_sight,
+    }
+    return {key: value for key, value in told.items() if value is not None}
+
+
+class Ndjson(Emulator):
+    """Any program that prints an object a line, with all the digits that it has."""
+
+    name = "ndjson"
+    title = "generic NDJSON lines"
+    gives = "range, azimuth, elevation"
+    measures = "both"
+    epoch_s = SIMULATION_BEGAN_S
+    tells_north = True
+    document = "/"
+
+    def boot(self) -> bytes:
+        """A comment."""
+        return b"# a program that prints what its radio measures\n"
+
+    def tell(self, asked: Round) -> bytes:
+        """A line for each that answered."""
+        time_usec = round(1e6 * self.device_s(asked.told_s))
+        objects = [ranging_object(answer, time_usec) for answer in asked.heard]
+        texts = [json.dumps(each, separators=(",", ":")) + "\n" for each in objects]
+        return "".join(texts).encode()
+
+
+class Lines(Emulator):
+    """A sketch of a user's: address, metres, nanoseconds, share of the frames in percent."""
+
+    name = "lines"
+    title = "lines of one's own, `MAC,12.34 m, 82 ns, 90`"
+
+    def tell(self, asked: Round) -> bytes:
+        """A line for each that answered."""
+        return lines([self._line(answer) for answer in asked.heard if answer.range_m is not None])
+
+    def _line(self, answer: Answer) -> str:
+        range_m = answer.range_m or 0.0
+        rtt_ns, percent = round(1e9 * round_trip_s(range_m)), round(100.0 * answer.quality)
+        name = self.name_on_wire(answer.emitter_id)
+        return f"{name},{range_m:.2f} m, {rtt_ns} ns, {percent}"
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """An address in capitals."""
+        return mac_of(emitter_id).upper()
+
+
+def sx1280_valid(raw: int, rssi_dbm: int) -> str:
+    """A register in hexadecimal, and its metres to one place."""
+    rssi = f"RSSIReg,{clamped(-2.0 * rssi_dbm, 0, 255):X},RSSI,{rssi_dbm}dBm"
+    return f"Valid,Register,{raw:X},Distance,{raw * RAW_STEP_M:.1f},{rssi}"
+
+
+class Sx1280(Emulator):
+    """A ranging master at 812.5 kHz, which names nobody."""
+
+    name = "sx1280"
+    title = "Semtech SX1280, lines of the SX12XX-LoRa ranging master"
+    most = 1
+    rate_hz = 5.0
+
+    def boot(self) -> bytes:
+        """What it was set to."""
+        return lines(["54_Ranging_Master Starting", "", "LoRa Device found", "Calibration,11350"])
+
+    def tell(self, asked: Round) -> bytes:
+        """A line in any case."""
+        return lines([self._line(answer) for answer in asked.answers])
+
+    def _line(self, answer: Answer) -> str:
+        if answer.range_m is None:
+            return "NotValid,Irq,8000"
+        raw = clamped(answer.range_m / RAW_STEP_M, 0, (1 << 23) - 1)
+        return sx1280_valid(raw, round(answer.power_dbm))
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
+        """None."""
+        return ""

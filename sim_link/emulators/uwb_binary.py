@@ -1,0 +1,227 @@
+"""Ultra-wideband radios with binary protocols: FiRa UCI, NXP SR150 as PX4 reads it, PANS TLV.
+
+Sources: google/pica, `uci_packets.pdl`; PX4, `uwb_sr150` and `SensorUwb.msg`; Decawave, `dwm_api`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from companion.domain import PositionEnu
+from sim_link.emulators.emulator import U32, Answer, Emulator, Round, clamped
+
+SESSION = 42
+OK, RX_TIMEOUT = 0x00, 0x21
+LOS, NLOS, UNKNOWN_PATH = 0, 1, 0xFF
+NO_DISTANCE_CM = 0xFFFF
+MOST_PAYLOAD = 255
+UCI_BOOT = bytes.fromhex("6001000101")
+"""CORE_DEVICE_STATUS_NTF: ready."""
+SR150_ADDRESS = 0x1122
+
+
+@dataclass(frozen=True, slots=True)
+class UciRecord:
+    """One peer of a two-way session with short addresses."""
+
+    address: int
+    status: int = OK
+    path: int = LOS
+    distance_cm: int = NO_DISTANCE_CM
+    azimuth_deg: float | None = None
+    elevation_deg: float | None = None
+    azimuth_fom: int = 100
+    elevation_fom: int = 100
+    rssi_dbm: float = 0.0
+
+    @property
+    def wire(self) -> bytes:
+        """31 bytes; a figure of merit of 0 says that there is no angle."""
+        head = struct.pack("<HBBH", self.address, self.status, self.path, self.distance_cm)
+        angles = fom_angle(self.azimuth_deg, self.azimuth_fom)
+        angles += fom_angle(self.elevation_deg, self.elevation_fom)
+        tail = bytes((1, clamped(-2.0 * self.rssi_dbm, 0, 255)))
+        return head + angles + bytes(6) + tail + bytes(11)
+
+
+def q9_7(angle_deg: float) -> int:
+    """Degrees in 128ths."""
+    return clamped(128.0 * angle_deg, -0x8000, 0x7FFF)
+
+
+def fom_angle(angle_deg: float | None, fom: int) -> bytes:
+    """An angle and how good it is."""
+    if angle_deg is None:
+        return b"\0\0\0"
+    return struct.pack("<hB", q9_7(angle_deg), fom)
+
+
+def session_info(
+    sequence: int, records: Sequence[UciRecord], session: int = SESSION, interval_ms: int = 200
+) -> bytes:
+    """SESSION_INFO_NTF of a round, in as many packets as it takes."""
+    head = struct.pack("<IIBIBBB", sequence, session, 0, interval_ms, 1, 0, 0)
+    payload = head + bytes(8) + bytes((len(records),)) + b"".join(r.wire for r in records)
+    return uci_packets(payload)
+
+
+def uci_packets(payload: bytes) -> bytes:
+    """A notification of the session group; all packets but the last say that more follows."""
+    pieces = [payload[at : at + MOST_PAYLOAD] for at in range(0, len(payload), MOST_PAYLOAD)]
+    packets = b""
+    for number, piece in enumerate(pieces, 1):
+        follows = 0x10 if number < len(pieces) else 0
+        packets += bytes((0x62 | follows, 0x00, 0x00, len(piece))) + piece
+    return packets
+
+
+def path_of(answer: Answer) -> int:
+    """Whether the path is open; a radio that does not know takes it as such."""
+    return NLOS if answer.heard is not None and answer.heard.line_of_sight is False else LOS
+
+
+def degrees_of(angle_rad: float | None) -> float | None:
+    """None stays None."""
+    return None if angle_rad is None else math.degrees(angle_rad)
+
+
+class FiraUci(Emulator):
+    """A FiRa controller with three antennas; angles to the right and upwards."""
+
+    name = "fira_uci"
+    title = "FiRa UCI, SESSION_INFO_NTF"
+    gives = "range, azimuth, elevation"
+    antenna = "two_axis"
+    measures = "both"
+    rate_hz = 5.0
+
+    def boot(self) -> bytes:
+        """The device is ready."""
+        return UCI_BOOT
+
+    def tell(self, asked: Round) -> bytes:
+        """A notification with everybody in it."""
+        return session_info(self.next_number(), [self._record(each) for each in asked.answers])
+
+    def _record(self, answer: Answer) -> UciRecord:
+        if answer.heard is None:
+            return UciRecord(answer.emitter_id, RX_TIMEOUT, UNKNOWN_PATH)
+        range_m, fom = answer.range_m, clamped(100.0 * answer.quality, 1, 100)
+        return UciRecord(
+            answer.emitter_id,
+            OK,
+            path_of(answer),
+            NO_DISTANCE_CM if range_m is None else clamped(100.0 * range_m, 0, NO_DISTANCE_CM - 1),
+            degrees_of(answer.azimuth_rad),
+            degrees_of(answer.elevation_rad),
+            fom,
+            fom,
+            answer.power_dbm,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sr150Frame:
+    """36 bytes without a checksum."""
+
+    sequence: int
+    peer: int
+    status: int = OK
+    distance_cm: int = NO_DISTANCE_CM
+    path: int = LOS
+    azimuth_deg: float | None = None
+    elevation_deg: float | None = None
+    foms: tuple[int, int] = (90, 80)
+
+    @property
+    def wire(self) -> bytes:
+        """Behind a command byte; a figure of merit of 0 says that there is no angle."""
+        head = (0x8E, 0x30, self.sequence, SESSION, 100, SR150_ADDRESS, self.peer, self.status)
+        azimuth, elevation = (q9_7(deg or 0.0) for deg in (self.azimuth_deg, self.elevation_deg))
+        azimuth_fom = 0 if self.azimuth_deg is None else self.foms[0]
+        elevation_fom = 0 if self.elevation_deg is None else self.foms[1]
+        body = struct.pack("<HBhhhh", self.distance_cm, self.path, azimuth, elevation, 0, 0)
+        foms = bytes((azimuth_fom, elevation_fom, 0, 0))
+        return struct.pack("<BHIIIHHB", *head) + body + foms + b"\x1b"
+
+
+class Sr150(Emulator):
+    """The module that PX4 reads, with two pairs of antennas; angles to the left and downwards.
+
+    A frame follows the last at once: there is a pause only after a round.
+    """
+
+    name = "sr150"
+    title = "NXP SR150, as PX4's uwb_sr150 reads it"
+    gives = "range, azimuth, elevation"
+    antenna = "two_axis"
+    measures = "both"
+
+    def tell(self, asked: Round) -> bytes:
+        """A frame for each peer."""
+        return b"".join(self._frame(answer).wire for answer in asked.answers)
+
+    def _frame(self, answer: Answer) -> Sr150Frame:
+        sequence, range_m = self.next_number(), answer.range_m
+        if answer.heard is None:
+            return Sr150Frame(sequence, answer.emitter_id, RX_TIMEOUT, path=NLOS)
+        azimuth_deg = degrees_of(answer.azimuth_rad)
+        elevation_deg = degrees_of(answer.elevation_rad)
+        return Sr150Frame(
+            sequence,
+            answer.emitter_id,
+            OK,
+            NO_DISTANCE_CM if range_m is None else clamped(100.0 * range_m, 0, NO_DISTANCE_CM - 1),
+            path_of(answer),
+            None if azimuth_deg is None else -azimuth_deg,
+            None if elevation_deg is None else -elevation_deg,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PansAnchor:
+    """One anchor in the answer that a tag gives."""
+
+    address: int
+    distance_mm: int
+    place_m: PositionEnu = (0.0, 0.0, 0.0)
+    distance_quality: int = 100
+    place_quality: int = 100
+
+    @property
+    def wire(self) -> bytes:
+        """20 bytes."""
+        place_mm = (round(1e3 * metres) for metres in self.place_m)
+        head = struct.pack("<HIB", self.address, self.distance_mm, self.distance_quality)
+        return head + struct.pack("<iiiB", *place_mm, self.place_quality)
+
+
+def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnchor]) -> bytes:
+    """The answer to `dwm_loc_get`: no error, the tag's place, its anchors."""
+    place = struct.pack("<iiiB", *(round(1e3 * metres) for metres in place_m), quality)
+    told = bytes((len(anchors),)) + b"".join(anchor.wire for anchor in anchors)
+    return b"\x40\x01\x00\x41\x0d" + place + bytes((0x49, len(told))) + told
+
+
+class PansTlv(Emulator):
+    """A DWM1001 tag: answers when it is asked, and to a bridge that asks by itself once a round."""
+
+    name = "pans_tlv"
+    title = "Decawave DWM1001 PANS, TLV"
+    most = 12
+
+    def tell(self, asked: Round) -> bytes:
+        """As if somebody had asked."""
+        anchors = [
+            PansAnchor(
+                answer.emitter_id,
+                clamped(1e3 * answer.range_m, 0, U32 - 1),
+                distance_quality=clamped(100.0 * answer.quality, 0, 100),
+            )
+            for answer in asked.heard
+            if answer.range_m is not None
+        ]
+        return pans_location((0.0, 0.0, 0.0), 0, anchors)

@@ -1,0 +1,247 @@
+"""Ultra-wideband radios that print text: PANS shell, Qorvo CLI, PDoA kits, Makerfabs AT.
+
+Sources: Decawave, DWM1001 firmware API guide (shell `lec`); Qorvo, QM33 SDK developer manual as
+users quote it; Makerfabs, MaUWB_DW3000 AT manual 1.0.8; users' captures of `JS` frames.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.domain import PositionEnu
+from sim_link.emulators.emulator import (
+    LINE_END,
+    U32,
+    Answer,
+    Emulator,
+    Round,
+    clamped,
+    lines,
+)
+
+PROMPT = "dwm> "
+SLOTS = 8
+CENTIDEGREES_LIMIT = 90.0
+
+
+def dist_line(
+    anchors: Sequence[tuple[str, PositionEnu, float]], place: tuple[float, float, float, int]
+) -> str:
+    """What `lec` prints: anchors by id, place and range; the tag's own place and its quality."""
+    text = f"DIST,{len(anchors)}"
+    for number, (name, (x, y, z), range_m) in enumerate(anchors):
+        text += f",AN{number},{name},{x:.2f},{y:.2f},{z:.2f},{range_m:.2f}"
+    x, y, z, quality = place
+    return f"{text},POS,{x:.2f},{y:.2f},{z:.2f},{quality}"
+
+
+class Pans(Emulator):
+    """A DWM1001 tag whose shell prints `lec` lines, as it was left; `lec` stops them, and starts.
+
+    Where no anchor answers there is no line.
+    """
+
+    name = "pans"
+    title = "Decawave DWM1001 PANS, shell"
+
+    def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
+        super().__init__(clock_s, rng)
+        self._is_on = True
+        self._typed = b""
+
+    def boot(self) -> bytes:
+        """The shell's greeting."""
+        title = " DWM1001 TWR Real Time Location System"
+        return lines(["", "", title, "", " Help      :  ? or help", ""]) + PROMPT.encode()
+
+    def hear(self, data: bytes) -> bytes:
+        """Each carriage return ends a command, and the shell asks for the next."""
+        *typed, self._typed = (self._typed + data.replace(b"\n", b"\r"))[-256:].split(b"\r")
+        self._is_on ^= typed.count(b"lec") % 2 == 1
+        return (LINE_END + PROMPT).encode() * len(typed)
+
+    def tell(self, asked: Round) -> bytes:
+        """A line, if it is to print any."""
+        nowhere = (0.0, 0.0, 0.0)
+        anchors = [
+            (self.name_on_wire(answer.emitter_id), nowhere, answer.range_m)
+            for answer in asked.heard
+            if answer.range_m is not None
+        ]
+        if not anchors or not self._is_on:
+            return b""
+        return lines([dist_line(anchors, (*nowhere, 0))])
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """Four hexadecimal digits."""
+        return f"{emitter_id:04X}"
+
+
+@dataclass(frozen=True, slots=True)
+class QorvoRecord:
+    """One peer in a SESSION_INFO_NTF."""
+
+    address: int
+    status: str = "SUCCESS"
+    told: tuple[tuple[str, str], ...] = ()
+    """Keys and values behind the status."""
+
+    @property
+    def text(self) -> str:
+        """In its brackets."""
+        rest = "".join(f", {key}={value}" for key, value in self.told)
+        return f'[mac_address=0x{self.address:04x}, status="{self.status}"{rest}]'
+
+
+def session_info_ntf(block: int, records: Sequence[QorvoRecord]) -> str:
+    """Over one line more than it has peers."""
+    head = f"SESSION_INFO_NTF: {{session_handle=1, sequence_number={block}, block_index={block}"
+    return f"{head}, n_measurements={len(records)}\n " + ";\n ".join(r.text for r in records) + "}"
+
+
+class QorvoCli(Emulator):
+    """A DWM3001CDK or QM33 kit; angles to the right and upwards, in hundredths of a degree."""
+
+    name = "qorvo_cli"
+    title = "Qorvo QM33 and DW3xxx CLI, SESSION_INFO_NTF"
+    gives = "range, azimuth, elevation"
+    antenna = "two_axis"
+    measures = "both"
+    rate_hz = 5.0
+
+    def boot(self) -> bytes:
+        """What a session begins with."""
+        return lines(["ok", 'SESSION_STATUS_NTF: {state="ACTIVE", reason="State change"}'])
+
+    def tell(self, asked: Round) -> bytes:
+        """A notification with everybody in it."""
+        records = [self._record(answer) for answer in asked.answers]
+        text = session_info_ntf(self.next_number(), records)
+        return lines(text.split("\n"))
+
+    def _record(self, answer: Answer) -> QorvoRecord:
+        if answer.heard is None or answer.range_m is None:
+            return QorvoRecord(answer.emitter_id, "RX_TIMEOUT")
+        told = [("distance[cm]", str(round(100.0 * answer.range_m)))]
+        for side, angle_rad in (("az", answer.azimuth_rad), ("el", answer.elevation_rad)):
+            if angle_rad is not None:
+                phase_deg = 180.0 * math.sin(angle_rad)
+                told.append((f"loc_{side}_pdoa", f"{phase_deg:.2f}"))
+                told.append((f"loc_{side}", f"{math.degrees(angle_rad):.2f}"))
+        return QorvoRecord(answer.emitter_id, "SUCCESS", tuple(told))
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """As it is printed."""
+        return f"0x{emitter_id:04x}"
+
+
+def js_frame(value: Mapping[str, object], *, after_colon: str = "") -> str:
+    """`JS`, the length in hexadecimal, JSON."""
+    text = json.dumps(value, separators=(",", ":"))
+    if after_colon:  # after the first colon there may be a space, and nowhere else
+        text = text.replace(":", ":" + after_colon, 1)
+    return f"JS{len(text):04X}{text}"
+
+
+class PdoaJs(Emulator):
+    """A node of two antennas; X to the right, Y along boresight, whole centimetres."""
+
+    name = "pdoa_js"
+    title = "Decawave PDoA kit and Makerfabs MaUWB_AOA, JS frames"
+    gives = "range, azimuth"
+    antenna = "line"
+    measures = "both"
+
+    def boot(self) -> bytes:
+        """The node tells of itself."""
+        return lines([js_frame({"SN": {"a16": "0001", "V": 1, "X": 12, "Y": -31, "Z": 1003}})])
+
+    def tell(self, asked: Round) -> bytes:
+        """A frame for each tag that answered."""
+        number, time_us = self.next_number(256), round(1e6 * self.device_s(asked.told_s)) % U32
+        return lines(
+            [
+                js_frame({"TWR": self._twr(answer, number, time_us)}, after_colon=" ")
+                for answer in asked.heard
+                if answer.range_m is not None
+            ]
+        )
+
+    def _twr(self, answer: Answer, number: int, time_us: int) -> dict[str, object]:
+        range_cm, angle_rad = 100.0 * (answer.range_m or 0.0), answer.azimuth_rad
+        x_cm = y_cm = phase_mrad = 0
+        if angle_rad is not None:
+            x_cm, y_cm = (
+                round(range_cm * math.sin(angle_rad)),
+                round(range_cm * math.cos(angle_rad)),
+            )
+            phase_mrad = round(1e3 * math.pi * math.sin(angle_rad))
+        ranged = {"R": number, "T": time_us, "D": round(range_cm), "P": phase_mrad}
+        placed = {"Xcm": x_cm, "Ycm": y_cm, "O": 14, "V": 1, "X": 12, "Y": -31, "Z": 1003}
+        return {"a16": self.name_on_wire(answer.emitter_id), **ranged, **placed}
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """Four hexadecimal digits."""
+        return f"{emitter_id:04X}"
+
+
+@dataclass(frozen=True, slots=True)
+class AtRange:
+    """One AT+RANGE line of eight slots."""
+
+    tag: int
+    mask: int
+    sequence: int
+    ranges_cm: tuple[int, ...]
+    rssi_dbm: tuple[float, ...] | None = None
+    anchors: tuple[int, ...] | None = None
+    """By slot; -1: empty."""
+
+    @property
+    def text(self) -> str:
+        """As it is printed."""
+        text = f"AT+RANGE=tid:{self.tag},mask:{self.mask:02X},seq:{self.sequence}"
+        text += f",range:({','.join(map(str, self.ranges_cm))})"
+        if self.rssi_dbm is not None:
+            text += f",rssi:({','.join(f'{dbm:.2f}' for dbm in self.rssi_dbm)})"
+        if self.anchors is not None:
+            text += f",ancid:({','.join(map(str, self.anchors))})"
+        return text
+
+
+class MakerfabsAt(Emulator):
+    """A tag among eight anchors at most, whole centimetres."""
+
+    name = "makerfabs_at"
+    title = "Makerfabs MaUWB_DW3000, AT firmware"
+    most = SLOTS
+    ids = range(256)
+
+    def tell(self, asked: Round) -> bytes:
+        """A line in any case: who did not answer is 0."""
+        slots = enumerate(asked.answers)
+        heard = {slot: answer for slot, answer in slots if answer.range_m is not None}
+        ranges_cm = [0] * SLOTS
+        anchors = [-1] * SLOTS
+        for slot, answer in heard.items():
+            ranges_cm[slot] = clamped(100.0 * (answer.range_m or 0.0), 0, 65_535)
+            anchors[slot] = answer.emitter_id
+        mask, sequence = sum(1 << slot for slot in heard), self.next_number(256)
+        line = AtRange(0, mask, sequence, tuple(ranges_cm), None, tuple(anchors))
+        return lines([line.text])
+
+    def boot(self) -> bytes:
+        """Nothing but an answer to what was set."""
+        return lines(["OK"])
+
+    def hear(self, data: bytes) -> bytes:
+        """Every command is right."""
+        return lines(["OK"] * data.count(b"AT+"))

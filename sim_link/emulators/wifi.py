@@ -1,0 +1,302 @@
+"""Wi-Fi round-trip times: ESP32 consoles, lines that users print, `iw`, Android.
+
+A distance is half the way that light goes in the round-trip time. None of them tells a direction.
+
+Sources: Espressif, esp-idf `examples/wifi/ftm` and arduino-esp32 `FTM`; GTEC, esp32s2-ftm-tag; B.
+Greear, iw-ct `event.c`; Android reference, `RangingResult`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sim_link.emulators.emulator import (
+    LIGHT_MPS,
+    U32,
+    Answer,
+    Emulator,
+    Round,
+    clamped,
+    lines,
+    mac_of,
+)
+
+FRAMES = 31
+"""Of 32 asked for, as many as can be valid."""
+UNUSED_SIGMA_M = 0.5
+SIMULATION_BEGAN_S = 1_718_000_000.0
+"""The Unix time of a phone or a Pi at its start, where a format has one."""
+
+
+def round_trip_s(range_m: float) -> float:
+    """There and back."""
+    return 2.0 * range_m / LIGHT_MPS
+
+
+def esp_log(level: str, clock_ms: int | None, text: str, *, is_coloured: bool = True) -> str:
+    """A line of esp-idf's log: green for information, brown for warnings, red for errors."""
+    stamp = "" if clock_ms is None else f"({clock_ms}) "
+    line = f"{level} {stamp}{text}"
+    colour = {"I": "32", "W": "33", "E": "31"}[level]
+    return f"\x1b[0;{colour}m{line}\x1b[0m" if is_coloured else line
+
+
+def esp_estimate(range_m: float) -> str:
+    """What the station example says: whole nanoseconds, centimetres."""
+    cm = clamped(100.0 * range_m, 0, U32 - 1)
+    rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
+    return (
+        f"ftm_station: Estimated RTT - {rtt_ns} nSec, "
+        f"Estimated Distance - {cm // 100}.{cm % 100:02d} meters"
+    )
+
+
+def esp_session(valid: int, asked: int, rtt_ns: float, rssi_dbm: int) -> str:
+    """What the driver says of a session before that."""
+    return (
+        f"wifi:FTM session ends with {valid} valid readings out of {asked}, "
+        f"Avg raw RTT: {rtt_ns:.3f} nSec, Avg RSSI: {rssi_dbm}"
+    )
+
+
+class Esp32Ftm(Emulator):
+    """An ESP32-S2 or later with the station example of esp-idf, one responder after the other."""
+
+    name = "esp32_ftm"
+    title = "ESP32 Wi-Fi FTM, console of esp-idf"
+    rate_hz = 2.0
+
+    def boot(self) -> bytes:
+        """What the boot loader says, at another speed first."""
+        return b"\xe3\x9c\x00\xfe\r\n" + lines(
+            [
+                "ESP-ROM:esp32s2-rc4-20191025",
+                "rst:0x1 (POWERON),boot:0x8 (SPI_FAST_FLASH_BOOT)",
+                esp_log("I", 27, "boot: ESP-IDF v5.2 2nd stage bootloader"),
+                "",
+                "Type 'help' to get the list of commands.",
+                "esp32s2> ",
+            ]
+        )
+
+    def tell(self, asked: Round) -> bytes:
+        """A session with each."""
+        clock_ms = self.device_ms(asked.told_s) % U32
+        texts: list[str] = []
+        for answer in asked.answers:
+            texts += self._session(answer, clock_ms)
+        return lines(texts)
+
+    def _session(self, answer: Answer, clock_ms: int) -> list[str]:
+        mac = mac_of(answer.emitter_id)
+        begin = [
+            "Requesting FTM session with Frm Count - 32, Burst Period - 200mSec (0: No Preference)",
+            esp_log("W", None, f"wifi:Starting FTM session with {mac} in 0.084 Sec"),
+        ]
+        if answer.range_m is None:
+            failure = f"FTM procedure with Peer({mac}) failed! (Status - 5)"
+            return [*begin, esp_log("E", None, "wifi:No valid FTM Measurements found!"), failure]
+        valid = clamped(FRAMES * answer.quality, 1, FRAMES)
+        raw_ns = max(0.0, 1e9 * round_trip_s(answer.range_m))
+        session = esp_session(valid, FRAMES, raw_ns, round(answer.power_dbm))
+        return [
+            *begin,
+            esp_log("W", clock_ms, session),
+            esp_log("I", clock_ms, esp_estimate(answer.range_m)),
+        ]
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """The responder's address."""
+        return mac_of(emitter_id)
+
+
+def arduino_estimate(range_m: float) -> str:
+    """What the Arduino example prints."""
+    cm = clamped(100.0 * range_m, 0, U32 - 1)
+    rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
+    return f"FTM Estimate: Distance: {cm / 100.0:.2f} m, Return Time: {rtt_ns} ns"
+
+
+class Esp32Arduino(Emulator):
+    """The Arduino example, which names nobody and has no clock."""
+
+    name = "esp32_arduino"
+    title = "ESP32 Wi-Fi FTM, Arduino example"
+    rate_hz = 2.0
+    most = 1
+
+    def boot(self) -> bytes:
+        """What it does first."""
+        return lines(["ESP-ROM:esp32s2-rc4-20191025", "Connecting to FTM Access Point", "....."])
+
+    def tell(self, asked: Round) -> bytes:
+        """A line in any case."""
+        ranges_m = [answer.range_m for answer in asked.answers]
+        return lines(
+            ["FTM Error: FAIL" if each is None else arduino_estimate(each) for each in ranges_m]
+        )
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
+        """None."""
+        return ""
+
+
+def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) -> str:
+    """Anchor, estimated and raw round-trip time in ns, centimetres, and of each frame ps, dBm."""
+    cm = clamped(100.0 * range_m, 0, U32 - 1)
+    rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
+    row = f"{anchor_id},{rtt_ns},{rtt_ns},{cm},{len(frames)},"
+    return row + "".join(f"{rtt_ps},{rssi},0,0,0,0," for rtt_ps, rssi in frames)
+
+
+class FtmCsv(Emulator):
+    """GTEC's tag firmware: a row for each anchor that answered, nothing for others."""
+
+    name = "ftm_csv"
+    title = "ESP32 Wi-Fi FTM, rows of GTEC's esp32s2-ftm-tag"
+    rate_hz = 2.0
+
+    def tell(self, asked: Round) -> bytes:
+        """A row for each."""
+        rows = []
+        for answer in asked.heard:
+            if answer.range_m is not None:
+                rtt_ps = max(0, round(1e12 * round_trip_s(answer.range_m)))
+                frames = [(rtt_ps, round(answer.power_dbm))] * 4
+                rows.append(gtec_row(answer.emitter_id, answer.range_m, frames))
+        return lines(rows)
+
+
+@dataclass(frozen=True, slots=True)
+class IwBurst:
+    """What `iw` prints of a peer that answered, in its own units."""
+
+    mac: str
+    boot_ns: int
+    rssi: int
+    rtt_ps: int
+    variance_ps2: int
+    spread_ps: int
+
+    @property
+    def text(self) -> list[str]:
+        """Lines; a power is printed as if it had no sign."""
+        told = {
+            "BURST_INDEX": 0,
+            "NUM_BURSTS_EXP": 0,
+            "BURST_DURATION": 0,
+            "FTMS_PER_BURST": 0,
+            "RSSI_AVG": self.rssi % U32,
+            "RSSI_SPREAD": 0,
+            "RTT_AVG": self.rtt_ps,
+            "RTT_VARIANCE": self.variance_ps2,
+            "RTT_SPREAD": self.spread_ps,
+        }
+        head = f"  Peer {self.mac}: status=0 (SUCCESS) @{self.boot_ns} tsf=0"
+        return [head, "    FTM", *(f"      {key}: {value}" for key, value in told.items())]
+
+
+def iw_failure(mac: str, boot_ns: int, reason: str = "NO_RESPONSE (1)") -> list[str]:
+    """What `iw` prints of a peer that did not answer."""
+    head = f"  Peer {mac}: status=3 (FAILURE) @{boot_ns} tsf=0"
+    return [head, f"    FTM failed: {reason}"]
+
+
+class IwFtm(Emulator):
+    """`iw dev wlan0 measurement ftm_request`, run once for each round."""
+
+    name = "iw_ftm"
+    title = "Linux iw, measurement ftm_request"
+    rate_hz = 1.0
+
+    def tell(self, asked: Round) -> bytes:
+        """A run: its head, each peer, its end."""
+        boot_ns = round(1e9 * self.device_s(asked.told_s))
+        cookie = self.next_number() + 1
+        texts = [f"wdev 0x1 (phy #0): Peer measurements (cookie {cookie}):"]
+        for answer in asked.answers:
+            texts += self._peer(answer, boot_ns)
+        texts.append("wdev 0x1 (phy #0): peer measurement complete")
+        return "".join(text + "\n" for text in texts).encode()
+
+    def _peer(self, answer: Answer, boot_ns: int) -> list[str]:
+        mac, heard = mac_of(answer.emitter_id), answer.heard
+        if heard is None or heard.range_m is None:
+            return iw_failure(mac, boot_ns)
+        sigma_m = UNUSED_SIGMA_M if heard.range_sigma_m is None else heard.range_sigma_m
+        spread_ps = 1e12 * round_trip_s(sigma_m)
+        rtt_ps = round(1e12 * round_trip_s(heard.range_m))
+        rssi, variance_ps2 = round(answer.power_dbm), round(spread_ps * spread_ps)
+        return IwBurst(mac, boot_ns, rssi, rtt_ps, variance_ps2, round(spread_ps)).text
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """The responder's address."""
+        return mac_of(emitter_id)
+
+
+ANDROID_HEADER = (
+    "timestamp,session,ssid,bssid,distance_mm,std_dev_mm,rssi,attempted,successful"  # no standard
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RttRow:
+    """A row that an Android program logs."""
+
+    epoch_ms: int
+    bssid: str
+    distance_mm: int = 0
+    std_dev_mm: int = 0
+    rssi_dbm: int = -127
+    attempted: int = 8
+    successful: int = 0
+    ssid: str = "Lost"
+
+    @property
+    def text(self) -> str:
+        """In the order of the header."""
+        ranged = f"{self.distance_mm},{self.std_dev_mm},{self.rssi_dbm}"
+        answered = f"{self.attempted},{self.successful}"
+        return f"{self.epoch_ms},1,{self.ssid},{self.bssid},{ranged},{answered}"
+
+
+class AndroidRtt(Emulator):
+    """A telephone that asks access points, eight frames each."""
+
+    name = "android_rtt"
+    title = "Android Wi-Fi RTT, rows of a logging program"
+    rate_hz = 5.0
+    epoch_s = SIMULATION_BEGAN_S
+    ATTEMPTED = 8
+
+    def boot(self) -> bytes:
+        """The header."""
+        return lines([ANDROID_HEADER])
+
+    def tell(self, asked: Round) -> bytes:
+        """A row for each, also for who did not answer."""
+        epoch_ms = self.device_ms(asked.told_s)
+        return lines([self._row(answer, epoch_ms).text for answer in asked.answers])
+
+    def _row(self, answer: Answer, epoch_ms: int) -> RttRow:
+        mac, heard = mac_of(answer.emitter_id), answer.heard
+        if heard is None or heard.range_m is None:
+            return RttRow(epoch_ms, mac)
+        return RttRow(
+            epoch_ms,
+            mac,
+            round(1e3 * heard.range_m),
+            round(1e3 * (heard.range_sigma_m or 0.0)),
+            round(answer.power_dbm),
+            self.ATTEMPTED,
+            clamped(self.ATTEMPTED * answer.quality, 2, self.ATTEMPTED),
+        )
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """The access point's address."""
+        return mac_of(emitter_id)
