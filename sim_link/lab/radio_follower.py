@@ -198,20 +198,16 @@ class RadioFollower:
         late_s = stamp_s - self._measured_at_s - period_s
         # steady on average though positions come when they come
         self._measured_at_s = stamp_s - late_s if 0.0 < late_s < period_s else stamp_s
-        if place[2] - self._ground_up_m < self._params.min_altitude_m:
-            return
-        answers = tuple(
-            self._asked(emitter, place, stamp_s)
-            for emitter in self._emitters
-            if emitter.slant_range_m(place) <= self._params.max_range_m
-        )
+        answers = tuple(self._asked(emitter, place, stamp_s) for emitter in self._emitters)
         self._late.append(Round(stamp_s + self._params.lag_s, answers))
 
     def _asked(self, emitter: Emitter, place: PositionEnu, stamp_s: float) -> Answer:
         """What comes back from an emitter; emulated, a world's bearing becomes one of the body."""
-        heard = self._radio.hear(emitter, place, stamp_s, self._attitude)
-        if heard is not None:
-            self.measurements += 1
+        heard = None
+        is_high = place[2] - self._ground_up_m >= self._params.min_altitude_m
+        if is_high and emitter.slant_range_m(place) <= self._params.max_range_m:
+            heard = self._radio.hear(emitter, place, stamp_s, self._attitude)
+        self.measurements += heard is not None
         if heard is None or self._emulator is None or self._emulator.tells_north:
             return Answer(emitter.emitter_id, heard)
         return Answer(emitter.emitter_id, seen_from_nose(heard, self._attitude.yaw_rad))
