@@ -1,0 +1,252 @@
+"""Timing advance of base stations: srsRAN_4G, srsRAN Project and OpenAirInterface.
+
+A phone that attaches sends a preamble, and the station tells it how much earlier to send: the way
+there and back, in steps. That is an absolute range. What a station measures afterwards is only how
+far the phone is off from what it was told, and is refused.
+
+Sources: 3GPP TS 36.211 and 38.211 (Ts = 1/30.72 MHz; a step of 16 Ts, halved with each numerology);
+srsran/srsRAN_4G and srsran/srsRAN_Project logs and metrics; OAI's `[RAPROC]` lines.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import Annotated, Literal
+
+import msgspec
+
+from companion.domain import Params
+from companion.radios.decoder import RadioKind, RadioReading
+from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number
+
+LTE_STEP_S = 16.0 / 30.72e6
+MOST_STEPS = 3846
+"""Largest timing advance of a random access response, TS 38.213 4.2."""
+RESOLUTION_OF_PHY_LOG_M = 0.1e-6 * ONE_WAY_M_PER_S
+MOST_UES = 64
+
+Numerology = Annotated[int, msgspec.Meta(ge=0, le=4)]
+Metres = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
+
+
+class CellOptions(Params, frozen=True):
+    """What a station's log does not say."""
+
+    multipath_sigma_m: Metres = 20.0
+    """Of the detours of the place, in quadrature to the step's own; 10 to 50 m are usual."""
+    name: Literal["rnti", "none"] = "rnti"
+    """What the emitter is called: the station's number for the phone, which is another one after
+    each attach; `none`: whoever answers is the configured emitter."""
+
+
+class SrsRan4gOptions(CellOptions, frozen=True):
+    """Which of the two logs of one attach is read."""
+
+    log: Literal["mac", "phy"] = "mac"
+    """`RACH:` lines of the console or MAC log, in steps; `PRACH:` lines of the PHY log, finer."""
+
+
+class NrOptions(CellOptions, frozen=True):
+    """What the station's carrier is."""
+
+    numerology: Numerology = 1
+    """0 is 15 kHz, 1 is 30 kHz, and so on."""
+
+
+class SrsRanOptions(NrOptions, frozen=True):
+    """What of the metrics of srsRAN Project can be a range."""
+
+    loop_is_off: bool = False
+    """Whether the station corrects no timing after the attach: `ta_cmd_offset_threshold` below 0.
+    Else `ta_ns` is what is left over, and no range."""
+    applied_steps: Annotated[int, msgspec.Meta(ge=0, le=MOST_STEPS)] = 0
+    """The timing advance that the phone was given with the attach, in steps; `ta_ns` adds to it."""
+
+
+class _Cell(FieldDecoder):
+    """What the stations' decoders have in common."""
+
+    Options = CellOptions
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        assert isinstance(self.options, CellOptions)
+        self._cell = self.options
+
+    def reading(
+        self, range_m: float, step_m: float, rnti: int | None = None, time_s: float | None = None
+    ) -> RadioReading:
+        """A range that is even within a step, plus the detours of the place."""
+        return RadioReading(
+            emitter=None if rnti is None or self._cell.name == "none" else f"0x{rnti:x}",
+            device_time_s=time_s,
+            range_m=range_m,
+            range_sigma_m=math.hypot(step_m / math.sqrt(12.0), self._cell.multipath_sigma_m),
+        )
+
+    def of_steps(self, steps: int, step_m: float, rnti: int | None = None) -> list[RadioReading]:
+        """The station rounds down: the middle of the step."""
+        if not 0 <= steps <= MOST_STEPS:
+            return self.refused("timing advance is out of bounds")
+        return self.understood(self.reading((steps + 0.5) * step_m, step_m, rnti))
+
+
+def step_m(numerology: int = 0) -> float:
+    """The way to the phone that one step of the timing advance stands for."""
+    return LTE_STEP_S * ONE_WAY_M_PER_S / float(2**numerology)
+
+
+class SrsRan4g(_Cell):
+    """LTE: `RACH:` lines of the console, or `PRACH:` lines of the PHY log."""
+
+    Options = SrsRan4gOptions
+    _RACH = re.compile(r"RACH: .*?\boffset=([0-9]{1,6}), temp_crnti=0x([0-9A-Fa-f]{1,4})")
+    _PRACH = re.compile(r"PRACH: .*?\boffset=(-?[0-9]{1,5}\.[0-9]+) us\b")
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """An attach."""
+        assert isinstance(self.options, SrsRan4gOptions)
+        if self.options.log == "mac" and (found := self._RACH.search(line)):
+            return self.of_steps(int(found[1]), step_m(), int(found[2], 16))
+        if self.options.log == "phy" and (found := self._PRACH.search(line)):
+            range_m = float(found[1]) * 1e-6 * ONE_WAY_M_PER_S
+            return self.understood(self.reading(range_m, RESOLUTION_OF_PHY_LOG_M))
+        return self.passed_over(line)
+
+
+class SrsRan(_Cell):
+    """5G: srsRAN Project's metrics, a JSON document a line, and its `RACH ind` log lines."""
+
+    Options = SrsRanOptions
+    longest_line = 60_000
+    _RACH = re.compile(r"RACH ind: ")
+    _PREAMBLE = re.compile(
+        r"tc-rnti=0x([0-9A-Fa-f]{1,4})\b[^:]{0,80}?\bTA=(-?[0-9.]{1,20}(?:e-?[0-9]{1,2})?)s"
+    )
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        assert isinstance(self.options, SrsRanOptions)
+        self._nr = self.options
+        self._step_m = step_m(self.options.numerology)
+
+    def hello(self) -> bytes:
+        """The metrics come to whoever asks for them."""
+        return b'{"cmd":"metrics_subscribe"}\n'
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """A document of metrics, or a line of the log."""
+        if self._RACH.search(line):
+            return self._attaches(line)
+        start = line.find("{")
+        if start < 0 or '"cells"' not in line:
+            return self.passed_over(line)
+        try:
+            document = json.loads(line[start:])
+        except (ValueError, RecursionError):
+            return self.refused("not JSON")
+        return self._metrics(document)
+
+    def _attaches(self, line: str) -> list[RadioReading]:
+        readings = []
+        for rnti, seconds in self._PREAMBLE.findall(line):
+            value = number(seconds)
+            if value is None or not 0.0 <= value <= MOST_STEPS * LTE_STEP_S:
+                return self.refused("timing advance is out of bounds")
+            range_m = value * ONE_WAY_M_PER_S
+            readings.append(self.reading(range_m, self._step_m, int(rnti, 16)))
+        if not readings:
+            return self.refused("torn line")
+        self.counts.frames += 1
+        return readings
+
+    def _metrics(self, document: object) -> list[RadioReading]:
+        if not isinstance(document, dict):
+            return self.refused("not a document of metrics")
+        self.counts.frames += 1
+        time_s = _finite(document.get("timestamp"))
+        readings = []
+        for cell in _list_in(document, "cells"):
+            for ue in _list_in(cell, "ue_list"):
+                reading = self._ue(ue, time_s)
+                if reading is not None:
+                    readings.append(reading)
+        return readings[:MOST_UES]
+
+    def _ue(self, ue: object, time_s: float | None) -> RadioReading | None:
+        if not isinstance(ue, dict):
+            return None
+        residual_ns, rnti = _finite(ue.get("ta_ns")), _finite(ue.get("rnti"))
+        if residual_ns is None or residual_ns == 0.0:
+            self.counts.refuse("not observed")
+            return None
+        if not self._nr.loop_is_off:
+            self.counts.refuse("residual: the station corrects the timing (loop_is_off)")
+            return None
+        if abs(residual_ns) > MOST_STEPS * LTE_STEP_S * 1e9 or rnti is None or rnti % 1.0:
+            self.counts.refuse("timing advance is out of bounds")
+            return None
+        range_m = residual_ns * 1e-9 * ONE_WAY_M_PER_S + self._nr.applied_steps * self._step_m
+        return self.reading(range_m, self._step_m, int(abs(rnti)) & 0xFFFF, time_s)
+
+
+def _list_in(value: object, key: str) -> list[object]:
+    found = value.get(key) if isinstance(value, dict) else None
+    return found if isinstance(found, list) else []
+
+
+def _finite(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        as_float = float(value)
+    except OverflowError:
+        return None
+    return as_float if math.isfinite(as_float) else None
+
+
+class Oai(_Cell):
+    """OpenAirInterface: `[RAPROC]` lines of a gNB, in steps of its numerology, and of an eNB."""
+
+    Options = NrOptions
+    _RAPROC = re.compile(
+        r"Initiating RA procedure with preamble [0-9]{1,3}, energy -?[0-9.]{1,12} dB"
+        r"(?: \(I0 -?[0-9.]{1,9}, thres -?[0-9.]{1,9}\))?, delay ([0-9]{1,6})( start symbol)?"
+    )
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """An attach; only a gNB's line names a start symbol."""
+        assert isinstance(self.options, NrOptions)
+        found = self._RAPROC.search(line)
+        if not found:
+            return self.passed_over(line)
+        return self.of_steps(int(found[1]), step_m(self.options.numerology if found[2] else 0))
+
+
+SRSRAN_4G = RadioKind(
+    name="srsran_4g",
+    decoder=SrsRan4g,
+    title="srsRAN 4G base station, RACH lines of its log",
+    gives="range",
+    emitter="a phone that attaches to your own station",
+    transport="file",
+)
+SRSRAN = RadioKind(
+    name="srsran",
+    decoder=SrsRan,
+    title="srsRAN Project base station, metrics and RACH lines",
+    gives="range",
+    emitter="a phone that attaches to your own station",
+    transport="file",
+)
+OAI = RadioKind(
+    name="oai",
+    decoder=Oai,
+    title="OpenAirInterface base station, RAPROC lines of its log",
+    gives="range",
+    emitter="a phone that attaches to your own station",
+    transport="file",
+    needs_emitter=True,
+)

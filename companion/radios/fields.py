@@ -1,0 +1,189 @@
+"""Text fields to readings: what a column or a named group of an expression may be called.
+
+One vocabulary for every text format whose columns are the user's own: the quantity and its unit.
+`range_cm`, `rtt_ns`, `azimuth_deg`, `quality_percent`. A format of a known make names its columns
+by it too, so that a unit is turned into metres, seconds and radians in one place.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+from companion.radios.decoder import AngleFrame, LineDecoder, RadioReading
+
+LIGHT_MPS = 299_792_458.0
+ONE_WAY_M_PER_S = LIGHT_MPS / 2.0
+"""Metres of range for each second of a round trip."""
+LARGEST_NUMBER = 1e15
+"""Above it no quantity of a radio makes sense; times in microseconds since 1970 are just above."""
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_TRUE, _FALSE = {"1", "true", "yes", "los"}, {"0", "false", "no", "nlos"}
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """What a name of the vocabulary stands for."""
+
+    attribute: str
+    """Of the reading."""
+    factor: float = 1.0
+    """To the reading's unit."""
+
+
+def _in_units(name: str, attribute: str, **factors: float) -> dict[str, Unit]:
+    return {f"{name}_{unit}": Unit(attribute, factor) for unit, factor in factors.items()}
+
+
+_LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048}
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_ANGLES = {"deg": math.pi / 180.0, "rad": 1.0}
+_RTT = {"us": 1e-6 * ONE_WAY_M_PER_S, "ns": 1e-9 * ONE_WAY_M_PER_S, "ps": 1e-12 * ONE_WAY_M_PER_S}
+
+NUMBERS: Mapping[str, Unit] = {
+    **_in_units("time", "device_time_s", **_TIMES),
+    **_in_units("age", "age_s", **_TIMES),
+    **_in_units("range", "range_m", **_LENGTHS),
+    **_in_units("rtt", "range_m", **_RTT),
+    **_in_units("range_sigma", "range_sigma_m", **_LENGTHS),
+    **_in_units("azimuth", "azimuth_rad", **_ANGLES),
+    **_in_units("azimuth_sigma", "azimuth_sigma_rad", **_ANGLES),
+    **_in_units("elevation", "elevation_rad", **_ANGLES),
+    **_in_units("elevation_sigma", "elevation_sigma_rad", **_ANGLES),
+    "quality": Unit("quality"),
+    "quality_percent": Unit("quality", 0.01),
+}
+"""Names of what is a number; `rtt` is the time of the way there and back."""
+WORDS = ("emitter", "line_of_sight")
+"""Names of what is a word."""
+NAMES = frozenset(NUMBERS) | frozenset(WORDS)
+SKIPPED = ("", "_", "skip")
+"""Names of a column that is not read."""
+
+_SIGMAS = frozenset(field.name for field in fields(RadioReading) if "_sigma_" in field.name)
+_ANGLE_NAMES = ("azimuth_rad", "elevation_rad")
+
+
+def number(text: str | None) -> float | None:
+    """The finite number that a text is in plain decimal notation; None: it is none."""
+    if text is None or not _NUMBER.fullmatch(text := text.strip()):
+        return None
+    value = float(text)
+    return value if math.isfinite(value) else None
+
+
+def whole(text: str | None, largest: int = 2**32 - 1) -> int | None:
+    """The number from 0 to `largest` that a text is; None: it is none."""
+    value = number(text)
+    if value is None or value != int(value) or not 0 <= value <= largest:
+        return None
+    return int(value)
+
+
+def ratio(part: int | None, of_all: int | None) -> float | None:
+    """A quality: how many of all were good; None where that is not told, or makes no sense."""
+    if part is None or not of_all or part > of_all:
+        return None
+    return part / of_all
+
+
+def columns(line: str, delimiter: str = ",") -> list[str]:
+    """The cells of a line, quoted ones whole, without the blanks around them."""
+    try:
+        (cells,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True)
+    except (csv.Error, ValueError):
+        return []
+    return [cell.strip() for cell in cells]
+
+
+def emitter_name(text: str) -> str | int | None:
+    """An emitter as it is written: decimal digits are a number, all else a name."""
+    text = text.strip()
+    if not text:
+        return None
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 6 else text[:64]
+
+
+def complain_of(names: list[str]) -> str | None:
+    """What is wrong with the names that a user has given; None: nothing."""
+    for name in names:
+        if name not in NAMES and name not in SKIPPED:
+            return f"`{name}` is no quantity with a unit; there are {', '.join(sorted(NAMES))}"
+    targets = [NUMBERS[name].attribute if name in NUMBERS else name for name in names]
+    for name, target in zip(names, targets, strict=True):
+        if name in NAMES and targets.count(target) > 1:
+            return f"`{name}` says what another one says too"
+    if not {"range_m", *_ANGLE_NAMES} & set(targets):
+        return "neither a range nor an angle is among them"
+    return None
+
+
+class FieldDecoder(LineDecoder):
+    """A decoder whose lines come apart into named fields."""
+
+    def understood(self, reading: RadioReading) -> list[RadioReading]:
+        """One frame with one reading."""
+        self.counts.frames += 1
+        return [reading]
+
+    def refused(self, reason: str) -> list[RadioReading]:
+        """One frame that was understood, and cannot be used."""
+        self.counts.frames += 1
+        self.counts.refuse(reason)
+        return []
+
+    def passed_over(self, line: str) -> list[RadioReading]:
+        """A line that is none of the format's: a console says much."""
+        self.counts.resync_bytes += len(line.encode(errors="replace"))
+        return []
+
+    def read_fields(
+        self, texts: Mapping[str, str | None], frame: AngleFrame = AngleFrame.DEVICE
+    ) -> list[RadioReading]:
+        """The reading of fields that are named by the vocabulary; empty ones are not measured."""
+        values: dict[str, float] = {}
+        for name, text in texts.items():
+            unit = NUMBERS.get(name)
+            if unit is None or text is None or not text.strip():
+                continue
+            value = number(text)
+            if value is None:
+                return self.refused(f"{name} is no number")
+            values[unit.attribute] = value * unit.factor
+        problem = _complain_of_values(values)
+        if problem is not None:
+            return self.refused(problem)
+        for name in _SIGMAS & set(values):
+            if values[name] == 0.0:
+                del values[name]
+        return self.understood(
+            RadioReading(
+                emitter=emitter_name(texts.get("emitter") or ""),
+                line_of_sight=_as_truth(texts.get("line_of_sight")),
+                frame=frame,
+                **values,
+            )
+        )
+
+
+def _complain_of_values(values: Mapping[str, float]) -> str | None:
+    if not {"range_m", *_ANGLE_NAMES} & set(values):
+        return "neither range nor angle"
+    if any(values[name] < 0.0 for name in _SIGMAS & set(values)):
+        return "sigma is negative"
+    if any(abs(values.get(name, 0.0)) > math.tau + 1e-9 for name in _ANGLE_NAMES):
+        return "angle is beyond a full turn"
+    if not 0.0 <= values.get("quality", 0.0) <= 1.0:
+        return "quality is out of bounds"
+    if values.get("age_s", 0.0) < 0.0:
+        return "age is negative"
+    return None
+
+
+def _as_truth(text: str | None) -> bool | None:
+    word = (text or "").strip().lower()
+    return True if word in _TRUE else False if word in _FALSE else None

@@ -1,0 +1,267 @@
+"""KrakenSDR: the bearing to any transmitter, from the two files that its web server shows.
+
+`DOA_value.html` is one line a channel, `doa.xml` one document of the first channel. Both say the
+angle about the array, without any heading: the lines clockwise from its front, the document the
+other way round. Source: krakenrf/krakensdr_doa, `kraken_sdr_signal_processor.py`; krakensdr_docs.
+
+What makes a file worthless is told apart here, because nothing after this can see it: the files
+stay as they were while nobody transmits, they are written in place while they are read, and a
+receiver that has just been tuned answers with nonsense.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+
+from companion.domain import Params
+from companion.radios.decoder import LineDecoder, Poll, RadioDecoder, RadioKind, RadioReading
+from companion.radios.fields import columns, number
+
+HEAD_FIELDS = 17
+POWERS = 360
+"""Fields after those: the power seen in each degree."""
+BEST_CONFIDENCE = 99.0
+FIRST_EPOCH_MS, LAST_EPOCH_MS = 1.0e12, 1.0e13
+"""A clock that has been set says something between 2001 and 2286."""
+LONGEST_CPI_MS = 60_000.0
+AWAY_MS = 10_000.0
+"""A frequency that is away for so long, while another one is heard, was tuned away from."""
+MOST_CHANNELS = 64
+OVERDRIVEN = {"1", "true"}
+MARKS = len(b"<DATA>") + len(b"</DATA>")
+
+
+class KrakenOptions(Params, frozen=True):
+    """What of a KrakenSDR's results is believed."""
+
+    min_confidence: Annotated[float, msgspec.Meta(ge=0.0, le=BEST_CONFIDENCE)] = 10.0
+    """Of 99; below it the direction is that of the noise."""
+    settle_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0
+    """For how long a frequency that is new is not believed: tuning, calibration."""
+    accept_line_array: bool = False
+    """Whether a line array's bearing is taken as it stands. It cannot tell front from back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What both files say of a channel."""
+
+    time_ms: float
+    """Of the end of the integration."""
+    azimuth_deg: float
+    confidence: float
+    frequency_hz: float
+    latency_ms: float
+    is_line_array: bool = False
+    is_overdriven: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    last_ms: float
+    believed_from_ms: float
+    is_parallel: bool
+    """Whether another frequency had a result of the same time: no tuning between them."""
+
+
+class _Channels:
+    """What was seen of each frequency: nothing is said twice, nor too early."""
+
+    def __init__(self, settle_s: float) -> None:
+        self._settle_ms = 1000.0 * settle_s
+        self._seen: dict[str, _Channel] = {}
+
+    def complain_of(self, name: str, time_ms: float) -> str | None:
+        """Why a result of a frequency is not to be used; None: it is."""
+        before = self._seen.pop(name, None)
+        channel = self._next(before, time_ms)
+        self._seen[name] = channel
+        if len(self._seen) > MOST_CHANNELS:
+            del self._seen[next(iter(self._seen))]
+        if before is not None and time_ms == before.last_ms:
+            return "unchanged since the last poll"
+        return "just tuned to this frequency" if time_ms < channel.believed_from_ms else None
+
+    def _next(self, before: _Channel | None, time_ms: float) -> _Channel:
+        """A frequency is new once another one was heard in its place."""
+        others = self._seen.values()
+        beside = [one for one in others if one.last_ms == time_ms]
+        is_parallel = bool(beside)
+        if before is None:
+            start_ms = time_ms + (self._settle_ms if others else 0.0)
+            if beside:
+                start_ms = max(one.believed_from_ms for one in beside)
+            return _Channel(time_ms, start_ms, is_parallel)
+        is_parallel |= before.is_parallel
+        is_away = time_ms - before.last_ms > AWAY_MS
+        if is_away and not is_parallel and any(one.last_ms > before.last_ms for one in others):
+            return _Channel(time_ms, time_ms + self._settle_ms, is_parallel)
+        if time_ms < before.last_ms:  # the clock was set back
+            return _Channel(time_ms, time_ms, is_parallel)
+        return _Channel(time_ms, before.believed_from_ms, is_parallel)
+
+
+class _Kraken(RadioDecoder):
+    """What both files have in common."""
+
+    Options = KrakenOptions
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        assert isinstance(self.options, KrakenOptions)
+        self._believed = self.options
+        self._channels = _Channels(self.options.settle_s)
+
+    def readings_of(self, result: Result | str) -> list[RadioReading]:
+        """The reading of a result, if it is new and good enough; a text is why it is none."""
+        self.counts.frames += 1
+        problem = result if isinstance(result, str) else self._complain_of(result)
+        if problem is not None:
+            self.counts.refuse(problem)
+            return []
+        assert isinstance(result, Result)
+        return [
+            RadioReading(
+                emitter=f"{result.frequency_hz / 1e6:.4f}",
+                device_time_s=(result.time_ms - result.latency_ms / 2.0) / 1000.0,
+                azimuth_rad=math.radians(result.azimuth_deg),
+                quality=min(result.confidence / BEST_CONFIDENCE, 1.0),
+            )
+        ]
+
+    def _complain_of(self, result: Result) -> str | None:
+        if not FIRST_EPOCH_MS <= result.time_ms <= LAST_EPOCH_MS:
+            return "time is none"
+        if not 0.0 <= result.latency_ms <= LONGEST_CPI_MS:
+            return "latency is out of bounds"
+        if not 0.0 <= result.azimuth_deg <= 360.0:
+            return "bearing is out of bounds"
+        if not 0.0 < result.frequency_hz < 1e11:
+            return "frequency is out of bounds"
+        stale = self._channels.complain_of(f"{result.frequency_hz:.0f}", result.time_ms)
+        if stale is not None:
+            return stale
+        if result.is_overdriven:
+            return "receiver is overdriven"
+        if result.is_line_array and not self._believed.accept_line_array:
+            return "line array: front or back is not known"
+        if result.confidence < self._believed.min_confidence:
+            return "low confidence"
+        return None
+
+
+class KrakenLines(_Kraken, LineDecoder):
+    """`DOA_value.html`: a line a channel of 17 fields, and the power seen in each degree."""
+
+    longest_line = 16_384
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """One channel's line; a torn one has another number of fields."""
+        cells = columns(line.rstrip(" ,"))
+        if len(cells) < 2:
+            self.counts.resync_bytes += len(line.encode(errors="replace"))
+            return []
+        return self.readings_of(_result_of_cells(cells))
+
+
+def _result_of_cells(cells: list[str]) -> Result | str:
+    if len(cells) not in (HEAD_FIELDS, HEAD_FIELDS + POWERS) or cells[12] != "GPS":
+        return "torn line"
+    time_ms, azimuth_deg, confidence, power_db, frequency_hz = map(number, cells[:5])
+    latency_ms = number(cells[6])
+    if time_ms is None or azimuth_deg is None or confidence is None or power_db is None:
+        return "torn line"
+    if frequency_hz is None or latency_ms is None:
+        return "torn line"
+    return Result(
+        time_ms, azimuth_deg, confidence, frequency_hz, latency_ms, is_line_array=cells[5] == "ULA"
+    )
+
+
+class KrakenXml(_Kraken):
+    """`doa.xml`: one document of the first channel; its angle is counter-clockwise."""
+
+    longest_document = 8192
+    _ELEMENT = re.compile(r"<([A-Z_]{2,32})>\s*([^<>]{1,40}?)\s*</\1>")
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._rest = b""
+
+    def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
+        """Cut into documents, from `<DATA>` to `</DATA>`, and read each."""
+        readings: list[RadioReading] = []
+        *documents, self._rest = (self._rest + data).split(b"</DATA>")
+        for document in documents:
+            readings += self._read(document)
+        excess = len(self._rest) - self.longest_document - MARKS
+        if excess > 0:
+            self.counts.resync_bytes += excess
+            self._rest = self._rest[excess:]
+        self.counts.readings += len(readings)
+        return readings
+
+    def reset(self) -> None:
+        """Forget the beginning of a document."""
+        self._rest = b""
+
+    def _read(self, document: bytes) -> list[RadioReading]:
+        before, start, body = document.rpartition(b"<DATA>")
+        is_one = bool(start) and len(body) <= self.longest_document
+        self.counts.resync_bytes += len(before if is_one else document)
+        if not is_one:
+            return []
+        text = body.decode("utf-8", errors="replace")
+        return self.readings_of(_result_of_elements(dict(self._ELEMENT.findall(text))))
+
+
+def _result_of_elements(elements: dict[str, str]) -> Result | str:
+    time_ms, theta_deg = number(elements.get("TIME")), number(elements.get("DOA"))
+    confidence = number(elements.get("CONF"))
+    frequency_mhz, latency_ms = number(elements.get("FREQUENCY")), number(elements.get("LATENCY"))
+    if time_ms is None or theta_deg is None or confidence is None:
+        return "torn document"
+    if frequency_mhz is None or latency_ms is None:
+        return "torn document"
+    return Result(
+        time_ms,
+        theta_deg,
+        confidence / 100.0,
+        frequency_mhz * 1e6,
+        latency_ms,
+        is_overdriven=elements.get("ADC_OVERDRIVE", "0").lower() in OVERDRIVEN,
+    )
+
+
+_COMMON_SETTINGS: Mapping[str, object] = {
+    "frequency_tolerance_khz": 12.5,
+    "bearing_sigma_deg": 5.0,
+    # Of 99: at 10 a direction is three times as wide as at 30.
+    "sigma_factors": ((0.0, 3.0), (0.2, 2.0), (0.3, 1.0)),
+}
+KRAKEN = RadioKind(
+    name="kraken",
+    decoder=KrakenLines,
+    title="KrakenSDR, DOA_value.html",
+    gives="bearing",
+    emitter="nothing: any transmitter",
+    transport="http",
+    poll=Poll("/DOA_value.html", 0.2),
+    defaults=_COMMON_SETTINGS,
+)
+KRAKEN_XML = RadioKind(
+    name="kraken_xml",
+    decoder=KrakenXml,
+    title="KrakenSDR, doa.xml",
+    gives="bearing",
+    emitter="nothing: any transmitter",
+    transport="http",
+    poll=Poll("/doa.xml", 0.2),
+    defaults={**_COMMON_SETTINGS, "bearing_sign": -1},
+)

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import pytest
+
+from companion.errors import ConfigError
+from companion.radios.wifi_csv import AndroidRtt, AndroidRttOptions, FtmCsv, FtmCsvOptions
+
+FRAMES = "33000,-51,1,2,3,4,34000,-52,5,6,7,8,"
+ANDROID = "timestamp,session,ssid,bssid,distance_mm,std_dev_mm,rssi,attempted,successful\n"
+ROW = "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,5430,120,-61,8,7\n"
+
+
+@pytest.mark.parametrize(
+    ("row", "emitter", "range_m"),
+    [
+        (f"12,33,35,507,2,{FRAMES}", 12, 5.07),
+        (f"12,33,35,507,498,2,{FRAMES}", 12, 5.07),
+        ("12,33,35,507,0,", 12, 5.07),
+        ("FTM Data: Raw RTT = 35 nSec, Est RTT = 33 nSec, Distance = 5.07 meters", None, 5.07),
+        ("AA:BB:CC:DD:EE:FF,12.34 m, 82 ns, 90", "aa:bb:cc:dd:ee:ff", 12.34),
+        ("5.07|33|-61", None, 5.07),
+        ("507|33|-61", None, 5.07),
+    ],
+    ids=["gtec", "gtec extra", "gtec no frames", "words", "address", "bars m", "bars cm"],
+)
+def test_the_known_rows_are_told_apart(row: str, emitter: str | int | None, range_m: float) -> None:
+    (reading,) = FtmCsv().feed(row.encode() + b"\r\n", 0.0)
+
+    assert reading.emitter == emitter
+    assert reading.range_m == pytest.approx(range_m)
+
+
+@pytest.mark.parametrize(
+    ("row", "reason"),
+    [
+        (f"12,33,35,507,3,{FRAMES}", "torn row"),
+        (f"12,33,35,0,2,{FRAMES}", "distance 0: the radio cannot say less"),
+        (f"12,33,35,4294967290,2,{FRAMES}", "distance is out of bounds"),
+        ("50.7|33|-61", "distance and round trip time do not agree"),
+    ],
+)
+def test_rows_that_cannot_be_used_are_counted(row: str, reason: str) -> None:
+    decoder = FtmCsv()
+
+    assert decoder.feed(row.encode() + b"\n", 0.0) == []
+    assert decoder.counts.refused == {reason: 1}
+
+
+def test_a_header_and_boot_text_are_passed_over() -> None:
+    decoder = FtmCsv()
+    text = b"anchorId,rtt_est,rtt_raw,dist,numFrames,\nrst:0x1 (POWERON),boot:0x8\n"
+
+    assert decoder.feed(text, 0.0) == []
+    assert not decoder.counts.refused
+
+
+def test_columns_can_be_given_with_their_units() -> None:
+    names = ("emitter", "_", "rtt_ps", "time_ms", "quality_percent")
+    decoder = FtmCsv(FtmCsvOptions(columns=names, delimiter=";"))
+    header, reading = b"id;ssid;rtt;ms;q\n", b"7;net;33800;1500;90\n"
+
+    assert decoder.feed(header, 0.0) == []
+    (found,) = decoder.feed(reading, 0.0)
+    assert found.emitter == 7
+    assert found.range_m == pytest.approx(5.0665, abs=1e-4)
+    assert found.device_time_s == pytest.approx(1.5)
+    assert found.quality == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("emitter", "range"), "`range` is no quantity with a unit"),
+        (("emitter", "time_s"), "neither a range nor an angle"),
+        (("range_cm", "range_m"), "says what another one says too"),
+    ],
+)
+def test_columns_that_say_nothing_are_a_configuration_error(
+    names: tuple[str, ...], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        FtmCsv(FtmCsvOptions(columns=names))
+
+
+def test_a_row_of_an_app_is_a_range_with_sigma_quality_and_time() -> None:
+    (reading,) = AndroidRtt().feed((ANDROID + ROW).encode(), 0.0)
+
+    assert reading.emitter == "aa:bb:cc:dd:ee:ff"
+    assert reading.range_m == pytest.approx(5.430)
+    assert reading.range_sigma_m == pytest.approx(0.120)
+    assert reading.quality == pytest.approx(7 / 8, abs=1e-6)
+    assert reading.device_time_s == pytest.approx(1718000000.123)
+
+
+def test_nothing_is_known_of_a_row_without_a_success() -> None:
+    decoder = AndroidRtt()
+    row = "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,0,0,-127,8,0\n"
+
+    assert decoder.feed((ANDROID + row).encode(), 0.0) == []
+    assert decoder.counts.refused == {"no measurement succeeded": 1}
+
+
+def test_a_deviation_of_zero_is_none_and_a_distance_may_be_negative() -> None:
+    row = "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,-120,0,-40,1,1\n"
+    (reading,) = AndroidRtt().feed((ANDROID + row).encode(), 0.0)
+
+    assert reading.range_m == pytest.approx(-0.12)
+    assert reading.range_sigma_m is None
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("bssid,distanceMm,status", "aa:bb:cc:dd:ee:ff,912345,2"),
+        ("bssid,distanceMm,is80211mcResponder", "aa:bb:cc:dd:ee:ff,912345,false"),
+        ("bssid,distanceMm,one_sided", "aa:bb:cc:dd:ee:ff,912345,true"),
+    ],
+)
+def test_one_sided_ranging_is_refused(header: str, row: str) -> None:
+    decoder = AndroidRtt()
+
+    assert decoder.feed(f"{header}\n{row}\n".encode(), 0.0) == []
+    assert decoder.counts.refused == {"one-sided: the access point has no 802.11mc": 1}
+
+
+@pytest.mark.parametrize(
+    ("stamp", "seconds"),
+    [
+        ("1718000000", 1718000000.0),
+        ("1718000000123", 1718000000.123),
+        ("1718000000123456", 1718000000.123456),
+        ("1718000000123456789", 1718000000.1234567),
+    ],
+)
+def test_the_unit_of_a_stamp_is_seen_by_its_magnitude(stamp: str, seconds: float) -> None:
+    (reading,) = AndroidRtt().feed(f"timestamp,range_m\n{stamp},4.5\n".encode(), 0.0)
+
+    assert reading.device_time_s == pytest.approx(seconds, abs=1e-6)
+
+
+def test_a_unit_in_the_column_s_name_or_in_the_options_comes_first() -> None:
+    text = b"rangingTimestampMillis;mac;distance_m\n123456;AA:BB:CC:DD:EE:FF;4.5\n"
+    (named,) = AndroidRtt().feed(text, 0.0)
+    assert named.device_time_s == pytest.approx(123.456)
+    assert named.emitter == "aa:bb:cc:dd:ee:ff"
+
+    (told,) = AndroidRtt(AndroidRttOptions(time_unit="us")).feed(
+        b"timestamp,dist\n5000000,4.5\n", 0.0
+    )
+    assert told.device_time_s == pytest.approx(5.0)
+
+
+def test_a_row_before_any_header_and_a_torn_one_are_refused() -> None:
+    decoder = AndroidRtt()
+
+    assert decoder.feed((ROW + ANDROID + ROW[:30] + "\n").encode(), 0.0) == []
+    assert decoder.counts.refused == {"row before the header": 1, "torn row": 1}
+
+
+def test_a_header_may_come_again_with_other_columns() -> None:
+    text = ANDROID + ROW + 'bssid,"range_m"\n"aa:bb:cc:dd:ee:01","7.5"\n'
+    first, second = AndroidRtt().feed(text.encode(), 0.0)
+
+    assert (first.range_m, second.range_m) == (5.43, 7.5)
