@@ -62,11 +62,11 @@ class Result:
     is_overdriven: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Channel:
     last_ms: float
     believed_from_ms: float
-    is_parallel: bool
+    is_parallel: bool = False
     """Whether another frequency had a result of the same time: no tuning between them."""
 
 
@@ -80,31 +80,34 @@ class _Channels:
     def complain_of(self, name: str, time_ms: float) -> str | None:
         """Why a result of a frequency is not to be used; None: it is."""
         before = self._seen.pop(name, None)
+        if before is not None and time_ms == before.last_ms:
+            self._seen[name] = before
+            return "unchanged since the last poll"
         channel = self._next(before, time_ms)
         self._seen[name] = channel
         if len(self._seen) > MOST_CHANNELS:
             del self._seen[next(iter(self._seen))]
-        if before is not None and time_ms == before.last_ms:
-            return "unchanged since the last poll"
         return "just tuned to this frequency" if time_ms < channel.believed_from_ms else None
 
     def _next(self, before: _Channel | None, time_ms: float) -> _Channel:
         """A frequency is new once another one was heard in its place."""
         others = self._seen.values()
         beside = [one for one in others if one.last_ms == time_ms]
-        is_parallel = bool(beside)
+        for one in beside:
+            one.is_parallel = True
+        is_parallel = bool(beside) or (before is not None and before.is_parallel)
         if before is None:
             start_ms = time_ms + (self._settle_ms if others else 0.0)
             if beside:
                 start_ms = max(one.believed_from_ms for one in beside)
-            return _Channel(time_ms, start_ms, is_parallel)
-        is_parallel |= before.is_parallel
-        is_away = time_ms - before.last_ms > AWAY_MS
-        if is_away and not is_parallel and any(one.last_ms > before.last_ms for one in others):
-            return _Channel(time_ms, time_ms + self._settle_ms, is_parallel)
-        if time_ms < before.last_ms:  # the clock was set back
-            return _Channel(time_ms, time_ms, is_parallel)
-        return _Channel(time_ms, before.believed_from_ms, is_parallel)
+        elif time_ms < before.last_ms:  # the clock was set back
+            start_ms = time_ms
+        elif is_parallel or time_ms - before.last_ms <= AWAY_MS:
+            start_ms = before.believed_from_ms
+        else:
+            is_replaced = any(one.last_ms > before.last_ms for one in others)
+            start_ms = time_ms + (self._settle_ms if is_replaced else 0.0)
+        return _Channel(time_ms, start_ms, is_parallel)
 
 
 class _Kraken(RadioDecoder):
