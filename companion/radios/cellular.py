@@ -132,10 +132,6 @@ class SrsRan(_Cell):
         self._nr = self.options
         self._step_m = step_m(self.options.numerology)
 
-    def hello(self) -> bytes:
-        """The metrics come to whoever asks for them."""
-        return b'{"cmd":"metrics_subscribe"}\n'
-
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """A document of metrics, or a line of the log."""
         if self._RACH.search(line):

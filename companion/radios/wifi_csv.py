@@ -116,6 +116,8 @@ class AndroidRttOptions(Params, frozen=True):
 
     time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
     """Of the timestamp; auto: by the column's name, else by the magnitude of a time since 1970."""
+    header: Annotated[str, msgspec.Meta(max_length=1000)] = ""
+    """The first line of a file that is followed from its end, or has none."""
 
 
 class AndroidRtt(FieldDecoder):
@@ -162,6 +164,8 @@ class AndroidRtt(FieldDecoder):
         self._time_unit = self.options.time_unit
         self._header: list[str] = []
         self._delimiter = ","
+        if self.options.header and not self._is_header(self.options.header):
+            raise ConfigError("android_rtt: header: no column of it is a distance")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """The header, or a row."""

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import math
 
 import msgspec
@@ -125,10 +124,6 @@ def test_documents_that_are_none_are_counted_and_give_nothing(line: str) -> None
     decoder = SrsRan(SrsRanOptions(loop_is_off=True))
 
     assert decoder.feed(line.encode() + b"\n", 0.0) == []
-
-
-def test_the_station_is_asked_for_its_metrics() -> None:
-    assert json.loads(SrsRan().hello()) == {"cmd": "metrics_subscribe"}
 
 
 @pytest.mark.parametrize(

@@ -157,6 +157,14 @@ def test_a_row_before_any_header_and_a_torn_one_are_refused() -> None:
     assert decoder.counts.refused == {"row before the header": 1, "torn row": 1}
 
 
+def test_the_header_can_be_told_for_a_file_that_is_followed_from_its_end() -> None:
+    (reading,) = AndroidRtt(AndroidRttOptions(header=ANDROID.strip())).feed(ROW.encode(), 0.0)
+
+    assert reading.range_m == pytest.approx(5.430)
+    with pytest.raises(ConfigError, match="no column of it is a distance"):
+        AndroidRtt(AndroidRttOptions(header="time,bssid"))
+
+
 def test_a_header_may_come_again_with_other_columns() -> None:
     text = ANDROID + ROW + 'bssid,"range_m"\n"aa:bb:cc:dd:ee:01","7.5"\n'
     first, second = AndroidRtt().feed(text.encode(), 0.0)
