@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from re import Pattern
 
 from companion.domain import Params
 
@@ -188,3 +189,59 @@ class LineDecoder(RadioDecoder):
         self.counts.resync_bytes += count
         if not self._is_overlong:
             self.counts.refuse("line is too long")
+
+
+class FrameDecoder(RadioDecoder):
+    """A decoder of binary frames: finds each whole one and hands it over.
+
+    What is none after all, by its length or checksum, costs one byte: the next is searched from
+    the second byte on, because the first was only taken for a beginning.
+    """
+
+    start: Pattern[bytes]
+    """What a frame may begin with, and the part of it that the end of the data cuts off."""
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._rest = b""
+
+    @abstractmethod
+    def size_at(self, data: bytes, at: int) -> int | None:
+        """Bytes of the frame that begins there; 0: none does; None: more is needed to tell.
+
+        What it says must not change with what follows, and not exceed `MOST_KEPT_BYTES`.
+        """
+
+    @abstractmethod
+    def read_frame(self, frame: bytes) -> list[RadioReading] | None:
+        """The readings of a whole frame; None: it is none (and counted, if by its checksum)."""
+
+    def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
+        """Cut into frames, and read each."""
+        readings: list[RadioReading] = []
+        data, at = self._rest + data, 0
+        search, counts = self.start.search, self.counts
+        while found := search(data, at):
+            counts.resync_bytes += found.start() - at
+            at = found.start()
+            size = self.size_at(data, at)
+            if size is None or at + size > len(data):
+                break
+            read = self.read_frame(data[at : at + size]) if size else None
+            if read is None:
+                counts.resync_bytes += 1
+                at += 1
+                continue
+            counts.frames += 1
+            readings += read
+            at += size
+        else:
+            counts.resync_bytes += len(data) - at
+            at = len(data)
+        self._rest = data[at:]
+        counts.readings += len(readings)
+        return readings
+
+    def reset(self) -> None:
+        """Forget the beginning of a frame."""
+        self._rest = b""

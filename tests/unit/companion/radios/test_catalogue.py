@@ -10,7 +10,7 @@ import pytest
 from companion.errors import ConfigError
 from companion.radios.catalogue import BUILT_IN, known_radios, radio_kind
 
-UNWRITTEN = set(BUILT_IN) - {"ndjson"}
+UNWRITTEN = {"fira_uci", "sr150", "pans", "pans_tlv", "qorvo_cli", "pdoa_js"}
 
 GOOD = """\
 from companion.radios.decoder import LineDecoder, RadioKind, RadioReading
@@ -93,4 +93,3 @@ def test_an_unknown_radio_is_refused_with_the_nearest_name() -> None:
 def test_every_built_in_radio_can_be_loaded_and_has_its_own_name(name: str) -> None:
     kind = radio_kind(name)
     assert kind.name == name
-    kind.decoder()

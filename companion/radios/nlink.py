@@ -1,0 +1,232 @@
+"""Nooploop NLink: the binary frames of LinkTrack, LinkTrack AOA and the IoT series.
+
+Layouts: github.com/nooploop-dev/nlink_unpack and nlink_parser. Little-endian; a frame ends with the
+low 8 bits of the sum of all bytes before it. Its length must fit the number of its elements as
+well, because one sum in 256 is right by chance, and what is no frame need not be waited for then.
+
+Angles are the device's: counter-clockwise, as far as is known, so `bearing_sign` is -1. Frames that
+tell what other nodes measured, or nothing that a range can be made of, are counted and skipped; so
+are those of TOFSense lasers (0x57), byte by byte.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from struct import Struct
+
+from companion.domain import Params, Positive
+from companion.radios.decoder import FrameDecoder, RadioKind, RadioReading
+
+SHORTEST, LONGEST = 12, 2048
+"""Bytes of a frame that tells its length."""
+PER_S = PER_M = 1000.0
+DBM = -0.5
+"""Signals are in steps of half a dBm, without their sign."""
+NO_DISTANCE = "no distance"
+PER_RAD = 18_000.0 / math.pi
+LOS_GAP_DB = 6.0
+"""A first path so little below the whole signal has nothing in its way (DW1000 user manual)."""
+CLOCK_WRAP_S = 2**32 / PER_S
+
+U16, U32 = Struct("<H"), Struct("<I")
+RANGED = Struct("<BBHbBB")
+"""Role, id, distance (24 bits in two), first path, received."""
+RANGED_AND_DATED = Struct("<BBHbBB6x")
+RANGED_WIDE = Struct("<BIHbBB")
+WITH_ANGLE = Struct("<BBHbhBB2x")
+"""Role, id, distance, angle, first path, received."""
+IOT_PEER = Struct("<IHbhhBBB")
+"""Id, distance, azimuth, elevation, first path, received, length of the data that follow."""
+TAG_DISTANCES = Struct("<" + 8 * "Hb")
+
+
+class NlinkOptions(Params, frozen=True):
+    """What the frames do not say about their signals."""
+
+    nlos_gap_db: Positive | None = None
+    """Received above first path by more than this: not in line of sight; null: not judged."""
+    behind_fp_dbm: float | None = None
+    """A first path weaker than this is from behind the antennas: its angle is dropped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where a frame has what is needed of it; offsets from its first byte."""
+
+    header: int
+    """Bytes before the repeated element."""
+    element: Struct | None = None
+    """None: no ranges in it, skipped."""
+    element_bytes: int = 0
+    """0: they vary, and only the length is known."""
+    time_at: int = 0
+    """Milliseconds of the device's own clock."""
+
+
+VARIABLE: Mapping[int, Layout] = {
+    0x02: Layout(11),
+    0x03: Layout(27, None, 20),
+    0x04: Layout(119, RANGED_AND_DATED, 13, time_at=102),
+    0x05: Layout(21, RANGED, 7, time_at=6),
+    0x06: Layout(21),
+    0x07: Layout(21, WITH_ANGLE, 11, time_at=6),
+    0x08: Layout(24, RANGED_WIDE, 10, time_at=9),
+    0x09: Layout(14),
+}
+"""By function mark; the number of elements is the last byte of the header."""
+SKIPPED = {
+    0x00: "AnchorFrame0: other nodes' ranges",
+    0x02: "NodeFrame0: no ranges",
+    0x03: "NodeFrame1: no ranges",
+    0x06: "NodeFrame4: other nodes' ranges",
+    0x09: "NodeFrame6: no ranges",
+}
+ANCHOR_FRAME_BYTES, ANCHOR_FRAME_END = 896, 0xEE
+TAG_FRAME_BYTES, TAG_FRAME_DISTANCES_AT, TAG_FRAME_TIME_AT = 128, 22, 108
+IOT_HEADER, IOT_TIME_AT = 14, 8
+
+
+class NlinkDecoder(FrameDecoder):
+    """The ranges and angles that a node measured itself."""
+
+    Options = NlinkOptions
+    options: NlinkOptions
+    start = re.compile(rb"\x55(?:[\x00-\x09]|\Z)|\x6a(?:\x00|\Z)")
+
+    def size_at(self, data: bytes, at: int) -> int | None:
+        """By the length, and where the elements are all of one size by their number, too."""
+        if len(data) < at + 2:
+            return None
+        mark = data[at + 1]
+        if data[at] == 0x55 and mark == 0x00:
+            return ANCHOR_FRAME_BYTES
+        if data[at] == 0x55 and mark == 0x01:
+            return TAG_FRAME_BYTES
+        if len(data) < at + 4:
+            return None
+        size = U16.unpack_from(data, at + 2)[0]
+        layout = VARIABLE[mark] if data[at] == 0x55 else Layout(IOT_HEADER)
+        if not max(SHORTEST, layout.header + 1) <= size <= LONGEST:
+            return 0
+        if layout.element_bytes:
+            if len(data) < at + layout.header:
+                return None
+            count = data[at + layout.header - 1]
+            if size != layout.header + count * layout.element_bytes + 1:
+                return 0
+        return int(size)
+
+    def read_frame(self, frame: bytes) -> list[RadioReading] | None:
+        """What a node measured itself, if the sum is right."""
+        mark = frame[1]
+        is_iot = frame[0] != 0x55
+        if mark == 0x00 and not is_iot:
+            if frame[-1] != ANCHOR_FRAME_END:
+                return None
+        elif sum(frame[:-1]) & 0xFF != frame[-1]:
+            self.counts.bad_checksum += 1
+            return None
+        if is_iot:
+            return self._iot(frame)
+        if mark in SKIPPED:
+            self.counts.refuse(SKIPPED[mark])
+            return []
+        if mark == 0x01:
+            return self._tag_frame(frame)
+        layout = VARIABLE[mark]
+        assert layout.element is not None
+        return self._nodes(frame, layout, layout.element)
+
+    def _nodes(self, frame: bytes, layout: Layout, element: Struct) -> list[RadioReading]:
+        """An element a node."""
+        time_s = U32.unpack_from(frame, layout.time_at)[0] / PER_S
+        has_angle = element is WITH_ANGLE
+        readings = []
+        for fields in element.iter_unpack(frame[layout.header : -1]):
+            ident, low, high = fields[1:4]
+            if high < 0 or not (low or high):
+                self.counts.refuse(NO_DISTANCE)
+                continue
+            fp, rx = fields[-2:]
+            readings.append(
+                RadioReading(
+                    emitter=ident,
+                    device_time_s=time_s,
+                    range_m=(high << 16 | low) / PER_M,
+                    azimuth_rad=self._azimuth_rad(fields[4], fp) if has_angle else None,
+                    line_of_sight=self._is_in_sight(fp, rx),
+                )
+            )
+        return readings
+
+    def _tag_frame(self, frame: bytes) -> list[RadioReading]:
+        """Eight distances, each by its place the id of an anchor; nothing else is known of them."""
+        time_s = U32.unpack_from(frame, TAG_FRAME_TIME_AT)[0] / PER_S
+        halves = TAG_DISTANCES.unpack_from(frame, TAG_FRAME_DISTANCES_AT)
+        return [
+            RadioReading(emitter=ident, device_time_s=time_s, range_m=(high << 16 | low) / PER_M)
+            for ident, (low, high) in enumerate(zip(halves[::2], halves[1::2], strict=True))
+            if high >= 0 and (low or high)
+        ]
+
+    def _iot(self, frame: bytes) -> list[RadioReading] | None:
+        """Peers with both angles, and data of users between; None: they do not fill the frame."""
+        time_s = U32.unpack_from(frame, IOT_TIME_AT)[0] / PER_S
+        readings, at, end = [], IOT_HEADER, len(frame) - 1
+        for _ in range(frame[IOT_HEADER - 1]):
+            if at + IOT_PEER.size > end:
+                return None
+            ident, low, high, azimuth, elevation, fp, _, data = IOT_PEER.unpack_from(frame, at)
+            at += IOT_PEER.size + (data & 0x0F)
+            if high < 0 or not (low or high):
+                self.counts.refuse(NO_DISTANCE)
+                continue
+            azimuth_rad = self._azimuth_rad(azimuth, fp)
+            readings.append(
+                RadioReading(
+                    emitter=ident,
+                    device_time_s=time_s,
+                    range_m=(high << 16 | low) / PER_M,
+                    azimuth_rad=azimuth_rad,
+                    elevation_rad=None if azimuth_rad is None else elevation / PER_RAD,
+                )
+            )
+        return readings if at == end else None
+
+    def _azimuth_rad(self, raw: int, fp: int) -> float | None:
+        """None: it is from behind."""
+        least_dbm = self.options.behind_fp_dbm
+        if least_dbm is not None and fp * DBM < least_dbm:
+            self.counts.refuse("from behind: angle dropped")
+            return None
+        return raw / PER_RAD
+
+    def _is_in_sight(self, fp: int, rx: int) -> bool | None:
+        """By how much of the signal came first."""
+        most_db = self.options.nlos_gap_db
+        if most_db is None:
+            return None
+        gap_db = (rx - fp) * DBM
+        if gap_db > most_db:
+            return False
+        return True if gap_db < LOS_GAP_DB else None
+
+
+NLINK = RadioKind(
+    name="nlink",
+    decoder=NlinkDecoder,
+    title="Nooploop LinkTrack, LinkTrack AOA, IoT",
+    gives="range, azimuth (AOA), elevation (IoT)",
+    emitter="a LinkTrack node",
+    transport="serial:921600",
+    clock_wrap_s=CLOCK_WRAP_S,
+    defaults={
+        "bearing_sign": -1,
+        "field_of_view_deg": 120.0,
+        "range_sigma_m": 0.15,
+        "bearing_sigma_deg": 6.0,
+    },
+)
