@@ -45,7 +45,8 @@ LEAST_SPAN_S = 8.0
 """Less than this tells nothing."""
 MIN_COUNT, MAX_COUNT = 20, 512
 """Fewer measurements tell nothing; more are not kept."""
-EVERY_S = 1.0
+EVERY_S, EVERY_COUNT = 1.0, 3
+"""At least so much time and so many measurements are between two looks: fewer say nothing new."""
 NEAR = 3.0
 """A place is asked for while R95 is at most so many times what counts as localised."""
 SIGNIFICANT = 60.0
@@ -88,6 +89,8 @@ class MotionWatch:
         self._near_m = NEAR * localised_r95_m
         self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
         self._due_s = -math.inf
+        self._unseen = EVERY_COUNT
+        """Measurements since the last look."""
         self._reset()
 
     @property
@@ -110,6 +113,7 @@ class MotionWatch:
         """Take in a measurement."""
         if self._is_wanted:
             self._rows.append(row_vector(row, time_s))
+            self._unseen += 1
 
     def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
         """Move all along with the vehicle's navigation, which jumped; see `hypotheses`."""
@@ -119,11 +123,12 @@ class MotionWatch:
 
     def is_due(self, now_s: float) -> bool:
         """Whether it is time to look again."""
-        return bool(self._rows) and not now_s < self._due_s <= now_s + EVERY_S
+        is_time = not now_s < self._due_s <= now_s + EVERY_S
+        return bool(self._rows) and self._unseen >= EVERY_COUNT and is_time
 
     def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> None:
         """Look whether the target walks, where it matters: not of one that may be anywhere."""
-        self._due_s = now_s + EVERY_S
+        self._due_s, self._unseen = now_s + EVERY_S, 0
         if self.suspected is None and r95_m > self._near_m:
             return
         found = self._likeliest_motion(window_map, mean)

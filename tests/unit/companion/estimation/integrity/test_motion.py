@@ -9,6 +9,7 @@ import pytest
 
 from companion.estimation.integrity.target_motion import (
     CALM_COUNT,
+    EVERY_COUNT,
     EVERY_S,
     IN_A_ROW,
     SIGNIFICANT,
@@ -183,11 +184,14 @@ def test_it_forgets() -> None:
     assert not watch.is_due(1e3)
 
 
-def test_looks_are_a_second_apart_and_time_may_go_back() -> None:
-    watch = MotionWatch(PARAMS, 2.0)
-    watch.add(0.0, ((0.0, 0.0, 0.0), np.ones(3), np.ones(3)))
+def test_looks_are_a_second_and_some_measurements_apart_and_time_may_go_back() -> None:
+    watch, row = MotionWatch(PARAMS, 2.0), ((0.0, 0.0, 0.0), np.ones(3), np.ones(3))
+    watch.add(0.0, row)
     assert watch.is_due(100.0)
     watch.look(MAP, truth(), 2.0, 100.0)
+    assert not watch.is_due(100.0 + EVERY_S)
+    for _ in range(EVERY_COUNT):
+        watch.add(0.0, row)
     assert not watch.is_due(100.0 + 0.9 * EVERY_S)
     assert watch.is_due(100.0 + EVERY_S)
     assert watch.is_due(3.0)
