@@ -40,7 +40,7 @@ _UNSHOWN = re.compile(
 
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
-_NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*): (?P<problem>.*)$", re.DOTALL)
+_NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
 _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
@@ -141,6 +141,14 @@ def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) 
         if not _take_out(raw, record.path):
             break
     raise ConfigError("\n".join(f"{name}: {problem}" for problem in problems[:MAX_PROBLEMS]))
+
+
+def record_within(raw: object, kind: type[T], place: str) -> T:
+    """The record of type `kind` in plain values; a `ValueError` begins with the path in `place`."""
+    record = _convert(raw, kind)
+    if isinstance(record, _Problem):
+        raise ValueError(f"{place}{record.path.removeprefix('$')}: {record.text}")
+    return record
 
 
 @dataclass(frozen=True, slots=True)

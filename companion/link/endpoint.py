@@ -29,7 +29,6 @@ from companion.link.gcs_services import (
 )
 from companion.link.intake import Authenticity, AutopilotBinding, Intake
 from companion.link.interface import (
-    MAVLINK,
     EndpointParams,
     InputRecorder,
     Journal,
@@ -39,8 +38,9 @@ from companion.link.interface import (
 from companion.link.outlet import COMPONENT_ID, Outlet
 from companion.link.presence import Presence
 from companion.link.quality import FloodShield, LinkAlarms, LinkHealth
+from companion.link.radio_stage import RadioStage
+from companion.link.radio_watch import RadioWatch
 from companion.link.ranging_sources import (
-    SOURCES,
     MavlinkRanging,
     RangingMessage,
     RangingSource,
@@ -103,10 +103,15 @@ class CompanionEndpoint:
         clock = self.executor.inbound.clock
         self._vehicle_ranging = MavlinkRanging(SourceContext(vehicle.codec, clock))
         self._sources: dict[int, RangingSource] = {
-            number: SOURCES[link.source](SourceContext(self._intakes[number].codec, clock))
+            number: MavlinkRanging(SourceContext(self._intakes[number].codec, clock))
+            if link.radio is None
+            else RadioStage(link.radio)
             for number, link in enumerate(params.links)
             if link.role is LinkRole.RANGING
         }
+        stages = [source for source in self._sources.values() if isinstance(source, RadioStage)]
+        self.radios = tuple(RadioWatch(stage) for stage in stages)
+        """In the order of their links."""
         self._next_timer_s = -math.inf
         self._next_record_s = -math.inf
 
@@ -117,7 +122,7 @@ class CompanionEndpoint:
         signing = self.authenticity.of_link(number, is_trusted=is_trusted)
         codec = MavCodec(params.vehicle.system_id or 1, COMPONENT_ID, signing)
         binding = self.binding if link.role is LinkRole.VEHICLE else None
-        return Intake(codec, binding, is_raw=link.source != MAVLINK)
+        return Intake(codec, binding, is_raw=link.radio is not None)
 
     # The Endpoint protocol
 
@@ -141,7 +146,8 @@ class CompanionEndpoint:
         for intake in self._intakes:
             intake.budget.renew()
         signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
-        for text in (*signing, *links, *self._queries.new_texts(now_s)):
+        radios = [text for radio in self.radios for text in radio.tick(now_s)]
+        for text in (*signing, *links, *radios, *self._queries.new_texts(now_s)):
             self.outlet.announce(text, now_s)
         stalled_s = self._health.tick(now_s)
         if stalled_s is not None:
@@ -160,6 +166,8 @@ class CompanionEndpoint:
             self._next_record_s = now_s + RECORD_PERIOD_S
             self._journal.record("link", self._link_record(now_s), now_s)
             self._journal.record("health", health_fields(self.session.tracker, now_s), now_s)
+            for radio in self.radios:
+                self._journal.record("radio", radio.record(now_s), now_s)
 
     def next_timer_s(self) -> float:
         """When the next control tick is due."""

@@ -13,6 +13,10 @@ address have a budget of their own.
 PX4 1.15 sends 405 frames a second on its busiest link: 20 between two ticks. The bytes are what
 the worst of them, all magic, can be cut up in less than a tick (1.3 us each).
 
+A radio's own format comes raw and is cut by its decoder, in plain Python. Its link has an account
+of bytes: a tick adds twice what a serial port at 921600 baud brings, and a page that is polled may
+take what was saved.
+
 Theory of operation of signing. With a key every frame of every link must prove itself before it is
 decoded; the codecs see to that. The time in signatures goes on from the wall clock at the start by
 the control tick's own clock, so that a wall clock that is set in flight changes nothing; only
@@ -158,6 +162,8 @@ KNOWN: Amounts = (32_768, 2_000, 500)
 UNKNOWN_PEERS: Amounts = (16_384, 400, 100)
 """All of them together."""
 ONE_UNKNOWN_PEER: Amounts = (4_096, 100, 50)
+RAW_BYTES, MOST_RAW_BYTES = 8_192, 65_536
+"""What a tick adds to the account of a link with a radio's own format, and the most there is."""
 HEARTBEATS = 200
 """Of the autopilot's address, whatever else it sent: they alone tell who flies. One a second, and
 those that are asked for after a silence, of more than two minutes."""
@@ -169,6 +175,7 @@ class FloodBudget:
     def __init__(self) -> None:
         self.dropped = [0, 0, 0]
         """Refusals so far, by what was used up: chunks, frames, messages."""
+        self._raw_left = MOST_RAW_BYTES
         self.renew()
 
     def renew(self) -> None:
@@ -177,6 +184,7 @@ class FloodBudget:
         self._unknown = [0, 0, 0]
         self._by_source: dict[Address | None, list[int]] = {}
         self._heartbeats = 0
+        self._raw_left = min(MOST_RAW_BYTES, self._raw_left + RAW_BYTES)
 
     @property
     def dropped_unread(self) -> int:
@@ -187,6 +195,14 @@ class FloodBudget:
         """Whether one more HEARTBEAT of the autopilot's address may come beside all budgets."""
         self._heartbeats += 1
         return self._heartbeats <= HEARTBEATS
+
+    def spend_raw(self, count: int) -> bool:
+        """Whether so many bytes of a radio's own format may come."""
+        if count > self._raw_left:
+            self.dropped[Resource.BYTES] += 1
+            return False
+        self._raw_left -= count
+        return True
 
     def spend(
         self, resource: Resource, amount: int, peer: Address | None, *, is_known: bool
@@ -237,15 +253,16 @@ class Intake:
 
     def take(self, chunk: Chunk) -> Iterator[bytes]:
         """The proved frames of a chunk, or a raw chunk as it is, as far as the budget goes."""
+        if self.is_raw:
+            if self.budget.spend_raw(len(chunk.data)):
+                yield chunk.data
+            return
         codec, spend, peer, binding = self.codec, self.budget.spend, chunk.peer, self._binding
         is_known = not chunk.is_datagram or (
             binding is not None and binding.is_bound and peer == binding.peer
         )
         is_free = is_known and _is_heartbeat(chunk) and self.budget.spend_heartbeat()
         if not (is_free or spend(Resource.BYTES, len(chunk.data), peer, is_known=is_known)):
-            return
-        if self.is_raw:
-            yield chunk.data
             return
         for frame in codec.splitter.split(chunk.data, is_datagram=chunk.is_datagram):
             if not (is_free or spend(Resource.FRAMES, 1, peer, is_known=is_known)):

@@ -12,10 +12,8 @@ import msgspec
 from companion.domain import Params
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import Event
+from companion.link.radio_stage import RadioSetup
 from companion.mav.endpoint import Address
-
-MAVLINK = "mavlink"
-"""The ranging source that every MAVLink sender is; see `companion.link.ranging_sources`."""
 
 
 class LinkRole(Enum):
@@ -33,8 +31,8 @@ class LinkSpec:
     """One link, as the endpoint sees it; its place among all of them is `Chunk.link`."""
 
     role: LinkRole
-    source: str = MAVLINK
-    """What a RANGING link speaks: a name in `companion.link.ranging_sources.SOURCES`."""
+    radio: RadioSetup | None = None
+    """What a RANGING link speaks instead of MAVLink."""
 
 
 VEHICLE_ONLY = (LinkSpec(LinkRole.VEHICLE),)

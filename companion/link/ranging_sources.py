@@ -1,25 +1,21 @@
-"""Where ranging comes from: one source per kind of radio, bytes and time in, measurements out.
+"""Where ranging comes from: one source per ranging link, bytes and time in, measurements out.
 
-A radio that does not speak MAVLink is a class with `receive` in a module of its own and a row in
-`SOURCES`; a link that is given as `NAME+serial:/dev/...` then brings its bytes here.
-
-MAVLink is the first source: RADIO_RANGING is our own message; LANDING_TARGET of type RADIO_BEACON
-and RANGING_BEACON are read as well. Degrees, millimetres, NED and the sentinels (NaN, UINT8_MAX,
-UINT32_MAX) end here. Infinities and absurd numbers pass through on purpose: refusing them, with a
-counted reason, is the tracker's task.
+A radio with a format of its own has a decoder in `companion.radios`, behind which `RadioStage` is
+the source. MAVLink is the other one: RADIO_RANGING is our own message; LANDING_TARGET of type
+RADIO_BEACON and RANGING_BEACON are read as well. Degrees, millimetres, NED and the sentinels (NaN,
+UINT8_MAX, UINT32_MAX) end here. Infinities and absurd numbers pass through on purpose: refusing
+them, with a counted reason, is the tracker's task.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
-from companion.link.interface import MAVLINK
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
 
@@ -193,7 +189,3 @@ def _from_ranging_beacon(
 
 def _or_none(value: float) -> float | None:
     return None if math.isnan(value) else float(value)
-
-
-SOURCES: dict[str, Callable[[SourceContext], RangingSource]] = {MAVLINK: MavlinkRanging}
-"""By the name that a link's address has before its `+`."""
