@@ -10,6 +10,7 @@ from typing import Any, NoReturn, TypeAlias
 
 from companion import __version__
 from companion.errors import ConfigError
+from companion.radio_tools.radio_commands import add_arguments
 
 MAX_SECONDS = 300.0
 MAX_SPEED = 50.0
@@ -32,10 +33,18 @@ links:
   serial:/dev/ttyAMA0:921600       a serial port and its speed
   Each may be spelt with :// as well, and udp:// is udpin:// .
 
+radios (companion radio list):
+  nlink@/dev/ttyUSB0               the usual speed, or NAME@serial:/dev/ttyUSB0:115200
+  kraken@192.168.1.10              a page that is polled, or NAME@http://HOST:PORT/PATH
+  ndjson@udp:HOST:PORT             tcp:, tcpin: and udpout: as well
+  ndjson@exec:COMMAND, @stdin:     what a program prints
+  ndjson@file:PATH                 what is added to a file; with ?play=1 it is played back
+
 examples:
   companion --connect udp:127.0.0.1:14540
   companion --connect serial:/dev/ttyAMA0:921600 --ranging udp:127.0.0.1:14600 \\
             --config configs/companion/default.yaml
+  companion --connect serial:/dev/ttyAMA0:921600 --radio nlink:bearing_sign=-1@/dev/ttyUSB0
   companion demo --speed 4
   companion replay walk.csv --config configs/companion/wifi_rtt.yaml --json walk.json"""
 
@@ -64,11 +73,14 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_links(parser)
     _add_flight(parser)
     _add_web(parser.add_argument_group("live map (extra web)"))
-    commands = parser.add_subparsers(dest="command", metavar="{demo,replay,report,doctor,warm-up}")
+    commands = parser.add_subparsers(
+        dest="command", metavar="{demo,replay,report,doctor,radio,warm-up}"
+    )
     _add_demo(commands)
     _add_replay(commands)
     _add_report(commands)
     _add_doctor(commands)
+    _add_radio(commands)
     _add_warm_up(commands)
     return parser
 
@@ -90,6 +102,8 @@ def _add_links(parser: Options) -> None:
     _option(parser, "--connect", "URL", "link to the autopilot")
     text = "link that carries only ranging messages; repeatable"
     _option(parser, "--ranging", "URL", text, **repeatable)
+    text = "radio with a format of its own, NAME[:KEY=VALUE,...]@URL; repeatable"
+    _option(parser, "--radio", "RADIO", text, **repeatable)
     text = "link to a ground station, beside the way through the autopilot; repeatable"
     _option(parser, "--gcs", "URL", text, **repeatable)
     text = "send found emitters as Cursor on Target over UDP, for ATAK (239.2.3.1:6969)"
@@ -171,6 +185,15 @@ def _add_doctor(commands: Commands) -> None:
     _switch(doctor, "--json", "print the results as JSON")
 
 
+def _add_radio(commands: Commands) -> None:
+    radio = commands.add_parser(
+        "radio",
+        help="list, watch, record and calibrate radios",
+        description="Radios with formats of their own: which there are, and what they say.",
+    )
+    add_arguments(radio)
+
+
 def _add_warm_up(commands: Commands) -> None:
     warm_up = commands.add_parser(
         "warm-up",
@@ -228,7 +251,7 @@ def number_in(
     return parsed
 
 
-FLIGHT_OPTIONS = "connect ranging gcs cot fence signing_key insecure fresh once"
+FLIGHT_OPTIONS = "connect ranging radio gcs cot fence signing_key insecure fresh once"
 SHARED_OPTIONS = "config speed web"
 
 

@@ -13,8 +13,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from companion.arguments import argument_parser, check_place_of_options
-from companion.config.schema import CompanionConfig, load_config, with_fence, with_signing_key
+from companion.config.schema import (
+    CompanionConfig,
+    load_config,
+    with_fence,
+    with_radios,
+    with_signing_key,
+)
 from companion.errors import CompanionError, ConfigError
+from companion.flight_setup import radio_links
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
 from companion.io.shell import Clock
@@ -62,6 +69,8 @@ def _run(argv: Sequence[str] | None) -> int:
             return _report(arguments)
         case "doctor":
             return _doctor(arguments)
+        case "radio":
+            return _radio(arguments)
         case "warm-up":
             return _warm_up(arguments)
     return _fly(arguments)
@@ -101,7 +110,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14540, or try demo")
     config = _flight_config(arguments)
     settings = _web_settings(arguments)
-    links = _links(arguments)
+    links = _links(arguments, config)
     if not arguments.insecure:
         check_exposure(
             links,
@@ -128,7 +137,7 @@ def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:
         config = with_fence(config, arguments.fence)
     if arguments.signing_key is not None:
         config = with_signing_key(config, arguments.signing_key)
-    return config
+    return with_radios(config, arguments.radio)
 
 
 def _views(
@@ -165,18 +174,25 @@ def _console_view() -> FlightView:
     return view
 
 
-def _links(arguments: argparse.Namespace) -> list[FlightLink]:
-    """The vehicle's link, then those that carry only ranging, then ground stations'."""
-    given = [("--connect", arguments.connect, LinkRole.VEHICLE)]
-    given += [("--ranging", text, LinkRole.RANGING) for text in arguments.ranging]
-    given += [("--gcs", text, LinkRole.GCS) for text in arguments.gcs]
+def _links(arguments: argparse.Namespace, config: CompanionConfig) -> list[FlightLink]:
+    """The vehicle's link, those with only ranging, the radios', then ground stations'."""
+    mavlink = [("--connect", arguments.connect, LinkRole.VEHICLE)]
+    mavlink += [("--ranging", text, LinkRole.RANGING) for text in arguments.ranging]
+    given = [(f"{option} {text}", parse_flight_link(text, role)) for option, text, role in mavlink]
+    given += [(f"--radio {link.transport}", link) for link in radio_links(config.radios)]
+    given += [(f"--gcs {text}", parse_flight_link(text, LinkRole.GCS)) for text in arguments.gcs]
     links: dict[str, FlightLink] = {}
-    for option, text, role in given:
-        link = parse_flight_link(text, role)
+    for words, link in given:
         if str(link.transport) in links:
-            raise ConfigError(f"{option} {text}: this link is given twice; one of them is enough")
+            raise ConfigError(f"{words}: this link is given twice; one of them is enough")
         links[str(link.transport)] = link
     return list(links.values())
+
+
+def _radio(arguments: argparse.Namespace) -> int:
+    from companion.radio_tools.radio_commands import run
+
+    return run(arguments)
 
 
 def _warm_up(arguments: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from companion import __version__
+from companion.config.radios import RadioConfig, radio_setups
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.config.tunables import Tunables
 from companion.errors import ConfigError
@@ -29,11 +30,12 @@ from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.io.files import FLIGHT, write_bytes_atomic
+from companion.io.links.radio_lines import radio_link
+from companion.io.links.transports import FlightLink
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import Authenticity
 from companion.link.interface import (
-    MAVLINK,
     VEHICLE_ONLY,
     EndpointParams,
     InputRecorder,
@@ -131,6 +133,12 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
     )
 
 
+def radio_links(radios: Sequence[RadioConfig]) -> list[FlightLink]:
+    """The links of radios that have their addresses, in order."""
+    setups = radio_setups(radios)
+    return [radio_link(s, radio.url or "") for s, radio in zip(setups, radios, strict=True)]
+
+
 def build_endpoint(
     config: CompanionConfig,
     journal: Journal,
@@ -162,13 +170,11 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
 
     started_unix_s: float
     links: int
-    """The vehicle's, those that carry only ranging, and ground stations'; in this order."""
+    """The vehicle's, those that carry only ranging, radios, and ground stations'; in this order."""
     gcs_links: int = 0
     """How many of them lead to ground stations."""
-    ranging_sources: list[str] | msgspec.UnsetType = msgspec.UNSET
-    """What each ranging link speaks; left out where all of them speak MAVLink."""
     config: CompanionConfig
-    """As its file had it."""
+    """As its file had it, with the radios of the command line."""
     parameters: dict[str, float] = {}
     """What a ground station had changed before the flight, by name."""
     version: str = __version__
@@ -177,26 +183,16 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
     is_compiled: bool = IS_COMPILED
     """Compiled kernels may differ from plain ones in the last digits."""
 
-    @property
-    def link_specs(self) -> tuple[LinkSpec, ...]:
-        """What each link was for."""
-        ranging = self.links - 1 - self.gcs_links
-        sources = self.ranging_sources or [MAVLINK] * ranging
+    def link_specs(self, radios: Sequence[RadioConfig] | None = None) -> tuple[LinkSpec, ...]:
+        """What each link was for; with other `radios` than flew, as many of them."""
+        setups = radio_setups(self.config.radios if radios is None else radios)
+        ranging = self.links - 1 - len(setups) - self.gcs_links
         return (
             *VEHICLE_ONLY,
-            *(LinkSpec(LinkRole.RANGING, source) for source in sources),
+            *[LinkSpec(LinkRole.RANGING)] * ranging,
+            *(LinkSpec(LinkRole.RANGING, setup) for setup in setups),
             *[LinkSpec(LinkRole.GCS)] * self.gcs_links,
         )
-
-
-def facts_of_links(links: Sequence[LinkSpec]) -> dict[str, Any]:
-    """The fields of `FlightFacts` about the links; `link_specs` reads them back."""
-    sources = [link.source for link in links if link.role is LinkRole.RANGING]
-    return {
-        "links": len(links),
-        "gcs_links": sum(link.role is LinkRole.GCS for link in links),
-        "ranging_sources": sources if set(sources) - {MAVLINK} else msgspec.UNSET,
-    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,6 @@ from companion.flight_setup import (
     build_endpoint,
     build_planner,
     facts_as_json,
-    facts_of_links,
     write_facts,
 )
 from companion.guidance.authority.state_machine import Phase
@@ -106,7 +105,8 @@ def open_journal(
             log.info("log.keep_flights: deleted %d older flights", len(deleted))
     facts = FlightFacts(
         started_unix_s=started_unix_s,
-        **facts_of_links(links),
+        links=len(links),
+        gcs_links=sum(link.role is LinkRole.GCS for link in links),
         config=config,
         parameters=dict(parameters),
     )

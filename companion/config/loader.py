@@ -143,6 +143,15 @@ def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) 
     raise ConfigError("\n".join(f"{name}: {problem}" for problem in problems[:MAX_PROBLEMS]))
 
 
+def parse_value(text: str, place: str) -> object:
+    """What YAML reads in one value; a `ConfigError` begins with its place."""
+    value = _parse(text, place)
+    problems = _strange_values(value, "$", set())
+    if problems:
+        raise ConfigError(f"{place}: {problems[0].text}")
+    return value
+
+
 def record_within(raw: object, kind: type[T], place: str) -> T:
     """The record of type `kind` in plain values; a `ValueError` begins with the path in `place`."""
     record = _convert(raw, kind)

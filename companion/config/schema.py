@@ -7,6 +7,7 @@ single record can see.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -15,6 +16,7 @@ import msgspec
 
 from companion.config.fence_files import read_fence
 from companion.config.loader import load_yaml
+from companion.config.radios import RadioConfig, flown_radios
 from companion.domain import NonNegative, Params, Positive
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
@@ -208,6 +210,8 @@ class CompanionConfig(Params, frozen=True):
     limits: LimitsConfig = LimitsConfig()
     vehicle: VehicleParams = VehicleParams()
     link: LinkParams = LinkParams()
+    radios: tuple[RadioConfig, ...] = ()
+    """Radios with formats of their own."""
     log: LogConfig = LogConfig()
     process: ProcessConfig = ProcessConfig()
 
@@ -247,6 +251,30 @@ def with_signing_key(config: CompanionConfig, path: Path) -> CompanionConfig:
     return msgspec.structs.replace(config, link=link)
 
 
+def with_radios(config: CompanionConfig, options: Sequence[str]) -> CompanionConfig:
+    """The same with the radios of `--radio` as well; see `flown_radios`."""
+    radios = flown_radios(config.radios, options)
+    if radios != config.radios:
+        config = msgspec.structs.replace(config, radios=radios)
+    problem = _mounted_twice(config)
+    if problem is not None:
+        raise ConfigError(problem)
+    return config
+
+
+def _mounted_twice(config: CompanionConfig) -> str | None:
+    """A bearing is turned by the radio's mount, or by the antenna's."""
+    if config.estimation.filter.antenna.mount_deg[2] == 0.0:
+        return None
+    turned = [r.name for r in config.radios if r.settings.get("bearing_mount_deg")]
+    if not turned:
+        return None
+    return (
+        f"$.estimation.filter.antenna.mount_deg: its yaw and bearing_mount_deg of {turned[0]} both "
+        "turn bearings; keep one"
+    )
+
+
 def inconsistency(config: CompanionConfig) -> str | None:
     """What contradicts what between sections, with its YAML path, or None."""
     limits, mission = config.limits, config.mission
@@ -266,6 +294,8 @@ def inconsistency(config: CompanionConfig) -> str | None:
             f"$.planner.latched_crossing.altitude_swing_m: {low_m:g} to {high_m:g} m is not "
             "within $.limits"
         )
+    if (twice := _mounted_twice(config)) is not None:
+        return twice
     if not _has_lanes(config):
         return "$.planner.lawnmower.area_enu_m: nothing of it is left by $.limits"
     own_r95_m = 2.45 * config.estimation.filter.own_position_sigma_m

@@ -37,9 +37,8 @@ from companion.link.interface import (
 )
 from companion.link.outlet import COMPONENT_ID, Outlet
 from companion.link.presence import Presence
-from companion.link.quality import FloodShield, LinkAlarms, LinkHealth
+from companion.link.quality import FloodShield, LinkAlarms, LinkHealth, RadioWatch
 from companion.link.radio_stage import RadioStage
-from companion.link.radio_watch import RadioWatch
 from companion.link.ranging_sources import (
     MavlinkRanging,
     RangingMessage,

@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
+import msgspec
+
+from companion.config.radios import replayed_radios
 from companion.config.schema import CompanionConfig
 from companion.io.files import INPUTS
 from companion.kernel import IS_COMPILED
@@ -177,7 +180,10 @@ def replay_flight(
     """Run a flight (its folder, a file in it, or MCAP) again; None: with its own configuration."""
     recording = open_recording(path)
     facts = recording.facts
-    used = facts.config if config is None else config
+    used = facts.config
+    if config is not None:
+        radios = replayed_radios(facts.config.radios, config.radios)
+        used = msgspec.structs.replace(config, radios=radios)
     if facts.is_compiled != IS_COMPILED:
         how = "compiled" if facts.is_compiled else "plain"
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")

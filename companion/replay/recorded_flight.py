@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from companion.config.radios import replayed_radios
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
 from companion.errors import ConfigError
@@ -98,7 +99,8 @@ def rerun(
     if config == facts.config:
         tunables.restore(facts.parameters)
     heard = ViewedJournal(journal, views)
-    endpoint = build_endpoint(config, heard, facts.link_specs, tunables=tunables)
+    specs = facts.link_specs(replayed_radios(facts.config.radios, config.radios))
+    endpoint = build_endpoint(config, heard, specs, tunables=tunables)
     for value in inputs:
         match value.kind:
             case InputKind.FRAME:

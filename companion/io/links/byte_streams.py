@@ -207,6 +207,8 @@ class StreamLink(Link):
         logger.info("%s: connected", self.name)
         rate = self._bytes_per_s
         self._stream = ByteStream(handle, fd, self._take, self._forget, rate)
+        if self.greeting:
+            self._stream.write(self.greeting)
 
     def _take(self, pieces: list[bytes]) -> None:
         self.counters.received += len(pieces)
@@ -218,6 +220,8 @@ class StreamLink(Link):
             self.counters.send_errors += 1
             self.counters.last_error = reason
         logger.warning("%s: lost (%s)", self.name, reason)
+        if self.tells_loss:
+            self._received([Chunk(self.index, b"", is_datagram=False)])
 
 
 class ReopeningLink(StreamLink):

@@ -52,6 +52,10 @@ class Link(ABC):
         self.name = name
         self.index = index
         self.counters = LinkCounters()
+        self.greeting = b""
+        """Sent to whoever is connected, each time, before anything else."""
+        self.tells_loss = False
+        """Whether an empty piece of a stream says that its other end is gone."""
         self._received = received
 
     @abstractmethod

@@ -17,8 +17,7 @@ from companion.io.links.byte_streams import PtyLink, SerialLink, TcpClientLink
 from companion.io.links.link import Link, Received
 from companion.io.links.tcp import TcpFanOutLink, TcpServerLink
 from companion.io.links.udp import UdpConnectLink, UdpFanOutLink, UdpLink
-from companion.link.interface import MAVLINK, LinkRole, LinkSpec
-from companion.link.ranging_sources import SOURCES
+from companion.link.interface import LinkRole, LinkSpec
 from companion.mav.endpoint import Address
 
 DEFAULT_BAUD = 921_600
@@ -85,7 +84,30 @@ class SerialPort:
         return f"serial:{self.device}:{self.baud}"
 
 
-Transport = UdpBind | UdpFanOut | UdpConnect | TcpClient | TcpServer | TcpFanOut | Pty | SerialPort
+@dataclass(frozen=True, slots=True)
+class OwnLine:
+    """A way of its own, which makes its link itself: what only radios have."""
+
+    address: str
+    make: Callable[[int, Received], Link]
+    listens_at: UdpBind | TcpServer | None = None
+    """Where others send to, if that is so."""
+
+    def __str__(self) -> str:
+        return self.address
+
+
+Transport = (
+    UdpBind
+    | UdpFanOut
+    | UdpConnect
+    | TcpClient
+    | TcpServer
+    | TcpFanOut
+    | Pty
+    | SerialPort
+    | OwnLine
+)
 Line = Pty | SerialPort
 """Links that nobody else can hear."""
 Listening = UdpBind | UdpFanOut | TcpServer | TcpFanOut
@@ -112,7 +134,7 @@ _EXAMPLES = {
 }
 
 
-def parse_transport(text: str) -> Transport:
+def parse_transport(text: str, default_baud: int = DEFAULT_BAUD) -> Transport:
     """The transport that an address in `text` means; a `ConfigError` shows a right one.
 
     That is `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpout:` or `tcpin:` with `HOST:PORT`,
@@ -120,7 +142,7 @@ def parse_transport(text: str) -> Transport:
     """
     stripped = text.strip()
     if stripped.startswith("/dev/"):
-        return _parse_serial(text, stripped)
+        return _parse_serial(text, stripped, default_baud)
     scheme, separator, rest = stripped.partition(":")
     scheme, rest = scheme.lower(), rest.removeprefix("//")
     if scheme not in _EXAMPLES or not separator:
@@ -129,7 +151,7 @@ def parse_transport(text: str) -> Transport:
             f"link `{text}`: must begin with {known} or /dev/, for example {_EXAMPLES['udp']}"
         )
     if scheme == "serial":
-        return _parse_serial(text, rest)
+        return _parse_serial(text, rest, default_baud)
     if scheme == "pty":
         if not rest.startswith("/"):
             raise _wrong(text, scheme, "needs the full path of the port to make")
@@ -167,11 +189,11 @@ def _parse_host_and_port(text: str, scheme: str, rest: str) -> Transport:
     return kind(host, port)
 
 
-def _parse_serial(text: str, rest: str) -> SerialPort:
+def _parse_serial(text: str, rest: str, default_baud: int) -> SerialPort:
     device, separator, baud_text = rest.rpartition(":")
     # /dev/serial/by-path names hold colons: only a last part that is all digits is a speed there
     if not separator or (not baud_text.isdigit() and device.startswith("/dev/serial/")):
-        device, baud_text = rest, str(DEFAULT_BAUD)
+        device, baud_text = rest, str(default_baud)
     if not device.startswith("/"):
         raise _wrong(text, "serial", "needs the full path of a device")
     baud = _number(baud_text)
@@ -216,6 +238,8 @@ def make_link(transport: Transport, index: int, received: Received) -> Link:
             return PtyLink(path, index, received)
         case SerialPort(device, baud):
             return SerialLink(device, baud, index, received)
+        case OwnLine():
+            return transport.make(index, received)
     return _LINKS[type(transport)](transport.host, transport.port, index, received)
 
 
@@ -228,19 +252,16 @@ class FlightLink:
 
 
 def parse_flight_link(text: str, role: LinkRole) -> FlightLink:
-    """A link as an option gives it: an address, with `SOURCE+` before that of another radio."""
-    source, separator, address = text.strip().partition("+")
-    if role is not LinkRole.RANGING or not separator or not source.isidentifier():
-        source, address = MAVLINK, text
-    if source not in SOURCES:
-        raise ConfigError(f"link `{text}`: `{source}+` is none of {', '.join(SOURCES)}")
-    transport = parse_transport(address)
+    """A MAVLink link as an option gives its address."""
+    transport = parse_transport(text)
     is_shared = role is LinkRole.GCS
-    return FlightLink(shared(transport) if is_shared else transport, LinkSpec(role, source))
+    return FlightLink(shared(transport) if is_shared else transport, LinkSpec(role))
 
 
 def is_exposed(transport: Transport) -> bool:
     """Whether it listens where other machines may send to."""
+    if isinstance(transport, OwnLine):
+        return transport.listens_at is not None and is_exposed(transport.listens_at)
     if not isinstance(transport, Listening) or transport.host.lower() == "localhost":
         return False
     try:
@@ -259,7 +280,7 @@ def check_exposure(
     """
     for link in links:
         may_be_unsigned = unsigned_ranging and link.spec.role is not LinkRole.VEHICLE
-        is_proved = has_key and not may_be_unsigned and link.spec.source == MAVLINK
+        is_proved = has_key and not may_be_unsigned and link.spec.radio is None
         if is_exposed(link.transport) and not is_proved:
             raise ConfigError(
                 f"{link.transport}: anyone in the network could command it; listen on 127.0.0.1, "

@@ -276,6 +276,12 @@ class UdpConnectLink(UdpLink):
     def _attach(self, opened: socket.socket) -> None:
         opened.connect(self._address)
 
+    async def open(self) -> None:
+        """Connect, and greet."""
+        await super().open()
+        if self.greeting:
+            self._send_to(self.greeting, None)
+
     def send(self, chunk: Chunk) -> None:
         """Send to the remote, whatever peer the chunk names: there is only one."""
         self._send_to(chunk.data, None)

@@ -24,7 +24,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from companion.errors import LinkError
-from companion.io.links.transports import Pty, SerialPort, Transport
+from companion.io.links.transports import OwnLine, Pty, SerialPort, Transport
 
 
 def state_directory(configured: str | None, environment: Mapping[str, str]) -> Path:
@@ -109,6 +109,8 @@ def place_of(link: Transport) -> str:
         case Pty():
             folder, name = os.path.split(link.path)  # the name itself is a link that we make
             return f"{kind} {os.path.join(os.path.realpath(folder), name)}"
+        case OwnLine():
+            return str(link)
     return f"{kind} {_number_of(link.host)}:{link.port}"
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from companion.arguments import ComplaintParser, argument_parser
+from companion.config.radios import flown_radios
+from companion.flight_setup import radio_links
 from companion.io.links.transports import parse_flight_link, parse_transport
 from companion.link.interface import LinkRole
 from sim_link.lab import radio_command
@@ -40,6 +42,7 @@ def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> N
             arguments = argument_parser().parse_args(words[1:])
             for url in (arguments.connect, *arguments.ranging, *arguments.gcs):
                 assert parse_flight_link(url, LinkRole.VEHICLE)
+            assert len(radio_links(flown_radios((), arguments.radio))) == len(arguments.radio)
         else:
             parser = ComplaintParser()
             radio_command.add_arguments(parser)

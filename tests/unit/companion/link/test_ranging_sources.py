@@ -6,24 +6,22 @@ import math
 
 import pytest
 
+from companion.config.radios import RadioConfig
 from companion.config.schema import CompanionConfig
 from companion.domain import RangingMeasurement
 from companion.errors import ConfigError
-from companion.flight_setup import (
-    FlightFacts,
-    build_endpoint,
-    facts_as_json,
-    facts_of_json,
-    facts_of_links,
-)
-from companion.io.links.transports import SerialPort, check_exposure, parse_flight_link
+from companion.flight_setup import FlightFacts, build_endpoint, facts_as_json, facts_of_json
+from companion.io.links.radio_lines import radio_link
+from companion.io.links.transports import check_exposure
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.conversion.sender_clock import VehicleClock
 from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
-from companion.link.ranging_sources import SOURCES, MavlinkRanging, SourceContext
+from companion.link.radio_stage import RadioSettings, RadioSetup
+from companion.link.ranging_sources import MavlinkRanging, SourceContext
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message
 from companion.mav.endpoint import Chunk
+from companion.radios.decoder import LineDecoder, RadioKind, RadioReading
 from tests.unit.companion.link.wire import HOLD, Wire, heartbeat, link_specs, local_position, origin
 
 NAN = math.nan
@@ -97,34 +95,26 @@ def test_a_stamp_that_agrees_with_the_autopilots_clock_is_read_on_it(
 # Another radio
 
 
-class TextLines:
+class TextLines(LineDecoder):
     """An invented serial radio: `RANGE 7 81.25`, one line per answer, metres, no clock."""
 
-    def __init__(self, context: SourceContext) -> None:
-        del context
-        self._rest = b""
-
-    def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        found = []
-        for line in lines:
-            match line.split():
-                case [b"RANGE", emitter, metres]:
-                    found.append(RangingMeasurement(int(emitter), now_s, float(metres)))
-        return found
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        del received_s
+        match line.split():
+            case ["RANGE", emitter, metres]:
+                return [RadioReading(emitter, range_m=float(metres))]
+        return []
 
 
-@pytest.fixture
-def text_radio(monkeypatch: pytest.MonkeyPatch) -> LinkSpec:
-    monkeypatch.setitem(SOURCES, "text", TextLines)
-    return LinkSpec(LinkRole.RANGING, "text")
+KIND = RadioKind("text", TextLines, "an invented one", "range", "its tag", "serial:115200")
+TEXT_RADIO = LinkSpec(LinkRole.RANGING, RadioSetup(KIND, RadioSettings()))
 
 
 @pytest.mark.slow
-def test_another_radio_localises_the_emitter_through_the_endpoint(text_radio: LinkSpec) -> None:
+def test_another_radio_localises_the_emitter_through_the_endpoint() -> None:
     """Rings around an emitter at 40 m east, 30 m north, in halves of lines over a serial port."""
     wire = Wire().ready()
-    wire.endpoint = build_endpoint(CompanionConfig(), wire.journal, (*VEHICLE_ONLY, text_radio))
+    wire.endpoint = build_endpoint(CompanionConfig(), wire.journal, (*VEHICLE_ONLY, TEXT_RADIO))
     wire.say(origin())
     for step in range(240):
         wire.wait(0.25)
@@ -143,31 +133,25 @@ def test_another_radio_localises_the_emitter_through_the_endpoint(text_radio: Li
     assert math.dist(emitter.estimate.position_enu_m, (40.0, 30.0)) < 3.0
 
 
-def test_such_a_radio_is_given_by_its_name_before_the_address(text_radio: LinkSpec) -> None:
-    link = parse_flight_link("text+serial:/dev/ttyUSB0:115200", LinkRole.RANGING)
-    assert (link.transport, link.spec) == (SerialPort("/dev/ttyUSB0", 115_200), text_radio)
-    with pytest.raises(ConfigError, match="`unheard\\+` is none of mavlink"):
-        parse_flight_link("unheard+serial:/dev/ttyUSB0", LinkRole.RANGING)
-    with pytest.raises(ConfigError, match="must begin with"):
-        parse_flight_link("text+serial:/dev/ttyUSB0", LinkRole.VEHICLE)
-
-
-def test_a_radio_that_cannot_sign_is_not_heard_from_the_network(text_radio: LinkSpec) -> None:
-    link = parse_flight_link("text+udp:0.0.0.0:9000", LinkRole.RANGING)
-    assert link.spec == text_radio
+def test_a_radio_that_cannot_sign_is_not_heard_from_the_network() -> None:
+    assert TEXT_RADIO.radio is not None
+    exposed = radio_link(TEXT_RADIO.radio, "udp:0.0.0.0:9000")
     with pytest.raises(ConfigError, match="anyone in the network"):
-        check_exposure([link], has_key=True)
+        check_exposure([exposed], has_key=True)
+    check_exposure([radio_link(TEXT_RADIO.radio, "udp:127.0.0.1:9000")], has_key=False)
 
 
-@pytest.mark.parametrize("source", ["mavlink", "text"])
-def test_the_recorded_flight_knows_what_its_links_spoke(source: str) -> None:
-    links = (*VEHICLE_ONLY, LinkSpec(LinkRole.RANGING, source), LinkSpec(LinkRole.GCS))
-    facts = FlightFacts(started_unix_s=0.0, config=CompanionConfig(), **facts_of_links(links))
-    data = facts_as_json(facts)
-    assert (b"ranging_sources" in data) == (source != "mavlink")
-    assert facts_of_json(data).link_specs == links
+def test_the_recorded_flight_knows_what_its_links_spoke() -> None:
+    config = CompanionConfig(radios=(RadioConfig(name="ndjson", settings={"lag_s": 0.1}),))
+    facts = FlightFacts(started_unix_s=0.0, config=config, links=4, gcs_links=1)
+    read = facts_of_json(facts_as_json(facts))
+    roles = [link.role for link in read.link_specs()]
+    ranging = LinkRole.RANGING
+    assert roles == [LinkRole.VEHICLE, ranging, ranging, LinkRole.GCS]
+    settings = [link.radio and link.radio.settings.lag_s for link in read.link_specs()]
+    assert settings == [None, None, 0.1, None]
 
 
 def test_the_links_of_older_records_are_counted() -> None:
     facts = FlightFacts(started_unix_s=0.0, config=CompanionConfig(), links=4, gcs_links=1)
-    assert facts.link_specs == link_specs(ranging=2, gcs=1)
+    assert facts.link_specs() == link_specs(ranging=2, gcs=1)

@@ -1,0 +1,150 @@
+"""Radios as a configuration and as `--radio NAME[:OPTIONS]@URL` name them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import msgspec
+
+from companion.config.loader import parse_value, record_within
+from companion.domain import Params
+from companion.errors import ConfigError
+from companion.link.radio_stage import RadioSettings, RadioSetup
+from companion.radios.catalogue import radio_kind
+
+Name = Annotated[str, msgspec.Meta(pattern="^[a-z][a-z0-9_]*$")]
+
+
+class RadioConfig(Params, frozen=True):
+    """One radio: what it speaks, where it is, and how it is set."""
+
+    name: Name
+    """As `companion radio list` has it."""
+    url: str | None = None
+    """Where it is; null: `--radio NAME@URL` says so."""
+    settings: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Keys of `RadioSettings`; what is left out is as the radio's kind has it."""
+    options: dict[str, Any] = msgspec.field(default_factory=dict)
+    """What its format needs; keys of the decoder's own record."""
+
+    def __post_init__(self) -> None:
+        record_within(self.settings, RadioSettings, "settings")
+
+
+def radio_setup(radio: RadioConfig, place: str) -> RadioSetup:
+    """What a flight needs of it; a `ConfigError` begins with `place`.
+
+    This is where a plugin is loaded; a broken one is named.
+    """
+    kind = radio_kind(radio.name)
+    settings = {**kind.defaults, **radio.settings}
+    try:
+        return RadioSetup(
+            kind,
+            record_within(settings, RadioSettings, "settings"),
+            record_within(radio.options, kind.decoder.Options, "options"),
+        )
+    except ValueError as error:
+        raise ConfigError(f"{place}: {error}") from None
+
+
+def parse_radio_option(text: str, configured: RadioConfig | None = None) -> RadioConfig:
+    """The radio of `--radio NAME[:KEY=VALUE,...]@URL`; a `ConfigError` shows a right one.
+
+    Keys are those of the settings and of the format's options. What `configured` has of them, the
+    record of that name in a file, stays where the option does not say it.
+    """
+    front, separator, url = text.strip().partition("@")
+    name, _, given = front.partition(":")
+    if not separator or not url or not name:
+        raise ConfigError(
+            f"--radio {text}: give NAME@URL, for example nlink@/dev/ttyUSB0; "
+            "`companion radio list` has the names"
+        )
+    base = configured or RadioConfig(name=name)
+    settings, options = dict(base.settings), dict(base.options)
+    for part in _parts(given):
+        key, equals, value = part.partition("=")
+        if not equals:
+            raise ConfigError(f"--radio {text}: `{part}` is not KEY=VALUE")
+        is_setting = key.partition(".")[0] in RadioSettings.__struct_fields__
+        _put(settings if is_setting else options, key, parse_value(value, f"--radio {text}: {key}"))
+    raw = {"name": name, "url": url, "settings": settings, "options": options}
+    try:
+        return record_within(raw, RadioConfig, "")
+    except ValueError as error:
+        raise ConfigError(f"--radio {text}: {str(error).removeprefix('.')}") from None
+
+
+def _parts(text: str) -> list[str]:
+    """The pieces between commas that do not stand in brackets."""
+    pieces, depth = [""], 0
+    for character in text:
+        depth += (character in "[{") - (character in "]}")
+        if character == "," and depth == 0:
+            pieces.append("")
+        else:
+            pieces[-1] += character
+    return [piece for piece in pieces if piece]
+
+
+def _put(record: dict[str, Any], key: str, value: object) -> None:
+    """Set `a.b` in the mapping at `a`, which may be a file's and is not changed."""
+    outer, dot, inner = key.partition(".")
+    if not dot:
+        record[key] = value
+        return
+    before = record.get(outer)
+    record[outer] = {**(before if isinstance(before, Mapping) else {}), inner: value}
+
+
+def flown_radios(
+    configured: Sequence[RadioConfig], options: Sequence[str]
+) -> tuple[RadioConfig, ...]:
+    """Those of a file and of the command line; a `ConfigError` if nobody says where one is.
+
+    The second option of a name goes to the file's second radio of that name, and so on.
+    """
+    radios = list(configured)
+    taken: Counter[str] = Counter()
+    for text in options:
+        name = re.split("[:@]", text.strip(), maxsplit=1)[0]
+        places = [number for number, radio in enumerate(configured) if radio.name == name]
+        if taken[name] < len(places):
+            place = places[taken[name]]
+            radios[place] = parse_radio_option(text, configured[place])
+        else:
+            radios.append(parse_radio_option(text))
+        taken[name] += 1
+    for number, radio in enumerate(radios):
+        if radio.url is None:
+            raise ConfigError(
+                f"radios[{number}].url: is missing; give it, or --radio {radio.name}@URL"
+            )
+    return tuple(radios)
+
+
+def replayed_radios(
+    flown: Sequence[RadioConfig], other: Sequence[RadioConfig]
+) -> tuple[RadioConfig, ...]:
+    """The radios that flew, as another configuration sets those of the same names."""
+    taken: Counter[str] = Counter()
+    radios = []
+    for radio in flown:
+        same = [each for each in other if each.name == radio.name]
+        if taken[radio.name] < len(same):
+            radio = msgspec.structs.replace(same[taken[radio.name]], url=radio.url)
+        taken[radio.name] += 1
+        radios.append(radio)
+    return tuple(radios)
+
+
+def radio_setups(radios: Sequence[RadioConfig]) -> tuple[RadioSetup, ...]:
+    """`radio_setup` of each."""
+    return tuple(
+        radio_setup(radio, f"radios[{number}] ({radio.name})")
+        for number, radio in enumerate(radios)
+    )

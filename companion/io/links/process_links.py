@@ -1,0 +1,175 @@
+"""Standard input, and the output of a program that is run, as links.
+
+Theory of operation of a program. The shell runs it in a session of its own. Beside it sits a second
+shell that reads a pipe of ours and ends the whole session when that closes: in order when the link
+does, and just as well when this process is killed. Its standard error is read, too; the last line
+of it says why it ended. One that ends is run again, sooner at first and later if it says nothing;
+one that is asked periodically is meant to end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shlex
+import shutil
+import stat
+import subprocess
+import threading
+from typing import IO
+
+from companion.errors import LinkError
+from companion.io.links.byte_streams import BACKOFF_MAX_S, BACKOFF_MIN_S, ByteStream, StreamLink
+from companion.io.links.link import Link, Received, logger
+from companion.mav.endpoint import Chunk
+
+_KEEPER = """exec 3<&0 </dev/null
+( trap '' TERM; cat <&3 >/dev/null; kill -TERM 0; sleep 1; kill -KILL 0 ) >/dev/null 2>&1 &
+exec 3<&-
+exec sh -c "$1"
+"""
+_SHELL_WORDS = frozenset(";|&(){}<>$=`\n")
+EXIT_LOOK_S = 0.05
+"""From the end of its output until a program is surely gone."""
+LONGEST_NAME = 60
+
+
+class ExecLink(Link):
+    """A program's standard output; with `period_s` it is run as often, and ends each time."""
+
+    def __init__(
+        self, command: str, period_s: float | None, index: int, received: Received
+    ) -> None:
+        shown = command if len(command) <= LONGEST_NAME else f"{command[:LONGEST_NAME]}..."
+        super().__init__(f"exec {shown}", index, received)
+        self._command = command
+        self._period_s = period_s
+        self._process: subprocess.Popen[bytes] | None = None
+        self._streams: list[ByteStream] = []
+        self._timer: asyncio.TimerHandle | None = None
+        self._pause_s = BACKOFF_MIN_S
+        self._has_said = False
+        self._is_lost = False
+        self._complaint = ""
+        self._is_closed = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it runs, or is to be run again."""
+        return not self._is_closed
+
+    async def open(self) -> None:
+        """Run it; a program that is not there is a `LinkError`, as far as that can be seen."""
+        if not _SHELL_WORDS & set(self._command):
+            program = next(iter(shlex.split(self._command)), "")
+            if shutil.which(program) is None:
+                raise LinkError(f"{self.name}: there is no program `{program}`")
+        self._start()
+
+    def send(self, chunk: Chunk) -> None:
+        """Nobody hears it."""
+        del chunk
+        self.counters.dropped += 1
+
+    def close(self) -> None:
+        """End it, and run it no more."""
+        self._is_closed = True
+        if self._timer is not None:
+            self._timer.cancel()
+        self._release()
+
+    def _start(self) -> None:
+        self._timer = None
+        self._has_said, self._complaint = False, ""
+        try:
+            process = subprocess.Popen(
+                ["/bin/sh", "-c", _KEEPER, "sh", self._command],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._complaint = error.strerror or str(error)
+            self._end()
+            return
+        threading.Thread(target=process.wait, name="exec", daemon=True).start()
+        self._process = process
+        self._streams = [
+            self._stream(process.stdout, self._take, self._look_for_end),
+            self._stream(process.stderr, self._complain, lambda _: None),
+        ]
+
+    def _stream(self, pipe: IO[bytes] | None, *callbacks: object) -> ByteStream:
+        assert pipe is not None
+        os.set_blocking(pipe.fileno(), False)
+        return ByteStream(pipe, pipe.fileno(), *callbacks)  # type: ignore[arg-type]
+
+    def _take(self, pieces: list[bytes]) -> None:
+        self._has_said = True
+        if self._is_lost:
+            self._is_lost = False
+            self.counters.reconnects += 1
+            logger.info("%s: is there again", self.name)
+        self._pause_s = BACKOFF_MIN_S
+        self.counters.received += len(pieces)
+        self._received([Chunk(self.index, piece, is_datagram=False) for piece in pieces])
+
+    def _complain(self, pieces: list[bytes]) -> None:
+        lines = b"".join(pieces)[-4096:].decode(errors="replace").split("\n")
+        said = [line.strip() for line in lines if line.strip()]
+        if said:
+            self._complaint = "".join(c for c in said[-1] if c.isprintable())[:200]
+
+    def _look_for_end(self, reason: str) -> None:
+        """Its output has ended; a moment later its exit code is known."""
+        del reason
+        if not self._is_closed:
+            self._timer = asyncio.get_running_loop().call_later(EXIT_LOOK_S, self._end)
+
+    def _end(self) -> None:
+        code = None if self._process is None else self._process.poll()
+        self._release()
+        is_meant = self._period_s is not None and self._has_said and code == 0
+        if not is_meant and not self._is_lost:
+            self._is_lost = True
+            words = f"ended with {code}" if code is not None else "ended"
+            reason = f"{words}: {self._complaint}" if self._complaint else words
+            self.counters.last_error = reason
+            logger.warning("%s: lost (%s); running it again", self.name, reason)
+        if self.tells_loss:
+            self._received([Chunk(self.index, b"", is_datagram=False)])
+        pause_s = self._pause_s
+        if is_meant:
+            pause_s = self._period_s or 0.0
+        elif not self._has_said:
+            self._pause_s = min(2.0 * self._pause_s, BACKOFF_MAX_S)
+        self._timer = asyncio.get_running_loop().call_later(pause_s, self._start)
+
+    def _release(self) -> None:
+        """Let go of the pipes, on which the keeper ends what is left of the session."""
+        for stream in self._streams:
+            stream.close()
+        self._streams = []
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+        self._process = None
+
+
+class StdinLink(StreamLink):
+    """Standard input: a pipe or a terminal; its end is the end."""
+
+    def __init__(self, index: int, received: Received) -> None:
+        super().__init__("stdin", index, received)
+
+    async def open(self) -> None:
+        """Begin to read."""
+        try:
+            mode = os.fstat(0).st_mode
+            if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
+                raise LinkError("stdin: is a file; give file:PATH?play instead")
+            fd = os.dup(0)
+            os.set_blocking(fd, False)
+        except OSError as error:
+            raise LinkError(f"stdin: cannot be read ({error.strerror})") from error
+        self._use_stream(os.fdopen(fd, "rb", buffering=0), fd)

@@ -1,0 +1,133 @@
+"""Where a radio is: an address as of any link, a page to poll, a program, a file, standard input.
+
+The radio's kind fills in what an address leaves out: the speed of a serial port, the scheme and
+port of a host, the path of a page.
+"""
+
+from __future__ import annotations
+
+import urllib.parse
+from collections.abc import Callable
+from pathlib import Path
+
+from companion.errors import ConfigError
+from companion.io.links.link import Link, Received
+from companion.io.links.process_links import ExecLink, StdinLink
+from companion.io.links.transports import (
+    DEFAULT_BAUD,
+    FlightLink,
+    OwnLine,
+    TcpServer,
+    Transport,
+    UdpBind,
+    make_link,
+    parse_transport,
+)
+from companion.io.links.waiting_links import FileLink, HttpPollLink, PlayedFileLink
+from companion.link.interface import LinkRole, LinkSpec
+from companion.link.radio_stage import RadioSetup
+
+DEFAULT_PERIOD_S = 1.0
+"""Of a page that is polled, where neither kind nor settings say it."""
+Make = Callable[[int, Received], Link]
+
+
+def radio_link(setup: RadioSetup, url: str) -> FlightLink:
+    """The link of a radio that is at `url`; a `ConfigError` shows a right one."""
+    address, make, listens_at = _line(setup, url.strip())
+    greeting = setup.kind.decoder(setup.options).hello()
+
+    def greeted(index: int, received: Received) -> Link:
+        """The link, which makes the radio talk and says when it is gone."""
+        link = make(index, received)
+        link.greeting, link.tells_loss = greeting, True
+        return link
+
+    line = OwnLine(address, greeted, listens_at)
+    return FlightLink(line, LinkSpec(LinkRole.RANGING, setup))
+
+
+def _line(setup: RadioSetup, url: str) -> tuple[str, Make, UdpBind | TcpServer | None]:
+    scheme, _, rest = url.partition(":")
+    match scheme.lower():
+        case "http" | "https":
+            return _page(setup, url)
+        case "stdin":
+            return "stdin:", StdinLink, None
+        case "exec":
+            if not rest.strip():
+                raise _wrong(url, "needs a command, for example exec:cat /tmp/radio.txt")
+            poll = setup.kind.poll
+            period_s = setup.settings.poll_s or (poll.period_s if poll is not None else None)
+            return url, lambda index, received: ExecLink(rest, period_s, index, received), None
+        case "file":
+            return _file(setup, url, rest)
+    transport = _transport(setup, url)
+    if isinstance(transport, OwnLine):
+        return str(transport), transport.make, None
+    listens_at = transport if isinstance(transport, UdpBind | TcpServer) else None
+    return str(transport), lambda index, received: make_link(transport, index, received), listens_at
+
+
+def _transport(setup: RadioSetup, url: str) -> Transport:
+    """What an ordinary address means, with what the kind's own transport adds to it."""
+    usual, _, detail = setup.kind.transport.partition(":")
+    baud = int(detail) if usual == "serial" and detail.isdigit() else DEFAULT_BAUD
+    if url.startswith("/"):
+        return parse_transport(f"serial:{url}", baud)
+    head = url.partition(":")[0].lower()
+    if head not in ("udp", "udpin", "udpout", "tcp", "tcpin", "tcpout", "serial", "pty"):
+        if usual in ("http", "https"):
+            host = url if ":" in url or not detail else f"{url}:{detail}"
+            address, make, _ = _page(setup, f"{usual}://{host}")
+            return OwnLine(address, make)
+        if usual in ("udp", "tcp"):
+            host = url if ":" in url or not detail else f"{url}:{detail}"
+            return parse_transport(f"{usual}:{host}")
+    try:
+        return parse_transport(url, baud)
+    except ConfigError as error:
+        more = "; or http://, exec:, file:, stdin:" if "must begin with" in str(error) else ""
+        raise ConfigError(f"radio {setup.kind.name}: {error}{more}") from None
+
+
+def _page(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
+    poll = setup.kind.poll
+    parts = urllib.parse.urlsplit(url)
+    try:
+        is_right = bool(parts.hostname) and parts.username is None and parts.port != 0
+    except ValueError:
+        is_right = False
+    if not is_right:
+        raise _wrong(url, "is no address of a page, for example http://192.168.1.10:8081/")
+    if parts.path in ("", "/") and poll is not None:
+        parts = parts._replace(path=poll.path)
+    full = urllib.parse.urlunsplit(parts._replace(path=parts.path or "/"))
+    period_s = setup.settings.poll_s or (DEFAULT_PERIOD_S if poll is None else poll.period_s)
+    return full, lambda index, received: HttpPollLink(full, period_s, index, received), None
+
+
+def _file(setup: RadioSetup, url: str, rest: str) -> tuple[str, Make, None]:
+    """`file:PATH` follows, `file:PATH?play[=SPEED]` plays back."""
+    name, _, query = rest.removeprefix("//").partition("?")
+    path, (key, _, value) = Path(name), query.partition("=")
+    if not name or key not in ("", "play"):
+        raise _wrong(url, "is no file, for example file:log.txt, or file:log.txt?play=1")
+    if not key:
+        return url, lambda index, received: FileLink(path, index, received), None
+    try:
+        speed = float(value or 1.0)
+    except ValueError:
+        speed = 0.0
+    if not 0.0 < speed <= 1000.0:
+        raise _wrong(url, f"`{value}` is no speed, for example play=2")
+    radio = setup.kind.name
+    return (
+        url,
+        lambda index, received: PlayedFileLink(path, radio, speed, index, received),
+        None,
+    )
+
+
+def _wrong(url: str, problem: str) -> ConfigError:
+    return ConfigError(f"radio at `{url}`: {problem}")

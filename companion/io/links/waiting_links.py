@@ -1,0 +1,248 @@
+"""Links whose reading waits, each in a thread of its own: web pages that are polled, and files.
+
+Theory of operation. A server that hangs and a disk that sleeps hold up a thread, never the loop.
+What a thread has read it hands over in pieces and waits until they are taken, so that nothing grows
+when the loop is late. Losses and returns are said once each. An empty piece tells the endpoint that
+what was begun will not be finished.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import os
+import threading
+import time
+import urllib.parse
+from abc import abstractmethod
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from companion.errors import CompanionError, LinkError
+from companion.io.links.link import Link, Received, logger
+from companion.io.logs.radio_recording import (
+    RadioBytes,
+    is_radio_recording,
+    read_radio_recording,
+)
+from companion.mav.endpoint import Chunk
+
+PIECE_BYTES = 4096
+TIMEOUT_S = 2.0
+"""For a connection, and for each part of an answer."""
+WHOLE_TIMEOUT_S = 5.0
+"""For a whole answer."""
+MOST_PAGE_BYTES = 1_000_000
+FILE_LOOK_S = 0.05
+LINES_PER_S = 10.0
+"""Of a file without times, where it is played back."""
+
+
+class WaitingLink(Link):
+    """A link that a daemon thread reads."""
+
+    def __init__(self, name: str, index: int, received: Received) -> None:
+        super().__init__(name, index, received)
+        self._stop = threading.Event()
+        self._room = threading.Semaphore(1)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._is_lost = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it reads, or tries to."""
+        return not self._stop.is_set()
+
+    async def open(self) -> None:
+        """Begin to read."""
+        self._check()
+        self._loop = asyncio.get_running_loop()
+        threading.Thread(target=self._work, name=self.name, daemon=True).start()
+
+    def send(self, chunk: Chunk) -> None:
+        """Nobody hears it."""
+        del chunk
+        self.counters.dropped += 1
+
+    def close(self) -> None:
+        """Stop; the thread follows when it no longer waits."""
+        self._stop.set()
+
+    def _check(self) -> None:
+        """Raise a `LinkError` if it can never work as configured."""
+
+    @abstractmethod
+    def _work(self) -> None:
+        """Read until `_stop` is set; in the thread."""
+
+    def _hand_over(self, data: bytes) -> None:
+        """Let the loop have some bytes, and wait until the earlier ones are taken."""
+        while not self._room.acquire(timeout=0.5):
+            if self._stop.is_set():
+                return
+        self._call(data)
+
+    def _call(self, data: bytes) -> None:
+        assert self._loop is not None
+        with suppress(RuntimeError):  # the loop ended meanwhile
+            self._loop.call_soon_threadsafe(self._take, data)
+
+    def _take(self, data: bytes) -> None:
+        self._room.release()
+        if self._stop.is_set():
+            return
+        pieces = [data[i : i + PIECE_BYTES] for i in range(0, len(data), PIECE_BYTES)] or [data]
+        self.counters.received += len(pieces)
+        self._received([Chunk(self.index, piece, is_datagram=False) for piece in pieces])
+
+    def _note_lost(self, reason: str) -> None:
+        if self._is_lost or self._stop.is_set():
+            return
+        self._is_lost = True
+        self.counters.last_error = reason
+        logger.warning("%s: lost (%s); trying on", self.name, reason)
+        if self.tells_loss:
+            self._hand_over(b"")
+
+    def _note_back(self) -> None:
+        if self._is_lost:
+            self._is_lost = False
+            self.counters.reconnects += 1
+            logger.info("%s: is there again", self.name)
+
+
+class HttpPollLink(WaitingLink):
+    """A page that is asked for again and again, over one connection while it lasts."""
+
+    def __init__(self, url: str, period_s: float, index: int, received: Received) -> None:
+        parts = urllib.parse.urlsplit(url)
+        super().__init__(f"{parts.scheme} {parts.netloc}", index, received)
+        self._parts = parts
+        self._period_s = period_s
+        self._connection: http.client.HTTPConnection | None = None
+
+    def _work(self) -> None:
+        due_s = time.monotonic()
+        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
+            due_s = max(due_s + self._period_s, time.monotonic())
+            try:
+                page = self._ask()
+            except (OSError, http.client.HTTPException, ValueError) as error:
+                self._disconnect()
+                self._note_lost(str(error) or type(error).__name__)
+                continue
+            self._note_back()
+            if page:
+                self._hand_over(page if page.endswith(b"\n") else page + b"\n")
+        self._disconnect()
+
+    def _ask(self) -> bytes:
+        if self._connection is None:
+            is_tls = self._parts.scheme == "https"
+            kind = http.client.HTTPSConnection if is_tls else http.client.HTTPConnection
+            self._connection = kind(self._parts.netloc, timeout=TIMEOUT_S)
+        path = self._parts.path + (f"?{self._parts.query}" if self._parts.query else "")
+        self._connection.request("GET", path, headers={"Accept": "*/*"})
+        answer = self._connection.getresponse()
+        page, until_s = bytearray(), time.monotonic() + WHOLE_TIMEOUT_S
+        while piece := answer.read1(65_536):
+            page += piece
+            if len(page) > MOST_PAGE_BYTES:
+                raise ValueError("the page is too large")
+            if time.monotonic() > until_s:
+                raise TimeoutError("the answer takes too long")
+        if answer.status != http.client.OK:
+            raise ValueError(f"HTTP {answer.status} {answer.reason}")
+        return bytes(page)
+
+    def _disconnect(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+
+class FileLink(WaitingLink):
+    """A file that grows, from its present end on; a new one of its name from the beginning."""
+
+    def __init__(self, path: Path, index: int, received: Received) -> None:
+        super().__init__(f"file {path}", index, received)
+        self._path = path
+
+    def _check(self) -> None:
+        if not self._path.is_file():
+            raise LinkError(f"{self.name}: there is no such file")
+
+    def _work(self) -> None:
+        is_first = True
+        while not self._stop.is_set():
+            try:
+                with self._path.open("rb") as file:
+                    self._note_back()
+                    if is_first:
+                        file.seek(0, os.SEEK_END)
+                        is_first = False
+                    self._follow(file.fileno())
+            except OSError as error:
+                self._note_lost(error.strerror or str(error))
+            self._stop.wait(10.0 * FILE_LOOK_S)
+
+    def _follow(self, fd: int) -> None:
+        """Hand over what is added, until the file is another one, or shorter."""
+        inode = os.fstat(fd).st_ino
+        while not self._stop.is_set():
+            data = os.read(fd, 65_536)
+            if data:
+                self._hand_over(data)
+                continue
+            now = self._path.stat()
+            if now.st_ino != inode or now.st_size < os.lseek(fd, 0, os.SEEK_CUR):
+                return
+            self._stop.wait(FILE_LOOK_S)
+
+
+class PlayedFileLink(WaitingLink):
+    """A file that is played back once: a radio recording in its times, others line by line.
+
+    Of a recording the first radio called `radio` is played, or the first of all.
+    """
+
+    def __init__(
+        self, path: Path, radio: str, speed: float, index: int, received: Received
+    ) -> None:
+        super().__init__(f"file {path}", index, received)
+        self._path, self._radio, self._speed = path, radio, speed
+
+    def _check(self) -> None:
+        if self._path.is_dir() or not self._path.exists():
+            raise LinkError(f"{self.name}: there is no such file")
+
+    def _work(self) -> None:
+        began_s = time.monotonic()
+        try:
+            is_recording = is_radio_recording(self._path)
+            for time_s, data in self._recorded() if is_recording else self._lines():
+                if self._stop.wait(max(0.0, began_s + time_s / self._speed - time.monotonic())):
+                    return
+                self._hand_over(data)
+        except (OSError, CompanionError) as error:
+            self._note_lost(str(error))
+            return
+        logger.info("%s: played to its end", self.name)
+
+    def _recorded(self) -> Iterator[tuple[float, bytes]]:
+        header, records = read_radio_recording(self._path)
+        names = [radio.name for radio in header.radios]
+        wanted = names.index(self._radio) if self._radio in names else 0
+        first_s: float | None = None
+        for record in records:
+            if isinstance(record, RadioBytes) and record.radio == wanted:
+                first_s = record.t_s if first_s is None else first_s
+                yield record.t_s - first_s, record.data
+
+    def _lines(self) -> Iterator[tuple[float, bytes]]:
+        with self._path.open("rb") as file:
+            number = 0
+            while line := file.readline(65_536):
+                yield number / LINES_PER_S, line
+                number += 1

@@ -1,0 +1,89 @@
+"""Where a radio is: what its kind adds to an address, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.errors import ConfigError
+from companion.io.links.radio_lines import radio_link
+from companion.link.interface import LinkRole
+from companion.link.radio_stage import RadioSettings, RadioSetup
+from companion.radios.decoder import LineDecoder, Poll, RadioDecoder, RadioKind, RadioReading
+
+
+class Mute(LineDecoder):
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        del line, received_s
+        return []
+
+    def hello(self) -> bytes:
+        return b"lec\r"
+
+
+def setup_of(transport: str, poll: Poll | None = None) -> RadioSetup:
+    kind: type[RadioDecoder] = Mute
+    return RadioSetup(
+        RadioKind("mute", kind, "", "range", "", transport, poll=poll), RadioSettings()
+    )
+
+
+@pytest.mark.parametrize(
+    ("transport", "url", "address"),
+    [
+        ("serial:115200", "/dev/ttyUSB0", "serial:/dev/ttyUSB0:115200"),
+        ("serial:115200", "/tmp/uwb", "serial:/tmp/uwb:115200"),
+        ("serial:115200", "serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0:115200"),
+        ("serial:115200", "/dev/ttyUSB0:9600", "serial:/dev/ttyUSB0:9600"),
+        ("serial", "/dev/ttyUSB0", "serial:/dev/ttyUSB0:921600"),
+        ("udp", "udp:9000", None),
+        ("udp", "127.0.0.1:9000", "udpin:127.0.0.1:9000"),
+        ("udp", "udp://127.0.0.1:9000", "udpin:127.0.0.1:9000"),
+        ("udp", "tcp:10.0.0.2:9000", "tcp:10.0.0.2:9000"),
+        ("udp", "tcpin:127.0.0.1:9000", "tcpin:127.0.0.1:9000"),
+        ("http:8081", "10.0.0.2", "http://10.0.0.2:8081/DOA.html"),
+        ("http:8081", "10.0.0.2:80", "http://10.0.0.2:80/DOA.html"),
+        ("http", "http://kraken:8081", "http://kraken:8081/DOA.html"),
+        ("http", "http://kraken:8081/doa.xml?a=b", "http://kraken:8081/doa.xml?a=b"),
+        ("udp", "stdin:", "stdin:"),
+        ("udp", "exec:cat a.txt | head", "exec:cat a.txt | head"),
+        ("file", "file:log.txt", "file:log.txt"),
+        ("file", "file:/tmp/log.txt?play=2", "file:/tmp/log.txt?play=2"),
+    ],
+)
+def test_an_address_is_completed_by_the_radios_kind(
+    transport: str, url: str, address: str | None
+) -> None:
+    setup = setup_of(transport, Poll("/DOA.html", 0.5))
+    if address is None:
+        with pytest.raises(ConfigError):
+            radio_link(setup, url)
+        return
+    link = radio_link(setup, url)
+    assert str(link.transport) == address
+    assert (link.spec.role, link.spec.radio) == (LinkRole.RANGING, setup)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "exec:",
+        "http://",
+        "http://a:b@host/",
+        "file:",
+        "file:x?speed=2",
+        "file:x?play=0",
+        "ftp:x",
+    ],
+)
+def test_a_wrong_address_is_refused_in_one_line(url: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        radio_link(setup_of("serial:115200"), url)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_link_greets_the_radio_and_tells_its_loss() -> None:
+    transport = radio_link(setup_of("serial:115200"), "tcpin:127.0.0.1:9000").transport
+    assert not isinstance(transport, str)
+    link = transport.make(3, lambda _: None)  # type: ignore[union-attr]
+    assert (link.greeting, link.tells_loss, link.index) == (b"lec\r", True, 3)
