@@ -16,8 +16,8 @@ The shield against floods hears nobody but the autopilot, by a filter that is th
 kernel's (`companion.io.links.udp`). It is up only while unknown peers exceed their budget, because
 without it they are told to the operator, and only while the autopilot speaks, because it may come
 back from another address. The alarms watch counters that others keep, so that nothing an unknown
-peer sends makes a text of its own: they are told at once, and then rarely. Each radio with a format of
-its own is watched as well: silence, new names, a clock that began anew, many refusals.
+peer sends makes a text of its own: they are told at once, and then rarely. Each radio with a format
+of its own is watched, too: silence, new names, a clock that began anew, many refusals.
 
 Source: MAVLink developer guide, "Packet Loss".
 """
