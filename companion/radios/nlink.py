@@ -4,7 +4,8 @@ Layouts: github.com/nooploop-dev/nlink_unpack and nlink_parser. Little-endian; a
 low 8 bits of the sum of all bytes before it. Its length must fit the number of its elements as
 well, because one sum in 256 is right by chance, and what is no frame need not be waited for then.
 
-Angles are the device's: counter-clockwise, as far as is known, so `bearing_sign` is -1. Frames that
+Angles are the device's: of two antennas, so arcsines, and counter-clockwise, as far as is known, so
+that `bearing_sign` is -1. Frames that
 tell what other nodes measured, or nothing that a range can be made of, are counted and skipped; so
 are those of TOFSense lasers (0x57), byte by byte.
 """
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from struct import Struct
 
 from companion.domain import Params, Positive
-from companion.radios.decoder import FrameDecoder, RadioKind, RadioReading
+from companion.radios.decoder import AngleFrame, FrameDecoder, RadioKind, RadioReading
 
 SHORTEST, LONGEST = 12, 2048
 """Bytes of a frame that tells its length."""
@@ -157,6 +158,7 @@ class NlinkDecoder(FrameDecoder):
                     device_time_s=time_s,
                     range_m=(high << 16 | low) / PER_M,
                     azimuth_rad=self._azimuth_rad(fields[4], fp) if has_angle else None,
+                    frame=AngleFrame.ARRAY,
                     line_of_sight=self._is_in_sight(fp, rx),
                 )
             )
@@ -192,6 +194,7 @@ class NlinkDecoder(FrameDecoder):
                     range_m=(high << 16 | low) / PER_M,
                     azimuth_rad=azimuth_rad,
                     elevation_rad=None if azimuth_rad is None else elevation / PER_RAD,
+                    frame=AngleFrame.ARRAY,
                 )
             )
         return readings if at == end else None

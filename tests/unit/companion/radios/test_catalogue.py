@@ -10,7 +10,7 @@ import pytest
 from companion.errors import ConfigError
 from companion.radios.catalogue import BUILT_IN, known_radios, radio_kind
 
-UNWRITTEN = {"fira_uci", "sr150", "pans", "pans_tlv", "qorvo_cli", "pdoa_js"}
+UNWRITTEN = {"qorvo_cli", "pdoa_js"}
 
 GOOD = """\
 from companion.radios.decoder import LineDecoder, RadioKind, RadioReading

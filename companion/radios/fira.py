@@ -1,0 +1,206 @@
+"""FiRa ultra-wideband devices: UCI notifications, and the frames of NXP's SR150 as PX4 reads them.
+
+Layouts: github.com/google/pica `src/uci_packets.pdl`, and PX4's `uwb_sr150` driver; little-endian.
+Neither has a checksum, so what is taken for a message must fit its own numbers in every respect.
+Angles are Q9.7 degrees with the device's sign, each of its own pair of antennas, so arcsines; a
+figure of merit of 0 says that there is none. PX4 negates those of its frames, and so does `sr150`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from struct import Struct
+
+from companion.radios.decoder import AngleFrame, FrameDecoder, RadioKind, RadioReading
+
+PER_RAD = 128.0 * 180.0 / math.pi
+PER_M = 100.0
+NO_DISTANCE = 0xFFFF
+"""By FiRa's texts."""
+OK, OK_NEGATIVE_DISTANCE = 0x00, 0x1B
+STATUS_WORDS = {0x20: "transmission failed", 0x21: "no answer (timeout)"}
+LINE_OF_SIGHT = {0: True, 1: False}
+UNKNOWN_SIGHT = 255
+SIGHTS = (*LINE_OF_SIGHT, UNKNOWN_SIGHT)
+
+
+def angle_rad(raw: int, merit: int) -> float | None:
+    """Of Q9.7 degrees; None: it was not measured."""
+    return raw / PER_RAD if merit else None
+
+
+def quality_of(*merits: int) -> float | None:
+    """The worst of the angles that there are; figures of merit are 0 to 100."""
+    there = [merit for merit in merits if merit]
+    return min(1.0, min(there) / 100.0) if there else None
+
+
+def range_of(centimetres: int, status: int) -> float | None:
+    """Metres; a negative distance has a status of its own, and is written either way."""
+    if centimetres == NO_DISTANCE:
+        return None
+    if status == OK_NEGATIVE_DISTANCE:
+        return (centimetres - 0x10000 if centimetres >= 0x8000 else -centimetres) / PER_M
+    return centimetres / PER_M
+
+
+PACKET_HEADER = 4
+LAST_PACKET, MORE_FOLLOWS = 0x62, 0x72
+"""First byte of a SESSION_INFO notification, by whether its payload goes on in the next packet."""
+MOST_PACKETS = 32
+SESSION_INFO = Struct("<IIBIBBB8xB")
+"""Sequence, session, reserved, interval, type, reserved, address mode, number of measurements."""
+KIND_AT, ADDRESS_AT = 13, 15
+TWO_WAY, ONE_WAY_ANGLE = 1, 3
+KINDS = {0: "one-way", 1: "two-way", 2: "downlink TDoA", 3: "one-way, angle only"}
+ADDRESSES = (0, 1)
+"""Short and extended."""
+TWO_WAY_RECORDS = (Struct("<HBBHhBhB"), Struct("<QBBHhBhB"))
+"""Address, status, line of sight, distance, azimuth, its merit, elevation, its merit."""
+TWO_WAY_BYTES = 31
+ANGLE_RECORDS = (Struct("<HBB3xhBhB"), Struct("<QBB3xhBhB"))
+"""Address, status, line of sight, azimuth, its merit, elevation, its merit."""
+
+
+SR150_FRAME = Struct("<B2x12x2xHBHBhh4x4sB")
+"""0x8E, peer, status, distance, line of sight, azimuth, elevation, four merits, 0x1B."""
+SR150_END = 0x1B
+
+DEFAULTS = {
+    "field_of_view_deg": 120.0,
+    "range_sigma_m": 0.15,
+    "bearing_sigma_deg": 6.0,
+    "elevation_sigma_deg": 6.0,
+}
+
+
+class FiraDecoder(FrameDecoder):
+    """What both formats say of a peer."""
+
+    def reading_of(self, mac: int, status: int, sight: int, *rest: int) -> list[RadioReading]:
+        """At most one, of distance, azimuth and elevation, each angle with its merit."""
+        distance, azimuth, azimuth_merit, elevation, elevation_merit = rest
+        if status not in (OK, OK_NEGATIVE_DISTANCE):
+            self.counts.refuse(f"status {STATUS_WORDS.get(status, f'0x{status:02x}')}")
+            return []
+        range_m = range_of(distance, status)
+        azimuth_rad = angle_rad(azimuth, azimuth_merit)
+        elevation_rad = angle_rad(elevation, elevation_merit)
+        if range_m is None and azimuth_rad is None and elevation_rad is None:
+            self.counts.refuse("nothing measured")
+            return []
+        reading = RadioReading(
+            emitter=mac,
+            range_m=range_m,
+            azimuth_rad=azimuth_rad,
+            elevation_rad=elevation_rad,
+            frame=AngleFrame.ARRAY,
+            quality=quality_of(azimuth_merit, elevation_merit),
+            line_of_sight=LINE_OF_SIGHT.get(sight),
+        )
+        return [reading]
+
+
+class FiraUciDecoder(FiraDecoder):
+    """SESSION_INFO notifications, of however many packets; all other packets are passed over."""
+
+    start = re.compile(rb"[\x62\x72](?:\x00\x00|\x00?\Z)")
+
+    def size_at(self, data: bytes, at: int) -> int | None:
+        """All packets of a notification, which follow each other."""
+        end = at
+        for _ in range(MOST_PACKETS):
+            if len(data) < end + PACKET_HEADER:
+                return None
+            first, opcode, reserved, length = data[end : end + PACKET_HEADER]
+            if first not in (LAST_PACKET, MORE_FOLLOWS) or opcode or reserved or not length:
+                return 0
+            begin, end = end + PACKET_HEADER, end + PACKET_HEADER + length
+            if begin == at + PACKET_HEADER and not self._is_likely(data[begin:end]):
+                return 0
+            if first == LAST_PACKET:
+                return end - at
+        return 0
+
+    @staticmethod
+    def _is_likely(payload: bytes) -> bool:
+        """Whether what is there of the first packet's payload can be that."""
+        return (len(payload) <= KIND_AT or payload[KIND_AT] in KINDS) and (
+            len(payload) <= ADDRESS_AT or payload[ADDRESS_AT] in ADDRESSES
+        )
+
+    def read_frame(self, frame: bytes) -> list[RadioReading] | None:
+        """What each measurement of a notification says."""
+        payload = _payload_of(frame)
+        if len(payload) < SESSION_INFO.size:
+            return None
+        *_, kind, _, address, count = SESSION_INFO.unpack_from(payload)
+        if kind not in KINDS or address not in ADDRESSES:
+            return None
+        if kind not in (TWO_WAY, ONE_WAY_ANGLE):
+            self.counts.refuse(f"ranging is {KINDS[kind]}")
+            return []
+        is_two_way = kind == TWO_WAY
+        record = (TWO_WAY_RECORDS if is_two_way else ANGLE_RECORDS)[address]
+        size = TWO_WAY_BYTES if is_two_way else record.size
+        end = SESSION_INFO.size + count * size
+        if len(payload) < end:
+            return None
+        readings = []
+        for start in range(SESSION_INFO.size, end, size):
+            mac, status, sight, *rest = record.unpack_from(payload, start)
+            distance = () if is_two_way else (NO_DISTANCE,)
+            readings += self.reading_of(mac, status, sight, *distance, *rest)
+        return readings
+
+
+def _payload_of(frame: bytes) -> bytes:
+    """Of all packets of a notification."""
+    payload, at = b"", 0
+    while at < len(frame):
+        end = at + PACKET_HEADER + frame[at + 3]
+        payload += frame[at + PACKET_HEADER : end]
+        at = end
+    return payload
+
+
+class Sr150Decoder(FiraDecoder):
+    """A frame a peer; with no checksum, both its ends and all that has bounds must be right."""
+
+    start = re.compile(b"\x8e")
+
+    def size_at(self, data: bytes, at: int) -> int | None:
+        """All have the same."""
+        return SR150_FRAME.size
+
+    def read_frame(self, frame: bytes) -> list[RadioReading] | None:
+        """What a frame says of its peer."""
+        *_, peer, status, distance, sight, azimuth, elevation, merits, end = SR150_FRAME.unpack(
+            frame
+        )
+        if end != SR150_END or sight not in SIGHTS or max(merits) > 100:
+            return None
+        return self.reading_of(
+            peer, status, sight, distance, azimuth, merits[0], elevation, merits[1]
+        )
+
+
+FIRA_UCI = RadioKind(
+    name="fira_uci",
+    decoder=FiraUciDecoder,
+    title="FiRa devices by UCI: NXP SR150, Qorvo DW3000",
+    gives="range, azimuth, elevation",
+    emitter="a FiRa device",
+    transport="serial:115200",
+    defaults=DEFAULTS,
+)
+SR150 = RadioKind(
+    name="sr150",
+    decoder=Sr150Decoder,
+    title="NXP SR150, the frames that PX4's uwb_sr150 reads",
+    gives="range, azimuth, elevation",
+    emitter="a FiRa device",
+    transport="serial:115200",
+    defaults={**DEFAULTS, "bearing_sign": -1, "elevation_sign": -1},
+)
