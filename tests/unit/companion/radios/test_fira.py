@@ -8,7 +8,7 @@ from struct import pack
 import pytest
 
 from companion.radios.decoder import AngleFrame, RadioReading
-from companion.radios.fira import SR150, FiraUciDecoder, Sr150Decoder
+from companion.radios.fira import PER_RAD, SR150, FiraUciDecoder, Sr150Decoder
 
 EMPTY = bytes.fromhex(
     "62 00 00 19 00 02 03 04 05 06 07 08 00 0a 01 01 01 01 00 00 00 00 00 00 00 00 00 00 00"
@@ -102,8 +102,8 @@ def test_angles_one_way_have_no_range() -> None:
     assert FiraUciDecoder().feed(packets(head(1, kind=3) + record), 0.0) == [
         RadioReading(
             emitter=0x1234,
-            azimuth_rad=pytest.approx(math.radians(10.0)),
-            elevation_rad=pytest.approx(math.radians(-5.0)),
+            azimuth_rad=1280 / PER_RAD,
+            elevation_rad=-640 / PER_RAD,
             frame=AngleFrame.ARRAY,
             quality=0.6,
             line_of_sight=True,

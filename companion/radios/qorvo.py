@@ -1,0 +1,200 @@
+"""Qorvo's ultra-wideband kits: the CLI of QM33 and DW3xxx, and the `JS` frames of PDoA kits.
+
+Sources: Qorvo's SDK developer manual as users quote it, and their captures. Neither format has a
+checksum. Angles are those of pairs of antennas, so arcsines, with the device's own sign.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Annotated
+
+import msgspec
+
+from companion.domain import Params
+from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
+from companion.radios.fields import FieldDecoder, number
+
+MOST_RECORD_BYTES = 8192
+PER_M = 100.0
+MOST_ANGLE_DEG = 90.0
+
+RECORD = "SESSION_INFO_NTF:"
+ANY_RECORD = "SESSION_"
+CONTINUED = (" ", "\t", "\r", "[")
+"""How a line begins that goes on with a record."""
+MEASUREMENT = re.compile(r"\[mac_address=((?:[^\[\]]|\[\w*\])*)\]")
+"""From one bracket to its other; names of values have units in brackets of their own."""
+ADDRESS = re.compile(r"0x[0-9a-fA-F]{1,16}")
+FAILURES = {
+    "TX_FAILED",
+    "RX_TIMEOUT",
+    "RX_PHY_DEC_FAILED",
+    "RX_PHY_TOA_FAILED",
+    "RX_PHY_STS_FAILED",
+    "RX_MAC_DEC_FAILED",
+    "RX_MAC_IE_DEC_FAILED",
+    "RX_MAC_IE_MISSING",
+}
+
+
+class QorvoCliDecoder(FieldDecoder):
+    """SESSION_INFO_NTF records, over two or more lines each."""
+
+    longest_line = MOST_RECORD_BYTES
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._record = ""
+
+    def reset(self) -> None:
+        """Forget the beginning of a record, too."""
+        super().reset()
+        self._record = ""
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """The measurements of a record that a line ends, or breaks off."""
+        readings: list[RadioReading] = []
+        is_new = ANY_RECORD in line
+        if self._record and (is_new or not line.startswith(CONTINUED)):
+            readings = self._ended()
+        if RECORD in line:
+            line = line[line.rindex(RECORD) :]
+        elif is_new or not self._record:
+            return readings + self.passed_over(line)
+        self._record += line
+        if "}" in line or len(self._record) > MOST_RECORD_BYTES:
+            readings += self._ended()
+        return readings
+
+    def _ended(self) -> list[RadioReading]:
+        """Every measurement that is whole."""
+        record, self._record = self._record[:MOST_RECORD_BYTES], ""
+        self.counts.frames += 1
+        told = (self._reading_of(found[1]) for found in MEASUREMENT.finditer(record))
+        return [reading for reading in told if reading is not None]
+
+    def _reading_of(self, text: str) -> RadioReading | None:
+        address, *pairs = text.split(",")
+        values = dict(pair.strip().partition("=")[::2] for pair in pairs)
+        status = values.get("status", "").strip('"')
+        reason = None
+        if not ADDRESS.fullmatch(address) or not status:
+            reason = "torn measurement"
+        elif status != "SUCCESS":
+            reason = f"status {status}" if status in FAILURES else "status is no success"
+        if reason is not None:
+            self.counts.refuse(reason)
+            return None
+        return self._measured(int(address, 16), values)
+
+    def _measured(self, address: int, values: dict[str, str]) -> RadioReading | None:
+        """Where a value is absent it was not measured; where it is no number the rest is torn."""
+        there = {key: number(values[key]) for key in TOLD if key in values}
+        distance_cm, azimuth_deg, elevation_deg = map(there.get, TOLD)
+        if None in there.values() or not there:
+            self.counts.refuse("torn measurement" if there else "nothing measured")
+            return None
+        if max(abs(azimuth_deg or 0.0), abs(elevation_deg or 0.0)) > MOST_ANGLE_DEG:
+            self.counts.refuse("angle is out of bounds")
+            return None
+        return RadioReading(
+            emitter=address,
+            range_m=None if distance_cm is None else distance_cm / PER_M,
+            azimuth_rad=None if azimuth_deg is None else math.radians(azimuth_deg),
+            elevation_rad=None if elevation_deg is None else math.radians(elevation_deg),
+            frame=AngleFrame.ARRAY,
+        )
+
+
+TOLD = ("distance[cm]", "loc_az", "loc_el")
+
+
+class Twr(msgspec.Struct, frozen=True):
+    """What a node measured of a tag; X, Y and Z are the tag's accelerometer."""
+
+    name: Annotated[str, msgspec.Meta(pattern="^[0-9A-Fa-f]{1,16}$")] = msgspec.field(name="a16")
+    range_cm: float = msgspec.field(name="D")
+    right_cm: float = msgspec.field(name="Xcm", default=0.0)
+    ahead_cm: float = msgspec.field(name="Ycm", default=0.0)
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """A frame; the other kinds (SN, NewTag) tell nothing of a place."""
+
+    twr: Twr | None = msgspec.field(name="TWR", default=None)
+
+
+JS = re.compile(r"JS(?=[0-9A-Fa-f ]{4}\{)")
+LENGTH_DIGITS = 4
+SHORT_FORM = re.compile(r"AR([0-9A-F]{4})[0-9A-F]{2}([0-9A-F]{8})([0-9A-F]{8})$")
+"""Address, number, X and Y in two's complement."""
+FRAME = msgspec.json.Decoder(Frame)
+
+
+class PdoaJsDecoder(FieldDecoder):
+    """`JS`, the length of what follows in four hexadecimal digits, JSON."""
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """The measurements of all frames in a line: a torn one has no end of its own."""
+        if found := SHORT_FORM.match(line.strip()):
+            right_cm, ahead_cm = (_signed(int(text, 16)) for text in found.group(2, 3))
+            range_cm = math.hypot(right_cm, ahead_cm)
+            return self.understood(_placed(found[1], range_cm, right_cm, ahead_cm))
+        before, *frames = JS.split(line)
+        if before.strip():
+            self.passed_over(before)
+        return [reading for text in frames for reading in self._read(text)]
+
+    def _read(self, text: str) -> list[RadioReading]:
+        """By its length; where that is wrong, up to the last brace."""
+        digits, body = text[:LENGTH_DIGITS], text[LENGTH_DIGITS:]
+        length = int(digits, 16) if " " not in digits else 0
+        for end in (length, body.rfind("}") + 1):
+            try:
+                frame = FRAME.decode(body[:end])
+            except (msgspec.MsgspecError, RecursionError):
+                continue
+            if frame.twr is None:
+                self.counts.frames += 1
+                return []
+            twr = frame.twr
+            return self.understood(_placed(twr.name, twr.range_cm, twr.right_cm, twr.ahead_cm))
+        return self.refused("torn frame")
+
+
+def _placed(name: str, range_cm: float, right_cm: float, ahead_cm: float) -> RadioReading:
+    """Of a place on the node's plane; no place at all: no bearing."""
+    has_bearing = right_cm != 0.0 or ahead_cm != 0.0
+    return RadioReading(
+        emitter=name.upper(),
+        range_m=range_cm / PER_M,
+        azimuth_rad=math.atan2(right_cm, ahead_cm) if has_bearing else None,
+        frame=AngleFrame.ARRAY,
+    )
+
+
+def _signed(raw: int) -> float:
+    return float(raw - 2**32 if raw >= 2**31 else raw)
+
+
+DEFAULTS = {"field_of_view_deg": 120.0, "range_sigma_m": 0.15, "bearing_sigma_deg": 6.0}
+QORVO_CLI = RadioKind(
+    name="qorvo_cli",
+    decoder=QorvoCliDecoder,
+    title="Qorvo QM33 and DW3xxx (DWM3001CDK) by their CLI",
+    gives="range, azimuth, elevation",
+    emitter="a FiRa device",
+    transport="serial:115200",
+    defaults={**DEFAULTS, "elevation_sigma_deg": 6.0},
+)
+PDOA_JS = RadioKind(
+    name="pdoa_js",
+    decoder=PdoaJsDecoder,
+    title="Decawave PDoA kit, Makerfabs MaUWB_AOA",
+    gives="range, azimuth",
+    emitter="a tag of the kit",
+    transport="serial:115200",
+    defaults=DEFAULTS,
+)
