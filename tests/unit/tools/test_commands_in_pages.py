@@ -11,13 +11,14 @@ import pytest
 
 from companion.arguments import ComplaintParser, argument_parser
 from companion.config.radios import flown_radios
+from companion.config.schema import load_config
 from companion.flight_setup import radio_links
 from companion.io.links.transports import parse_flight_link, parse_transport
 from companion.link.interface import LinkRole
 from sim_link.lab import radio_command
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")])
 BLOCK = re.compile(r"^```\w*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LISTENING = re.compile(r"--(?:connect|ranging|follow|master)[ =]udp(?:in)?:([\w.]+:\d+)")
 
@@ -35,6 +36,11 @@ def commands_of(page: Path) -> list[list[str]]:
     return [shlex.split(line, comments=True) for line in own]
 
 
+def in_root(path: Path | None) -> Path | None:
+    """A file of this checkout; those that a reader is to make count as none."""
+    return ROOT / path if path is not None and (ROOT / path).exists() else None
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.name))
 def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> None:
     for words in commands_of(page):
@@ -42,7 +48,10 @@ def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> N
             arguments = argument_parser().parse_args(words[1:])
             for url in (arguments.connect, *arguments.ranging, *arguments.gcs):
                 assert parse_flight_link(url, LinkRole.VEHICLE)
-            assert len(radio_links(flown_radios((), arguments.radio))) == len(arguments.radio)
+            radios = flown_radios(
+                load_config(in_root(arguments.fly_config)).radios, arguments.radio
+            )
+            assert len(radio_links(radios)) == len(radios)
         else:
             parser = ComplaintParser()
             radio_command.add_arguments(parser)

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 ROOTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "sim_link" / "README.md"]
-PAGES = sorted([*ROOTS, *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOTS, *ROOT.glob("docs/**/*.md")])
 FOLDERS = "companion|sim_link|tests|tools|configs|docs"
 PATH = re.compile(rf"(?<![\w./-])(?:{FOLDERS})/[\w./*{{}},-]*")
 FILE = re.compile(r"(?<![\w./*-])[A-Za-z][\w-]*(?:/[\w-]+)*\.(?:py|sh|toml)\b")
@@ -19,7 +19,14 @@ CONDITION = re.compile(r"\bcompanion\.\w+")
 """What a mission waits for is called like a module."""
 NO_PATHS = {"companion/doctor"}
 """What only looks like one: alternatives."""
-OF_OTHERS = {"test_own.py", "conftest.py", "test_search.py", "mavproxy.py", "sim_vehicle.py"}
+OF_OTHERS = {
+    "test_own.py",
+    "my_radio.py",
+    "conftest.py",
+    "test_search.py",
+    "mavproxy.py",
+    "sim_vehicle.py",
+}
 """Files that a reader is to make, and programs of others."""
 
 
