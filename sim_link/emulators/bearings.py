@@ -152,12 +152,15 @@ def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, tol
 
 
 class Uudf(Emulator):
-    """A C209 board: whole degrees to the right and upwards, no range."""
+    """A C209 board: whole degrees about its upright to the right, and upwards; no range.
+
+    What it does not know of the elevation it says as 0.
+    """
 
     name = "uudf"
     title = "u-blox C209 and ANNA-B4, +UUDF"
     gives = "azimuth, elevation"
-    antenna = "two_axis"
+    antenna = "planar"
     measures = "bearing"
     ANCHOR = "CCF9578E0D89"
     CHANNELS = (37, 38, 39)
@@ -172,7 +175,7 @@ class Uudf(Emulator):
         return lines([self._line(answer, clock_ms) for answer in asked.heard if _is_told(answer)])
 
     def _line(self, answer: Answer, clock_ms: int) -> str:
-        angles = (answer.azimuth_rad or 0.0, answer.elevation_rad or 0.0)
+        angles = (turned_rad(answer), answer.elevation_rad or 0.0)
         azimuth_deg, elevation_deg = (clamped(math.degrees(angle), -90, 90) for angle in angles)
         rssi_dbm, number = round(answer.power_dbm), self.next_number()
         channel = self.CHANNELS[int(self._rng.integers(len(self.CHANNELS)))]
@@ -184,6 +187,15 @@ class Uudf(Emulator):
     def name_on_wire(cls, emitter_id: int) -> str:
         """The tag's address without colons."""
         return f"02000000{emitter_id:04X}"
+
+
+def turned_rad(answer: Answer) -> float:
+    """The azimuth about the board's upright; of two arcsines what they leave for the third."""
+    azimuth_rad, heard = answer.azimuth_rad or 0.0, answer.heard
+    if heard is None or not heard.is_array_angle:
+        return azimuth_rad
+    right, up = math.sin(azimuth_rad), math.sin(answer.elevation_rad or 0.0)
+    return math.atan2(right, math.sqrt(max(0.0, 1.0 - right * right - up * up)))
 
 
 def _is_told(answer: Answer) -> bool:

@@ -16,7 +16,6 @@ import numpy as np
 from companion.domain import PositionEnu
 from sim_link.emulators.emulator import (
     LINE_END,
-    U32,
     Answer,
     Emulator,
     Round,
@@ -26,7 +25,8 @@ from sim_link.emulators.emulator import (
 
 PROMPT = "dwm> "
 SLOTS = 8
-CENTIDEGREES_LIMIT = 90.0
+SUPERFRAME_US = 100_000
+"""A kit's; the time of a range is one within it."""
 
 
 def dist_line(
@@ -165,7 +165,7 @@ class PdoaJs(Emulator):
 
     def tell(self, asked: Round) -> bytes:
         """A frame for each tag that answered."""
-        number, time_us = self.next_number(256), round(1e6 * self.device_s(asked.told_s)) % U32
+        number, time_us = self.next_number(256), round(1e6 * asked.told_s) % SUPERFRAME_US
         return lines(
             [
                 js_frame({"TWR": self._twr(answer, number, time_us)}, after_colon=" ")

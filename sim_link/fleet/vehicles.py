@@ -16,7 +16,7 @@ import msgspec
 
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_json_atomic, write_text_atomic
-from companion.io.links.transports import Line, Transport, UdpFanOut, shared
+from companion.io.links.transports import Line, OwnLine, Transport, UdpFanOut, shared
 from companion.io.state.signing_keys import load_signing_key, store_signing_key
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import KEY_LENGTH, Signing
@@ -175,7 +175,7 @@ def link_specs(options: FleetOptions, number: int) -> list[Transport]:
         )
         specs.append(UdpFanOut(options.listen[0], _port(port + number), remotes))
     for link, _ in options.links:
-        if not isinstance(link, Line):
+        if not isinstance(link, Line | OwnLine):
             specs.append(shared(replace(link, port=_port(link.port + number))))
         elif options.scenario.vehicles > 1:
             raise ConfigError(f"--link {link}: a line is for one vehicle only")

@@ -21,7 +21,7 @@ from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, make_emulator
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.lab.radio_follower import GeodeticEmitter, RadioFollower
-from sim_link.lab.radio_outlets import Http, HttpLink, Outlet, Stdout, StdoutLink, parse_outlet
+from sim_link.lab.radio_outlets import is_stdout, parse_outlet
 from sim_link.world.antenna import AntennaParams
 from sim_link.world.environment import Emitter
 
@@ -78,20 +78,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Follow the vehicle until stopped; a ConfigError or LinkError for what is bad input."""
     _check_options(arguments)
-    outlet = None
-    if arguments.radio is not None:
-        outlet = parse_outlet(arguments.to, kind_of(arguments.radio))
-    follower, clock = _follower(arguments), Clock(arguments.speed)
-    say = _speaker(outlet)
+    follower, links = _follower(arguments), _links(arguments)
+    say = _speaker(arguments)
     say(f"radio on {arguments.follow}")
     for line in _names_on_wire(arguments, follower.emitter_ids):
         say(line)
     hints = _hints(follower, arguments.follow, say)
-    links = _links(arguments)
-    links += [outlet] if isinstance(outlet, Transport) else []
-    shell = Shell(follower, links, clock, hints)
-    if isinstance(outlet, Stdout | Http):
-        shell.links.append(StdoutLink(1) if isinstance(outlet, Stdout) else HttpLink(outlet, 1))
+    shell = Shell(follower, links, Clock(arguments.speed), hints)
     if arguments.stop_on_eof:
         threading.Thread(target=_stop_at_eof, args=(shell,), daemon=True).start()
     shell.run_blocking()
@@ -113,9 +106,10 @@ def _check_options(arguments: argparse.Namespace) -> None:
         raise ConfigError("--send-to is for RADIO_RANGING; an emulated radio prints --to a URL")
 
 
-def _speaker(outlet: Outlet | None) -> Callable[[str], None]:
+def _speaker(arguments: argparse.Namespace) -> Callable[[str], None]:
     """Tells people, where no radio prints."""
-    stream = sys.stderr if isinstance(outlet, Stdout) else sys.stdout
+    is_taken = arguments.to is not None and is_stdout(arguments.to)
+    stream = sys.stderr if is_taken else sys.stdout
     return lambda text: print(f"sim-link: {text}", file=stream, flush=True)
 
 
@@ -177,6 +171,8 @@ def _links(arguments: argparse.Namespace) -> list[Transport]:
     links = [parse_transport(arguments.follow)]
     if arguments.send_to is not None:
         links.append(UdpConnect(*udp_address("--send-to", arguments.send_to)))
+    if arguments.radio is not None:
+        links.append(parse_outlet(arguments.to, kind_of(arguments.radio)))
     return links
 
 

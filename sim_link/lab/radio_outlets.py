@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from companion.errors import ConfigError, LinkError
 from companion.io.links.link import Link, bind_problem
-from companion.io.links.transports import Transport, UdpBind, parse_transport
+from companion.io.links.transports import OwnLine, Transport, UdpBind, parse_transport
 from companion.mav.endpoint import Address, Chunk
 from sim_link.emulators.emulator import Emulator
 
@@ -26,12 +26,7 @@ EXAMPLES = "pty:/tmp/radio, udpout:127.0.0.1:14700, tcpin:127.0.0.1:14700, stdou
 
 
 @dataclass(frozen=True, slots=True)
-class Stdout:
-    """The program's standard output."""
-
-
-@dataclass(frozen=True, slots=True)
-class Http:
+class Page:
     """A port of this machine where a document is asked for."""
 
     host: str
@@ -39,16 +34,19 @@ class Http:
     path: str
 
 
-Outlet = Transport | Stdout | Http
+def is_stdout(text: str) -> bool:
+    """Whether `--to` is standard output, which then is no place to tell people."""
+    return text.strip().partition(":")[0].lower() == "stdout"
 
 
-def parse_outlet(text: str, kind: type[Emulator]) -> Outlet:
+def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
     """Where `--to` leads; a `ConfigError` shows a right one."""
     scheme = text.strip().partition(":")[0].lower()
-    if scheme == "stdout":
-        return Stdout()
+    if is_stdout(text):
+        return OwnLine("stdout:", lambda index, _: StdoutLink(index))
     if scheme == "http":
-        return _http(text.strip(), kind)
+        page = parse_page(text.strip(), kind)
+        return OwnLine(f"http:{page.host}:{page.port}", lambda index, _: HttpLink(page, index))
     try:
         transport = parse_transport(text)
     except ConfigError as error:
@@ -58,7 +56,8 @@ def parse_outlet(text: str, kind: type[Emulator]) -> Outlet:
     return transport
 
 
-def _http(text: str, kind: type[Emulator]) -> Http:
+def parse_page(text: str, kind: type[Emulator]) -> Page:
+    """Of `http:HOST:PORT`; a `ConfigError` shows a right one."""
     if kind.document is None:
         raise ConfigError(f"--to {text}: {kind.name} is not polled; give {EXAMPLES}")
     rest = text.partition(":")[2].removeprefix("//")
@@ -69,7 +68,7 @@ def _http(text: str, kind: type[Emulator]) -> Http:
         host = port = None
     if host is None or not port:
         raise ConfigError(f"--to {text}: give http:HOST:PORT, for example http:127.0.0.1:8081")
-    return Http(host, port, kind.document)
+    return Page(host, port, kind.document)
 
 
 class StdoutLink(Link):
@@ -98,9 +97,9 @@ class StdoutLink(Link):
 class HttpLink(Link):
     """A port that answers every question for the document with the latest."""
 
-    def __init__(self, outlet: Http, index: int) -> None:
-        super().__init__(f"http {outlet.host}:{outlet.port}", index, lambda _: None)
-        self._outlet = outlet
+    def __init__(self, page: Page, index: int) -> None:
+        super().__init__(f"http {page.host}:{page.port}", index, lambda _: None)
+        self._page = page
         self._document: bytes | None = None
         self._server: asyncio.Server | None = None
 
@@ -114,7 +113,7 @@ class HttpLink(Link):
 
     async def open(self) -> None:
         """Bind and listen."""
-        host, port = self._outlet.host, self._outlet.port
+        host, port = self._page.host, self._page.port
         try:
             self._server = await asyncio.start_server(self._answer, host, port)
         except OSError as error:
@@ -140,7 +139,7 @@ class HttpLink(Link):
         writer.close()
 
     def _response(self, path: str) -> bytes:
-        is_known = path in ("/", self._outlet.path) and self._document is not None
+        is_known = path in ("/", self._page.path) and self._document is not None
         body = self._document if is_known and self._document is not None else b"not found\n"
         status = "200 OK" if is_known else "404 Not Found"
         self.counters.received += 1

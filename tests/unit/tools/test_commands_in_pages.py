@@ -15,7 +15,9 @@ from companion.config.schema import load_config
 from companion.flight_setup import radio_links
 from companion.io.links.transports import parse_flight_link, parse_transport
 from companion.link.interface import LinkRole
+from sim_link.emulators.catalogue import kind_of
 from sim_link.lab import radio_command
+from sim_link.lab.radio_outlets import parse_outlet
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")])
@@ -57,7 +59,10 @@ def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> N
             radio_command.add_arguments(parser)
             arguments = parser.parse_args(words[2:])
             assert parse_transport(arguments.follow)
-            assert parse_transport(f"udpout:{arguments.send_to}")
+            if arguments.radio is None:
+                assert parse_transport(f"udpout:{arguments.send_to}")
+            else:
+                assert parse_outlet(arguments.to, kind_of(arguments.radio))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.name))

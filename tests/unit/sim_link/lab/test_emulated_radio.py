@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import re
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,10 +22,11 @@ from sim_link.autopilot.scenario import PayloadParams
 from sim_link.cli import main
 from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, make_emulator
 from sim_link.lab.radio_follower import FOLLOW, SEND, RadioFollower
-from sim_link.lab.radio_outlets import Http, HttpLink, Stdout, parse_outlet
+from sim_link.lab.radio_outlets import HttpLink, Page, parse_outlet, parse_page
 from sim_link.world.antenna import AntennaParams
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 
+ROOT = Path(__file__).resolve().parents[4]
 PEER = ("127.0.0.1", 14580)
 EVERYTHING = PayloadParams()
 
@@ -145,13 +148,19 @@ def test_an_array_prints_what_its_antenna_measured() -> None:
         ("pty:/tmp/uwb", Pty("/tmp/uwb")),
         ("udpout:127.0.0.1:14700", UdpConnect("127.0.0.1", 14700)),
         ("tcpin:127.0.0.1:14700", TcpServer("127.0.0.1", 14700)),
-        ("stdout:", Stdout()),
-        ("http:127.0.0.1:8081", Http("127.0.0.1", 8081, "/DOA_value.html")),
-        ("http://127.0.0.1:8081/DOA_value.html", Http("127.0.0.1", 8081, "/DOA_value.html")),
     ],
 )
 def test_an_outlet_is_an_address(text: str, outlet: object) -> None:
     assert parse_outlet(text, kind_of("kraken")) == outlet
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["http:127.0.0.1:8081", "http://127.0.0.1:8081/", "http://127.0.0.1:8081/DOA_value.html"],
+)
+def test_a_page_is_a_host_and_a_port(text: str) -> None:
+    assert parse_page(text, kind_of("kraken")) == Page("127.0.0.1", 8081, "/DOA_value.html")
+    assert str(parse_outlet(text, kind_of("kraken"))) == "http:127.0.0.1:8081"
 
 
 @pytest.mark.parametrize(
@@ -196,7 +205,7 @@ def test_a_format_that_cannot_name_an_emitter_says_so() -> None:
 
 def test_a_document_is_there_once_there_is_one_and_nowhere_else() -> None:
     async def play() -> list[tuple[int, bytes]]:
-        link = HttpLink(Http("127.0.0.1", 0, "/doa.xml"), 1)
+        link = HttpLink(Page("127.0.0.1", 0, "/doa.xml"), 1)
         await link.open()
         base = f"http://127.0.0.1:{link.local_address[1]}"
         seen = [await asyncio.to_thread(ask, f"{base}/doa.xml")]
@@ -209,6 +218,18 @@ def test_a_document_is_there_once_there_is_one_and_nowhere_else() -> None:
 
     found, missing = (200, b"second"), (404, b"not found\n")
     assert asyncio.run(play()) == [missing, found, found, found, missing]
+
+
+def test_the_page_has_every_radio_with_what_it_says_and_its_names() -> None:
+    page = (ROOT / "docs" / "simulator.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:-1] for line in page.splitlines() if line.startswith("| `")]
+    told = {name: row for row in rows for name in re.findall(r"`(\w+)`", row[0])}
+    assert set(EMULATORS) <= set(told)
+    for name, kind in EMULATORS.items():
+        cells = told[name]
+        assert cells[-1].strip().startswith(kind.name_on_wire(7) or "not named")
+        assert ("`" in cells[3]) == (kind.antenna != "ideal")
+        assert kind.antenna in cells[3] or kind.antenna == "ideal"
 
 
 def ask(url: str) -> tuple[int, bytes]:

@@ -1,0 +1,105 @@
+"""Each emulated radio beside the decoder that reads it, and how finely its format tells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from companion.link.radio_stage import RadioSettings, RadioSetup
+from companion.radios.catalogue import radio_kind
+from sim_link.emulators.catalogue import EMULATORS
+from sim_link.emulators.emulator import Emulator
+
+LINES_PATTERN = (
+    r"(?P<emitter>[0-9A-F:]{17}),(?P<range_m>[\d.]+) m, \d+ ns, (?P<quality_percent>\d+)"
+)
+LTE_STEP_M, NR_STEP_M = 78.0709, 39.0355
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """What is left of a measurement in the bytes of a radio."""
+
+    name: str
+    """Of the emulator."""
+    radio: str
+    """Of the decoder."""
+    range_m: float | None = None
+    """Half a step; None: no ranges."""
+    azimuth_deg: float | None = None
+    elevation_deg: float | None = None
+    time_s: float | None = None
+    """None: it has no clock."""
+    sigma_m: float | None = None
+    """Of the sigma, where the radio says one."""
+    has_quality: bool = False
+    options: Mapping[str, object] = field(default_factory=dict)
+    """Of the decoder."""
+
+    @property
+    def kind(self) -> type[Emulator]:
+        return EMULATORS[self.name]
+
+    @property
+    def names_nobody(self) -> bool:
+        return self.kind.name_on_wire(1) == ""
+
+    def settings(self, emitter_id: int, **others: object) -> RadioSettings:
+        """As the radio's kind has them, with the emitter's name."""
+        given: dict[str, Any] = dict(radio_kind(self.radio).defaults)
+        if self.names_nobody:
+            given["emitter"] = emitter_id
+        else:
+            given["emitters"] = {self.kind.name_on_wire(emitter_id): emitter_id}
+        given |= others
+        return msgspec.convert(given, RadioSettings)
+
+    def setup(self, emitter_id: int, **others: object) -> RadioSetup:
+        kind = radio_kind(self.radio)
+        options = msgspec.convert(dict(self.options), kind.decoder.Options)
+        return RadioSetup(kind, self.settings(emitter_id, **others), options)
+
+    def azimuth_step_deg(self, range_m: float) -> float:
+        """Of a radio that says coordinates in centimetres it depends on the range."""
+        if self.name == "pdoa_js":
+            return math.degrees(0.75 / (100.0 * range_m))
+        assert self.azimuth_deg is not None
+        return self.azimuth_deg
+
+
+MS, UNIX_MS = 0.5e-3, 0.51e-3
+Q97 = 0.5 / 128.0
+FORMATS = (
+    Format("ndjson", "ndjson", 1e-9, 1e-9, 1e-9, 1e-6, 1e-9),
+    Format("nlink_aoa", "nlink", 0.5e-3, 0.005, None, MS),
+    Format("nlink_iot", "nlink", 0.5e-3, 0.005, 0.005, MS),
+    Format("nlink_node2", "nlink", 0.5e-3, time_s=MS),
+    Format("nlink_node3", "nlink", 0.5e-3, time_s=MS),
+    Format("nlink_node5", "nlink", 0.5e-3, time_s=MS),
+    Format("nlink_tag0", "nlink", 0.5e-3, time_s=MS),
+    Format("fira_uci", "fira_uci", 0.5e-2, Q97, Q97),
+    Format("sr150", "sr150", 0.5e-2, Q97, Q97),
+    Format("pans", "pans", 0.5e-2),
+    Format("pans_tlv", "pans_tlv", 0.5e-3),
+    Format("qorvo_cli", "qorvo_cli", 0.5e-2, 0.005, 0.005),
+    Format("pdoa_js", "pdoa_js", 0.5e-2, 0.005),
+    Format("makerfabs_at", "makerfabs_at", 0.5e-2),
+    Format("kraken", "kraken", None, 0.5, time_s=UNIX_MS),
+    Format("kraken_xml", "kraken_xml", None, 0.5, time_s=UNIX_MS),
+    Format("uudf", "uudf", None, 0.5, 0.5, time_s=MS),
+    Format("esp32_ftm", "esp32_ftm", 0.5e-2, time_s=MS, has_quality=True),
+    Format("esp32_arduino", "esp32_ftm", 0.5e-2),
+    Format("ftm_csv", "ftm_csv", 0.5e-2),
+    Format("iw_ftm", "iw_ftm", 0.8e-4, time_s=1e-6, sigma_m=1e-3),
+    Format("android_rtt", "android_rtt", 0.5e-3, time_s=UNIX_MS, sigma_m=0.5e-3, has_quality=True),
+    Format("sx1280", "sx1280", 0.0226, options={"bandwidth_khz": 812.5}),
+    Format("srsran_4g", "srsran_4g", 0.5 * LTE_STEP_M),
+    Format("srsran", "srsran", 0.8e-2, time_s=UNIX_MS, options={"loop_is_off": True}),
+    Format("oai", "oai", 0.5 * NR_STEP_M),
+    Format("lines", "lines", 0.5e-2, has_quality=True, options={"pattern": LINES_PATTERN}),
+)
+FORMAT_OF = {each.name: each for each in FORMATS}
