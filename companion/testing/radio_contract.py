@@ -1,0 +1,268 @@
+"""What every radio's decoder must hold, tried in one call.
+
+    check_radio(KIND, Path("stream.bin").read_bytes(), Path("golden.jsonl"))
+
+The stream is an example of what the radio sends: whole frames or lines, at best one of each kind,
+some hundred bytes, that mean the same when they are sent again. The golden file has a reading a
+line, as `golden_lines` writes it. Whatever is broken raises `ContractError`, an AssertionError.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from enum import Enum
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from companion.domain import Params
+from companion.radios.decoder import (
+    MOST_KEPT_BYTES,
+    MOST_REASONS,
+    RadioDecoder,
+    RadioKind,
+    RadioReading,
+)
+
+NOISE_BYTES = 1_000_000
+TORN_BYTES = 200_000
+"""Of torn pieces: there is much to read in them."""
+MOST_NOISE_S = 1.0
+"""Of processor time, for each kind of noise."""
+PIECE_BYTES = 4096
+SETTLED_BYTES = 8192
+"""After so much of a good stream, what was there before it no longer matters."""
+GARBAGE_BYTES = 300
+FLIPS = (0x01, 0x20, 0x80, 0xFF)
+NAME = re.compile(r"[a-z][a-z0-9_]*")
+FREE_TEXT = bytes(range(0x20, 0x7F))
+
+
+class ContractError(AssertionError):
+    """A decoder does not hold what all of them must."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContractFigures:
+    """What was measured on the way."""
+
+    readings: int
+    """Of the stream."""
+    slowest_noise_s: float
+    """Processor time of the slowest kind of noise."""
+    most_kept_bytes: int
+    """Between two calls, in the noise."""
+
+
+def check_radio(
+    kind: RadioKind,
+    stream: bytes,
+    expected: Sequence[RadioReading] | Path,
+    *,
+    options: Params | None = None,
+    has_checksum: bool = False,
+) -> ContractFigures:
+    """Try a radio's decoder with a stream and the readings (or the golden file) that it gives.
+
+    With `has_checksum` a flipped byte may lose readings, but never change one.
+    """
+    readings = read_golden(expected) if isinstance(expected, Path) else list(expected)
+    trial = _Trial(lambda: kind.decoder(options), stream, readings)
+    _check_kind(kind)
+    trial.check_splits()
+    trial.check_flips(has_checksum)
+    trial.check_garbage()
+    slowest_s, kept = trial.check_noise()
+    return ContractFigures(len(readings), slowest_s, kept)
+
+
+def golden_lines(readings: Iterable[RadioReading]) -> str:
+    """Readings as the golden file has them: JSON, without what has its default."""
+    return "".join(f"{msgspec.json.encode(_told(reading)).decode()}\n" for reading in readings)
+
+
+def read_golden(path: Path) -> list[RadioReading]:
+    """The readings of a golden file."""
+    lines = path.read_bytes().splitlines()
+    return [msgspec.json.decode(line, type=RadioReading) for line in lines if line.strip()]
+
+
+def complaint_of(readings: object) -> str | None:
+    """What no decoder may return, whatever it was fed; None: nothing is wrong."""
+    if not isinstance(readings, list):
+        return f"feed returned {type(readings).__name__}, not a list"
+    for reading in readings:
+        if not isinstance(reading, RadioReading):
+            return f"feed returned a {type(reading).__name__} in its list"
+        if isinstance(reading.emitter, bool) or not isinstance(reading.emitter, str | int | None):
+            return f"an emitter is a {type(reading.emitter).__name__}"
+        for name, value in _told(reading).items():
+            if isinstance(value, float) and not math.isfinite(value):
+                return f"{name} is {value}; what was not measured is None"
+            if name.endswith("sigma_m") and isinstance(value, float) and value < 0.0:
+                return f"{name} is negative"
+    return None
+
+
+def kept_bytes(decoder: RadioDecoder) -> int:
+    """What a decoder holds, all that it refers to included but code and its options."""
+    total, seen, waiting = 0, {id(decoder.options)}, list(_parts(decoder))
+    while waiting:
+        part = waiting.pop()
+        if id(part) in seen or isinstance(part, type | Enum) or callable(part):
+            continue
+        seen.add(id(part))
+        total += sys.getsizeof(part)
+        waiting += _parts(part)
+    return total
+
+
+def noises(stream: bytes, rng: np.random.Generator) -> dict[str, bytes]:
+    """A megabyte of any bytes, and of text without an end; torn pieces of the stream."""
+    cuts = rng.integers(0, len(stream) + 1, (4 * TORN_BYTES // len(stream), 2))
+    torn = b"".join(stream[min(pair) : max(pair)] for pair in cuts.tolist())
+    letters = rng.integers(0, len(FREE_TEXT), NOISE_BYTES)
+    return {
+        "any bytes": rng.bytes(NOISE_BYTES),
+        "text without end": np.frombuffer(FREE_TEXT, np.uint8)[letters].tobytes(),
+        "torn pieces": torn[:TORN_BYTES],
+    }
+
+
+def pieces(data: bytes, size: int = PIECE_BYTES) -> Iterator[bytes]:
+    """Some data as it comes over a line."""
+    return (data[at : at + size] for at in range(0, len(data), size))
+
+
+class _Trial:
+    """One decoder, one stream, and what it must give."""
+
+    def __init__(
+        self, make: Callable[[], RadioDecoder], stream: bytes, expected: list[RadioReading]
+    ) -> None:
+        self.make = make
+        self.stream = stream
+        self.expected = expected
+        self.rng = np.random.default_rng(len(stream))
+        if not stream or not expected:
+            raise ContractError("there must be a stream, and readings in it")
+
+    def feed(
+        self, what: str, *parts: bytes, decoder: RadioDecoder | None = None
+    ) -> list[RadioReading]:
+        """The readings of parts that are fed one by one."""
+        decoder = decoder or self.make()
+        readings: list[RadioReading] = []
+        for number, part in enumerate(parts):
+            try:
+                found = decoder.feed(part, float(number))
+            except Exception as error:
+                raise ContractError(f"{what}: feed raised {error!r}") from error
+            complaint = complaint_of(found)
+            if complaint is not None:
+                raise ContractError(f"{what}: {complaint}")
+            readings += found
+        if len(decoder.counts.refused) > MOST_REASONS + 1:
+            raise ContractError(f"{what}: refused by too many reasons; use counts.refuse")
+        return readings
+
+    def check_splits(self) -> None:
+        """The whole, byte by byte, in two at every place, and begun before at every place."""
+        stream = self.stream
+        decoder = self.make()
+        self._same("the stream", self.feed("the stream", stream, decoder=decoder))
+        if decoder.counts.readings != len(self.expected):
+            raise ContractError(f"counts.readings is {decoder.counts.readings}")
+        self._same("byte by byte", self.feed("byte by byte", *pieces(stream, 1)))
+        for at in range(len(stream) + 1):
+            what = f"cut at byte {at}"
+            self._same(what, self.feed(what, stream[:at], b"", stream[at:]))
+            what = f"line lost at byte {at}"
+            decoder = self.make()
+            self.feed(what, stream[:at], decoder=decoder)
+            decoder.reset()
+            self._same(what, self.feed(what, stream, decoder=decoder))
+
+    def check_flips(self, has_checksum: bool) -> None:
+        """One byte flipped at each place."""
+        there = Counter(golden_lines(self.expected).splitlines())
+        for at in range(len(self.stream)):
+            for flip in FLIPS:
+                what = f"byte {at} flipped by 0x{flip:02x}"
+                flipped = bytes([self.stream[at] ^ flip])
+                found = self.feed(what, self.stream[:at] + flipped + self.stream[at + 1 :])
+                wrong = Counter(golden_lines(found).splitlines()) - there
+                if has_checksum and wrong:
+                    raise ContractError(f"{what}: read {next(iter(wrong))}")
+
+    def check_garbage(self) -> None:
+        """Garbage before costs no more than the beginning; garbage after costs nothing."""
+        good = self.stream * (1 + -(-SETTLED_BYTES // len(self.stream)))
+        for number in range(10):
+            what = f"garbage {number}"
+            garbage = self.rng.bytes(GARBAGE_BYTES)
+            found = self.feed(f"{what} before", garbage, good)[-len(self.expected) :]
+            self._same(f"{what} before", found)
+            found = self.feed(f"{what} after", self.stream, garbage)[: len(self.expected)]
+            self._same(f"{what} after", found)
+
+    def check_noise(self) -> tuple[float, int]:
+        """Seconds of the slowest noise, and the bytes that were kept at most."""
+        slowest_s, most = 0.0, 0
+        for what, noise in noises(self.stream, self.rng).items():
+            decoder = self.make()
+            empty = kept_bytes(decoder)
+            begun_s = time.process_time()
+            for piece in pieces(noise):
+                self.feed(what, piece, decoder=decoder)
+            spent_s = time.process_time() - begun_s
+            kept = kept_bytes(decoder) - empty
+            slowest_s, most = max(slowest_s, spent_s), max(most, kept)
+            if spent_s > MOST_NOISE_S:
+                raise ContractError(f"{len(noise)} bytes of {what} take {spent_s:.1f} s")
+            if kept > MOST_KEPT_BYTES:
+                raise ContractError(f"{kept} bytes are kept of {what}")
+            decoder.reset()
+            self._same(f"after {what}", self.feed(f"after {what}", self.stream, decoder=decoder))
+        return slowest_s, most
+
+    def _same(self, what: str, found: list[RadioReading]) -> None:
+        if found == self.expected:
+            return
+        lines, wanted = (golden_lines(each).splitlines() for each in (found, self.expected))
+        for number, (line, other) in enumerate(zip(lines, wanted, strict=False), start=1):
+            if line != other:
+                raise ContractError(f"{what}: reading {number} is {line}, not {other}")
+        raise ContractError(f"{what}: {len(lines)} readings, not {len(wanted)}")
+
+
+def _check_kind(kind: RadioKind) -> None:
+    if not NAME.fullmatch(kind.name):
+        raise ContractError(f"name `{kind.name}`: lower case, digits and underscores")
+    for name in ("title", "gives", "emitter", "transport"):
+        if not getattr(kind, name):
+            raise ContractError(f"{name} is empty")
+
+
+def _told(reading: RadioReading) -> dict[str, object]:
+    told = {field.name: getattr(reading, field.name) for field in fields(reading)}
+    return {f.name: told[f.name] for f in fields(reading) if told[f.name] != f.default}
+
+
+def _parts(value: object) -> list[object]:
+    """What a value refers to."""
+    if isinstance(value, dict):
+        return [*value, *value.values()]
+    if isinstance(value, list | tuple | set | frozenset | deque):
+        return list(value)
+    if isinstance(value, str | bytes | bytearray | int | float | None):
+        return []
+    slots = [getattr(value, name, None) for name in getattr(type(value), "__slots__", ())]
+    return [*vars(value).values(), *slots] if hasattr(value, "__dict__") else slots
