@@ -210,9 +210,10 @@ def _add_replay(commands: Commands) -> None:
         help="run a recorded flight or ranging walk again",
         description="Run a recorded flight through the flying code once more and say whether it "
         "is the same, or, with another configuration, how it differs. A CSV file is a recorded "
-        "ranging walk: it goes through the estimator, a filter per target.",
+        "ranging walk, and what `companion radio record` wrote is decoded anew; both go through "
+        "the estimator, a filter per target.",
     )
-    replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv", type=Path)
+    replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv|RECORDING", type=Path)
     text = "of a flight, times real time (default: as fast as possible)"
     _option(replay, "--speed", "X", text, type=number_in(0.0, MAX_SPEED, is_open=True))
     text = "show a flight on the live map, at --speed 1 unless given (default port 8080)"

@@ -24,6 +24,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import radio_links
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
+from companion.io.logs.radio_recording import is_radio_recording
 from companion.io.shell import Clock
 from companion.kernel import IS_COMPILED, count_compiled
 from companion.link.interface import LinkRole
@@ -238,6 +239,8 @@ def _replay(arguments: argparse.Namespace) -> int:
         if arguments.replay_web is not None:
             raise ConfigError("--web: a walk has no map; leave it out")
         return _replay_walk(arguments, config or CompanionConfig())
+    if is_radio_recording(arguments.file):
+        return _replay_recording(arguments, config or CompanionConfig())
 
     def report(replay: FlightReplay) -> None:
         """Print how exact it was, and write the figures if asked to."""
@@ -256,6 +259,21 @@ def _replay(arguments: argparse.Namespace) -> int:
         replay = replay_flight(arguments.file, config, print, pace)
         report(replay)
     return EXIT_FAILED if replay.is_failed else 0
+
+
+def _replay_recording(arguments: argparse.Namespace, config: CompanionConfig) -> int:
+    from companion.replay.radio_replay import replay_recording
+
+    if arguments.speed is not None or arguments.replay_web is not None:
+        raise ConfigError("--speed, --web: a radio recording is replayed at once; leave them out")
+    replay = replay_recording(arguments.file, config)
+    print("\n".join(replay.radios))
+    if replay.targets:
+        print(table(replay.targets))
+    if arguments.json is not None:
+        value = {"file": arguments.file.name, "targets": [r.as_json() for r in replay.targets]}
+        write_json_atomic(arguments.json, value)
+    return 0
 
 
 def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:

@@ -3,23 +3,64 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
+from companion.config.radios import radio_setups
+from companion.config.schema import CompanionConfig, load_config, with_radios
 from companion.errors import ConfigError
+from companion.flight_setup import radio_links
+from companion.io.links.transports import check_exposure, parse_flight_link
+from companion.io.shell import Clock, Shell
+from companion.link.interface import LinkRole
+from companion.radio_tools.recorder import record_radios
+from companion.radio_tools.watching import WatchingEndpoint
 from companion.radios.catalogue import known_radios, radio_kind
 
-COMMANDS = "{list}"
+COMMANDS = "{list,watch,record}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What `companion radio` understands."""
     commands = parser.add_subparsers(dest="radio_command", metavar=COMMANDS, required=True)
     commands.add_parser("list", help="every radio that can be chosen, and what it gives")
+    watch = commands.add_parser(
+        "watch",
+        help="show what a radio says, live",
+        description="Show what radios say: rate, range, bearing, scatter, and what is refused.",
+    )
+    watch.add_argument("radios", metavar="RADIO", nargs="*", help="NAME[:KEY=VALUE,...]@URL")
+    _add_common(watch)
+    record = commands.add_parser(
+        "record",
+        help="keep what radios send, and where the vehicle is meanwhile",
+        description="Keep the bytes of radios with their times and, where connected, the vehicle's "
+        "position and attitude. `companion replay FILE` runs it through the estimator.",
+    )
+    record.add_argument("file", metavar="FILE", type=Path)
+    record.add_argument(
+        "--radio", metavar="RADIO", action="append", default=[], dest="radios", help="as in flight"
+    )
+    record.add_argument("--connect", metavar="URL", dest="link", help="link to the autopilot")
+    _add_common(record)
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
+    text = "end after so many seconds (default: Ctrl-C)"
+    parser.add_argument("--seconds", metavar="S", type=float, help=text)
+    text = "listen beyond this machine, too"
+    parser.add_argument("--insecure", action="store_true", dest="is_insecure", help=text)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do it; the exit code."""
-    commands: dict[str, Callable[[argparse.Namespace], int]] = {"list": _list}
+    commands: dict[str, Callable[[argparse.Namespace], int]] = {
+        "list": _list,
+        "watch": _watch,
+        "record": _record,
+    }
     return commands[arguments.radio_command](arguments)
 
 
@@ -42,3 +83,45 @@ def _list(arguments: argparse.Namespace) -> int:
     for problem in broken:
         print(f"broken: {problem}")
     return 0
+
+
+def _radios_of(arguments: argparse.Namespace) -> CompanionConfig:
+    """The configuration with at least one radio, none of which listens to everybody."""
+    config = with_radios(load_config(arguments.config), arguments.radios)
+    if not config.radios:
+        raise ConfigError("name a radio, for example nlink@/dev/ttyUSB0, or a --config with radios")
+    if not arguments.is_insecure:
+        check_exposure(radio_links(config.radios), has_key=False)
+    return config
+
+
+def _watch(arguments: argparse.Namespace) -> int:
+    config = _radios_of(arguments)
+    names = [f"{radio.name}@{radio.url}" for radio in config.radios]
+    setups, links = radio_setups(config.radios), radio_links(config.radios)
+    show = _redraw if sys.stdout.isatty() else _print_lines
+    endpoint = WatchingEndpoint(setups, names, show, arguments.seconds)
+    Shell(endpoint, [link.transport for link in links], Clock()).run_blocking()
+    return 0 if any(stage.measured for stage in endpoint.stages) else 1
+
+
+def _print_lines(lines: list[str]) -> None:
+    print("\n".join(lines), flush=True)
+
+
+def _redraw(lines: list[str]) -> None:
+    """From the top of the terminal, and clear what is below."""
+    print("\x1b[H\x1b[J" + "\n".join(lines), flush=True)
+
+
+def _record(arguments: argparse.Namespace) -> int:
+    config = _radios_of(arguments)
+    vehicle = None
+    if arguments.link is not None:
+        vehicle = parse_flight_link(arguments.link, LinkRole.VEHICLE)
+        if not arguments.is_insecure:
+            check_exposure([vehicle], has_key=config.link.signing_key_file is not None)
+    print(f"recording to {arguments.file}; Ctrl-C ends it", file=sys.stderr)
+    recorded = record_radios(arguments.file, config, vehicle, arguments.seconds)
+    print(f"{arguments.file}: {recorded.bytes} bytes of radios, {recorded.poses} poses")
+    return 0 if recorded.bytes else 1

@@ -1,0 +1,141 @@
+"""`companion replay` of a radio recording: its bytes decoded anew, and the flying estimator.
+
+Each emitter has a filter of its own. Where no autopilot was connected nobody knows from where was
+measured; then it is only told what the radios said.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from companion.config.radios import RadioConfig, radio_setups, replayed_radios
+from companion.config.schema import CompanionConfig
+from companion.domain import Attitude, OwnAccuracy, RangingMeasurement, VehicleState
+from companion.guidance.tracking.emitters import EmitterQueue
+from companion.guidance.tracking.measurements import RangingListener
+from companion.guidance.tracking.vehicle_track import VehicleTrack
+from companion.io.logs.radio_recording import RadioBytes, TimedPose, read_radio_recording
+from companion.link.radio_stage import RadioStage
+from companion.replay.walk_replay import TargetResult
+
+END_S = 10.0
+"""After the last record, until nothing waits any more."""
+
+
+class _Target:
+    """One emitter's filter, and what was said of it."""
+
+    def __init__(self, config: CompanionConfig, emitter_id: int, track: VehicleTrack) -> None:
+        self.queue = EmitterQueue(config.estimation, None, emitter_id)
+        self.listener = RangingListener(self.queue, track)
+        self.ranges_m: list[float] = []
+        self.count = 0
+
+    def take(self, measurement: RangingMeasurement) -> None:
+        """Take one in, which waits for the vehicle's place."""
+        self.count += 1
+        if measurement.range_m is not None:
+            self.ranges_m.append(measurement.range_m)
+        self.listener.receive(measurement)
+
+
+@dataclass(frozen=True, slots=True)
+class RadioReplay:
+    """What a recording came to."""
+
+    radios: list[str]
+    """A line for each radio, and one for each emitter where there is no place."""
+    targets: list[TargetResult] = field(default_factory=list)
+    """Empty without any place."""
+
+
+def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
+    """Decode and estimate; radios of `config` replace the recording's settings by name."""
+    header, records = read_radio_recording(path)
+    recorded = [
+        RadioConfig(name=r.name, url=r.url, settings=dict(r.settings), options=dict(r.options))
+        for r in header.radios
+    ]
+    stages = [RadioStage(setup) for setup in radio_setups(replayed_radios(recorded, config.radios))]
+    track = VehicleTrack()
+    targets: dict[int, _Target] = {}
+    own: OwnAccuracy | None = None
+    now_s, poses = 0.0, 0
+    for record in records:
+        if isinstance(record, RadioBytes):
+            now_s = max(now_s, record.t_s)
+            for measurement in stages[record.radio].receive(record.data, record.t_s):
+                number = measurement.emitter_id
+                if number not in targets:
+                    targets[number] = _Target(config, number, track)
+                targets[number].take(measurement)
+        elif isinstance(record, TimedPose):
+            poses += 1
+            _add_pose(track, record)
+            own = own if record.sigma_m is None else OwnAccuracy(record.sigma_m, is_told=True)
+            for target in targets.values():
+                target.listener.fuse_due(max(now_s, record.t_s), own)
+    if poses:
+        for target in targets.values():
+            target.listener.fuse_due(now_s + END_S, own)
+    if not poses:
+        return RadioReplay([*_radio_lines(stages), *_untold_lines(targets)])
+    results = _results(targets, now_s)
+    return RadioReplay([*_radio_lines(stages), *map(_refusals, results)], results)
+
+
+def _add_pose(track: VehicleTrack, pose: TimedPose) -> None:
+    track.add(VehicleState(pose.t_s, pose.enu_m, (0.0, 0.0, 0.0)))
+    if pose.yaw_rad is not None:
+        is_told = pose.roll_rad is not None and pose.pitch_rad is not None
+        tilt_rad = (pose.roll_rad or 0.0, pose.pitch_rad or 0.0) if is_told else None
+        track.add_attitude(pose.t_s, Attitude(pose.yaw_rad, tilt_rad))
+
+
+def _radio_lines(stages: Sequence[RadioStage]) -> list[str]:
+    lines = []
+    for stage in stages:
+        refused: Counter[str] = stage.all_refused
+        words = ", ".join(f"{reason} {count}" for reason, count in refused.most_common())
+        said = f"{stage.received} bytes, {stage.measured} measurements"
+        fate = f"refused: {words}" if words else "none refused"
+        lines.append(f"radio {stage.setup.kind.name}: {said}, {fate}")
+    return lines
+
+
+def _refusals(result: TargetResult) -> str:
+    words = ", ".join(f"{reason} {count}" for reason, count in result.refused.items())
+    return f"emitter {result.target_id}: {f'refused: {words}' if words else 'none refused'}"
+
+
+def _untold_lines(targets: dict[int, _Target]) -> list[str]:
+    """What was said of emitters, where that is all."""
+    lines = []
+    for number, target in sorted(targets.items()):
+        ranges_m = target.ranges_m
+        middle = f", median range {statistics.median(ranges_m):.2f} m" if ranges_m else ""
+        lines.append(f"  emitter {number}: {target.count} measurements{middle}")
+    return [*lines, "no estimate: no autopilot was connected, so nobody knows the places"]
+
+
+def _results(targets: dict[int, _Target], now_s: float) -> list[TargetResult]:
+    results = []
+    for number, target in sorted(targets.items()):
+        tracker = target.queue.current
+        if tracker.params.window.enabled:
+            tracker.optimize(tracker.params.window.starts)
+        results.append(
+            TargetResult(
+                target_id=str(number),
+                rows=target.count,
+                accepted=tracker.accepted,
+                refused={reason.value: count for reason, count in tracker.rejected.items()},
+                estimate=tracker.estimate(now_s),
+                observability=tracker.health.observability,
+            )
+        )
+    return results
