@@ -121,6 +121,11 @@ class _Kraken(RadioDecoder):
         self._believed = self.options
         self._channels = _Channels(self.options.settle_s)
 
+    def reset(self) -> None:
+        """Forget what was begun, and the channels: another receiver may answer next."""
+        super().reset()
+        self._channels = _Channels(self._believed.settle_s)
+
     def readings_of(self, result: Result | str) -> list[RadioReading]:
         """The reading of a result, if it is new and good enough; a text is why it is none."""
         self.counts.frames += 1
@@ -211,7 +216,8 @@ class KrakenXml(_Kraken):
         return readings
 
     def reset(self) -> None:
-        """Forget the beginning of a document."""
+        """Forget the beginning of a document as well."""
+        super().reset()
         self._rest = b""
 
     def _read(self, document: bytes) -> list[RadioReading]:

@@ -11,10 +11,15 @@ import pytest
 
 from companion.domain import Params
 from companion.radios.catalogue import radio_kind
+from companion.radios.cellular import SrsRanOptions
+from companion.radios.text_radios import LinesOptions
 from companion.testing.radio_contract import check_radio
 
 STREAMS = Path(__file__).parents[1] / "data" / "radios"
-OPTIONS: dict[str, Params] = {}
+OPTIONS: dict[str, Params] = {
+    "lines": LinesOptions(pattern=r"ifft: (?P<range_m>[\d.]+)"),
+    "srsran": SrsRanOptions(loop_is_off=True),
+}
 """Of radios that are nothing without."""
 CHECKSUMMED = {"nlink"}
 

@@ -173,6 +173,14 @@ def test_a_clock_that_is_set_back_is_followed() -> None:
     assert readings_at(KrakenLines(), (60_000, 433), (0, 433), (500, 433)) == [True, True, True]
 
 
+def test_after_a_lost_line_another_receiver_may_answer() -> None:
+    decoder = KrakenLines()
+    readings_at(decoder, (0, 433), (500, 433))
+    decoder.reset()
+
+    assert readings_at(decoder, (500, 868), (1000, 868)) == [True, True]
+
+
 def test_every_cut_of_a_document_gives_the_same() -> None:
     stream = b"<html>" + xml() + b"\n" + xml(1718000001000) + b"<DA" + xml(1718000001500)[:90]
     stream += b"x" * 9000 + xml(1718000002000)
