@@ -152,6 +152,7 @@ class HttpPollLink(WaitingLink):
                 raise ValueError("the page is too large")
             if time.monotonic() > until_s:
                 raise TimeoutError("the answer takes too long")
+        answer.read()  # nothing is left, but only this frees the connection for the next question
         if answer.status != http.client.OK:
             raise ValueError(f"HTTP {answer.status} {answer.reason}")
         return bytes(page)

@@ -1,0 +1,164 @@
+"""How late the control tick is while a radio floods, hangs or dribbles.
+
+    .venv/bin/python tools/bench_radio_flood.py [--seconds 20] [--rounds 2]
+
+Runs the companion's own loop and endpoint in this process, and a bad radio in another one, over TCP
+on this machine: nothing at all, one that connects and hangs, one byte a second, 10 MB a second of
+noise, of good lines, and of the worst for a decoder that looks for frames (all header). Prints the
+lateness of the ticks and what of the stream was dropped. Rounds alternate, so that other work on the
+machine spreads over all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from companion.config.radios import RadioConfig  # noqa: E402
+from companion.config.schema import CompanionConfig  # noqa: E402
+from companion.entry import outlive_readers  # noqa: E402
+from companion.flight_setup import build_endpoint, radio_links  # noqa: E402
+from companion.guidance.commands import ReportResult, Severity  # noqa: E402
+from companion.io.child_process import free_udp_ports  # noqa: E402
+from companion.io.links.transports import UdpBind  # noqa: E402
+from companion.io.shell import Clock, Shell, TimerStatistics  # noqa: E402
+from companion.link.interface import VEHICLE_ONLY  # noqa: E402
+
+BYTES_PER_S = 10_000_000
+KINDS: Mapping[str, tuple[str, str]] = {
+    "nobody": ("nlink", "0"),
+    "hangs": ("nlink", "hang"),
+    "a byte a second": ("nlink", "drip"),
+    "10 MB/s of noise, nlink": ("nlink", "noise"),
+    "10 MB/s of headers, nlink": ("nlink", "header"),
+    "10 MB/s of noise, ndjson": ("ndjson", "noise"),
+    "10 MB/s of lines, ndjson": ("ndjson", "lines"),
+}
+"""What the radio does: by which decoder it is read, and the word for `bad_radio`."""
+
+
+class Lateness(TimerStatistics):
+    """Keeps every one."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.all_s: list[float] = []
+
+    def note(self, late_s: float) -> None:
+        """Take in how late it is now."""
+        super().note(late_s)
+        self.all_s.append(late_s)
+
+
+class Mute:
+    """A journal that keeps nothing."""
+
+    def frame(self, data: bytes, now_s: float) -> None:
+        """Nothing."""
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Nothing."""
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Nothing."""
+
+    def result(self, report: ReportResult, now_s: float) -> None:
+        """Nothing."""
+
+
+def bad_radio(port: int, word: str) -> None:
+    """What the other process does until it is ended."""
+    import socket
+
+    deadline_s = time.monotonic() + 10.0
+    while True:
+        try:
+            stream = socket.create_connection(("127.0.0.1", port))
+            break
+        except OSError:
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(0.05)
+    line = b'{"emitter_id":7,"range":42.5,"range_std":1.5,"line_of_sight":true}\n'
+    pieces = {"noise": os.urandom(100_000), "header": b"\x55\x04" * 50_000, "lines": line * 1500}
+    piece, pause_s = pieces.get(word, b"\x55"), 1.0
+    if len(piece) > 1:
+        pause_s = len(piece) / BYTES_PER_S
+    due_s = time.monotonic()
+    while True:
+        if word != "hang":
+            stream.sendall(piece)
+        due_s = max(due_s + pause_s, time.monotonic() - 0.1)
+        time.sleep(max(0.0, due_s - time.monotonic()))
+
+
+def lateness_s(decoder: str, word: str, seconds: float) -> tuple[list[float], int, int]:
+    """How late each tick was; bytes that the radio's link took in, and pieces that were dropped."""
+    vehicle_port, radio_port = free_udp_ports(2)
+    radios = (RadioConfig(name=decoder, url=f"tcpin:127.0.0.1:{radio_port}"),)
+    (link,) = radio_links(radios)
+    endpoint = build_endpoint(CompanionConfig(radios=radios), Mute(), (*VEHICLE_ONLY, link.spec))
+    shell = Shell(endpoint, [UdpBind("127.0.0.1", vehicle_port), link.transport], Clock())
+    shell.timing = Lateness()
+    radio = None
+    if word != "0":
+        command = [sys.executable, __file__, "--bad-radio", str(radio_port), word]
+        radio = subprocess.Popen(command)
+
+    async def run() -> None:
+        asyncio.get_running_loop().call_later(seconds, shell.request_stop)
+        await shell.run()
+
+    try:
+        asyncio.run(run())
+    finally:
+        if radio is not None:
+            radio.kill()
+            radio.wait()
+    assert isinstance(shell.timing, Lateness)
+    stage = endpoint.radios[0].stage
+    return shell.timing.all_s, stage.received, endpoint.dropped_unread
+
+
+def main() -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each, in a round")
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--bad-radio", nargs=2, metavar=("PORT", "WORD"), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.bad_radio is not None:
+        bad_radio(int(arguments.bad_radio[0]), arguments.bad_radio[1])
+    late: dict[str, list[float]] = {name: [] for name in KINDS}
+    figures: dict[str, tuple[int, int]] = {}
+    for _ in range(arguments.rounds):
+        for name, (decoder, word) in KINDS.items():
+            found, received, dropped = lateness_s(decoder, word, arguments.seconds)
+            late[name] += found
+            figures[name] = (received, dropped)
+    print("| the radio | ticks | late, median ms | p99 ms | worst ms | kB read | dropped |")
+    print("|---|---|---|---|---|---|---|")
+    for name, values in late.items():
+        quantiles = statistics.quantiles(values, n=100)
+        received, dropped = figures[name]
+        print(
+            f"| {name} | {len(values)} | {1e3 * statistics.median(values):.2f} "
+            f"| {1e3 * quantiles[98]:.2f} | {1e3 * max(values):.2f} "
+            f"| {received / 1e3:.0f} | {dropped} |"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    outlive_readers()
+    sys.exit(main())
