@@ -5,8 +5,8 @@
 Runs the companion's own loop and endpoint in this process, and a bad radio in another one, over TCP
 on this machine: nothing at all, one that connects and hangs, one byte a second, 10 MB a second of
 noise, of good lines, and of the worst for a decoder that looks for frames (all header). Prints the
-lateness of the ticks and what of the stream was dropped. Rounds alternate, so that other work on the
-machine spreads over all.
+lateness of the ticks and what of the stream was dropped. Rounds alternate, so that other work on
+the machine spreads over all.
 """
 
 from __future__ import annotations

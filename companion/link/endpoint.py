@@ -165,8 +165,8 @@ class CompanionEndpoint:
             self._next_record_s = now_s + RECORD_PERIOD_S
             self._journal.record("link", self._link_record(now_s), now_s)
             self._journal.record("health", health_fields(self.session.tracker, now_s), now_s)
-            for radio in self.radios:
-                self._journal.record("radio", radio.record(now_s), now_s)
+            for number, radio in enumerate(self.radios):
+                self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
 
     def next_timer_s(self) -> float:
         """When the next control tick is due."""

@@ -295,6 +295,8 @@ class LinkAlarms:
 
 
 RADIO_LOOK_S = 0.5
+QUIET_S = 2.0
+"""From then on its silence is shown."""
 RATE_WINDOW_S = 5.0
 """Rates are of so much time."""
 REFUSAL_TEXTS_PER_S = 0.1
@@ -321,6 +323,20 @@ class RadioStatus:
     """Of its clock."""
     lost: int
     """How often its line was lost."""
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        if self.silent_s is None:
+            return "not heard"
+        parts = [f"{self.rate_hz:.0f} measurements/s"]
+        if self.silent_s >= QUIET_S:
+            parts.append(f"silent for {self.silent_s:.0f} s")
+        refused = sum(self.refused.values())
+        if refused:
+            most = max(self.refused, key=lambda reason: self.refused[reason])
+            parts.append(f"{refused} refused, most: {most}")
+        return ", ".join(parts)
 
 
 class RadioWatch:
@@ -380,8 +396,8 @@ class RadioWatch:
             "age_s": None if status.age_s is None else round(status.age_s, 4),
             "resync_bytes": counts.resync_bytes,
             "refused": status.refused,
-            "restarts": status.restarts,
-            "lost": status.lost,
+            "clock_restarts": status.restarts,
+            "line_losses": status.lost,
         }
 
     def _names(self) -> list[tuple[Severity, str]]:

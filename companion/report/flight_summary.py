@@ -84,6 +84,8 @@ class FlightSummary:
     """Interventions of the guard, by reason."""
     links: list[Line] = field(default_factory=list)
     """The counters of the links, in order."""
+    radios: dict[int, Line] = field(default_factory=dict)
+    """The last figures of each radio with a format of its own, by its number."""
     results: list[Line] = field(default_factory=list)
     """What was reported of each emitter first, in order."""
     ended_s: float = 0.0
@@ -104,6 +106,8 @@ def summarize_events(lines: Iterable[Line]) -> FlightSummary:
         if kind in SUMMARY_KINDS:
             row = EventRow(time_s, kind.replace("_", " "), event_text(kind, line))
             summary.events.append(row)
+        if kind == "radio":
+            summary.radios[_read(line.get("number"), int) or 0] = line
         _take_line(summary, kind, line)
     return summary
 

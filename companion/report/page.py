@@ -61,6 +61,13 @@ LINK_WORDS = {
     "setpoint_rate_hz": "setpoint rate at the end, Hz",
     "accepted": "measurements accepted",
     "refused": "measurements rejected",
+    "measured": "measurements",
+    "rate_hz": "measurements at the end, Hz",
+    "silent_s": "silent at the end, s",
+    "age_s": "delay of the last measurement, s",
+    "resync_bytes": "bytes that belonged to nothing",
+    "clock_restarts": "restarts of its clock",
+    "line_losses": "losses of its line",
     "restarts": "restarts of the autopilot",
 }
 """What the counters of the event log mean; one that is new has its own name."""
@@ -139,7 +146,8 @@ def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:
         page,
         "flight.html.j2",
         guard=summary.guard.most_common(),
-        link_rows=_link_rows(summary.links[-1]) if summary.links else [],
+        link_rows=_rows(summary.links[-1]) if summary.links else [],
+        radios=[(str(line.get("name")), _rows(line)) for line in summary.radios.values()],
     )
 
 
@@ -255,11 +263,11 @@ def is_quick(flight: Path) -> bool:
         return False
 
 
-def _link_rows(link: Line) -> list[tuple[str, str]]:
+def _rows(line: Line) -> list[tuple[str, str]]:
     return [
         (LINK_WORDS.get(name, name.replace("_", " ")), _value_text(value))
-        for name, value in link.items()
-        if name not in ("t_s", "kind", "links")
+        for name, value in line.items()
+        if name not in ("t_s", "kind", "links", "number", "name")
     ]
 
 

@@ -64,6 +64,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "distance_m": status.distance_m,
         "estimate": None if status.estimate is None else _estimate(status.estimate),
         "emitters": [_emitter(emitter) for emitter in status.emitters],
+        "radios": radio_words(endpoint, now_s),
         "waypoint": None if waypoint is None else _waypoint(waypoint),
         "setpoint": status.setpoint_enu_m,
         "guard": status.guard,
@@ -169,6 +170,12 @@ def _emitter(emitter: EmitterStatus) -> Json:
     }
 
 
+def radio_words(endpoint: CompanionEndpoint, now_s: float) -> tuple[tuple[str, str], ...]:
+    """Each radio's name, and how it is."""
+    found = [radio.status(now_s) for radio in endpoint.radios]
+    return tuple((status.name, status.words) for status in found)
+
+
 def _waypoint(waypoint: Waypoint) -> Json:
     return {
         "place": waypoint.position_enu_m,
@@ -201,6 +208,8 @@ class FlightSnapshot:
     stop_radius_m: float
     ages_s: Mapping[str, float | None]
     time_to_go_s: float | None = None
+    radios: tuple[tuple[str, str], ...] = ()
+    """Names, and how they are."""
 
 
 def flight_snapshot(
@@ -214,6 +223,7 @@ def flight_snapshot(
         stop_radius_m=endpoint.session.params.stop_radius_m,
         ages_s=ages_s(endpoint, now_s),
         time_to_go_s=time_to_go_s,
+        radios=radio_words(endpoint, now_s),
     )
 
 

@@ -85,6 +85,7 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
         *_emitter_rows(status.emitters),
         ("reflected", Text(_reflected(status.health))),
         ("ranging", Text(f"{status.accepted} used, {rejected} rejected")),
+        *((f"radio {name}", Text(words)) for name, words in moment.radios),
         ("ages", _ages(moment)),
         ("link", link),
         ("guard", Text(guard or "-")),

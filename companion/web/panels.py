@@ -209,6 +209,18 @@ class EmitterList(_ChangingLines):
         self._show(lines, lambda line: ui.label(line).classes("numbers"))
 
 
+class RadioList(_ChangingLines):
+    """Every radio with a format of its own, and how it is."""
+
+    def __init__(self) -> None:
+        super().__init__(_panel("Radios"), "gap-0", "radios")
+
+    def show(self, picture: Json) -> None:
+        """Show a moment."""
+        lines = [f"{name}: {words}" for name, words in picture.get("radios", [])]
+        self._show(lines, lambda line: ui.label(line).classes("numbers"))
+
+
 class TextList(_ChangingLines):
     """What was said to the operator, newest first."""
 

@@ -30,7 +30,15 @@ from fastapi.responses import PlainTextResponse, Response
 from nicegui import ui
 from nicegui.element import Element
 
-from companion.web.panels import AgeBars, Charts, EmitterList, Numbers, PhaseBar, TextList
+from companion.web.panels import (
+    AgeBars,
+    Charts,
+    EmitterList,
+    Numbers,
+    PhaseBar,
+    RadioList,
+    TextList,
+)
 from companion.web.settings import Access, WebSettings, tile, zooms_of
 
 TRACK_POINTS = 1000
@@ -149,6 +157,7 @@ class Page:
                 self._numbers = Numbers()
                 self._ages = AgeBars(hub.scene)
                 self._emitters = EmitterList()
+                self._radios = RadioList()
                 self._texts = TextList()
         self._charts = Charts(hub.scene)
         ui.timer(REFRESH_S, self._refresh)
@@ -166,6 +175,7 @@ class Page:
         self._numbers.show(picture)
         self._ages.show(picture)
         self._emitters.show(picture)
+        self._radios.show(picture)
         self._texts.show(picture)
         self._charts.show(hub.curve)
 

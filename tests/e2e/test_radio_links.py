@@ -171,7 +171,7 @@ class Page(http.server.BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(body)
 
-    def log_message(self, *arguments: object) -> None:  # type: ignore[override]
+    def log_message(self, *arguments: object) -> None:
         del arguments
 
 
