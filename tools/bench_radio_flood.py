@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -102,8 +103,21 @@ def bad_radio(port: int, word: str) -> None:
         time.sleep(max(0.0, due_s - time.monotonic()))
 
 
-def lateness_s(decoder: str, word: str, seconds: float) -> tuple[list[float], int, int]:
-    """How late each tick was; bytes that the radio's link took in, and pieces that were dropped."""
+@dataclass(frozen=True)
+class Trial:
+    """What one radio did to the companion."""
+
+    late_s: list[float]
+    """Of each tick."""
+    read_bytes: int
+    dropped: int
+    """Pieces that were over the budget."""
+    processor: float
+    """Share of a core."""
+
+
+def trial(decoder: str, word: str, seconds: float) -> Trial:
+    """Run the companion beside one radio."""
     vehicle_port, radio_port = free_udp_ports(2)
     radios = (RadioConfig(name=decoder, url=f"tcpin:127.0.0.1:{radio_port}"),)
     (link,) = radio_links(radios)
@@ -119,15 +133,17 @@ def lateness_s(decoder: str, word: str, seconds: float) -> tuple[list[float], in
         asyncio.get_running_loop().call_later(seconds, shell.request_stop)
         await shell.run()
 
+    began_s = time.process_time()
     try:
         asyncio.run(run())
     finally:
         if radio is not None:
             radio.kill()
             radio.wait()
+    processor = (time.process_time() - began_s) / seconds
     assert isinstance(shell.timing, Lateness)
     stage = endpoint.radios[0].stage
-    return shell.timing.all_s, stage.received, endpoint.dropped_unread
+    return Trial(shell.timing.all_s, stage.received, endpoint.dropped_unread, processor)
 
 
 def main() -> int:
@@ -139,22 +155,20 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.bad_radio is not None:
         bad_radio(int(arguments.bad_radio[0]), arguments.bad_radio[1])
-    late: dict[str, list[float]] = {name: [] for name in KINDS}
-    figures: dict[str, tuple[int, int]] = {}
+    trials: dict[str, list[Trial]] = {name: [] for name in KINDS}
     for _ in range(arguments.rounds):
         for name, (decoder, word) in KINDS.items():
-            found, received, dropped = lateness_s(decoder, word, arguments.seconds)
-            late[name] += found
-            figures[name] = (received, dropped)
-    print("| the radio | ticks | late, median ms | p99 ms | worst ms | kB read | dropped |")
-    print("|---|---|---|---|---|---|---|")
-    for name, values in late.items():
-        quantiles = statistics.quantiles(values, n=100)
-        received, dropped = figures[name]
+            trials[name].append(trial(decoder, word, arguments.seconds))
+    print("| the radio | ticks | late, median ms | p99 ms | worst ms | core | kB read | dropped |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name, found in trials.items():
+        late_ms = [1e3 * late_s for each in found for late_s in each.late_s]
+        processor = statistics.mean(each.processor for each in found)
         print(
-            f"| {name} | {len(values)} | {1e3 * statistics.median(values):.2f} "
-            f"| {1e3 * quantiles[98]:.2f} | {1e3 * max(values):.2f} "
-            f"| {received / 1e3:.0f} | {dropped} |"
+            f"| {name} | {len(late_ms)} | {statistics.median(late_ms):.2f} "
+            f"| {statistics.quantiles(late_ms, n=100)[98]:.2f} | {max(late_ms):.2f} "
+            f"| {100 * processor:.1f} % | {sum(each.read_bytes for each in found) / 1e3:.0f} "
+            f"| {sum(each.dropped for each in found)} |"
         )
     return 0
 

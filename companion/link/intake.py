@@ -162,7 +162,7 @@ KNOWN: Amounts = (32_768, 2_000, 500)
 UNKNOWN_PEERS: Amounts = (16_384, 400, 100)
 """All of them together."""
 ONE_UNKNOWN_PEER: Amounts = (4_096, 100, 50)
-RAW_BYTES, MOST_RAW_BYTES = 8_192, 65_536
+RAW_BYTES, MOST_RAW_BYTES = 8_192, 32_768
 """What a tick adds to the account of a link with a radio's own format, and the most there is."""
 HEARTBEATS = 200
 """Of the autopilot's address, whatever else it sent: they alone tell who flies. One a second, and

@@ -395,6 +395,7 @@ class RadioWatch:
             "silent_s": None if status.silent_s is None else round(status.silent_s, 3),
             "age_s": None if status.age_s is None else round(status.age_s, 4),
             "resync_bytes": counts.resync_bytes,
+            "thinned": self.stage.thinned,
             "refused": status.refused,
             "clock_restarts": status.restarts,
             "line_losses": status.lost,

@@ -26,6 +26,7 @@ import msgspec
 from companion.domain import NonNegative, Params, Positive, RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
+from companion.link.intake import RateLimit
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
 
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
@@ -86,6 +87,9 @@ class RadioSettings(Params, frozen=True):
     """How much earlier than that it was measured."""
     max_age_s: Positive | None = None
     """An older reading is refused; null: `estimation.acceptance.max_age_s` decides."""
+    rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0)] | None = 20.0
+    """Of one emitter so many measurements a second go on, because each costs milliseconds; null:
+    all."""
     stuck_after: Annotated[int, msgspec.Meta(ge=2)] | None = None
     """Of more equal ranges in a row the rest is refused; null: only while the vehicle moves."""
     poll_s: Annotated[float, msgspec.Meta(ge=0.02, le=60.0)] | None = None
@@ -247,6 +251,9 @@ class RadioStage:
         """The last measurement of each emitter."""
         self._mount_rad = math.radians(settings.bearing_mount_deg)
         self._half_view_rad = math.radians(0.5 * settings.field_of_view_deg) + 1e-9
+        self.thinned = 0
+        """Measurements beyond `rate_max_hz`."""
+        self._rates: dict[int, RateLimit] = {}
         self._last: dict[int, RadioReading] = {}
         self._equal: Counter[int] = Counter()
 
@@ -265,12 +272,24 @@ class RadioStage:
             self.decoder.reset()
             return []
         measured = [self._measure(reading, now_s) for reading in readings]
-        found = [measurement for measurement in measured if measurement is not None]
+        found = [each for each in measured if each is not None and self._is_due(each)]
         if found:
             self.measured += len(found)
             self.measured_s, self.age_s = now_s, now_s - found[-1].measured_at_s
             self.newest.update((measurement.emitter_id, measurement) for measurement in found)
         return found
+
+    def _is_due(self, measurement: RangingMeasurement) -> bool:
+        """Whether its emitter has not been measured too often by then."""
+        rate_hz = self.setup.settings.rate_max_hz
+        if rate_hz is None:
+            return True
+        limit = self._rates.get(measurement.emitter_id)
+        if limit is None:
+            limit = self._rates[measurement.emitter_id] = RateLimit(rate_hz, burst=2)
+        is_due = limit.acquire(measurement.measured_at_s)
+        self.thinned += not is_due
+        return is_due
 
     @property
     def all_refused(self) -> Counter[str]:

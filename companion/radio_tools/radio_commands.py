@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+
+import msgspec
 
 from companion.config.radios import radio_setups
 from companion.config.schema import CompanionConfig, load_config, with_radios
@@ -98,7 +101,11 @@ def _radios_of(arguments: argparse.Namespace) -> CompanionConfig:
 def _watch(arguments: argparse.Namespace) -> int:
     config = _radios_of(arguments)
     names = [f"{radio.name}@{radio.url}" for radio in config.radios]
-    setups, links = radio_setups(config.radios), radio_links(config.radios)
+    links = radio_links(config.radios)
+    setups = [
+        replace(setup, settings=msgspec.structs.replace(setup.settings, rate_max_hz=None))
+        for setup in radio_setups(config.radios)
+    ]
     show = _redraw if sys.stdout.isatty() else _print_lines
     endpoint = WatchingEndpoint(setups, names, show, arguments.seconds)
     Shell(endpoint, [link.transport for link in links], Clock()).run_blocking()

@@ -66,6 +66,7 @@ LINK_WORDS = {
     "silent_s": "silent at the end, s",
     "age_s": "delay of the last measurement, s",
     "resync_bytes": "bytes that belonged to nothing",
+    "thinned": "measurements left out, beyond rate_max_hz",
     "clock_restarts": "restarts of its clock",
     "line_losses": "losses of its line",
     "restarts": "restarts of the autopilot",

@@ -37,7 +37,7 @@ KIND = RadioKind("said", Said, "a test's", "range", "nothing", "udp")
 
 
 def stage_of(kind: RadioKind = KIND, **settings: Any) -> RadioStage:
-    return RadioStage(RadioSetup(kind, RadioSettings(**settings)))
+    return RadioStage(RadioSetup(kind, RadioSettings(**{"rate_max_hz": None, **settings})))
 
 
 def measured(stage: RadioStage, *readings: RadioReading, now_s: float = 5.0) -> Any:
@@ -238,9 +238,36 @@ def test_a_page_that_stands_still_is_measured_once() -> None:
 
 def test_a_range_is_stuck_after_as_many_equal_ones_as_are_allowed() -> None:
     stage = stage_of(stuck_after=3)
-    assert [len(measured(stage, READING)) for _ in range(5)] == [1, 1, 1, 0, 0]
-    assert len(measured(stage, replace(READING, range_m=42.1))) == 1
+    assert [len(measured(stage, READING, now_s=5.0 + n)) for n in range(5)] == [1, 1, 1, 0, 0]
+    assert len(measured(stage, replace(READING, range_m=42.1), now_s=10.0)) == 1
     assert len(measured(stage, READING)) == 1
+
+
+def test_an_emitter_is_measured_as_often_as_is_allowed_by_the_times_of_measurement() -> None:
+    stage = stage_of(rate_max_hz=10.0)
+    kept = 0
+    for tick in range(400):
+        time_s = 0.005 * tick
+        reading = replace(READING, device_time_s=100.0 + time_s, range_m=40.0 + tick)
+        kept += len(measured(stage, reading, now_s=5.0 + time_s))
+    assert 19 <= kept <= 22
+    assert stage.thinned == 400 - kept
+    assert stage.all_refused == {}
+    other = replace(READING, emitter=8, device_time_s=102.0)
+    assert len(measured(stage, other, now_s=7.0)) == 1
+
+
+def test_a_burst_of_what_was_measured_earlier_is_not_thinned() -> None:
+    stage = stage_of(rate_max_hz=10.0)
+    ages = [replace(READING, age_s=0.1 * (9 - n), range_m=40.0 + n) for n in range(10)]
+    assert len(measured(stage, *ages)) == 10
+
+
+def test_the_default_lets_ten_a_second_through_whole() -> None:
+    stage = stage_of(rate_max_hz=RadioSettings().rate_max_hz)
+    for tick in range(600):
+        late_s = 0.03 * (tick % 2)
+        assert len(measured(stage, replace(READING, range_m=tick), now_s=0.1 * tick + late_s)) == 1
 
 
 def test_an_old_reading_is_refused() -> None:
