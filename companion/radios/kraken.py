@@ -260,7 +260,7 @@ KRAKEN = RadioKind(
     title="KrakenSDR, DOA_value.html",
     gives="bearing",
     emitter="nothing: any transmitter",
-    transport="http",
+    transport="http:8081",
     poll=Poll("/DOA_value.html", 0.2),
     defaults=_COMMON_SETTINGS,
 )
@@ -270,7 +270,7 @@ KRAKEN_XML = RadioKind(
     title="KrakenSDR, doa.xml",
     gives="bearing",
     emitter="nothing: any transmitter",
-    transport="http",
+    transport="http:8081",
     poll=Poll("/doa.xml", 0.2),
     defaults={**_COMMON_SETTINGS, "bearing_sign": -1},
 )

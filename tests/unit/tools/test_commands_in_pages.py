@@ -34,7 +34,7 @@ def blocks_of(page: Path) -> list[list[str]]:
 def commands_of(page: Path) -> list[list[str]]:
     """Every companion and every radio of a page, as words."""
     lines = [line.removesuffix("&") for block in blocks_of(page) for line in block]
-    own = [line for line in lines if re.match(r"companion --|sim-link radio --", line)]
+    own = [line for line in lines if re.match(r"companion (?:--|radio )|sim-link radio --", line)]
     return [shlex.split(line, comments=True) for line in own]
 
 
@@ -46,7 +46,11 @@ def in_root(path: Path | None) -> Path | None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.name))
 def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> None:
     for words in commands_of(page):
-        if words[0] == "companion":
+        if words[:2] == ["companion", "radio"]:
+            arguments = argument_parser().parse_args(words[1:])
+            radios = flown_radios((), getattr(arguments, "radios", []))
+            assert len(radio_links(radios)) == len(radios)
+        elif words[0] == "companion":
             arguments = argument_parser().parse_args(words[1:])
             for url in (arguments.connect, *arguments.ranging, *arguments.gcs):
                 assert parse_flight_link(url, LinkRole.VEHICLE)

@@ -22,6 +22,8 @@ NO_PATHS = {"companion/doctor"}
 OF_OTHERS = {
     "test_own.py",
     "my_radio.py",
+    "acme-radio/acme_radio.py",
+    "acme-radio/pyproject.toml",
     "conftest.py",
     "test_search.py",
     "mavproxy.py",
