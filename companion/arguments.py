@@ -166,11 +166,13 @@ def _add_demo(commands: Commands) -> None:
 def _add_doctor(commands: Commands) -> None:
     doctor = commands.add_parser(
         "doctor",
-        help="check autopilot, link and computer before a flight",
-        description="Check autopilot, link and computer as a flight needs them, and name the "
-        "remedy for what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
+        help="check autopilot, link, radios and computer before a flight",
+        description="Check autopilot, link, radios and computer as a flight needs them, and name "
+        "the remedy for what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
     )
     _option(doctor, "--connect", "URL", "link to the autopilot", dest="link", required=True)
+    text = "as in flight; listened to, one after the other"
+    _option(doctor, "--radio", "RADIO", text, action="append", default=[], dest="radios")
     _file(doctor, "--config", "companion configuration")
     _file(doctor, "--signing-key", "as in flight", dest="key")
     _switch(doctor, "--insecure", "as in flight", dest="is_insecure")

@@ -325,10 +325,11 @@ def _doctor(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config)
     if arguments.key is not None:
         config = with_signing_key(config, arguments.key)
+    config = with_radios(config, arguments.radios)
     link = parse_flight_link(arguments.link, LinkRole.VEHICLE)
     if not arguments.is_insecure:
         has_key = config.link.signing_key_file is not None
-        check_exposure([link], has_key=has_key)
+        check_exposure([link, *radio_links(config.radios)], has_key=has_key)
     findings = run_doctor(config, link.transport, arguments.seconds)
     if arguments.json:
         print(json.dumps(as_json(findings), indent=2))

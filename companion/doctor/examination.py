@@ -29,6 +29,7 @@ from companion.doctor.findings import (
     warn,
 )
 from companion.doctor.probe import DoctorProbe
+from companion.doctor.radio_check import check_radios, look_at_radios
 from companion.domain import Autopilot
 from companion.errors import CompanionError
 from companion.io.files import write_bytes_atomic
@@ -128,7 +129,8 @@ A_RECENT_TIME_S = 1.735e9
 
 def examine(facts: Facts, config: CompanionConfig) -> list[CheckResult]:
     """Every finding, in the order of a checklist."""
-    return [*_check_host(facts.host, config), *_check_link(facts.link, config)]
+    host, link = _check_host(facts.host, config), _check_link(facts.link, config)
+    return [*host, *link, *check_radios(facts.radios)]
 
 
 def exit_code(findings: list[CheckResult]) -> int:
@@ -348,7 +350,8 @@ def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> l
     key_file = config.link.signing_key_file
     host = look_at_host(Path(config.log.directory), state, key_file)
     can_sign = host.key_problem is None
-    facts = Facts(host, look_at_link(config, link, duration_s, state, can_sign=can_sign))
+    found = look_at_link(config, link, duration_s, state, can_sign=can_sign)
+    facts = Facts(host, found, look_at_radios(config.radios, duration_s))
     return examine(facts, config)
 
 

@@ -9,6 +9,7 @@ from enum import Enum
 from companion.domain import Autopilot
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
+from companion.link.quality import RadioStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +114,28 @@ class HostFacts:
 
 
 @dataclass(frozen=True, slots=True)
+class RadioFacts:
+    """One radio, listened to for a while."""
+
+    name: str
+    url: str
+    problem: str | None = None
+    """Why it cannot be heard at all."""
+    status: RadioStatus | None = None
+    bytes: int = 0
+    has_clock: bool = False
+    """Whether it told its own time."""
+    uncalibrated: tuple[str, ...] = ()
+    """What it gives and no setting corrects: `ranges`, `bearings`."""
+
+
+@dataclass(frozen=True, slots=True)
 class Facts:
     """Everything."""
 
     host: HostFacts
     link: LinkFacts
+    radios: tuple[RadioFacts, ...] = ()
 
 
 class Level(Enum):

@@ -202,6 +202,11 @@ class DeviceClock:
         """The newest stamp without its wraps, and when it came."""
 
     @property
+    def is_heard(self) -> bool:
+        """Whether there ever was a stamp."""
+        return self._clock.timebase.offset_at_s(0.0) is not None
+
+    @property
     def is_usable(self) -> bool:
         """Whether it says anything about the present."""
         return not self._clock.is_wild

@@ -1,0 +1,137 @@
+"""The doctor on the radios: listens to each as a flight would, and says what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from companion.config.radios import RadioConfig, radio_setup
+from companion.doctor.findings import CheckResult, RadioFacts, fail, ok, warn
+from companion.errors import CompanionError
+from companion.io.links.radio_lines import radio_link
+from companion.io.shell import Clock, Shell
+from companion.link.intake import FloodBudget
+from companion.link.quality import RadioStatus, RadioWatch
+from companion.link.radio_stage import RadioSetup, RadioStage
+from companion.mav.endpoint import Chunk
+
+TICK_S = 0.05
+MANY_REFUSED = 0.2
+"""Share of what was said."""
+LATE_S = 0.5
+CALIBRATE = "companion radio calibrate, with the emitter at a known place"
+
+
+class RadioProbe:
+    """A `companion.mav.endpoint.Endpoint` that listens to one radio for a while."""
+
+    def __init__(self, setup: RadioSetup, duration_s: float) -> None:
+        self.stage = RadioStage(setup)
+        self.watch = RadioWatch(self.stage)
+        self.now_s = 0.0
+        self._duration_s = duration_s
+        self._budget = FloodBudget()
+        self._next_s = 0.0
+        self._is_stopped = False
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Take in what arrived."""
+        self.now_s = now_s
+        if self._budget.spend_raw(len(chunk.data)):
+            self.stage.receive(chunk.data, now_s)
+
+    def handle_timer(self, now_s: float) -> None:
+        """Let rates be counted."""
+        self.now_s, self._next_s = now_s, now_s + TICK_S
+        self._budget.renew()
+        self.watch.tick(now_s)
+
+    def next_timer_s(self) -> float:
+        """When to look again."""
+        return self._next_s
+
+    def take_output(self) -> list[Chunk]:
+        """Nothing but the link's greeting is sent."""
+        return []
+
+    def request_stop(self, now_s: float) -> None:
+        """End with what is known."""
+        del now_s
+        self._is_stopped = True
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether it was heard for long enough."""
+        return self._is_stopped or self.now_s >= self._duration_s
+
+
+def look_at_radios(radios: Sequence[RadioConfig], duration_s: float) -> tuple[RadioFacts, ...]:
+    """Listen to each for a while, one after the other."""
+    return tuple(_look_at(radio, duration_s) for radio in radios)
+
+
+def _look_at(radio: RadioConfig, duration_s: float) -> RadioFacts:
+    url = radio.url or ""
+    try:
+        setup = radio_setup(radio, f"radio {radio.name}")
+        probe = RadioProbe(setup, duration_s)
+        Shell(probe, [radio_link(setup, url).transport], Clock()).run_blocking()
+    except CompanionError as error:
+        return RadioFacts(radio.name, url, str(error))
+    uncalibrated = []
+    if "range" in setup.kind.gives and "range_offset_m" not in radio.settings:
+        uncalibrated.append("ranges")
+    gives_bearing = "bearing" in setup.kind.gives or "azimuth" in setup.kind.gives
+    if gives_bearing and not {"bearing_sign", "bearing_mount_deg"} & radio.settings.keys():
+        uncalibrated.append("bearings")
+    return RadioFacts(
+        radio.name,
+        url,
+        status=probe.watch.status(probe.now_s),
+        bytes=probe.stage.received,
+        has_clock=probe.stage.clock.is_heard,
+        uncalibrated=tuple(uncalibrated),
+    )
+
+
+def check_radios(radios: Sequence[RadioFacts]) -> Iterator[CheckResult]:
+    """What was heard of each, and what is not set."""
+    for radio in radios:
+        subject = f"radio {radio.name}"
+        if radio.problem is not None or radio.status is None:
+            text = radio.problem or "not looked at"
+            yield fail(subject, text, "correct its name, address or settings")
+            continue
+        yield _check_rate(subject, radio, radio.status)
+        if radio.status.measured:
+            yield _check_time(subject, radio, radio.status)
+        if radio.uncalibrated:
+            text = f"{' and '.join(radio.uncalibrated)} are not calibrated"
+            yield warn(subject, text, CALIBRATE)
+        else:
+            yield ok(subject, "calibration is set")
+
+
+def _check_rate(subject: str, radio: RadioFacts, status: RadioStatus) -> CheckResult:
+    refused = sum(status.refused.values())
+    reasons = ", ".join(f"{reason} {count}" for reason, count in status.refused.items())
+    if status.silent_s is None:
+        text = f"nothing heard at {radio.url}"
+        return warn(subject, text, "check power, cable, speed and port; is an emitter on?")
+    if not status.measured:
+        text = f"{radio.bytes} bytes, nothing measured ({reasons or 'nothing was understood'})"
+        return warn(subject, text, "is it the right name, is an emitter on? companion radio watch")
+    text = f"{status.rate_hz:.1f} Hz, {refused} refused{f': {reasons}' if reasons else ''}"
+    if refused > MANY_REFUSED * (refused + status.measured):
+        return warn(subject, text, "look at its settings; companion radio watch shows it live")
+    return ok(subject, text)
+
+
+def _check_time(subject: str, radio: RadioFacts, status: RadioStatus) -> CheckResult:
+    if not radio.has_clock:
+        return ok(subject, "no clock of its own: arrival less lag_s is the time of measurement")
+    text = f"its own clock, heard {1e3 * (status.age_s or 0.0):.0f} ms late"
+    if status.restarts:
+        return warn(subject, f"{text}; it began anew {status.restarts} times", "check its power")
+    if (status.age_s or 0.0) > LATE_S:
+        return warn(subject, text, "use a faster line, or poll more often")
+    return ok(subject, text)
