@@ -87,7 +87,7 @@ def test_every_text_of_the_session_is_listed() -> None:
 def test_no_text_is_listed_that_nobody_says() -> None:
     constants = {
         node.value
-        for module in sources("guidance", "guard")
+        for module in sources("guidance", "guard", "link")
         for node in ast.walk(module)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
