@@ -17,11 +17,12 @@ from companion.flight_setup import radio_links
 from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
 from companion.link.interface import LinkRole
+from companion.radio_tools import calibrate
 from companion.radio_tools.recorder import record_radios
 from companion.radio_tools.watching import WatchingEndpoint
 from companion.radios.catalogue import known_radios, radio_kind
 
-COMMANDS = "{list,watch,record}"
+COMMANDS = "{list,watch,record,calibrate}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,6 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     record.add_argument("--connect", metavar="URL", dest="link", help="link to the autopilot")
     _add_common(record)
+    fitted = commands.add_parser(
+        "calibrate",
+        help="find offset, scale, sign, mount, lag and noise from a recording about a known point",
+        description=calibrate.DESCRIPTION,
+    )
+    calibrate.add_arguments(fitted)
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         "list": _list,
         "watch": _watch,
         "record": _record,
+        "calibrate": calibrate.run,
     }
     return commands[arguments.radio_command](arguments)
 

@@ -1,0 +1,354 @@
+"""Sign, fold, mount, lag and noise of the bearings that a radio said of a known point.
+
+Theory of operation. A device counts clockwise or counter-clockwise from a boresight that stands
+somewhere on the vehicle, and what lies behind it is printed there or, by two antennas, as its
+mirror image in front. Each of the four is tried at every lag; the one whose residuals point most
+alike (resultant length) is taken, where it is clearly the best. Around it mount and lag are fitted
+robustly, together with waves over the angle (the antenna's elements, the vehicle's body) and, where
+a circle was flown, over the heading (the compass).
+
+For two antennas a turned sign is the same as a boresight to the other side; it is taken to be in
+front, which for their measurement, a direction cosine, makes no difference.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.radio_tools.clustered_fit import (
+    MAD_TO_SIGMA,
+    Figure,
+    Flags,
+    Labels,
+    LinearFit,
+    Matrix,
+    Vector,
+    figure,
+    linear_fit,
+    ratio_figure,
+    solved,
+    sums_of,
+)
+from companion.radio_tools.pose_track import PoseTrack
+
+SCAN_S = 2.5
+SCAN_STEP_S = 0.1
+MOST_SCANNED = 500
+"""Bearings of the scan; the fit takes all."""
+LEAST_RESULTANT = 0.5
+LEAST_FOLDED_RESULTANT = 0.8
+"""A folded angle is never far from any other: one that stands still has 0.64."""
+LEAST_LEAD = 0.15
+"""By how much the resultant of one sign must be the longer."""
+HUBER_K = 1.5
+SECTORS = 12
+VIEW_STEP_RAD = math.radians(15.0)
+LEAST_IN_A_STEP = 8
+WIDER = 2.5
+"""Beyond the field of view bearings scatter so many times as much as in its middle."""
+CLIP_SIGMAS = 3.0
+LAG_SIGMA_S = 0.15
+LEAST_SIGMA_RAD = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class BearingSamples:
+    """Bearings as the radio said them, (n,) each."""
+
+    times_s: Vector
+    bearings_rad: Vector
+    is_array: bool = False
+    """Whether they are arcsines of direction cosines by themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class BearingSense:
+    """How a device counts: what the scan found."""
+
+    sign: int
+    is_folded: bool
+    mount_rad: float
+    lag_s: float
+    resultant: float
+    other_resultant: float
+    """Of the other sign at its best."""
+
+    @property
+    def follows(self) -> bool:
+        """Whether the bearing turns with the vehicle at all."""
+        least = LEAST_FOLDED_RESULTANT if self.is_folded else LEAST_RESULTANT
+        return self.resultant >= least
+
+
+@dataclass(frozen=True, slots=True)
+class BearingFit:
+    """What the bearings came to."""
+
+    sense: BearingSense
+    mount_rad: Figure
+    """Boresight clockwise from the nose; what is constant in the compass is in it."""
+    lag_s: Figure | None
+    sigma_rad: Figure
+    """About sign and mount; of a folded one of the direction cosine, so at boresight."""
+    gross_share: float
+    """Of bearings that came from anywhere."""
+    field_of_view_rad: float
+    """Whole angle; beyond it bearings are worse."""
+    behind_share: float
+    """Of the bearings, how many were of a point behind the boresight."""
+    waves_rad: tuple[float, float] | None
+    """Amplitudes over the angle, once and twice a turn; None: no whole turn."""
+    compass_rad: float | None
+    """Amplitude over the heading; None: not told from the waves."""
+    covered_rad: float
+    """How much of the angles around the vehicle the point was seen at."""
+
+
+def wrapped(angles_rad: Vector) -> Vector:
+    """The same directions within half a turn."""
+    return (angles_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def predicted(body: Matrix, mount_rad: float, *, is_folded: bool) -> Vector:
+    """What a device says clockwise, (n,), of unit vectors along nose, right and down, (n, 3)."""
+    if not is_folded:
+        return wrapped(np.arctan2(body[:, 1], body[:, 0]) - mount_rad)
+    right = math.cos(mount_rad) * body[:, 1] - math.sin(mount_rad) * body[:, 0]
+    return np.arcsin(np.clip(right, -1.0, 1.0))
+
+
+def covered_rad(track: PoseTrack, times_s: Vector) -> float:
+    """How much of the whole turn about the nose the point was seen at."""
+    body = track.in_body(times_s)
+    angles = np.arctan2(body[:, 1], body[:, 0])
+    bins = np.bincount(((angles + math.pi) / (2.0 * math.pi) * 36.0).astype(int) % 36, minlength=36)
+    return 2.0 * math.pi * float(np.mean(bins > 0))
+
+
+def find_sense(samples: BearingSamples, track: PoseTrack) -> BearingSense:
+    """Sign, fold, and where to begin with mount and lag."""
+    known = track.knows(samples.times_s - SCAN_S, with_yaw=True)
+    known &= track.knows(samples.times_s + SCAN_S, with_yaw=True)
+    if known.sum() < 20:
+        known = track.knows(samples.times_s, with_yaw=True)
+    step = max(1, int(known.sum()) // MOST_SCANNED)
+    times, said = samples.times_s[known][::step], samples.bearings_rad[known][::step]
+    best: dict[tuple[int, bool], tuple[float, float, float]] = {}
+    for lag in np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S):
+        body = track.in_body(times - lag)
+        for sign in (1, -1):
+            tries = [_folded_mount(sign * said, body)]
+            if not samples.is_array:
+                tries.append(_open_mount(sign * said, body))
+            for is_folded, (resultant, mount) in zip((True, False), tries, strict=False):
+                key = (sign, is_folded)
+                if resultant > best.get(key, (-1.0, 0.0, 0.0))[0]:
+                    best[key] = (resultant, mount, float(lag))
+    chosen = max(best, key=lambda key: best[key][0] + 0.02 * (not key[1]))
+    sign, is_folded = chosen
+    resultant, mount, lag_s = best[chosen]
+    other = best[(-sign, is_folded)][0]
+    return BearingSense(sign, is_folded, mount, lag_s, resultant, other)
+
+
+def _open_mount(turned: Vector, body: Matrix) -> tuple[float, float]:
+    mean = complex(np.mean(np.exp(1j * (np.arctan2(body[:, 1], body[:, 0]) - turned))))
+    return abs(mean), math.atan2(mean.imag, mean.real)
+
+
+def _folded_mount(turned: Vector, body: Matrix) -> tuple[float, float]:
+    best = (-1.0, 0.0)
+    for mount_deg in range(-85, 91, 10):
+        mount = math.radians(mount_deg)
+        errors = turned - predicted(body, mount, is_folded=True)
+        best = max(best, (float(abs(np.mean(np.exp(1j * errors)))), mount))
+    return best
+
+
+class _Problem:
+    """Residuals of the bearings, said less predicted, by mount and lag."""
+
+    def __init__(self, samples: BearingSamples, track: PoseTrack, sense: BearingSense) -> None:
+        self.track, self.sense = track, sense
+        known = track.knows(samples.times_s - sense.lag_s, with_yaw=True)
+        self.times_s = samples.times_s[known]
+        self.said_rad = sense.sign * samples.bearings_rad[known]
+
+    def within(self, used: Flags) -> None:
+        """Keep some of the bearings."""
+        self.times_s, self.said_rad = self.times_s[used], self.said_rad[used]
+
+    def errors(self, mount_rad: float, lag_s: float) -> Vector:
+        """Angles, or direction cosines of what is folded."""
+        body = self.track.in_body(self.times_s - lag_s)
+        seen = predicted(body, mount_rad, is_folded=self.sense.is_folded)
+        if self.sense.is_folded:
+            return np.sin(self.said_rad) - np.sin(seen)
+        return wrapped(self.said_rad - seen)
+
+    def off_boresight(self, mount_rad: float, lag_s: float) -> Vector:
+        """True angle clockwise from the boresight, in the antenna's plane."""
+        body = self.track.in_body(self.times_s - lag_s)
+        return wrapped(np.arctan2(body[:, 1], body[:, 0]) - mount_rad)
+
+    def yaw(self, lag_s: float) -> Vector:
+        """Clockwise from north."""
+        return self.track.yaw_rad(self.times_s - lag_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Waves:
+    """What is fitted beside mount and lag."""
+
+    has_angle: bool = False
+    has_heading: bool = False
+
+
+def _waves_told(sense: BearingSense, covered: float, view_rad: float, *, has_circle: bool) -> Waves:
+    """Over the angle where all of it was seen; over the heading where that is something else.
+
+    In a turn on one spot both are the same, but not where a cosine is measured.
+    """
+    if sense.is_folded:
+        return Waves(has_heading=covered > math.radians(200.0))
+    has_angle = covered > math.radians(300.0) and view_rad > math.radians(300.0)
+    return Waves(has_angle, has_angle and has_circle)
+
+
+def core_sigma(errors: Vector, labels: Labels) -> tuple[Figure, float]:
+    """Standard deviation of a normal core, and the share of errors from anywhere, by EM."""
+    sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), LEAST_SIGMA_RAD)
+    share, anywhere = 0.05, 1.0 / max(2.0 * float(np.max(np.abs(errors))), 12.0 * sigma)
+    core = np.ones(len(errors))
+    for _ in range(40):
+        density = np.exp(-0.5 * (errors / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
+        core = (1.0 - share) * density / ((1.0 - share) * density + share * anywhere)
+        share = min(max(1.0 - float(core.mean()), 1e-4), 0.5)
+        sigma = max(math.sqrt(float(np.sum(core * errors**2) / core.sum())), LEAST_SIGMA_RAD)
+    variance = ratio_figure(sums_of(core * errors**2, labels), sums_of(core, labels))
+    low, high = math.sqrt(max(variance.low, 0.0)), math.sqrt(variance.high)
+    return Figure(sigma, low, high), share
+
+
+def fit_bearings(
+    samples: BearingSamples,
+    track: PoseTrack,
+    sense: BearingSense,
+    *,
+    has_circle: bool,
+    lag_s: float | None = None,
+) -> BearingFit:
+    """Mount and lag about what the scan found; `lag_s` holds the lag there."""
+    problem = _Problem(samples, track, sense)
+    covered = covered_rad(track, problem.times_s - sense.lag_s)
+    mount, lag, _ = _solved(problem, lag_s, Waves())
+    off = problem.off_boresight(mount, lag)
+    errors = problem.errors(mount, lag)
+    view_rad = field_of_view(off, errors, is_folded=sense.is_folded)
+    looked = np.abs(_front(off) if sense.is_folded else off)
+    behind_share = float(np.mean(np.abs(off) > 0.5 * math.pi))
+    inside = looked <= 0.5 * view_rad + 1e-9
+    if sense.is_folded:  # no arcsine is beyond a right angle, so noise there has one side
+        usual = MAD_TO_SIGMA * float(np.median(np.abs(errors)))
+        inside &= np.abs(np.sin(problem.said_rad) - errors) <= max(0.5, 1.0 - CLIP_SIGMAS * usual)
+    if inside.sum() >= LEAST_IN_A_STEP:
+        problem.within(inside)
+    waves = _waves_told(sense, covered, view_rad, has_circle=has_circle)
+    mount, lag, fit = _solved(problem, lag_s, waves)
+    errors = problem.errors(mount, lag)
+    amplitudes = [float(math.hypot(*fit.beta[i : i + 2])) for i in range(2, len(fit.beta), 2)]
+    sigma, gross = core_sigma(errors, _sectors(problem, mount, lag))
+    lag_sigma = math.sqrt(float(fit.covariance[1, 1])) if lag_s is None else math.inf
+    return BearingFit(
+        sense=sense,
+        mount_rad=figure(mount, math.sqrt(float(fit.covariance[0, 0])), fit.freedom),
+        lag_s=figure(lag, lag_sigma, fit.freedom) if lag_sigma < LAG_SIGMA_S else None,
+        sigma_rad=sigma,
+        gross_share=gross,
+        field_of_view_rad=view_rad,
+        behind_share=behind_share,
+        waves_rad=(amplitudes[0], amplitudes[1]) if waves.has_angle else None,
+        compass_rad=amplitudes[-1] if waves.has_heading else None,
+        covered_rad=covered,
+    )
+
+
+def _waves(problem: _Problem, mount: float, lag: float, waves: Waves) -> Matrix:
+    """Columns of what the antenna does wrong by its angle, and the compass by the heading."""
+    off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
+    columns: list[Vector] = []
+    if waves.has_angle:
+        columns += [np.cos(off), np.sin(off), np.cos(2.0 * off), np.sin(2.0 * off)]
+    if waves.has_heading:
+        gain = np.cos(off) if problem.sense.is_folded else np.ones(len(yaw))
+        columns += [gain * np.cos(yaw), gain * np.sin(yaw)]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(off), 0))
+
+
+def _solved(
+    problem: _Problem, held_s: float | None, waves: Waves
+) -> tuple[float, float, LinearFit]:
+    """Mount, lag and the last fit, whose parameters are mount, lag and the waves."""
+    mount = problem.sense.mount_rad
+    lag = problem.sense.lag_s if held_s is None else held_s
+    half_s = 0.05
+    for _ in range(10):
+        errors = problem.errors(mount, lag)
+        by_mount = (problem.errors(mount + 1e-3, lag) - problem.errors(mount - 1e-3, lag)) / 2e-3
+        by_lag = problem.errors(mount, lag + half_s) - problem.errors(mount, lag - half_s)
+        by_lag = wrapped(by_lag) / (2.0 * half_s) if held_s is None else np.zeros(len(errors))
+        sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), LEAST_SIGMA_RAD)
+        columns = _waves(problem, mount, lag, waves)
+        rows = np.concatenate([-by_mount[:, None], -by_lag[:, None], columns], axis=1)
+        if held_s is not None:
+            rows = np.delete(rows, 1, axis=1)
+        weights = np.ones(len(errors))
+        for _ in range(6):
+            beta = solved(rows, errors, weights)
+            left = np.abs(errors - rows @ beta) / sigma
+            weights = np.where(left > HUBER_K, HUBER_K / np.maximum(left, HUBER_K), 1.0)
+        by, step_s = float(beta[0]), float(beta[1]) if held_s is None else 0.0
+        mount = float(wrapped(np.array([mount + np.clip(by, -0.5, 0.5)]))[0])
+        lag = float(np.clip(lag + np.clip(step_s, -0.3, 0.3), -SCAN_S - 0.5, SCAN_S + 0.5))
+        if abs(by) < 1e-5 and abs(step_s) < 1e-4:
+            break
+    fit = linear_fit(rows, errors, weights, _sectors(problem, mount, lag))
+    return mount, lag, fit if held_s is None else _with_held_lag(fit)
+
+
+def _with_held_lag(fit: LinearFit) -> LinearFit:
+    covariance = np.insert(np.insert(fit.covariance, 1, 0.0, axis=0), 1, 0.0, axis=1)
+    return LinearFit(np.insert(fit.beta, 1, 0.0), covariance, fit.freedom)
+
+
+def _sectors(problem: _Problem, mount: float, lag: float) -> Labels:
+    """Sectors of angle and heading: what an element or the compass does wrong is in one of them."""
+    off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
+    turns = [np.floor((a % (2.0 * math.pi)) / (2.0 * math.pi) * SECTORS) for a in (off, yaw)]
+    _, labels = np.unique(turns[0] * SECTORS + turns[1], return_inverse=True)
+    return labels.reshape(-1).astype(np.int64)
+
+
+def _front(off: Vector) -> Vector:
+    """Angles from the nearer end of a folded antenna's boresight."""
+    return np.arcsin(np.sin(off))
+
+
+def field_of_view(off: Vector, errors: Vector, *, is_folded: bool) -> float:
+    """Whole angle about the boresight within which bearings come, and are as good as ahead."""
+    angles = np.abs(_front(off)) if is_folded else np.abs(off)
+    most = 0.5 * math.pi if is_folded else math.pi
+    inner = np.abs(errors[angles <= 3.0 * VIEW_STEP_RAD])
+    if len(inner) < LEAST_IN_A_STEP:
+        return 2.0 * most
+    usual = max(float(np.median(inner)), LEAST_SIGMA_RAD)
+    for step in range(2, round(most / VIEW_STEP_RAD)):
+        low = step * VIEW_STEP_RAD
+        beyond = np.abs(errors[(angles > low) & (angles <= low + VIEW_STEP_RAD)])
+        is_empty = len(beyond) < LEAST_IN_A_STEP
+        if is_empty or float(np.median(beyond)) > WIDER * usual:
+            return 2.0 * low
+    return 2.0 * most

@@ -1,0 +1,260 @@
+"""`companion radio calibrate`: what is read, and what is printed."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from companion.config.radios import RadioConfig, radio_setups
+from companion.config.schema import load_config, with_radios
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.errors import ConfigError
+from companion.flight_setup import radio_links
+from companion.geometry.coordinates import LocalOrigin
+from companion.io.files import check_writable, write_json_atomic
+from companion.io.links.transports import check_exposure, parse_flight_link
+from companion.io.logs.radio_recording import (
+    RadioBytes,
+    RecordedOrigin,
+    TimedPose,
+    read_radio_recording,
+)
+from companion.link.interface import LinkRole
+from companion.link.radio_stage import RadioSettings, RadioSetup, RadioStage
+from companion.radio_tools.calibration import TEST_NAMES, CalibrationRun, RunWindow, calibrate
+from companion.radio_tools.calibration_text import as_json, verdict, yaml_to_paste
+from companion.radio_tools.recorder import record_radios
+from companion.replay.walk_replay import read_walk
+
+EXIT_REFUSED = 1
+DESCRIPTION = """\
+Find a radio's offset, scale, sign, mount, lag and noise from a recording of it about a known
+point: a turn, a line, a circle and a blocked run. Prints a verdict, and YAML for the radio's
+`settings` and for `estimation.filter`. Exit code 1: something was refused, with the reason."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `companion radio calibrate` understands."""
+    text = "recording of `companion radio record`; with --radio it is written first"
+    parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help=text)
+    text = "a ranging walk as of `companion replay`, with target_x_m and target_y_m"
+    parser.add_argument("--from-csv", metavar="FILE", type=Path, dest="csv", help=text)
+    text = "where the emitter is, in degrees and metres above mean sea level (default: home's)"
+    parser.add_argument("--point", metavar="LAT,LON[,AMSL]", help=text)
+    text = "the same in metres east, north and up of the autopilot's origin"
+    parser.add_argument("--point-enu", metavar="E,N,U", help=text)
+    parser.add_argument("--emitter", metavar="ID", help="its id, where there are several")
+    text = f"what FILE contains, {', '.join(TEST_NAMES)}, and when, in seconds; repeatable"
+    parser.add_argument(
+        "--test", metavar="NAME[@FROM-TO]", action="append", default=[], dest="tests", help=text
+    )
+    text = "record this radio first, NAME[:KEY=VALUE,...]@URL; repeatable"
+    parser.add_argument(
+        "--radio", metavar="RADIO", action="append", default=[], dest="radios", help=text
+    )
+    parser.add_argument("--connect", metavar="URL", dest="link", help="link to the autopilot")
+    parser.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
+    text = "record so long (default: Ctrl-C)"
+    parser.add_argument("--seconds", metavar="S", type=float, help=text)
+    text = "listen beyond this machine, too"
+    parser.add_argument("--insecure", action="store_true", dest="is_insecure", help=text)
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write all figures as JSON")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, fit and print; 1 where something was refused."""
+    if arguments.json is not None:
+        check_writable(arguments.json)
+    windows = [_window(text) for text in arguments.tests]
+    if arguments.csv is not None:
+        if arguments.file is not None or arguments.radios:
+            raise ConfigError("--from-csv: has everything in it; leave FILE and --radio out")
+        found = _of_csv(arguments.csv)
+    else:
+        if arguments.file is None:
+            raise ConfigError("give a FILE of `companion radio record`, or --from-csv FILE")
+        if (arguments.point is None) == (arguments.point_enu is None):
+            raise ConfigError("say where the emitter is: --point LAT,LON,AMSL or --point-enu E,N,U")
+        point = _numbers(arguments.point or arguments.point_enu, arguments.point is not None)
+        if arguments.radios:
+            _record(arguments)
+        found = _of_recording(arguments.file, point, is_geodetic=arguments.point is not None)
+    done = calibrate(_chosen(found, arguments.emitter, windows))
+    print(verdict(done))
+    pasted = yaml_to_paste(done)
+    if pasted:
+        print(pasted)
+    if arguments.json is not None:
+        write_json_atomic(arguments.json, as_json(done))
+    return EXIT_REFUSED if done.refusals else 0
+
+
+def _window(text: str) -> RunWindow:
+    name, at, span = text.partition("@")
+    low, dash, high = span.partition("-")
+    try:
+        if name not in TEST_NAMES or bool(at) != bool(dash):
+            raise ValueError(text)
+        window = RunWindow(name, float(low) if at else -math.inf, float(high) if at else math.inf)
+    except ValueError:
+        raise ConfigError(
+            f"--test {text}: give {', '.join(TEST_NAMES)}, or for example turn@0-90"
+        ) from None
+    if window.from_s >= window.to_s:
+        raise ConfigError(f"--test {text}: ends before it begins")
+    return window
+
+
+def _numbers(text: str, is_geodetic: bool) -> tuple[float, ...]:
+    option = "--point" if is_geodetic else "--point-enu"
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    shown = "LAT,LON[,AMSL]" if is_geodetic else "E,N,U"
+    if len(numbers) not in ((2, 3) if is_geodetic else (3,)) or not all(
+        map(math.isfinite, numbers)
+    ):
+        raise ConfigError(f"{option} {text}: give {shown} as numbers")
+    if is_geodetic and not (abs(numbers[0]) <= 90.0 and abs(numbers[1]) <= 180.0):
+        raise ConfigError(f"{option} {text}: there is no such latitude or longitude")
+    return numbers
+
+
+@dataclass(slots=True)
+class _Found:
+    """What a file has: measurements by radio and emitter, poses, and where the emitter is."""
+
+    source: Path
+    point_enu_m: PositionEnu
+    began_s: float = 0.0
+    poses: list[TimedPose] = field(default_factory=list)
+    measurements: dict[tuple[str, int], list[RangingMeasurement]] = field(default_factory=dict)
+    names: dict[int, str] = field(default_factory=dict)
+    """Of emitters in a walk."""
+
+    def add(self, radio: str, measurement: RangingMeasurement) -> None:
+        """Keep one."""
+        self.measurements.setdefault((radio, measurement.emitter_id), []).append(measurement)
+
+
+def _of_csv(path: Path) -> _Found:
+    """The walk; its bearings are by north, and nobody tells how good its places are."""
+    found, truths = _Found(path, (0.0, 0.0, 0.0)), Counter[tuple[float, float]]()
+    numbers: dict[str, int] = {}
+    for row in read_walk(path):
+        if row.truth_enu_m is None:
+            raise ConfigError(f"{path}: needs columns target_x_m and target_y_m in every row")
+        number = numbers.setdefault(row.target_id, len(numbers))
+        found.names[number] = row.target_id
+        truths[row.truth_enu_m] += 1
+        found.add(f"{path.name}", row.measurement)
+        found.poses.append(TimedPose(row.measurement.measured_at_s, row.agent_enu_m))
+        found.point_enu_m = (*row.truth_enu_m, 0.0)
+    if not found.poses:
+        raise ConfigError(f"{path}: has no rows below its header")
+    if len(truths) > len(numbers):
+        raise ConfigError(f"{path}: target_x_m, target_y_m move; calibration needs one that lies")
+    found.began_s = min(pose.t_s for pose in found.poses)
+    return found
+
+
+def neutral(setup: RadioSetup) -> RadioSetup:
+    """The same radio, with nothing corrected that is to be found."""
+    plain = RadioSettings()
+    names = (
+        *("range_offset_m", "range_scale", "bearing_sign", "bearing_mount_deg", "lag_s"),
+        *("field_of_view_deg", "range_max_m", "max_age_s", "range_sigma_m", "bearing_sigma_deg"),
+    )
+    changed = {name: getattr(plain, name) for name in names}
+    settings = msgspec.structs.replace(setup.settings, **changed, range_min_m=-1e9)
+    return RadioSetup(setup.kind, settings, setup.options)
+
+
+def _of_recording(path: Path, point: Sequence[float], *, is_geodetic: bool) -> _Found:
+    header, records = read_radio_recording(path)
+    recorded = [
+        RadioConfig(name=r.name, url=r.url, settings=dict(r.settings), options=dict(r.options))
+        for r in header.radios
+    ]
+    stages = [RadioStage(neutral(setup)) for setup in radio_setups(recorded)]
+    found = _Found(path, (0.0, 0.0, 0.0))
+    origin = header.origin
+    first_s = math.inf
+    for record in records:
+        if isinstance(record, RadioBytes):
+            first_s = min(first_s, record.t_s)
+            for measurement in stages[record.radio].receive(record.data, record.t_s):
+                found.add(recorded[record.radio].name, measurement)
+        elif isinstance(record, TimedPose):
+            first_s = min(first_s, record.t_s)
+            found.poses.append(record)
+        elif isinstance(record, RecordedOrigin):
+            origin = record
+    found.began_s = 0.0 if first_s == math.inf else first_s
+    if not found.poses:
+        raise ConfigError(f"{path}: has no poses; record with --connect, beside the autopilot")
+    if not found.measurements:
+        refused = sum((stage.all_refused for stage in stages), Counter[str]())
+        reasons = ", ".join(f"{reason} {count}" for reason, count in refused.most_common(3))
+        raise ConfigError(f"{path}: no radio measured anything ({reasons or 'no bytes'})")
+    local = None if origin is None else origin.local
+    found.point_enu_m = _point(path, point, local, is_geodetic=is_geodetic)
+    return found
+
+
+def _point(
+    path: Path, point: Sequence[float], origin: LocalOrigin | None, *, is_geodetic: bool
+) -> PositionEnu:
+    if not is_geodetic:
+        return (point[0], point[1], point[2])
+    if origin is None:
+        raise ConfigError(
+            f"{path}: the autopilot told no origin; give --point-enu, metres about its origin"
+        )
+    height_m = point[2] if len(point) == 3 else origin.altitude_m
+    return origin.enu_from_geodetic(point[0], point[1], height_m)
+
+
+def _chosen(found: _Found, emitter: str | None, windows: Sequence[RunWindow]) -> CalibrationRun:
+    """The one emitter that is asked for, or that there is."""
+    shown = {key: found.names.get(key[1], str(key[1])) for key in found.measurements}
+    fitting = [key for key in shown if emitter in (None, shown[key], str(key[1]))]
+    told = ", ".join(
+        f"{shown[key]} ({len(values)}, {key[0]})" for key, values in found.measurements.items()
+    )
+    if not fitting:
+        raise ConfigError(f"--emitter {emitter}: {found.source} has {told}")
+    if len(fitting) > 1:
+        raise ConfigError(f"{found.source}: has several emitters; say --emitter ID, of {told}")
+    radio, number = fitting[0]
+    moved = [RunWindow(w.name, w.from_s + found.began_s, w.to_s + found.began_s) for w in windows]
+    values = found.measurements[fitting[0]]
+    return CalibrationRun(radio, number, values, found.poses, found.point_enu_m, moved)
+
+
+def _record(arguments: argparse.Namespace) -> None:
+    """The recording that is fitted then, as `companion radio record` makes it."""
+    if arguments.link is None:
+        raise ConfigError("--radio: needs --connect URL, the autopilot that knows where it is")
+    config = with_radios(load_config(arguments.config), arguments.radios)
+    vehicle = parse_flight_link(arguments.link, LinkRole.VEHICLE)
+    if not arguments.is_insecure:
+        check_exposure(radio_links(config.radios), has_key=False)
+        check_exposure([vehicle], has_key=config.link.signing_key_file is not None)
+    print(
+        f"recording to {arguments.file}: turn, line, circle, blocked run; Ctrl-C ends it",
+        file=sys.stderr,
+    )
+    recorded = record_radios(arguments.file, config, vehicle, arguments.seconds)
+    print(
+        f"{arguments.file}: {recorded.bytes} bytes of radios, {recorded.poses} poses",
+        file=sys.stderr,
+    )

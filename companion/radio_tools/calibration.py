@@ -1,0 +1,396 @@
+"""From what a radio said at known places to its calibration, or to why there is none.
+
+Theory of operation. Bearings and ranges each find their lag; they have one in common, as they come
+from one radio. With it both are fitted. Whatever cannot be believed is refused in words, for ranges
+and bearings apart, so that half a calibration can be used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from companion.domain import PositionEnu, RangingMeasurement
+from companion.io.logs.radio_recording import TimedPose
+from companion.radio_tools.bearing_fit import (
+    LEAST_LEAD,
+    BearingFit,
+    BearingSamples,
+    covered_rad,
+    find_sense,
+    fit_bearings,
+)
+from companion.radio_tools.clustered_fit import NORMAL_975, Figure, Flags, Vector
+from companion.radio_tools.pose_track import FieldTests, PoseTrack, find_tests
+from companion.radio_tools.range_fit import (
+    LEAST_SPEED_MPS,
+    MOST_LAG_S,
+    NLOS_SIGMAS,
+    RangeFit,
+    RangeSamples,
+    fit_lag,
+    fit_ranges,
+    scan_lag,
+)
+
+FieldTestName = Literal["turn", "line", "circle", "blocked"]
+TEST_NAMES: tuple[FieldTestName, ...] = get_args(FieldTestName)
+LEAST_VALUES = 20
+LEAST_DISTANCES = 4
+BLOCK_S = 5.0
+BLOCKED_SHARE = 0.5
+KEEP_REPORTED = (0.7, 1.4)
+"""Reported over observed sigma within which the radio's own is believed."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunWindow:
+    """What the user says of a recording: a test, and from when to when it went."""
+
+    name: FieldTestName
+    from_s: float = -math.inf
+    """On the recording's clock."""
+    to_s: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRun:
+    """What is calibrated from."""
+
+    radio: str
+    emitter_id: int
+    measurements: Sequence[RangingMeasurement]
+    """Of the one emitter, through a stage that corrects nothing."""
+    poses: Sequence[TimedPose]
+    point_enu_m: PositionEnu
+    windows: Sequence[RunWindow] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """What the way through an obstacle does to ranges at this site."""
+
+    seconds: float
+    share: float
+    """Longer than three sigma."""
+    excess_m: float | None
+
+
+@dataclass(slots=True)
+class Calibration:
+    """What came out. A part that was refused is there as far as it got, and its refusal with it."""
+
+    radio: str
+    emitter_id: int
+    ranges: int = 0
+    bearings: int = 0
+    tests: FieldTests = field(default_factory=FieldTests)
+    lag_s: Figure | None = None
+    """None: the recording does not tell one; counted as 0."""
+    range_fit: RangeFit | None = None
+    bearing_fit: BearingFit | None = None
+    is_by_north: bool = False
+    """Whether the bearings are, so that nothing turns them any more."""
+    blocked: Blocked | None = None
+    range_ratio: float | None = None
+    """Reported over observed sigma; None: none is reported."""
+    bearing_ratio: float | None = None
+    own_sigma_m: float | None = None
+    range_refusals: list[str] = field(default_factory=list)
+    bearing_refusals: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    @property
+    def refusals(self) -> list[str]:
+        """Of both parts."""
+        return [*self.range_refusals, *self.bearing_refusals]
+
+    @property
+    def has_ranges(self) -> bool:
+        """Whether there is a calibration of ranges to use."""
+        return self.range_fit is not None and not self.range_refusals
+
+    @property
+    def has_bearings(self) -> bool:
+        """Whether there is a calibration of bearings to use."""
+        return self.bearing_fit is not None and not self.bearing_refusals
+
+    @property
+    def keeps_reported_sigma(self) -> bool:
+        """Whether all that the radio reports fits what was seen."""
+        used = [(self.has_ranges, self.range_ratio), (self.has_bearings, self.bearing_ratio)]
+        told = [ratio for is_used, ratio in used if is_used and ratio is not None]
+        low, high = KEEP_REPORTED
+        return bool(told) and all(low <= ratio <= high for ratio in told)
+
+
+def calibrate(run: CalibrationRun) -> Calibration:
+    """Fit everything that the run tells."""
+    track = PoseTrack(run.poses, run.point_enu_m)
+    done = Calibration(run.radio, run.emitter_id, own_sigma_m=track.sigma_m)
+    done.tests = find_tests(track)
+    times = np.array([m.measured_at_s for m in run.measurements])
+    is_placed = track.knows(times)
+    lost = int(len(times) - is_placed.sum())
+    if lost:
+        done.remarks.append(f"{lost} of {len(times)} answers came where no pose is near")
+    is_blocked = _in_windows(times, run.windows, ("blocked",))
+    is_fitted = is_placed & ~is_blocked
+    others = [window.name for window in run.windows if window.name != "blocked"]
+    if others:
+        is_fitted &= _in_windows(times, run.windows, ("turn", "line", "circle"))
+    wants_ranges = not others or "line" in others
+    wants_bearings = not others or others != ["line"] * len(others)
+    ranged = np.array([m.range_m is not None for m in run.measurements], dtype=np.bool_)
+    values = np.array([m.range_m or 0.0 for m in run.measurements])
+    ranges = RangeSamples(times[ranged & is_fitted], values[ranged & is_fitted])
+    fitted = [m for m, use in zip(run.measurements, is_fitted, strict=True) if use]
+    bearings, turned_track = _bearing_samples(fitted, run, track, done)
+    done.ranges, done.bearings = len(ranges.times_s), len(bearings.times_s)
+    range_lag = _range_lag(ranges, track, done) if wants_ranges else None
+    if wants_bearings and done.bearings:
+        _fit_bearings(bearings, turned_track, done, range_lag)
+    else:
+        done.lag_s = range_lag
+    if wants_ranges and done.ranges:
+        _fit_ranges(ranges, track, done)
+        told = ranged & is_placed & (is_blocked if is_blocked.any() else np.ones_like(is_blocked))
+        samples = RangeSamples(times[told], values[told])
+        _find_blocked(samples, track, done, is_told=bool(is_blocked.any()))
+    _compare_reported(fitted, done)
+    _check_own_place(track, ranges, bearings, done)
+    if not done.ranges and not done.bearings:
+        done.range_refusals.append("nothing was measured where the vehicle's place is known")
+    return done
+
+
+def _in_windows(times: Vector, windows: Sequence[RunWindow], names: tuple[str, ...]) -> Flags:
+    inside = np.zeros(len(times), dtype=np.bool_)
+    for window in windows:
+        if window.name in names:
+            inside |= (times >= window.from_s) & (times <= window.to_s)
+    return inside
+
+
+def _bearing_samples(
+    fitted: Sequence[RangingMeasurement],
+    run: CalibrationRun,
+    track: PoseTrack,
+    done: Calibration,
+) -> tuple[BearingSamples, PoseTrack]:
+    """The bearings, and the track with the yaw that they are to be seen from."""
+    by_north = [m for m in fitted if m.bearing_enu_rad is not None]
+    by_body = [m for m in fitted if m.bearing_body_rad is not None]
+    if len(by_north) > len(by_body):
+        done.is_by_north = True
+        level = [replace_attitude(pose) for pose in run.poses]
+        times = np.array([m.measured_at_s for m in by_north])
+        said = np.array([0.5 * math.pi - (m.bearing_enu_rad or 0.0) for m in by_north])
+        return BearingSamples(times, said), PoseTrack(level, run.point_enu_m)
+    if by_body and not track.has_yaw:
+        done.bearing_refusals.append("no yaw was recorded: bearings need the autopilot's attitude")
+        by_body = []
+    times = np.array([m.measured_at_s for m in by_body])
+    said = np.array([m.bearing_body_rad or 0.0 for m in by_body])
+    known = track.knows(times, with_yaw=True)
+    is_array = bool(by_body) and sum(m.is_array_angle for m in by_body) * 2 > len(by_body)
+    return BearingSamples(times[known], said[known], is_array), track
+
+
+def replace_attitude(pose: TimedPose) -> TimedPose:
+    """The pose of a vehicle that lies level and looks north."""
+    return TimedPose(pose.t_s, pose.enu_m, 0.0, 0.0, 0.0, pose.sigma_m)
+
+
+def _range_lag(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> Figure | None:
+    if len(ranges.times_s) < LEAST_VALUES:
+        return None
+    lag = fit_lag(ranges, track)
+    if lag is not None and abs(lag.value) > MOST_LAG_S:
+        done.range_refusals.append(_clocks(lag.value))
+    if lag is None:
+        seen = track.seen(ranges.times_s)
+        moves = float(np.mean(seen.speed_mps > LEAST_SPEED_MPS))
+        is_scanned = scan_lag(ranges, track) is not None
+        if moves > 0.5 and is_scanned:
+            done.remarks.append(
+                "ranges do not tell the lag: go out and back the same way, or stop at each distance"
+            )
+    return lag
+
+
+def _clocks(lag_s: float) -> str:
+    return f"clocks do not agree: a lag of {lag_s:+.2f} s, and {MOST_LAG_S:.0f} s are the most"
+
+
+def _fit_bearings(
+    samples: BearingSamples, track: PoseTrack, done: Calibration, range_lag: Figure | None
+) -> None:
+    """Fit bearings, and settle the lag that both have."""
+    done.lag_s = range_lag
+    if len(samples.times_s) < LEAST_VALUES:
+        done.bearing_refusals.append(
+            f"only {len(samples.times_s)} bearings; {LEAST_VALUES} and more are needed"
+        )
+        return
+    sense = find_sense(samples, track)
+    if abs(sense.lag_s) > MOST_LAG_S and sense.follows:
+        done.bearing_refusals.append(_clocks(sense.lag_s))
+        return
+    if not sense.follows:
+        done.bearing_refusals.append(
+            f"the bearing does not follow the turn (resultant {sense.resultant:.2f} of 1): "
+            "no bearing, or another emitter's"
+        )
+        return
+    is_turned = done.tests.has_turn or covered_rad(track, samples.times_s) > math.radians(270.0)
+    if not done.is_by_north and not is_turned:
+        done.bearing_refusals.append(
+            "no whole turn: the sign of the bearing is not sure; turn once about the vertical"
+        )
+    elif sense.resultant - sense.other_resultant < LEAST_LEAD and not done.is_by_north:
+        done.bearing_refusals.append(
+            "clockwise and counter-clockwise fit alike"
+            + (": the antenna looks sideways; mount it ahead" if sense.is_folded else "")
+        )
+    elif done.is_by_north and sense.sign < 0:
+        done.bearing_refusals.append(
+            "bearings by north turn the wrong way: counter-clockwise where they should be clockwise"
+        )
+    has_circle = done.tests.has_circle and not done.is_by_north
+    fit = fit_bearings(samples, track, sense, has_circle=has_circle)
+    if fit.lag_s is not None and abs(fit.lag_s.value) > MOST_LAG_S:
+        done.bearing_refusals.append(_clocks(fit.lag_s.value))
+    if range_lag is not None:
+        lag = combined_figure(range_lag, fit.lag_s)
+        fit = _at_lag(samples, track, fit, lag, has_circle=has_circle)
+        done.lag_s = lag
+    elif fit.lag_s is not None:
+        done.lag_s = fit.lag_s
+    done.bearing_fit = fit
+
+
+def combined_figure(one: Figure, other: Figure | None) -> Figure:
+    """The mean of two, each by its variance."""
+    if other is None:
+        return one
+    weights = [1.0 / max(f.sigma, 1e-6) ** 2 for f in (one, other)]
+    value = (weights[0] * one.value + weights[1] * other.value) / sum(weights)
+    half = NORMAL_975 / math.sqrt(sum(weights))
+    return Figure(value, value - half, value + half)
+
+
+def _at_lag(
+    samples: BearingSamples,
+    track: PoseTrack,
+    fit: BearingFit,
+    lag: Figure,
+    *,
+    has_circle: bool,
+) -> BearingFit:
+    """The fit at the common lag; what is not known of it is in the mount's interval."""
+    sense = replace(fit.sense, lag_s=lag.value, mount_rad=fit.mount_rad.value)
+    held = fit_bearings(samples, track, sense, has_circle=has_circle, lag_s=lag.value)
+    later = fit_bearings(
+        samples, track, sense, has_circle=has_circle, lag_s=lag.value + max(lag.half_width, 1e-3)
+    )
+    moved = later.mount_rad.value - held.mount_rad.value
+    half = math.hypot(held.mount_rad.half_width, moved)
+    value = held.mount_rad.value
+    return replace(held, mount_rad=Figure(value, value - half, value + half))
+
+
+def _fit_ranges(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> None:
+    if len(ranges.times_s) < LEAST_VALUES:
+        done.range_refusals.append(
+            f"only {len(ranges.times_s)} ranges; {LEAST_VALUES} and more are needed"
+        )
+        return
+    lag_s = 0.0 if done.lag_s is None else done.lag_s.value
+    used = track.knows(ranges.times_s - lag_s)
+    if done.lag_s is None:  # what was measured under way may be late by any distance
+        used &= track.seen(ranges.times_s).speed_mps < LEAST_SPEED_MPS
+        if used.sum() < max(LEAST_VALUES, 0.2 * len(used)):
+            done.range_refusals.append(
+                "offset and lag look alike on this way: go back the same way, or stop at distances"
+            )
+            return
+    ranges = RangeSamples(ranges.times_s[used], ranges.ranges_m[used])
+    lag_half_s = 0.0 if done.lag_s is None else done.lag_s.half_width
+    fit = done.range_fit = fit_ranges(ranges, track, lag_s, lag_half_s)
+    if len(fit.distances_m) < LEAST_DISTANCES:
+        told = ", ".join(f"{distance:.1f}" for distance in fit.distances_m)
+        done.range_refusals.append(
+            f"only {len(fit.distances_m)} distances ({told} m); {LEAST_DISTANCES} are the least, "
+            "5 10 20 50 100 m are good"
+        )
+    elif not fit.is_scale_seen:
+        done.remarks.append(
+            "the spread of distances is too small for the scale, which is held at 1: farthest over "
+            "nearest at least 4, and 10 sigma between them"
+        )
+    if fit.is_split:
+        done.range_refusals.append(
+            "ranges at one place are of two kinds, more than 2 m apart: two emitters or two paths"
+        )
+
+
+def _find_blocked(
+    samples: RangeSamples, track: PoseTrack, done: Calibration, *, is_told: bool
+) -> None:
+    """The blocked run: told, or the seconds in which most ranges were too long."""
+    fit = done.range_fit
+    if fit is None or not len(samples.times_s):
+        return
+    lag_s = 0.0 if done.lag_s is None else done.lag_s.value
+    distance = track.seen(samples.times_s - lag_s).distance_m
+    errors = samples.ranges_m - fit.offset_m.value - fit.effective_scale * distance
+    is_long = errors > NLOS_SIGMAS * fit.sigma_m.value
+    blocks = ((samples.times_s - samples.times_s.min()) // BLOCK_S).astype(int)
+    counts = np.bincount(blocks)
+    share = np.bincount(blocks, weights=is_long) / np.maximum(counts, 1)
+    blocked = (counts > 0) & ((share > BLOCKED_SHARE) | is_told)
+    if is_told or int(blocked.sum()) >= 2:
+        inside = blocked[blocks]
+        long = errors[inside & is_long]
+        excess = float(long.mean()) if len(long) else None
+        seconds = BLOCK_S * int(blocked.sum())
+        done.blocked = Blocked(seconds, float(is_long[inside].mean()), excess)
+
+
+def _compare_reported(fitted: Sequence[RangingMeasurement], done: Calibration) -> None:
+    ranges = [m.range_sigma_m for m in fitted if m.range_sigma_m is not None]
+    bearings = [m.bearing_sigma_rad for m in fitted if m.bearing_sigma_rad is not None]
+    if ranges and done.range_fit is not None:
+        done.range_ratio = float(np.median(ranges)) / done.range_fit.sigma_m.value
+    if bearings and done.bearing_fit is not None:
+        done.bearing_ratio = float(np.median(bearings)) / done.bearing_fit.sigma_rad.value
+
+
+def _check_own_place(
+    track: PoseTrack, ranges: RangeSamples, bearings: BearingSamples, done: Calibration
+) -> None:
+    """The vehicle's own place has to be three times as good as the radio."""
+    own = track.sigma_m
+    if own is None:
+        done.remarks.append("nobody told how good the vehicle's own place is; RTK is good enough")
+        return
+    if done.range_fit is not None and own > done.range_fit.sigma_m.value / 3.0:
+        done.range_refusals.append(
+            f"the vehicle's place is good to {own:.2f} m, and has to be to a third of the sigma "
+            f"found, {done.range_fit.sigma_m.value:.2f} m: needs RTK"
+        )
+    del ranges
+    if done.bearing_fit is not None:
+        distance = float(np.median(track.seen(bearings.times_s).distance_m))
+        sigma = done.bearing_fit.sigma_rad.value
+        if own / distance > sigma / 3.0:
+            done.bearing_refusals.append(
+                f"the vehicle's place is good to {own:.2f} m, which at {distance:.0f} m is more "
+                f"than a third of the sigma found, {math.degrees(sigma):.1f} deg: needs RTK, or "
+                "farther away"
+            )

@@ -1,0 +1,206 @@
+"""Fits whose errors are shared within a place, and intervals that say so.
+
+Theory of operation. Reflections and the antenna's orientation make all values of one place wrong
+together, so a thousand values of five places are five. Variances are therefore those of the
+delete-one-place jackknife (CR3: G. W. Imbens and M. Kolesar, Review of Economics and Statistics 98,
+2016), and intervals are Student's with places less parameters as degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Labels = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+NORMAL_975 = 1.959963984540054
+MAD_TO_SIGMA = 1.4826
+MOST_CONDITION = 1e10
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A fitted figure with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval."""
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def sigma(self) -> float:
+        """The standard error that a normal distribution of this interval would have."""
+        return self.half_width / NORMAL_975
+
+    def times(self, factor: float) -> Figure:
+        """In another unit."""
+        return Figure(factor * self.value, factor * self.low, factor * self.high)
+
+
+def figure(value: float, sigma: float, freedom: float) -> Figure:
+    """By Student's t."""
+    half = student_975(freedom) * sigma
+    return Figure(value, value - half, value + half)
+
+
+def student_975(freedom: float) -> float:
+    """Quantile of Student's t that 97.5 % lie below (Abramowitz and Stegun, eq. 26.7.5)."""
+    n, z = max(freedom, 1.0), NORMAL_975
+    if n < 3.0:  # the series is blunt there
+        exact = (12.706, 4.303, 3.182)
+        return float(np.interp(n, (1.0, 2.0, 3.0), exact))
+    terms = (
+        (z**3 + z) / 4.0,
+        (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0,
+        (3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z) / 384.0,
+        (79.0 * z**9 + 776.0 * z**7 + 1482.0 * z**5 - 1920.0 * z**3 - 945.0 * z) / 92160.0,
+    )
+    return z + sum(term / n**power for power, term in enumerate(terms, start=1))
+
+
+def sigma_figure(sigma: float, freedom: float) -> Figure:
+    """A standard deviation by chi-square (quantiles of E. B. Wilson and M. M. Hilferty, 1931)."""
+    n = max(freedom, 1.0)
+    spread = NORMAL_975 * math.sqrt(2.0 / (9.0 * n))
+    high, low = (max(1.0 - 2.0 / (9.0 * n) + sign * spread, 0.05) ** 1.5 for sign in (1, -1))
+    return Figure(sigma, sigma / high, sigma / low)
+
+
+def places_of(points_m: Matrix, radius_m: float) -> Labels:
+    """Numbers from 0, (n,), of the places that points (n, 3) belong to.
+
+    A point farther than the radius from every place so far begins one; then each goes to the
+    nearest, so that the way back is divided as the way out.
+    """
+    centres: list[Vector] = []
+    last = points_m[:0].sum(axis=0) + math.inf
+    for point in points_m:
+        if float(np.dot(point - last, point - last)) <= radius_m**2:
+            continue
+        squares = [float(np.dot(point - centre, point - centre)) for centre in centres]
+        if squares and min(squares) <= radius_m**2:
+            last = centres[int(np.argmin(squares))]
+        else:
+            centres.append(point)
+            last = point
+    squares_m2 = [np.sum((points_m - centre) ** 2, axis=1) for centre in centres]
+    nearest = np.argmin(np.array(squares_m2).reshape(len(centres), -1), axis=0)
+    _, labels = np.unique(nearest, return_inverse=True)
+    return labels.reshape(-1).astype(np.int64)
+
+
+def sums_of(values: Vector, labels: Labels) -> Vector:
+    """Sum of each place."""
+    count = int(labels.max(initial=-1)) + 1
+    return np.asarray(np.bincount(labels, weights=values, minlength=count), dtype=np.float64)
+
+
+def ratio_figure(parts: Vector, weights: Vector) -> Figure:
+    """Sum of the parts over sum of the weights, one of each a place, by the jackknife."""
+    used = weights > 0.0
+    parts, weights = parts[used], weights[used]
+    total, weight = float(parts.sum()), float(weights.sum())
+    value, count = total / weight, len(parts)
+    if count < 2:
+        return Figure(value, -math.inf, math.inf)
+    without = (total - parts) / np.maximum(weight - weights, 1e-12)
+    variance = (count - 1.0) / count * float(np.sum((without - value) ** 2))
+    return figure(value, math.sqrt(variance), count - 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearFit:
+    """Weighted least squares: values, covariance by places, and degrees of freedom."""
+
+    beta: Vector
+    covariance: Matrix
+    freedom: float
+
+    def figure(self, index: int) -> Figure:
+        """One of the parameters."""
+        sigma = math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        return figure(float(self.beta[index]), sigma, self.freedom)
+
+
+def solved(rows: Matrix, values: Vector, weights: Vector) -> Vector:
+    """Weighted least squares alone, (p,); of what the rows do not tell, the least."""
+    scale = np.sqrt(np.maximum(np.mean(rows**2, axis=0), 1e-300))
+    scaled = rows / scale
+    weighted = scaled * weights[:, None]
+    beta = np.linalg.lstsq(weighted.T @ scaled, weighted.T @ values, rcond=1e-10)[0]
+    return np.asarray(beta / scale)
+
+
+def linear_fit(rows: Matrix, values: Vector, weights: Vector, labels: Labels) -> LinearFit:
+    """Fit values (n,) by rows (n, p); the covariance leaves out one place after the other.
+
+    What the rows do not tell has a variance of infinity.
+    """
+    parameters = rows.shape[1]
+    count = int(labels.max(initial=-1)) + 1
+    scale = np.sqrt(np.maximum(np.average(rows**2, axis=0, weights=weights), 1e-300))
+    scaled = rows / scale
+    information = np.zeros((count, parameters, parameters))
+    scores = np.zeros((count, parameters))
+    for first in range(parameters):
+        scores[:, first] = sums_of(weights * values * scaled[:, first], labels)
+        for second in range(parameters):
+            products = weights * scaled[:, first] * scaled[:, second]
+            information[:, first, second] = sums_of(products, labels)
+    total, score = information.sum(axis=0), scores.sum(axis=0)
+    freedom = max(float(count - parameters), 1.0)
+    untold = np.full((parameters, parameters), math.inf)
+    if count <= parameters or np.linalg.cond(total) > MOST_CONDITION:
+        beta = np.linalg.lstsq(total, score, rcond=1e-10)[0] / scale
+        return LinearFit(beta, untold, freedom)
+    beta = np.linalg.solve(total, score)
+    rest = total - information
+    if float(np.max(np.linalg.cond(rest))) > MOST_CONDITION:
+        return LinearFit(beta / scale, untold, freedom)
+    moved = np.linalg.solve(rest, (score - scores)[:, :, None])[:, :, 0] - beta
+    covariance = (count - 1.0) / count * (moved.T @ moved) / np.outer(scale, scale)
+    return LinearFit(beta / scale, covariance, freedom)
+
+
+def mirrored_sigma(residuals: Vector, weights: Vector | None = None) -> float:
+    """Standard deviation by the residuals below zero alone: above are reflections, too."""
+    is_below = residuals < 0.0
+    below = -residuals[is_below]
+    if not len(below):
+        return 0.0
+    if weights is None:
+        return MAD_TO_SIGMA * float(np.median(below))
+    order = np.argsort(below)
+    reached = np.cumsum(weights[is_below][order])
+    return MAD_TO_SIGMA * float(below[order][np.searchsorted(reached, 0.5 * reached[-1])])
+
+
+def mills(z: Vector) -> Vector:
+    """Inverse Mills ratio phi(z) / Phi(z) of the standard normal, for any z.
+
+    Abramowitz and Stegun, eq. 26.2.17 (1e-7), and the continued fraction 26.2.14 below -3.
+    """
+    x = np.maximum(-z, 3.0)
+    rest = np.zeros_like(x)
+    for term in range(16, 0, -1):
+        rest = term / (x + rest)
+    tail = x + rest
+    magnitude = np.abs(z)
+    t = 1.0 / (1.0 + 0.2316419 * magnitude)
+    series = (0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429)
+    polynomial = np.zeros_like(t)
+    for coefficient in reversed(series):
+        polynomial = t * (coefficient + polynomial)
+    density = np.exp(-0.5 * magnitude**2) / math.sqrt(2.0 * math.pi)
+    upper = density * polynomial
+    mass = np.where(z >= 0.0, 1.0 - upper, upper)
+    return np.where(z < -3.0, tail, density / np.maximum(mass, 1e-300))

@@ -1,0 +1,458 @@
+"""Offset, scale, noise and lag of the ranges that a radio said at a known distance.
+
+Theory of operation. `said = offset + scale distance + excess + noise`. Within a place the excess is
+none, or exponential; offset and noise are then those of the mixture, by expectation-maximisation
+from the one-sided robust start, because a robust location alone would settle on the long side.
+Places differ by what their reflections share: a second one-sided robust fit goes over the places,
+each weighted by the scatter between places and its own. A lag moves out and back to opposite sides
+of each place's mean, so it is fitted within places, and takes nothing from offset and scale.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.radio_tools.clustered_fit import (
+    MAD_TO_SIGMA,
+    Figure,
+    Labels,
+    Matrix,
+    Vector,
+    linear_fit,
+    mills,
+    mirrored_sigma,
+    places_of,
+    ratio_figure,
+    sigma_figure,
+    solved,
+    sums_of,
+)
+from companion.radio_tools.pose_track import PoseTrack, Seen, distances_of
+
+K_LONG = 1.5
+"""Longer errors than so many sigma count linearly, as in the estimator."""
+K_PLACE = 2.5
+"""Of whole places; they are few, and the smaller one would pull their mean down."""
+NLOS_SIGMAS = 3.0
+PLACE_M = 3.0
+"""Radius of what counts as one place."""
+REGION_M = 20.0
+"""Radius within which places may share what their reflections do; it widens intervals only."""
+LEAST_REGIONS = 6
+LEAST_AT_A_PLACE = 5
+LEAST_VALUES_TO_SPLIT = 20
+MOST_LAG_S = 2.0
+SCAN_S = 2.5
+"""A lag is looked for beyond what is believed, so that one at the edge is seen as none."""
+SCAN_STEP_S = 0.1
+LEAST_SPEED_MPS = 0.5
+LEAST_MOVING = 20
+LEAST_CONTRAST_MPS = 0.3
+"""What a vehicle's speed towards the point must differ by at the same place."""
+LAG_SIGMA_S = 0.15
+"""A lag that is known less well than this was not seen."""
+LEAST_SIGMA_M = 1e-3
+HALF_FREEDOM = 0.37 / 3.0
+"""Of a mirrored deviation: by the median's efficiency, of half the values, about a fitted mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeSamples:
+    """Ranges as the radio said them, (n,) each."""
+
+    times_s: Vector
+    """On the companion's clock, before any lag."""
+    ranges_m: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class RangeMixture:
+    """Ranges less distance: a mean of each place, and what they share."""
+
+    means_m: Vector
+    """(places,)."""
+    sigma_m: float
+    free_share: Vector
+    """Of each range, the probability of no reflection, (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeFit:
+    """What the ranges came to."""
+
+    offset_m: Figure
+    scale: Figure
+    is_scale_seen: bool
+    """Whether the distances tell a scale from an offset."""
+    is_scale_used: bool
+    """Whether it is not 1; otherwise the offset is that at a scale of 1."""
+    scatter_m: Figure
+    """Standard deviation within a place."""
+    between_m: float
+    """Standard deviation of what a place shares."""
+    sigma_m: Figure
+    """Both together."""
+    nlos_share: Figure
+    nlos_excess_m: Figure | None
+    distances_m: list[float]
+    worst_m: tuple[float, float] | None
+    """Distance and residual of a place that does not fit."""
+    is_split: bool
+    """Whether ranges at the same place are of two kinds."""
+
+    @property
+    def effective_scale(self) -> float:
+        """The scale that goes with the offset."""
+        return self.scale.value if self.is_scale_used else 1.0
+
+
+def fit_ranges(
+    samples: RangeSamples, track: PoseTrack, lag_s: float, lag_half_s: float = 0.0
+) -> RangeFit:
+    """Fit offset and scale at a lag; half of its interval is in the offset's."""
+    seen = track.seen(samples.times_s - lag_s)
+    labels = places_of(seen.place_m, PLACE_M)
+    errors = samples.ranges_m - seen.distance_m
+    ones = np.ones(len(errors))
+    distances = _means(seen.distance_m, ones, labels)
+    centres = np.stack([_means(column, ones, labels) for column in seen.place_m.T], axis=1)
+    start = _start(errors, distances, labels)
+    slope = np.zeros(len(errors))
+    for _ in range(2):  # a scale makes ranges differ within a place that has a width
+        mixture = place_means(errors - slope, labels, start)
+        start = mixture.means_m
+        level = _level(mixture, distances, centres, labels)
+        scale = level.scale if level.is_scale_told else Figure(0.0, -math.inf, math.inf)
+        slope = scale.value * (seen.distance_m - distances[labels])
+    is_used = level.is_scale_told and not scale.low <= 0.0 <= scale.high
+    offset = level.offset_m if is_used else level.offset_alone_m
+    if level.is_scale_told and not is_used:  # at a scale of 1, as uncertain as that one is
+        half = level.offset_m.half_width
+        offset = Figure(offset.value, offset.value - half, offset.value + half)
+    closing = float(np.mean(_means(seen.closing_mps, ones, labels)))  # 0 where both ways are there
+    half = math.hypot(offset.half_width, closing * lag_half_s)
+    offset = Figure(offset.value, offset.value - half, offset.value + half)
+    residuals = errors - offset.value - (scale.value * seen.distance_m if is_used else 0.0)
+    scatter, total = _noise(errors - slope, residuals, mixture, seen, labels)
+    between = math.sqrt(max(total.value**2 - scatter.value**2, 0.0))
+    share, excess = _reflections(residuals, total.value, labels)
+    return RangeFit(
+        offset_m=offset,
+        scale=Figure(1.0 + scale.value, 1.0 + scale.low, 1.0 + scale.high),
+        is_scale_seen=level.is_scale_told,
+        is_scale_used=is_used,
+        scatter_m=scatter,
+        between_m=between,
+        sigma_m=total,
+        nlos_share=share,
+        nlos_excess_m=excess,
+        distances_m=distances_of(distances[np.bincount(labels) >= LEAST_AT_A_PLACE]),
+        worst_m=_worst(level, scatter.value, labels),
+        is_split=is_split(errors - slope - mixture.means_m[labels], labels),
+    )
+
+
+def _start(errors: Vector, distances: Vector, labels: Labels) -> Vector:
+    """Means of the places to begin with: the Theil-Sen line through their lower quartiles."""
+    order = np.argsort(labels, kind="stable")
+    parts = np.split(errors[order], np.cumsum(np.bincount(labels))[:-1])
+    quartiles = np.array([np.percentile(part, 25.0) for part in parts])
+    first, second = np.triu_indices(len(quartiles), 1)
+    apart = distances[second] - distances[first]
+    used = np.abs(apart) > 1.0
+    if not used.any():
+        return quartiles
+    slope = float(np.median((quartiles[second] - quartiles[first])[used] / apart[used]))
+    line = slope * distances + np.median(quartiles - slope * distances)
+    near_m = max(1.0, 3.0 * mirrored_sigma(quartiles - line))
+    return np.asarray(np.clip(quartiles, line - near_m, line + near_m))
+
+
+def _means(values: Vector, weights: Vector, labels: Labels) -> Vector:
+    means: Vector = sums_of(weights * values, labels) / np.maximum(sums_of(weights, labels), 1e-9)
+    return means
+
+
+def one_sided_weights(u: Vector, k_long: float = K_LONG) -> Vector:
+    """Weights of residuals in sigma: what is too long counts linearly."""
+    return np.where(u > k_long, k_long / np.maximum(u, k_long), 1.0)
+
+
+def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
+    """Means of the places under a mixture of noise and exponential excess, by EM.
+
+    Excess is told from noise only where its mean is above two sigma; a smaller one is noise.
+    """
+    means = start
+    sigma = max(mirrored_sigma(errors - means[labels]), LEAST_SIGMA_M)
+    for _ in range(20):
+        weights = one_sided_weights((errors - means[labels]) / sigma)
+        means = _means(errors, weights, labels)
+        sigma = max(mirrored_sigma(errors - means[labels]), LEAST_SIGMA_M)
+    x = errors - means[labels]
+    far = x[x > NLOS_SIGMAS * sigma]
+    share = min(max(len(far) / len(x), 1e-3), 0.9)
+    excess = max(float(far.mean()) if len(far) else 0.0, 2.0 * sigma)
+    count, free = len(x), np.ones(len(x))
+    for _ in range(80):
+        u = np.clip((errors - means[labels]) / sigma, -50.0, 1e6)
+        k = sigma / excess
+        h = mills(u - k)
+        log_odds = math.log(share * k / (1.0 - share)) - np.log(np.maximum(h, 1e-300))
+        reflected = 1.0 / (1.0 + np.exp(-np.clip(log_odds, -50.0, 50.0)))
+        free = 1.0 - reflected
+        bias = u - k + h
+        noise = free * u + reflected * (k - h)
+        square = free * u**2 + reflected * (u**2 - 2.0 * u * bias + 1.0 + (u - k) * bias)
+        shift = _means(noise, np.ones(count), labels)
+        means = means + sigma * shift
+        share = min(max(float(reflected.mean()), 1e-4), 0.95)
+        mean_bias = float(np.sum(reflected * bias) / max(float(reflected.sum()), 1e-9))
+        variance = float(np.mean(square) - np.mean(shift[labels] ** 2))
+        old, sigma = sigma, sigma * math.sqrt(max(variance, 1e-6))
+        excess = max(old * mean_bias, 2.0 * sigma)
+        sigma = max(sigma, LEAST_SIGMA_M)
+        if abs(old - sigma) < 1e-5 * sigma and float(np.max(np.abs(shift))) < 1e-4:
+            break
+    places = int(labels.max()) + 1
+    sigma *= math.sqrt(count / max(count - places, 1))
+    return RangeMixture(means, sigma, free)
+
+
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """The fit over the places."""
+
+    offset_alone_m: Figure
+    """At a scale of 1."""
+    offset_m: Figure
+    scale: Figure
+    """Less 1."""
+    is_scale_told: bool
+    between_m: float
+    residuals_m: Vector
+    """Of the places."""
+    distances_m: Vector
+
+
+def _level(mixture: RangeMixture, distances: Vector, centres: Matrix, labels: Labels) -> _Level:
+    used = np.bincount(labels) >= LEAST_AT_A_PLACE
+    if used.sum() < 2:
+        used = np.ones(len(distances), dtype=np.bool_)
+    counts = sums_of(mixture.free_share, labels)[used]
+    means, distances = mixture.means_m[used], distances[used]
+    own = mixture.sigma_m**2 / np.maximum(counts, 1.0)
+    regions = places_of(centres[used], REGION_M)
+    ones = np.ones(len(means))
+    rows = np.stack([ones, distances], axis=1)
+    alone, between_alone = _robust_level(rows[:, :1], means, own)
+    both, between = _robust_level(rows, means, own)
+    is_told = is_scale_told(distances, math.hypot(mixture.sigma_m, math.sqrt(between)))
+    fit = both if is_told else alone
+    return _Level(
+        offset_alone_m=_widest(rows[:, :1], means, alone, regions, 0),
+        offset_m=_widest(rows, means, both, regions, 0),
+        scale=_widest(rows, means, both, regions, 1),
+        is_scale_told=is_told,
+        between_m=math.sqrt(between if is_told else between_alone),
+        residuals_m=means - rows[:, : len(fit.beta)] @ fit.beta,
+        distances_m=distances,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _WeightedFit:
+    beta: Vector
+    weights: Vector
+
+
+def _widest(rows: Matrix, means: Vector, fit: _WeightedFit, regions: Labels, index: int) -> Figure:
+    """A parameter, by places or by regions, whichever is less sure of it."""
+    places = np.arange(len(means), dtype=np.int64)
+    groups = [places, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [places]
+    found = [linear_fit(rows, means, fit.weights, labels).figure(index) for labels in groups]
+    return max(found, key=lambda figure: figure.half_width)
+
+
+def _robust_level(rows: Matrix, means: Vector, own: Vector) -> tuple[_WeightedFit, float]:
+    """The one-sided robust line through the places, and the variance between them."""
+    count, parameters = rows.shape
+    between = max(float(MAD_TO_SIGMA * np.median(np.abs(means - np.median(means)))) ** 2, 1e-8)
+    weights = 1.0 / (own + between)
+    for _ in range(30):
+        beta = solved(rows, means, weights)
+        residuals = means - rows @ beta
+        robust = one_sided_weights(residuals / np.sqrt(own + between), K_PLACE)
+        if count > parameters:
+            excess = float((robust * residuals**2 - own).sum())
+            between = max(excess / (count - parameters), 1e-8)
+        weights = robust / (own + between)
+    return _WeightedFit(beta, weights), between
+
+
+def is_scale_told(distances_m: Vector, sigma_m: float) -> bool:
+    """Whether offset and scale can be told from each other."""
+    least, most = float(distances_m.min()), float(distances_m.max())
+    return most >= 4.0 * least and most - least >= 10.0 * sigma_m and len(distances_m) > 3
+
+
+def _noise(
+    errors: Vector, residuals: Vector, mixture: RangeMixture, seen: Seen, labels: Labels
+) -> tuple[Figure, Figure]:
+    """Scatter on the spot, and the noise of any place, by residuals below the mean, mirrored.
+
+    For the second one every metre of the way counts the same, however long the vehicle was there.
+    """
+    standing = seen.speed_mps < LEAST_SPEED_MPS
+    within = errors - mixture.means_m[labels]
+    stays = places_of(seen.place_m[standing], 0.3 * PLACE_M)
+    if len(stays) > 20 * (int(stays.max(initial=-1)) + 1) > 0:
+        own = place_means(errors[standing], stays, _medians(errors[standing], stays))
+        within = errors[standing] - own.means_m[stays]
+    cells = np.unique(np.round(seen.place_m), axis=0, return_inverse=True)[1].reshape(-1)
+    each = 1.0 / np.bincount(cells)[cells]
+    scatter = max(mirrored_sigma(within), LEAST_SIGMA_M)
+    total = max(mirrored_sigma(residuals, each), scatter)
+    shared = 1.0 - (scatter / total) ** 2
+    places = int(labels.max()) + 1
+    inner = HALF_FREEDOM * len(within)
+    outer = HALF_FREEDOM * max(places - 2.0, 1.0)
+    freedom = 1.0 / (shared**2 / outer + (1.0 - shared) ** 2 / (HALF_FREEDOM * float(each.sum())))
+    return sigma_figure(scatter, inner), sigma_figure(total, freedom)
+
+
+def _medians(errors: Vector, labels: Labels) -> Vector:
+    return np.array([np.median(errors[labels == p]) for p in range(int(labels.max()) + 1)])
+
+
+def _reflections(residuals: Vector, sigma_m: float, labels: Labels) -> tuple[Figure, Figure | None]:
+    """Share of ranges that are longer by three sigma, and by how much they are."""
+    is_long = (residuals > NLOS_SIGMAS * sigma_m).astype(float)
+    share = ratio_figure(sums_of(is_long, labels), sums_of(np.ones(len(residuals)), labels))
+    share = Figure(share.value, max(share.low, 0.0), min(share.high, 1.0))
+    if not is_long.any():
+        return share, None
+    return share, ratio_figure(sums_of(is_long * residuals, labels), sums_of(is_long, labels))
+
+
+def _worst(level: _Level, scatter_m: float, labels: Labels) -> tuple[float, float] | None:
+    """The place that fits worst, where it is worth a word."""
+    worst = int(np.argmax(np.abs(level.residuals_m)))
+    far_m = float(level.residuals_m[worst])
+    own_m = scatter_m / math.sqrt(float(np.bincount(labels).mean()))
+    if abs(far_m) <= max(2.0 * level.between_m, 3.0 * own_m):
+        return None
+    return float(level.distances_m[worst]), far_m
+
+
+def is_split(within: Vector, labels: Labels) -> bool:
+    """Whether most places have two kinds of ranges, each alike, and more than 2 m apart.
+
+    Reflections are not alike: what is exponential is as wide as it is far.
+    """
+    split = places = 0
+    for place in range(int(labels.max()) + 1):
+        values = np.sort(within[labels == place])
+        if len(values) < LEAST_VALUES_TO_SPLIT:
+            continue
+        places += 1
+        cut = 0.5 * float(values[0] + values[-1])
+        for _ in range(20):
+            is_far = values > cut
+            if not 0.15 <= float(np.mean(is_far)) <= 0.85:
+                break
+            near, far = float(np.median(values[~is_far])), float(np.median(values[is_far]))
+            cut, before = 0.5 * (near + far), cut
+            if cut == before:
+                break
+        share = float(np.mean(is_far))
+        if not 0.15 <= share <= 0.85:
+            continue
+        parts = (values[~is_far], values[is_far])
+        widest = max(float(np.subtract(*np.percentile(part, [75.0, 25.0]))) for part in parts)
+        apart = float(np.median(parts[1]) - np.median(parts[0]))
+        split += apart > 2.0 and widest < apart / 3.0
+    return split >= 2 and 2 * split > places
+
+
+def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
+    """The lag, to a tenth of a second, that lets ranges of a place agree; None: it stood still."""
+    lags = np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S)
+    moving = track.seen(samples.times_s).speed_mps > LEAST_SPEED_MPS
+    moving &= track.knows(samples.times_s - SCAN_S) & track.knows(samples.times_s + SCAN_S)
+    if moving.sum() < LEAST_MOVING:
+        return None
+    times, ranges = samples.times_s[moving], samples.ranges_m[moving]
+    spreads = []
+    for lag in lags:
+        seen = track.seen(times - lag)
+        _, labels = np.unique(np.round(seen.place_m / 4.0), axis=0, return_inverse=True)
+        labels = labels.reshape(-1).astype(np.int64)
+        errors = ranges - seen.distance_m
+        order = np.lexsort((errors, labels))
+        counts = np.bincount(labels)
+        middles = errors[order][np.cumsum(counts) - counts + (counts - 1) // 2]
+        spreads.append(np.abs(errors - middles[labels])[counts[labels] > 3])
+    width = max(min(float(np.median(s)) if len(s) else math.inf for s in spreads), LEAST_SIGMA_M)
+    costs = [
+        float(np.mean(np.sqrt(1.0 + (s / width) ** 2))) if len(s) else math.inf for s in spreads
+    ]
+    return float(lags[int(np.argmin(costs))]) if math.isfinite(min(costs)) else None
+
+
+@dataclass(frozen=True, slots=True)
+class _OnTheWay:
+    """Ranges under way at some lag, each less the mean of its place."""
+
+    errors_m: Vector
+    closing_mps: Vector
+    """Negative, as a lag shows."""
+    weights: Vector
+    place_m: Matrix
+    labels: Labels
+
+
+def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnTheWay | None:
+    times = samples.times_s - lag_s
+    moving = track.knows(times) & (track.seen(times).speed_mps > LEAST_SPEED_MPS)
+    if moving.sum() < LEAST_MOVING:
+        return None
+    seen = track.seen(times[moving])
+    labels = places_of(seen.place_m, PLACE_M)
+    errors = samples.ranges_m[moving] - seen.distance_m
+    weights = np.ones(len(errors))
+    for _ in range(8):
+        residuals = errors - _means(errors, weights, labels)[labels]
+        sigma = max(mirrored_sigma(residuals), LEAST_SIGMA_M)
+        weights = one_sided_weights(residuals / sigma)
+    closing = _means(seen.closing_mps, weights, labels)[labels] - seen.closing_mps
+    residuals = errors - _means(errors, weights, labels)[labels]
+    return _OnTheWay(residuals, closing, weights, seen.place_m, labels)
+
+
+def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
+    """The lag by out and back; None: the way does not tell it."""
+    lag_s = scan_lag(samples, track)
+    if lag_s is None:
+        return None
+    way: _OnTheWay | None = None
+    for _ in range(6):
+        way = _on_the_way(samples, track, lag_s)
+        if way is None or float(np.std(way.closing_mps)) < LEAST_CONTRAST_MPS:
+            return None
+        rows = way.closing_mps[:, None]
+        step_s = float(np.clip(solved(rows, way.errors_m, way.weights)[0], -0.3, 0.3))
+        lag_s += step_s
+        if abs(step_s) < 1e-4 or abs(lag_s) > SCAN_S:
+            break
+    assert way is not None
+    regions = places_of(way.place_m, REGION_M)
+    groups = [way.labels, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [way.labels]
+    fits = [linear_fit(rows, way.errors_m, way.weights, labels) for labels in groups]
+    found = max((fit.figure(0) for fit in fits), key=lambda figure: figure.half_width)
+    if not found.sigma < LAG_SIGMA_S:
+        return None
+    return Figure(lag_s, lag_s - found.half_width, lag_s + found.half_width)
