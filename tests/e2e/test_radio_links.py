@@ -55,7 +55,7 @@ class Listener:
     """An endpoint with one radio."""
 
     def __init__(self) -> None:
-        self.stage = RadioStage(RadioSetup(STREAM, RadioSettings()))
+        self.stage = RadioStage(RadioSetup(STREAM, RadioSettings(rate_max_hz=None)))
         self.ranges_m: list[float] = []
         self.is_finished = False
         self.ticks = 0
@@ -209,6 +209,21 @@ def test_a_page_is_polled_over_one_connection_and_an_error_is_said_once(
     assert set(kind.paths) == {"/metres"}
     assert len([text for text in said if "lost (HTTP 500" in text]) == 1
     assert len([text for text in said if "there again" in text]) == 1
+
+
+def test_a_server_that_closes_idle_connections_is_no_loss(
+    listener: Listener, said: list[str], page: tuple[type[Page], int]
+) -> None:
+    kind, port = page
+    kind.timeout = 0.02
+
+    async def scene(shell: Shell) -> None:
+        del shell
+        await until(lambda: len(kind.connections) > 3)
+
+    drive(listener, at(f"http://127.0.0.1:{port}", KIND), scene)
+    kind.timeout = None
+    assert said == []
 
 
 def test_a_page_that_hangs_holds_up_no_tick(

@@ -121,6 +121,8 @@ class HttpPollLink(WaitingLink):
         self._parts = parts
         self._period_s = period_s
         self._connection: http.client.HTTPConnection | None = None
+        self._is_new = True
+        """Whether it has brought no page yet."""
 
     def _work(self) -> None:
         due_s = time.monotonic()
@@ -138,13 +140,25 @@ class HttpPollLink(WaitingLink):
         self._disconnect()
 
     def _ask(self) -> bytes:
-        if self._connection is None:
-            is_tls = self._parts.scheme == "https"
-            kind = http.client.HTTPSConnection if is_tls else http.client.HTTPConnection
-            self._connection = kind(self._parts.netloc, timeout=TIMEOUT_S)
+        """The page; a server that has closed an idle connection is asked again on a new one."""
+        try:
+            return self._page(self._connection or self._connected())
+        except (http.client.RemoteDisconnected, ConnectionError):
+            if self._is_new:
+                raise
+            self._disconnect()
+            return self._page(self._connected())
+
+    def _connected(self) -> http.client.HTTPConnection:
+        is_tls = self._parts.scheme == "https"
+        kind = http.client.HTTPSConnection if is_tls else http.client.HTTPConnection
+        self._connection, self._is_new = kind(self._parts.netloc, timeout=TIMEOUT_S), True
+        return self._connection
+
+    def _page(self, connection: http.client.HTTPConnection) -> bytes:
         path = self._parts.path + (f"?{self._parts.query}" if self._parts.query else "")
-        self._connection.request("GET", path, headers={"Accept": "*/*"})
-        answer = self._connection.getresponse()
+        connection.request("GET", path, headers={"Accept": "*/*"})
+        answer = connection.getresponse()
         page, until_s = bytearray(), time.monotonic() + WHOLE_TIMEOUT_S
         while piece := answer.read1(65_536):
             page += piece
@@ -155,6 +169,7 @@ class HttpPollLink(WaitingLink):
         answer.read()  # nothing is left, but only this frees the connection for the next question
         if answer.status != http.client.OK:
             raise ValueError(f"HTTP {answer.status} {answer.reason}")
+        self._is_new = False
         return bytes(page)
 
     def _disconnect(self) -> None:
