@@ -32,6 +32,8 @@ FIRST_EPOCH_MS, LAST_EPOCH_MS = 1.0e12, 1.0e13
 LONGEST_CPI_MS = 60_000.0
 AWAY_MS = 10_000.0
 """A frequency that is away for so long, while another one is heard, was tuned away from."""
+STILL_S = 5.0
+"""A page is asked for more often than it changes; one that does not for so long is told of."""
 MOST_CHANNELS = 64
 OVERDRIVEN = {"1", "true"}
 MARKS = len(b"<DATA>") + len(b"</DATA>")
@@ -61,10 +63,17 @@ class Result:
     is_line_array: bool = False
     is_overdriven: bool = False
 
+    @property
+    def name(self) -> str:
+        """The frequency in whole hertz."""
+        return f"{self.frequency_hz:.0f}"
+
 
 @dataclass(slots=True)
 class _Channel:
     last_ms: float
+    heard_s: float
+    """When that came first, on our clock."""
     believed_from_ms: float
     is_parallel: bool = False
     """Whether another frequency had a result of the same time: no tuning between them."""
@@ -77,19 +86,22 @@ class _Channels:
         self._settle_ms = 1000.0 * settle_s
         self._seen: dict[str, _Channel] = {}
 
-    def complain_of(self, name: str, time_ms: float) -> str | None:
-        """Why a result of a frequency is not to be used; None: it is."""
-        before = self._seen.pop(name, None)
-        if before is not None and time_ms == before.last_ms:
-            self._seen[name] = before
-            return "unchanged since the last poll"
-        channel = self._next(before, time_ms)
+    def unchanged_s(self, name: str, time_ms: float, now_s: float) -> float | None:
+        """For how long a frequency has had the same result; None: this is a new one."""
+        before = self._seen.get(name)
+        if before is None or time_ms != before.last_ms:
+            return None
+        return now_s - before.heard_s
+
+    def complain_of(self, name: str, time_ms: float, now_s: float) -> str | None:
+        """Why a new result of a frequency is not to be used; None: it is."""
+        channel = self._next(self._seen.pop(name, None), time_ms, now_s)
         self._seen[name] = channel
         if len(self._seen) > MOST_CHANNELS:
             del self._seen[next(iter(self._seen))]
         return "just tuned to this frequency" if time_ms < channel.believed_from_ms else None
 
-    def _next(self, before: _Channel | None, time_ms: float) -> _Channel:
+    def _next(self, before: _Channel | None, time_ms: float, now_s: float) -> _Channel:
         """A frequency is new once another one was heard in its place."""
         others = self._seen.values()
         beside = [one for one in others if one.last_ms == time_ms]
@@ -107,7 +119,7 @@ class _Channels:
         else:
             is_replaced = any(one.last_ms > before.last_ms for one in others)
             start_ms = time_ms + (self._settle_ms if is_replaced else 0.0)
-        return _Channel(time_ms, start_ms, is_parallel)
+        return _Channel(time_ms, now_s, start_ms, is_parallel)
 
 
 class _Kraken(RadioDecoder):
@@ -126,10 +138,18 @@ class _Kraken(RadioDecoder):
         super().reset()
         self._channels = _Channels(self._believed.settle_s)
 
-    def readings_of(self, result: Result | str) -> list[RadioReading]:
+    def readings_of(self, result: Result | str, now_s: float) -> list[RadioReading]:
         """The reading of a result, if it is new and good enough; a text is why it is none."""
         self.counts.frames += 1
-        problem = result if isinstance(result, str) else self._complain_of(result)
+        if isinstance(result, Result):
+            unchanged_s = self._channels.unchanged_s(result.name, result.time_ms, now_s)
+            if unchanged_s is not None and unchanged_s < STILL_S:
+                return []
+            problem: str | None = "page stands still: nobody transmits"
+            if unchanged_s is None:
+                problem = self._complain_of(result, now_s)
+        else:
+            problem = result
         if problem is not None:
             self.counts.refuse(problem)
             return []
@@ -143,7 +163,7 @@ class _Kraken(RadioDecoder):
             )
         ]
 
-    def _complain_of(self, result: Result) -> str | None:
+    def _complain_of(self, result: Result, now_s: float) -> str | None:
         if not FIRST_EPOCH_MS <= result.time_ms <= LAST_EPOCH_MS:
             return "time is none"
         if not 0.0 <= result.latency_ms <= LONGEST_CPI_MS:
@@ -152,9 +172,9 @@ class _Kraken(RadioDecoder):
             return "bearing is out of bounds"
         if not 0.0 < result.frequency_hz < 1e11:
             return "frequency is out of bounds"
-        stale = self._channels.complain_of(f"{result.frequency_hz:.0f}", result.time_ms)
-        if stale is not None:
-            return stale
+        tuned = self._channels.complain_of(result.name, result.time_ms, now_s)
+        if tuned is not None:
+            return tuned
         if result.is_overdriven:
             return "receiver is overdriven"
         if result.is_line_array and not self._believed.accept_line_array:
@@ -175,7 +195,7 @@ class KrakenLines(_Kraken, LineDecoder):
         if len(cells) < 2:
             self.counts.resync_bytes += len(line.encode(errors="replace"))
             return []
-        return self.readings_of(_result_of_cells(cells))
+        return self.readings_of(_result_of_cells(cells), received_s)
 
 
 def _result_of_cells(cells: list[str]) -> Result | str:
@@ -207,7 +227,7 @@ class KrakenXml(_Kraken):
         readings: list[RadioReading] = []
         *documents, self._rest = (self._rest + data).split(b"</DATA>")
         for document in documents:
-            readings += self._read(document)
+            readings += self._read(document, received_s)
         excess = len(self._rest) - self.longest_document - MARKS
         if excess > 0:
             self.counts.resync_bytes += excess
@@ -220,14 +240,14 @@ class KrakenXml(_Kraken):
         super().reset()
         self._rest = b""
 
-    def _read(self, document: bytes) -> list[RadioReading]:
+    def _read(self, document: bytes, now_s: float) -> list[RadioReading]:
         before, start, body = document.rpartition(b"<DATA>")
         is_one = bool(start) and len(body) <= self.longest_document
         self.counts.resync_bytes += len(before if is_one else document)
         if not is_one:
             return []
         text = body.decode("utf-8", errors="replace")
-        return self.readings_of(_result_of_elements(dict(self._ELEMENT.findall(text))))
+        return self.readings_of(_result_of_elements(dict(self._ELEMENT.findall(text))), now_s)
 
 
 def _result_of_elements(elements: dict[str, str]) -> Result | str:
