@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import random
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
 from companion.arguments import argument_parser
+from companion.cli import main
 from companion.config.radios import RadioConfig, radio_setup
 from companion.config.schema import CompanionConfig
 from companion.errors import ConfigError
@@ -28,6 +30,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.radio_tools.recorder import PoseListener, RecordingEndpoint
 from companion.radio_tools.watching import WatchingEndpoint, scatter_of
+from companion.radios import catalogue
 from companion.replay.radio_replay import replay_recording
 from tests.unit.companion.link.wire import PEER, heartbeat, local_position, origin
 
@@ -183,3 +186,29 @@ def test_without_a_radio_a_command_says_how_to_name_one(words: list[str]) -> Non
     arguments = argument_parser().parse_args(["radio", *words])
     with pytest.raises(ConfigError, match="name a radio, for example nlink@"):
         run(arguments)
+
+
+@pytest.fixture
+def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("sonar", "a_module_that_is_not_there:SONAR", catalogue.GROUP)
+    monkeypatch.setattr(catalogue, "entry_points", lambda **_: [point])
+
+
+@pytest.mark.usefixtures("broken_plugin")
+def test_a_broken_plugin_that_is_chosen_is_named_and_ends_with_2(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["--connect", "udp:127.0.0.1:14999", "--radio", "sonar@/dev/null"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("companion: radio sonar: the plugin ")
+    assert "a_module_that_is_not_there" in said
+
+
+@pytest.mark.usefixtures("broken_plugin")
+def test_a_broken_plugin_that_is_not_chosen_hurts_nobody(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["radio", "list"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert any(text.startswith("ndjson ") for text in said)
+    assert said[-1].startswith("broken: radio sonar")
