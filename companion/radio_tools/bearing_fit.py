@@ -41,10 +41,16 @@ MOST_SCANNED = 500
 LEAST_RESULTANT = 0.5
 LEAST_FOLDED_RESULTANT = 0.8
 """A folded angle is never far from any other: one that stands still has 0.64."""
+UNLIKELY_PER_S = 1e-3
+"""Where no lag is better than another the smallest one is taken."""
 LEAST_LEAD = 0.15
 """By how much the resultant of one sign must be the longer."""
+NORTH_LEAD = 0.05
+"""The same by north, where most bearings may be of one direction."""
 HUBER_K = 1.5
 SECTORS = 12
+LEAST_SECTORS = 8
+PIECE_S = 5.0
 VIEW_STEP_RAD = math.radians(15.0)
 LEAST_IN_A_STEP = 8
 WIDER = 2.5
@@ -128,8 +134,13 @@ def covered_rad(track: PoseTrack, times_s: Vector) -> float:
     return 2.0 * math.pi * float(np.mean(bins > 0))
 
 
-def find_sense(samples: BearingSamples, track: PoseTrack) -> BearingSense:
-    """Sign, fold, and where to begin with mount and lag."""
+def find_sense(
+    samples: BearingSamples, track: PoseTrack, *, is_by_north: bool = False
+) -> BearingSense:
+    """Sign, fold, and where to begin with mount and lag.
+
+    By north nothing is folded, and it is clockwise unless that is clearly wrong.
+    """
     known = track.knows(samples.times_s - SCAN_S, with_yaw=True)
     known &= track.knows(samples.times_s + SCAN_S, with_yaw=True)
     if known.sum() < 20:
@@ -140,14 +151,18 @@ def find_sense(samples: BearingSamples, track: PoseTrack) -> BearingSense:
     for lag in np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S):
         body = track.in_body(times - lag)
         for sign in (1, -1):
-            tries = [_folded_mount(sign * said, body)]
+            tries: dict[bool, tuple[float, float]] = {}
+            if not is_by_north:
+                tries[True] = _folded_mount(sign * said, body)
             if not samples.is_array:
-                tries.append(_open_mount(sign * said, body))
-            for is_folded, (resultant, mount) in zip((True, False), tries, strict=False):
+                tries[False] = _open_mount(sign * said, body)
+            for is_folded, (resultant, mount) in tries.items():
                 key = (sign, is_folded)
-                if resultant > best.get(key, (-1.0, 0.0, 0.0))[0]:
+                resultant -= UNLIKELY_PER_S * abs(float(lag))
+                if resultant > best.get(key, (-9.0, 0.0, 0.0))[0]:
                     best[key] = (resultant, mount, float(lag))
-    chosen = max(best, key=lambda key: best[key][0] + 0.02 * (not key[1]))
+    lead = NORTH_LEAD if is_by_north else 0.0
+    chosen = max(best, key=lambda key: best[key][0] + 0.02 * (not key[1]) + lead * (key[0] > 0))
     sign, is_folded = chosen
     resultant, mount, lag_s = best[chosen]
     other = best[(-sign, is_folded)][0]
@@ -260,7 +275,8 @@ def fit_bearings(
     mount, lag, fit = _solved(problem, lag_s, waves)
     errors = problem.errors(mount, lag)
     amplitudes = [float(math.hypot(*fit.beta[i : i + 2])) for i in range(2, len(fit.beta), 2)]
-    sigma, gross = core_sigma(errors, _sectors(problem, mount, lag))
+    labels = _sectors(problem, mount, lag)
+    sigma, gross = core_sigma(errors, labels // max(1, (int(labels.max()) + 1) // SECTORS))
     lag_sigma = math.sqrt(float(fit.covariance[1, 1])) if lag_s is None else math.inf
     return BearingFit(
         sense=sense,
@@ -325,10 +341,20 @@ def _with_held_lag(fit: LinearFit) -> LinearFit:
 
 
 def _sectors(problem: _Problem, mount: float, lag: float) -> Labels:
-    """Sectors of angle and heading: what an element or the compass does wrong is in one of them."""
+    """Sectors of angle and heading: what an element or the compass does wrong is in one of them.
+
+    Where there are next to none, pieces of time instead.
+    """
     off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
     turns = [np.floor((a % (2.0 * math.pi)) / (2.0 * math.pi) * SECTORS) for a in (off, yaw)]
-    _, labels = np.unique(turns[0] * SECTORS + turns[1], return_inverse=True)
+    labels = _numbered(turns[0] * SECTORS + turns[1])
+    if int(labels.max()) + 1 >= LEAST_SECTORS:
+        return labels
+    return _numbered(np.floor(problem.times_s / PIECE_S))
+
+
+def _numbered(values: Vector) -> Labels:
+    _, labels = np.unique(values, return_inverse=True)
     return labels.reshape(-1).astype(np.int64)
 
 

@@ -24,18 +24,16 @@ from companion.radio_tools.bearing_fit import (
     find_sense,
     fit_bearings,
 )
-from companion.radio_tools.clustered_fit import NORMAL_975, Figure, Flags, Vector
+from companion.radio_tools.clustered_fit import NORMAL_975, Figure, Flags, Labels, Vector
 from companion.radio_tools.pose_track import FieldTests, PoseTrack, find_tests
 from companion.radio_tools.range_fit import (
     LEAST_SPEED_MPS,
-    MOST_LAG_S,
     NLOS_SIGMAS,
     RangeFit,
     RangeSamples,
-    fit_lag,
     fit_ranges,
-    scan_lag,
 )
+from companion.radio_tools.range_lag import MOST_LAG_S, fit_lag, scan_lag
 
 FieldTestName = Literal["turn", "line", "circle", "blocked"]
 TEST_NAMES: tuple[FieldTestName, ...] = get_args(FieldTestName)
@@ -157,10 +155,8 @@ def calibrate(run: CalibrationRun) -> Calibration:
     else:
         done.lag_s = range_lag
     if wants_ranges and done.ranges:
-        _fit_ranges(ranges, track, done)
-        told = ranged & is_placed & (is_blocked if is_blocked.any() else np.ones_like(is_blocked))
-        samples = RangeSamples(times[told], values[told])
-        _find_blocked(samples, track, done, is_told=bool(is_blocked.any()))
+        told = ranged & is_placed & is_blocked
+        _fit_ranges(ranges, RangeSamples(times[told], values[told]), track, done)
     _compare_reported(fitted, done)
     _check_own_place(track, ranges, bearings, done)
     if not done.ranges and not done.bearings:
@@ -237,7 +233,7 @@ def _fit_bearings(
             f"only {len(samples.times_s)} bearings; {LEAST_VALUES} and more are needed"
         )
         return
-    sense = find_sense(samples, track)
+    sense = find_sense(samples, track, is_by_north=done.is_by_north)
     if abs(sense.lag_s) > MOST_LAG_S and sense.follows:
         done.bearing_refusals.append(_clocks(sense.lag_s))
         return
@@ -271,6 +267,8 @@ def _fit_bearings(
         done.lag_s = lag
     elif fit.lag_s is not None:
         done.lag_s = fit.lag_s
+    else:
+        fit = fit_bearings(samples, track, sense, has_circle=has_circle, lag_s=0.0)
     done.bearing_fit = fit
 
 
@@ -304,13 +302,16 @@ def _at_lag(
     return replace(held, mount_rad=Figure(value, value - half, value + half))
 
 
-def _fit_ranges(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> None:
+def _fit_ranges(
+    ranges: RangeSamples, blocked: RangeSamples, track: PoseTrack, done: Calibration
+) -> None:
+    """Fit what is not blocked; `blocked` is what the user says is."""
     if len(ranges.times_s) < LEAST_VALUES:
         done.range_refusals.append(
             f"only {len(ranges.times_s)} ranges; {LEAST_VALUES} and more are needed"
         )
         return
-    lag_s = 0.0 if done.lag_s is None else done.lag_s.value
+    lag_s, half_s = (0.0, 0.0) if done.lag_s is None else (done.lag_s.value, done.lag_s.half_width)
     used = track.knows(ranges.times_s - lag_s)
     if done.lag_s is None:  # what was measured under way may be late by any distance
         used &= track.seen(ranges.times_s).speed_mps < LEAST_SPEED_MPS
@@ -319,9 +320,24 @@ def _fit_ranges(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> No
                 "offset and lag look alike on this way: go back the same way, or stop at distances"
             )
             return
-    ranges = RangeSamples(ranges.times_s[used], ranges.ranges_m[used])
-    lag_half_s = 0.0 if done.lag_s is None else done.lag_s.half_width
-    fit = done.range_fit = fit_ranges(ranges, track, lag_s, lag_half_s)
+    ranges = _picked(ranges, used)
+    fit = fit_ranges(ranges, track, lag_s, half_s)
+    if len(blocked.times_s):
+        done.blocked = _blocked(blocked, track, fit, lag_s)
+    else:
+        inside = _blocked_blocks(ranges, track, fit, lag_s)
+        if inside.any() and np.sum(~inside) >= LEAST_VALUES:
+            fit = fit_ranges(_picked(ranges, ~inside), track, lag_s, half_s)
+            done.blocked = _blocked(_picked(ranges, inside), track, fit, lag_s)
+    done.range_fit = fit
+    _check_ranges(fit, done)
+
+
+def _picked(samples: RangeSamples, used: Flags) -> RangeSamples:
+    return RangeSamples(samples.times_s[used], samples.ranges_m[used])
+
+
+def _check_ranges(fit: RangeFit, done: Calibration) -> None:
     if len(fit.distances_m) < LEAST_DISTANCES:
         told = ", ".join(f"{distance:.1f}" for distance in fit.distances_m)
         done.range_refusals.append(
@@ -339,27 +355,35 @@ def _fit_ranges(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> No
         )
 
 
-def _find_blocked(
-    samples: RangeSamples, track: PoseTrack, done: Calibration, *, is_told: bool
-) -> None:
-    """The blocked run: told, or the seconds in which most ranges were too long."""
-    fit = done.range_fit
-    if fit is None or not len(samples.times_s):
-        return
-    lag_s = 0.0 if done.lag_s is None else done.lag_s.value
+def _errors(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_s: float) -> Vector:
     distance = track.seen(samples.times_s - lag_s).distance_m
-    errors = samples.ranges_m - fit.offset_m.value - fit.effective_scale * distance
-    is_long = errors > NLOS_SIGMAS * fit.sigma_m.value
-    blocks = ((samples.times_s - samples.times_s.min()) // BLOCK_S).astype(int)
+    return samples.ranges_m - fit.offset_m.value - fit.effective_scale * distance
+
+
+def _blocks(times: Vector) -> Labels:
+    """Numbers of blocks of time that have enough ranges in the mean."""
+    seconds = float(times.max() - times.min()) or 1.0
+    block_s = max(BLOCK_S, LEAST_VALUES * seconds / len(times))
+    return np.asarray((times - times.min()) // block_s, dtype=np.int64)
+
+
+def _blocked_blocks(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_s: float) -> Flags:
+    """Ranges of times in which most were too long, and longer than one block of time."""
+    is_long = _errors(samples, track, fit, lag_s) > NLOS_SIGMAS * fit.sigma_m.value
+    blocks = _blocks(samples.times_s)
     counts = np.bincount(blocks)
     share = np.bincount(blocks, weights=is_long) / np.maximum(counts, 1)
-    blocked = (counts > 0) & ((share > BLOCKED_SHARE) | is_told)
-    if is_told or int(blocked.sum()) >= 2:
-        inside = blocked[blocks]
-        long = errors[inside & is_long]
-        excess = float(long.mean()) if len(long) else None
-        seconds = BLOCK_S * int(blocked.sum())
-        done.blocked = Blocked(seconds, float(is_long[inside].mean()), excess)
+    is_blocked = (counts >= LEAST_VALUES // 2) & (share > BLOCKED_SHARE)
+    lasts = np.convolve(is_blocked, [1, 1, 1], mode="same") >= 2
+    return np.asarray((is_blocked & lasts)[blocks])
+
+
+def _blocked(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_s: float) -> Blocked:
+    errors = _errors(samples, track, fit, lag_s)
+    is_long = errors > NLOS_SIGMAS * fit.sigma_m.value
+    excess = float(errors[is_long].mean()) if is_long.any() else None
+    seconds = float(np.ptp(samples.times_s))
+    return Blocked(seconds, float(is_long.mean()), excess)
 
 
 def _compare_reported(fitted: Sequence[RangingMeasurement], done: Calibration) -> None:

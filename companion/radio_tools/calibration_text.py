@@ -189,9 +189,11 @@ def _add_bearing_keys(
 
 
 def _upwards(value: float) -> float:
-    """Two digits, never less."""
+    """Two digits, never less; what has no bound has the estimator's own prior, 5."""
     if not value > 0.0:
         return 0.0
+    if math.isinf(value):
+        return 5.0
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return round(math.ceil(value / step - 1e-9) * step, 12)
 

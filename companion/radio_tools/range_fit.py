@@ -44,18 +44,9 @@ REGION_M = 20.0
 LEAST_REGIONS = 6
 LEAST_AT_A_PLACE = 5
 LEAST_VALUES_TO_SPLIT = 20
-MOST_LAG_S = 2.0
-SCAN_S = 2.5
-"""A lag is looked for beyond what is believed, so that one at the edge is seen as none."""
-SCAN_STEP_S = 0.1
 LEAST_SPEED_MPS = 0.5
-LEAST_MOVING = 20
-LEAST_CONTRAST_MPS = 0.3
-"""What a vehicle's speed towards the point must differ by at the same place."""
-LAG_SIGMA_S = 0.15
-"""A lag that is known less well than this was not seen."""
 LEAST_SIGMA_M = 1e-3
-HALF_FREEDOM = 0.37 / 3.0
+HALF_FREEDOM = 0.37 / 3.5
 """Of a mirrored deviation: by the median's efficiency, of half the values, about a fitted mean."""
 
 
@@ -117,8 +108,8 @@ def fit_ranges(
     labels = places_of(seen.place_m, PLACE_M)
     errors = samples.ranges_m - seen.distance_m
     ones = np.ones(len(errors))
-    distances = _means(seen.distance_m, ones, labels)
-    centres = np.stack([_means(column, ones, labels) for column in seen.place_m.T], axis=1)
+    distances = means_of(seen.distance_m, ones, labels)
+    centres = np.stack([means_of(column, ones, labels) for column in seen.place_m.T], axis=1)
     start = _start(errors, distances, labels)
     slope = np.zeros(len(errors))
     for _ in range(2):  # a scale makes ranges differ within a place that has a width
@@ -132,7 +123,9 @@ def fit_ranges(
     if level.is_scale_told and not is_used:  # at a scale of 1, as uncertain as that one is
         half = level.offset_m.half_width
         offset = Figure(offset.value, offset.value - half, offset.value + half)
-    closing = float(np.mean(_means(seen.closing_mps, ones, labels)))  # 0 where both ways are there
+    closing = float(
+        np.mean(means_of(seen.closing_mps, ones, labels))
+    )  # 0 where both ways are there
     half = math.hypot(offset.half_width, closing * lag_half_s)
     offset = Figure(offset.value, offset.value - half, offset.value + half)
     residuals = errors - offset.value - (scale.value * seen.distance_m if is_used else 0.0)
@@ -171,7 +164,8 @@ def _start(errors: Vector, distances: Vector, labels: Labels) -> Vector:
     return np.asarray(np.clip(quartiles, line - near_m, line + near_m))
 
 
-def _means(values: Vector, weights: Vector, labels: Labels) -> Vector:
+def means_of(values: Vector, weights: Vector, labels: Labels) -> Vector:
+    """Weighted mean of each place."""
     means: Vector = sums_of(weights * values, labels) / np.maximum(sums_of(weights, labels), 1e-9)
     return means
 
@@ -190,7 +184,7 @@ def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
     sigma = max(mirrored_sigma(errors - means[labels]), LEAST_SIGMA_M)
     for _ in range(20):
         weights = one_sided_weights((errors - means[labels]) / sigma)
-        means = _means(errors, weights, labels)
+        means = means_of(errors, weights, labels)
         sigma = max(mirrored_sigma(errors - means[labels]), LEAST_SIGMA_M)
     x = errors - means[labels]
     far = x[x > NLOS_SIGMAS * sigma]
@@ -207,7 +201,7 @@ def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
         bias = u - k + h
         noise = free * u + reflected * (k - h)
         square = free * u**2 + reflected * (u**2 - 2.0 * u * bias + 1.0 + (u - k) * bias)
-        shift = _means(noise, np.ones(count), labels)
+        shift = means_of(noise, np.ones(count), labels)
         means = means + sigma * shift
         share = min(max(float(reflected.mean()), 1e-4), 0.95)
         mean_bias = float(np.sum(reflected * bias) / max(float(reflected.sum()), 1e-9))
@@ -376,83 +370,3 @@ def is_split(within: Vector, labels: Labels) -> bool:
         apart = float(np.median(parts[1]) - np.median(parts[0]))
         split += apart > 2.0 and widest < apart / 3.0
     return split >= 2 and 2 * split > places
-
-
-def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
-    """The lag, to a tenth of a second, that lets ranges of a place agree; None: it stood still."""
-    lags = np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S)
-    moving = track.seen(samples.times_s).speed_mps > LEAST_SPEED_MPS
-    moving &= track.knows(samples.times_s - SCAN_S) & track.knows(samples.times_s + SCAN_S)
-    if moving.sum() < LEAST_MOVING:
-        return None
-    times, ranges = samples.times_s[moving], samples.ranges_m[moving]
-    spreads = []
-    for lag in lags:
-        seen = track.seen(times - lag)
-        _, labels = np.unique(np.round(seen.place_m / 4.0), axis=0, return_inverse=True)
-        labels = labels.reshape(-1).astype(np.int64)
-        errors = ranges - seen.distance_m
-        order = np.lexsort((errors, labels))
-        counts = np.bincount(labels)
-        middles = errors[order][np.cumsum(counts) - counts + (counts - 1) // 2]
-        spreads.append(np.abs(errors - middles[labels])[counts[labels] > 3])
-    width = max(min(float(np.median(s)) if len(s) else math.inf for s in spreads), LEAST_SIGMA_M)
-    costs = [
-        float(np.mean(np.sqrt(1.0 + (s / width) ** 2))) if len(s) else math.inf for s in spreads
-    ]
-    return float(lags[int(np.argmin(costs))]) if math.isfinite(min(costs)) else None
-
-
-@dataclass(frozen=True, slots=True)
-class _OnTheWay:
-    """Ranges under way at some lag, each less the mean of its place."""
-
-    errors_m: Vector
-    closing_mps: Vector
-    """Negative, as a lag shows."""
-    weights: Vector
-    place_m: Matrix
-    labels: Labels
-
-
-def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnTheWay | None:
-    times = samples.times_s - lag_s
-    moving = track.knows(times) & (track.seen(times).speed_mps > LEAST_SPEED_MPS)
-    if moving.sum() < LEAST_MOVING:
-        return None
-    seen = track.seen(times[moving])
-    labels = places_of(seen.place_m, PLACE_M)
-    errors = samples.ranges_m[moving] - seen.distance_m
-    weights = np.ones(len(errors))
-    for _ in range(8):
-        residuals = errors - _means(errors, weights, labels)[labels]
-        sigma = max(mirrored_sigma(residuals), LEAST_SIGMA_M)
-        weights = one_sided_weights(residuals / sigma)
-    closing = _means(seen.closing_mps, weights, labels)[labels] - seen.closing_mps
-    residuals = errors - _means(errors, weights, labels)[labels]
-    return _OnTheWay(residuals, closing, weights, seen.place_m, labels)
-
-
-def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
-    """The lag by out and back; None: the way does not tell it."""
-    lag_s = scan_lag(samples, track)
-    if lag_s is None:
-        return None
-    way: _OnTheWay | None = None
-    for _ in range(6):
-        way = _on_the_way(samples, track, lag_s)
-        if way is None or float(np.std(way.closing_mps)) < LEAST_CONTRAST_MPS:
-            return None
-        rows = way.closing_mps[:, None]
-        step_s = float(np.clip(solved(rows, way.errors_m, way.weights)[0], -0.3, 0.3))
-        lag_s += step_s
-        if abs(step_s) < 1e-4 or abs(lag_s) > SCAN_S:
-            break
-    assert way is not None
-    regions = places_of(way.place_m, REGION_M)
-    groups = [way.labels, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [way.labels]
-    fits = [linear_fit(rows, way.errors_m, way.weights, labels) for labels in groups]
-    found = max((fit.figure(0) for fit in fits), key=lambda figure: figure.half_width)
-    if not found.sigma < LAG_SIGMA_S:
-        return None
-    return Figure(lag_s, lag_s - found.half_width, lag_s + found.half_width)

@@ -1,0 +1,125 @@
+"""The lag of ranges, by the way out and back.
+
+Theory of operation. What is measured late is the distance from where the vehicle was; under way
+that is too short on the way out and too long on the way back. At one place everything else is the
+same both ways, so the lag is fitted to how the ranges of a place differ, and to nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.radio_tools.clustered_fit import (
+    Figure,
+    Labels,
+    Matrix,
+    Vector,
+    linear_fit,
+    mirrored_sigma,
+    places_of,
+    solved,
+)
+from companion.radio_tools.pose_track import PoseTrack
+from companion.radio_tools.range_fit import (
+    LEAST_REGIONS,
+    LEAST_SIGMA_M,
+    LEAST_SPEED_MPS,
+    PLACE_M,
+    REGION_M,
+    RangeSamples,
+    means_of,
+    one_sided_weights,
+)
+
+MOST_LAG_S = 2.0
+SCAN_S = 2.5
+"""A lag is looked for beyond what is believed, so that one at the edge is seen as none."""
+SCAN_STEP_S = 0.1
+LEAST_MOVING = 20
+LEAST_CONTRAST_MPS = 0.3
+"""What a vehicle's speed towards the point must differ by at the same place."""
+LAG_SIGMA_S = 0.15
+"""A lag that is known less well than this was not seen."""
+
+
+def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
+    """The lag, to a tenth of a second, that lets ranges of a place agree; None: it stood still."""
+    lags = np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S)
+    moving = track.seen(samples.times_s).speed_mps > LEAST_SPEED_MPS
+    moving &= track.knows(samples.times_s - SCAN_S) & track.knows(samples.times_s + SCAN_S)
+    if moving.sum() < LEAST_MOVING:
+        return None
+    times, ranges = samples.times_s[moving], samples.ranges_m[moving]
+    spreads = []
+    for lag in lags:
+        seen = track.seen(times - lag)
+        _, labels = np.unique(np.round(seen.place_m / 4.0), axis=0, return_inverse=True)
+        labels = labels.reshape(-1).astype(np.int64)
+        errors = ranges - seen.distance_m
+        order = np.lexsort((errors, labels))
+        counts = np.bincount(labels)
+        middles = errors[order][np.cumsum(counts) - counts + (counts - 1) // 2]
+        spreads.append(np.abs(errors - middles[labels])[counts[labels] > 3])
+    width = max(min(float(np.median(s)) if len(s) else math.inf for s in spreads), LEAST_SIGMA_M)
+    costs = [
+        float(np.mean(np.sqrt(1.0 + (s / width) ** 2))) if len(s) else math.inf for s in spreads
+    ]
+    return float(lags[int(np.argmin(costs))]) if math.isfinite(min(costs)) else None
+
+
+@dataclass(frozen=True, slots=True)
+class _OnTheWay:
+    """Ranges under way at some lag, each less the mean of its place."""
+
+    errors_m: Vector
+    closing_mps: Vector
+    """Negative, as a lag shows."""
+    weights: Vector
+    place_m: Matrix
+    labels: Labels
+
+
+def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnTheWay | None:
+    times = samples.times_s - lag_s
+    moving = track.knows(times) & (track.seen(times).speed_mps > LEAST_SPEED_MPS)
+    if moving.sum() < LEAST_MOVING:
+        return None
+    seen = track.seen(times[moving])
+    labels = places_of(seen.place_m, PLACE_M)
+    errors = samples.ranges_m[moving] - seen.distance_m
+    weights = np.ones(len(errors))
+    for _ in range(8):
+        residuals = errors - means_of(errors, weights, labels)[labels]
+        sigma = max(mirrored_sigma(residuals), LEAST_SIGMA_M)
+        weights = one_sided_weights(residuals / sigma)
+    closing = means_of(seen.closing_mps, weights, labels)[labels] - seen.closing_mps
+    residuals = errors - means_of(errors, weights, labels)[labels]
+    return _OnTheWay(residuals, closing, weights, seen.place_m, labels)
+
+
+def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
+    """The lag by out and back; None: the way does not tell it."""
+    lag_s = scan_lag(samples, track)
+    if lag_s is None:
+        return None
+    way: _OnTheWay | None = None
+    for _ in range(6):
+        way = _on_the_way(samples, track, lag_s)
+        if way is None or float(np.std(way.closing_mps)) < LEAST_CONTRAST_MPS:
+            return None
+        rows = way.closing_mps[:, None]
+        step_s = float(np.clip(solved(rows, way.errors_m, way.weights)[0], -0.3, 0.3))
+        lag_s += step_s
+        if abs(step_s) < 1e-4 or abs(lag_s) > SCAN_S:
+            break
+    assert way is not None
+    regions = places_of(way.place_m, REGION_M)
+    groups = [way.labels, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [way.labels]
+    fits = [linear_fit(rows, way.errors_m, way.weights, labels) for labels in groups]
+    found = max((fit.figure(0) for fit in fits), key=lambda figure: figure.half_width)
+    if not found.sigma < LAG_SIGMA_S:
+        return None
+    return Figure(lag_s, lag_s - found.half_width, lag_s + found.half_width)
