@@ -6,6 +6,10 @@
                 the symmetric filter in the same runs, and the range offset it converges to
     bound       the tracker with its window on tracks of FIM and latched crossing: RMSE beside the
                 Cramer-Rao bound of those tracks
+    walks       only if asked for: recorded walks in --walks FOLDER (rtt*, uwb*, plaza* and wsr*
+                .csv), and --placed invented ones of each kind, whose errors stay with the place:
+                error of the final and of the better stated place, states and what of them holds, at
+                the end and at each tenth of the way, and what a measurement costs
     honesty     NEES of the position and coverage of the R95 circle, with the noise that the filter
                 believes (no NLOS; offsets of the paper, or drawn from the priors), and coverage
                 with the paper's NLOS, on lanes and on latched crossings
@@ -47,9 +51,11 @@ from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 from sim_link.lab.pool import open_pool
 from sim_link.world.environment import ChannelParams
 from tools.console import OneLineParser, non_negative, positive
+from tools.walk_figures import walk_lines
 
-Part = Literal["lawnmower", "bound", "honesty"]
+Part = Literal["lawnmower", "bound", "honesty", "walks"]
 PARTS: tuple[Part, ...] = ("lawnmower", "bound", "honesty")
+"""What is measured unless something else is asked for."""
 
 MAX_LAWNMOWER_RMSE_M = 0.35
 OFFSET_BAND_M = (4.5, 6.5)
@@ -63,6 +69,9 @@ HONESTY_SYSTEMS: tuple[tuple[FilterName, PlannerName], ...] = (
     ("asymmetric_huber", "passive"),
     ("asymmetric_huber", "latched"),
 )
+
+WALKS = Path(__file__).resolve().parent.parent / "tests" / "data"
+"""Where one recorded walk is."""
 
 OnBlock = Callable[[int, int], None]
 
@@ -298,7 +307,11 @@ def main() -> int:
         if arguments.json is not None:
             check_writable(arguments.json)
         parts = [part for part in PARTS if part in (arguments.only or PARTS)]
-        figures = verified(parts, arguments.runs, arguments.seed, arguments.jobs, show_progress)
+        if "walks" in (arguments.only or ()):
+            print("\n".join(walk_lines(arguments.walks, arguments.placed, arguments.seed)))
+        figures: list[Figure] = []
+        if parts:
+            figures = verified(parts, arguments.runs, arguments.seed, arguments.jobs, show_progress)
         print("\n".join(line(figure) for figure in figures))
         if arguments.json is not None:
             choices = {"runs": arguments.runs, "seed": arguments.seed}
@@ -315,7 +328,10 @@ def main() -> int:
 def parsed() -> argparse.Namespace:
     """What the command line says."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", choices=PARTS, action="append", help="may be given twice")
+    parts = (*PARTS, "walks")
+    parser.add_argument("--only", choices=parts, action="append", help="may be given twice")
+    parser.add_argument("--walks", type=Path, default=WALKS, metavar="DIR", help="recorded walks")
+    parser.add_argument("--placed", type=non_negative, default=0, help="invented walks of a kind")
     parser.add_argument("--runs", type=positive, default=200, help="of every system")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")

@@ -75,6 +75,9 @@ class RangingModel(NamedTuple):
     so that it counts for less beside them."""
     antenna: int = AZIMUTH
     """`AZIMUTH`, `PLANAR` or `COSINES`."""
+    range_share: float = 1.0
+    """What a range is worth in the window's objective, as a share of an independent one."""
+    direction_share: float = 1.0
 
 
 @kernel

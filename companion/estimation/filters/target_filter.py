@@ -149,8 +149,10 @@ class FilterParams(Params, frozen=True, dict=True):
     """Thermal noise of an elevation, where the radio does not report one."""
     use_elevation: bool = True
     """Whether measured elevations count; false where the antenna tilts with the vehicle."""
+    range_offset_m: float = 0.0
+    """Prior mean of the constant range offset."""
     range_offset_sigma_m: Positive = 5.0
-    """Prior standard deviation of the constant range offset, about zero."""
+    """Prior standard deviation of the constant range offset."""
     range_offset_min_m: float | None = None
     """Hard lower bound of the range offset; null: none."""
     range_offset_max_m: float | None = None
@@ -163,6 +165,18 @@ class FilterParams(Params, frozen=True, dict=True):
     """Prior standard deviation of the range's scale error; 0: ranges have none."""
     range_scale_max: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.5
     """Hard bound of the scale error, to both sides."""
+    range_scale_min: Annotated[float, msgspec.Meta(gt=-1.0, le=0.0)] | None = None
+    """Hard lower bound of the scale error, where it is another; 0: ranges never come out short."""
+    reach_m: Positive | None = None
+    """How far this radio is heard: the target is about as near to the path, as the standard
+    deviation of a Gaussian per axis; null: anywhere."""
+    place_range_sigma_m: NonNegative = 0.0
+    """How much of a range's error stays with the place, before the run has shown it; 0: nothing is
+    believed before errors are seen to repeat each other."""
+    place_bearing_sigma_deg: NonNegative = 0.0
+    """The same of a bearing's."""
+    place_length_m: Positive = 4.0
+    """Over which distance those errors change, before the run has shown it."""
     position_sigma_m: Positive = 30.0
     """Prior standard deviation of the first position fix, each axis."""
     own_position_sigma_m: NonNegative = 0.1
@@ -200,7 +214,7 @@ class FilterParams(Params, frozen=True, dict=True):
     @property
     def prior(self) -> tuple[Vector, Vector]:
         """Mean and standard deviations of the state, each (n,), new, before any measurement."""
-        offset_m = 0.0
+        offset_m = self.range_offset_m
         if self.range_offset_min_m is not None:
             offset_m = max(offset_m, self.range_offset_min_m)
         if self.range_offset_max_m is not None:
@@ -231,7 +245,9 @@ class FilterParams(Params, frozen=True, dict=True):
             largest_rad = math.radians(self.bearing_offset_max_deg)
             bounds[:, BEARING_OFFSET] = -largest_rad, largest_rad
         if model.scale_index != ABSENT:
-            bounds[:, model.scale_index] = -self.range_scale_max, self.range_scale_max
+            least = self.range_scale_min
+            bounds[0, model.scale_index] = -self.range_scale_max if least is None else least
+            bounds[1, model.scale_index] = self.range_scale_max
         return bounds
 
     @cached_property

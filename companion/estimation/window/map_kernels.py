@@ -36,6 +36,8 @@ MAX_ITERATIONS = 25
 STEP_TOLERANCE_M = 1e-4
 DAMPING_START = 1e-3
 DAMPING_MAX = 1e8
+MIN_CURVATURE_RATIO = 1e-3
+"""Steps along the axis that says least are damped as if it said this share of the other one."""
 MIN_DISTANCE_M = 0.05
 """Views from nearer than this are taken from this far, so that an angle keeps a meaning."""
 
@@ -231,6 +233,14 @@ def clipped(u: Matrix, thresholds: Matrix) -> Matrix:
 
 
 @kernel
+def weigh_votes(terms: Matrix, model: RangingModel) -> None:
+    """Count every measurement of terms (2 or 3, n), in place, for its share of a vote."""
+    if model.range_share != 1.0 or model.direction_share != 1.0:
+        terms[0] *= model.range_share
+        terms[1:] *= model.direction_share
+
+
+@kernel
 def map_cost(
     rows: Matrix,
     mean: Vector,
@@ -243,8 +253,10 @@ def map_cost(
     """The objective at `mean`: robust losses and prior."""
     u = row_residuals(rows, mean, sigmas, model)
     psi = clipped(u, thresholds)
+    losses = psi * (u - 0.5 * psi)
+    weigh_votes(losses, model)
     prior = 0.5 * np.dot(mean, np.dot(information, mean)) - np.dot(pull, mean)
-    return float(np.sum(psi * (u - 0.5 * psi)) + prior)
+    return float(np.sum(losses) + prior)
 
 
 @kernel
@@ -259,7 +271,7 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
     if model.antenna == COSINES:
         wider = np.log(sigmas[2] / rows[:, 8])
         total += model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 5]), 0.0, wider))
-    return float(total)
+    return float(model.direction_share * total)
 
 
 @kernel
@@ -279,9 +291,13 @@ def normal_equations(
     H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
     is_quadratic = u == psi
     weight = np.where(is_quadratic, 1.0, psi / np.where(is_quadratic, 1.0, u))
+    losses = psi * (u - 0.5 * psi)
+    weigh_votes(weight, model)
+    weigh_votes(losses, model)
+    weigh_votes(psi, model)
     A = np.dot(H.T, weight.reshape(-1, 1) * H) + information
     known = np.dot(information, mean)
-    cost = np.sum(psi * (u - 0.5 * psi)) + 0.5 * np.dot(mean, known) - np.dot(pull, mean)
+    cost = np.sum(losses) + 0.5 * np.dot(mean, known) - np.dot(pull, mean)
     return A, np.dot(H.T, psi.reshape(-1)) - known + pull, float(cost)
 
 
@@ -321,6 +337,8 @@ def map_step(
     A, descent, cost = normal_equations(rows, mean, sigmas, thresholds, information, pull, model)
     hold_at_bounds(A, descent, mean, bounds)
     scale = np.diag(np.diag(A) + 1e-9)
+    floor = MIN_CURVATURE_RATIO * max(A[0, 0], A[1, 1])  # across a straight track there is none
+    scale[0, 0], scale[1, 1] = max(scale[0, 0], floor), max(scale[1, 1], floor)
     while damping < DAMPING_MAX:
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])

@@ -41,7 +41,9 @@ from companion.estimation.window.map_kernels import (
     VALUES,
 )
 from companion.estimation.window.sandwich import (
+    ALL_WHITE,
     CRITICAL_RATIO,
+    Fields,
     Observability,
     long_run_variance,
     mirrored,
@@ -64,7 +66,9 @@ IMPROBABLE_LOG_RATIO = math.log(1e-4)
 """An optimum this much less probable than the best one is dropped."""
 
 
-def weigh_optima(optima: Sequence[Optimum]) -> list[tuple[float, Optimum]]:
+def weigh_optima(
+    optima: Sequence[Optimum], fields: Fields = ALL_WHITE
+) -> list[tuple[float, Optimum]]:
     """Log-weights of the optima, best first, without the improbable ones.
 
     Only the inflation of the best one counts: a wrong place makes its residuals systematic. Nor
@@ -73,22 +77,40 @@ def weigh_optima(optima: Sequence[Optimum]) -> list[tuple[float, Optimum]]:
     if not optima:
         return []
     best = min(optima, key=lambda optimum: optimum.cost)
-    logs = [(log_ratio(optimum, best), optimum) for optimum in optima]
+    logs = [(log_ratio(optimum, best, fields), optimum) for optimum in optima]
     return [(log, optimum) for log, optimum in logs if log > IMPROBABLE_LOG_RATIO]
 
 
-def log_ratio(rival: Optimum, best: Optimum) -> float:
+def log_ratio(rival: Optimum, best: Optimum, fields: Fields = ALL_WHITE) -> float:
     """Log of how probable `rival` is beside `best`, at most 0."""
     if rival is best:
         return 0.0
     by_noise = (rival.cost - best.cost) / best.inflation
-    sensitivity = np.sum((rival.psi - best.psi) * best.psi, axis=0)
-    scatter = float(long_run_variance(sensitivity[:, None])[0, 0])
+    scatter = scatter_of(rival.psi, best.psi, fields)
     if scatter <= 0.0:
         return -by_noise
-    z = (rival.cost - best.cost) / (CRITICAL_RATIO * math.sqrt(scatter))
+    z = (rival.cost - best.cost) / math.sqrt(scatter)
     by_chance = math.log(math.erfc(-z / math.sqrt(2.0))) - log_erfc(z / math.sqrt(2.0))
     return -min(by_noise, by_chance)
+
+
+def scatter_of(rival: Matrix, best: Matrix, fields: Fields) -> float:
+    """By how much the noise that was drawn moves the difference of two costs, as a variance.
+
+    From influences (3, n) of the rival and of the best; where errors stay with the place, `fields`
+    tell how much they vary together.
+    """
+    if fields == ALL_WHITE:
+        sensitivity = np.sum((rival - best) * best, axis=0)
+        return float(CRITICAL_RATIO**2 * long_run_variance(sensitivity[:, None])[0, 0])
+    scatter = 0.0
+    for index, field in enumerate(fields):
+        away = (rival[index] - best[index])[:, None]
+        if field is None:
+            scatter += float(np.sum((away[:, 0] * best[index]) ** 2))
+        else:
+            scatter += float(field.variance(away)[0, 0]) / field.repetition**2
+    return scatter
 
 
 def log_erfc(x: float) -> float:
@@ -303,10 +325,11 @@ class WindowOptimizer:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
         following = []
-        for log_weight, optimum in weigh_optima(optima):
+        for log_weight, optimum in weigh_optima(optima, self.map.fields):
             state = FilterState.of(hypotheses[0].state.time_s, optimum.mean, optimum.covariance)
             # where residuals repeat each other, so does the filter until the next solution
-            least = None if is_white else np.array(optimum.covariance[:2, :2])
+            is_free = is_white and self.map.fields == ALL_WHITE
+            least = None if is_free else np.array(optimum.covariance[:2, :2])
             following.append(Hypothesis(log_weight, state, least))
         return tuple(following)
 
@@ -329,7 +352,7 @@ class WindowOptimizer:
         """The hypotheses, the best one's mirror image, and places around the path."""
         rows, directions = self.rows, self._params.starts
         starts = [h.state.mean for h in hypotheses[:MAX_STARTS_KEPT]]
-        if fresh:
+        if fresh or not self.window.has_bearings:
             starts.append(mirrored(starts[0], rows[:, :2]))
         for _ in range(fresh):
             direction_rad = 2.0 * math.pi * self._turn / directions

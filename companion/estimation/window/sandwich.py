@@ -25,12 +25,20 @@ Paper: section IV-D, Lemma B.1, Propositions B.1 and B.2. Source: P. J. Huber, R
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from companion.estimation.window.place_noise import PlaceNoise
 from companion.kernel import Matrix, Vector
+
+Fields = tuple[PlaceNoise | None, ...]
+"""How each modality's errors stay with the place, (3,); None: they are white."""
+ALL_WHITE: Fields = (None, None, None)
+Shares = tuple[float, ...]
+"""What a measurement of each modality is worth, (3,), as a share of an independent one."""
 
 BANDWIDTH = 0.2
 """Lags that count as correlated, as a share of the window."""
@@ -174,13 +182,13 @@ def thermal_moment(k_long: float, k_short: float) -> float:
     )
 
 
-def curvature(scores: Scores) -> Matrix:
-    """A = sum psi' H H^T with pooled slopes, (k, k)."""
+def curvature(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
+    """A = sum psi' H H^T with pooled slopes, (k, k), of each modality times its share of a vote."""
     k = scores.H.shape[1]
     A: Matrix = np.zeros((k, k))
     for m in scores.measured:
         H = scores.part(m)
-        A += scores.slopes[m] * (H.T @ H)
+        A += shares[m] * scores.slopes[m] * (H.T @ H)
     return A
 
 
@@ -199,11 +207,32 @@ def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) ->
     return B
 
 
-def correlated_variability(scores: Scores) -> Matrix:
+def placed_variability(scores: Scores, fields: Fields, A_inverse: Matrix) -> Matrix:
+    """B where errors stay with the place, (k, k): each modality by its field, or else as white."""
+    k = scores.H.shape[1]
+    white = np.array([1.0 if field is None else 0.0 for field in fields])
+    B = pooled_variability(scores, A_inverse, white)
+    for m in scores.measured:
+        field = fields[m]
+        if field is None:
+            continue
+        H, share = scores.part(m), 1.0 / field.repetition
+        leverage = share * scores.slopes[m] * float(np.sum((H @ A_inverse) * H))
+        spread = scores.quantile_ratio(m) * scores.finite_sample_ratio(m, min(leverage, k))
+        B += (share * spread) ** 2 * field.variance(H)
+    return B
+
+
+def shares_of(fields: Fields) -> Shares:
+    """What the fields leave of a measurement of each modality, (3,)."""
+    return tuple(1.0 if field is None else 1.0 / field.repetition for field in fields)
+
+
+def correlated_variability(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
     """B as the long-run variance of the scores in time order, (k, k), critical value included."""
     steps = np.zeros((scores.u.shape[1], scores.H.shape[1]))
     for m in scores.measured:
-        steps += scores.part(m) * scores.psi[m][:, None]
+        steps += shares[m] * scores.part(m) * scores.psi[m][:, None]
     return CRITICAL_RATIO**2 * long_run_variance(steps)
 
 
@@ -225,6 +254,42 @@ def long_run_variance(scores: Vector) -> Matrix:
         product = scores[lag:].T @ scores[:-lag]
         total = total + (1.0 - lag / (bandwidth + 1.0)) * (product + product.T)
     return total
+
+
+EDGE_SIGMAS = 2.45
+"""How far out the 95 % circle ends."""
+MIN_RISE_SHARE = 0.5
+"""Least share of the promised rise that is taken for agreement."""
+STRETCHES = tuple(1.5**i for i in range(1, 9))
+
+Cost = Callable[[Vector], float]
+
+
+def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) -> Matrix:
+    """The covariance, wider along its longest axis where the cost is flatter than its curvature."""
+    values, vectors = np.linalg.eigh(covariance[:2, :2])
+    sigma_m = math.sqrt(max(float(values[1]), 0.0))
+    if sigma_m == 0.0:
+        return covariance
+    axis: Vector = covariance[:, :2] @ vectors[:, 1] / sigma_m
+    promised = 0.5 * EDGE_SIGMAS**2 * float(axis @ A @ axis)
+    least = cost(mean)
+    stretch = max(
+        _stretch(mean, side * EDGE_SIGMAS * axis, MIN_RISE_SHARE * promised + least, cost)
+        for side in (-1.0, 1.0)
+    )
+    if stretch == 1.0:
+        return covariance
+    wider: Matrix = covariance + (stretch**2 - 1.0) * np.outer(axis, axis)
+    return wider
+
+
+def _stretch(mean: Vector, edge: Vector, wanted: float, cost: Cost) -> float:
+    """How often `edge` must be laid off until the cost reaches `wanted`."""
+    for stretch in (1.0, *STRETCHES):
+        if cost(mean + stretch * edge) >= wanted:
+            return stretch
+    return STRETCHES[-1]
 
 
 COLLINEAR_RATIO = 0.05

@@ -30,8 +30,9 @@ side, and a thousand from one place say little more than a hundred.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated
 
 import msgspec
@@ -52,6 +53,7 @@ from companion.estimation.measurement_model import (
     RangingModel,
 )
 from companion.estimation.window.map_kernels import (
+    SIGMAS,
     VALUES,
     clipped,
     map_cost,
@@ -62,12 +64,18 @@ from companion.estimation.window.map_kernels import (
     row_sigmas,
     view_distance2,
 )
+from companion.estimation.window.place_noise import PlaceBelief, PlaceNoise, place_noise
 from companion.estimation.window.sandwich import (
+    ALL_WHITE,
+    Fields,
     Scores,
     correlated_variability,
     covariance_of,
     curvature,
+    placed_variability,
     pooled_variability,
+    shares_of,
+    stretch_covariance,
     thermal_moment,
 )
 from companion.kernel import Matrix, Vector
@@ -114,13 +122,6 @@ class OlderEvidence:
         )
 
 
-EDGE_SIGMAS = 2.45
-"""How far out the 95 % circle ends."""
-MIN_RISE_SHARE = 0.5
-"""Least share of the promised rise that is taken for agreement."""
-STRETCHES = tuple(1.5**i for i in range(1, 9))
-
-Cost = Callable[[Vector], float]
 Row = tuple[Pose, Vector, Vector]
 """Where a measurement was made, its values (3,), NaN where not measured, and their sigmas (3,)."""
 
@@ -129,33 +130,6 @@ def row_vector(row: Row, last: float) -> Vector:
     """A row of `map_kernels`, (10,) or (16,); `last` stands where the sequence number does."""
     pose, z, sigma = row
     return np.array([*pose[:FIRST_AXIS], *z, *sigma, last, *pose[FIRST_AXIS:]])
-
-
-def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) -> Matrix:
-    """The covariance, wider along its longest axis where the cost is flatter than its curvature."""
-    values, vectors = np.linalg.eigh(covariance[:2, :2])
-    sigma_m = math.sqrt(max(float(values[1]), 0.0))
-    if sigma_m == 0.0:
-        return covariance
-    axis: Vector = covariance[:, :2] @ vectors[:, 1] / sigma_m
-    promised = 0.5 * EDGE_SIGMAS**2 * float(axis @ A @ axis)
-    least = cost(mean)
-    stretch = max(
-        _stretch(mean, side * EDGE_SIGMAS * axis, MIN_RISE_SHARE * promised + least, cost)
-        for side in (-1.0, 1.0)
-    )
-    if stretch == 1.0:
-        return covariance
-    wider: Matrix = covariance + (stretch**2 - 1.0) * np.outer(axis, axis)
-    return wider
-
-
-def _stretch(mean: Vector, edge: Vector, wanted: float, cost: Cost) -> float:
-    """How often `edge` must be laid off until the cost reaches `wanted`."""
-    for stretch in (1.0, *STRETCHES):
-        if cost(mean + stretch * edge) >= wanted:
-            return stretch
-    return STRETCHES[-1]
 
 
 MIN_MEASUREMENTS = 12
@@ -170,6 +144,10 @@ MAX_BEARING_NOISE = 4.0
 MAX_BENDS, BENT_RATIO = 6, 1.1
 """At most so many passes in which near bearings lose what they do not say of a vague place; the
 last one is that in which its variance grows by no more than this factor."""
+STIFFNESS = 1e6
+"""Of the prior that holds a place in one direction, 1/m^2."""
+NEWS = 0.2
+"""Votes that changed by less than this share lead to the same place."""
 SAME_PLACE_M = 0.3
 """Optima nearer than this are one."""
 
@@ -218,14 +196,57 @@ class WindowMap:
         weights = (1.0 / sigmas) ** 2
         weights[:RANGE_OFFSET] = 0.0  # the position's prior is flat (paper, section IV-A)
         centre = np.array(mean)
-        centre[RANGE_OFFSET : BEARING_OFFSET + 1] = 0.0
+        centre[RANGE_OFFSET] = filter_params.range_offset_m
+        centre[BEARING_OFFSET] = 0.0
         self.prior: tuple[Matrix, Vector] = (np.diag(weights), weights * centre)
         """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
         self.size = len(weights)
+        self._is_placed = bool(
+            filter_params.place_range_sigma_m + filter_params.place_bearing_sigma_deg
+        )
+        """Whether the radio is known for errors that stay with the place."""
+        self._reached: tuple[Matrix, Matrix, Vector] | None = None
+        """Rows, and what the radio's reach about their path says of the place."""
+        self.fields: Fields = ALL_WHITE
+        """What the last solution found of errors that stay with the place."""
 
     def expect(self, inflation: Inflation) -> None:
         """Hold the own position's error against bearings that are so much worse than thermal."""
         self._model = self._model._replace(bearing_inflation=inflation[BEARING])
+
+    def _count(self, fields: Fields) -> bool:
+        """Let measurements be worth what these fields leave of them; whether that is news."""
+        shares = shares_of(fields)
+        before = (self._model.range_share, self._model.direction_share)
+        self.fields = fields
+        self._model = self._model._replace(
+            range_share=shares[RANGE], direction_share=shares[BEARING]
+        )
+        return any(
+            abs(math.log(now / then)) > NEWS for now, then in zip(shares[:2], before, strict=True)
+        )
+
+    def _fields_of(self, rows: Matrix, mean: Vector) -> Fields:
+        """How far errors stay with the place, as the residuals at `mean` and the preset say."""
+        p = self._p
+        found: list[PlaceNoise | None] = [None, None, None]
+        scores = self.scores(rows, mean)
+        believed = (p.place_range_sigma_m, math.radians(p.place_bearing_sigma_deg))
+        for m in scores.measured:
+            sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
+            told = believed[min(m, BEARING)] / sigma
+            if told == 0.0 and scores.correlation(m) == 0.0:
+                continue
+            psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
+            deviation = told / math.hypot(1.0, told) or float(np.sqrt(np.nanmean(psi**2)))
+            belief = PlaceBelief(deviation, p.place_length_m, is_of_radio=told > 0.0)
+            H, slope = scores.part(m), scores.slopes[m]
+            prior = self._prior(rows, None)[0]
+            found[m] = place_noise(rows[:, :2], psi, H, slope, prior, belief)
+        # two components are one direction, with one share
+        worst = max((f.repetition for f in found[BEARING:] if f is not None), default=1.0)
+        directions = (None if f is None else replace(f, repetition=worst) for f in found[BEARING:])
+        return (found[RANGE], *directions)
 
     def optima(
         self,
@@ -236,6 +257,16 @@ class WindowMap:
         is_white: bool = False,
     ) -> list[Optimum]:
         """The distinct minima reached from states (k,), best first, `older` evidence counted in."""
+        found = self._minima(rows, starts, older)
+        if found and self._count(self._fields_of(rows, found[0][1])):
+            found = self._minima(rows, [mean for _, mean in found], older)
+        optima = (self._optimum(rows, mean, cost, older, is_white) for cost, mean in found)
+        return [optimum for optimum in optima if optimum is not None]
+
+    def _minima(
+        self, rows: Matrix, starts: Iterable[Vector], older: OlderEvidence | None
+    ) -> list[tuple[float, Vector]]:
+        """Costs and states of the distinct minima, the least first."""
         found: list[tuple[float, Vector]] = []
         for start in starts:
             solution = self.solve(rows, start, older)
@@ -245,14 +276,13 @@ class WindowMap:
             if all(math.dist(mean[:2], other[:2]) > SAME_PLACE_M for _, other in found):
                 found.append((cost, mean))
         found.sort(key=lambda pair: pair[0])
-        optima = (self._optimum(rows, mean, cost, older, is_white) for cost, mean in found)
-        return [optimum for optimum in optima if optimum is not None]
+        return found
 
     def solve(
         self, rows: Matrix, start: Vector, older: OlderEvidence | None = None
     ) -> tuple[Vector, float] | None:
         """The minimum that a start leads to, with its cost; None if it leads nowhere."""
-        information, pull = self._prior(older)
+        information, pull = self._prior(rows, older)
         try:
             with np.errstate(all="ignore"):
                 mean, cost = map_minimum(
@@ -323,17 +353,47 @@ class WindowMap:
         start[1] = north + distance_m * math.sin(direction_rad)
         return start
 
+    def _profiled_cost(
+        self, rows: Matrix, optimum: Vector, at: Vector, older: OlderEvidence | None
+    ) -> float:
+        """The least cost where the place is as far from an optimum as `at`, in that direction.
+
+        What lies across, and the other states, are solved again: a place held by a stiff prior in
+        one direction alone.
+        """
+        away = at[:2] - optimum[:2]
+        axis = np.zeros(self.size)
+        axis[:2] = away / max(float(np.hypot(*away)), 1e-9)
+        stiff = OlderEvidence.none(self.size)
+        held = STIFFNESS * np.outer(axis, axis)
+        if older is not None:
+            stiff = older
+        stiff = replace(stiff, information=stiff.information + held, pull=stiff.pull + held @ at)
+        solution = self.solve(rows, at, stiff)
+        place = at if solution is None else solution[0]
+        return min(self._cost(rows, place, older), self._cost(rows, at, older))
+
     def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
-        information, pull = self._prior(older)
+        information, pull = self._prior(rows, older)
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
             cost = map_cost(rows, mean, sigmas, self._thresholds, information, pull, self._model)
             return float(cost) + normaliser(rows, sigmas, self._model)
 
-    def _prior(self, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
-        if older is None:
-            return self.prior
-        return self.prior[0] + older.information, self.prior[1] + older.pull
+    def _prior(self, rows: Matrix, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
+        """Information and pull of all that is believed besides the rows, the radio's reach too."""
+        information, pull = self.prior
+        if older is not None:
+            information, pull = information + older.information, pull + older.pull
+        if self._p.reach_m is None:
+            return information, pull
+        if self._reached is None or self._reached[0] is not rows:
+            places = rows[:, :2]
+            weight = 1.0 / (self._p.reach_m**2 + 0.5 * float(places.var(axis=0).sum()))
+            near, towards = np.zeros((self.size, self.size)), np.zeros(self.size)
+            near[[0, 1], [0, 1]], towards[:2] = weight, weight * places.mean(axis=0)
+            self._reached = rows, near, towards
+        return information + self._reached[1], pull + self._reached[2]
 
     def _optimum(
         self, rows: Matrix, mean: Vector, cost: float, older: OlderEvidence | None, is_white: bool
@@ -346,18 +406,21 @@ class WindowMap:
         """
         scores = self.scores(rows, mean)
         try:
-            covariance, A, B = self._sandwich(scores, older, is_white)
+            covariance, A, B = self._sandwich(rows, scores, older, is_white)
             inflation = max(1.0, float(np.trace(B @ np.linalg.inv(A))) / len(mean))
             spread_m2 = float(np.trace(covariance[:2, :2]))
             for _ in range(MAX_BENDS):
                 bent = self.scores(rows, mean, spread_m2)
-                covariance, A, _ = self._sandwich(bent, older, is_white)
+                covariance, A, _ = self._sandwich(rows, bent, older, is_white)
                 before_m2, spread_m2 = spread_m2, float(np.trace(covariance[:2, :2]))
                 if spread_m2 <= BENT_RATIO * before_m2:
                     break
         except np.linalg.LinAlgError:
             return None
-        covariance = stretch_covariance(covariance, A, mean, lambda x: self._cost(rows, x, older))
+        cost_at = partial(self._cost, rows, older=older)
+        if self.fields != ALL_WHITE:
+            cost_at = partial(self._profiled_cost, rows, mean, older=older)
+        covariance = stretch_covariance(covariance, A, mean, cost_at)
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
         noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))
@@ -366,15 +429,20 @@ class WindowMap:
         )
 
     def _sandwich(
-        self, scores: Scores, older: OlderEvidence | None, is_white: bool
+        self, rows: Matrix, scores: Scores, older: OlderEvidence | None, is_white: bool
     ) -> tuple[Matrix, Matrix, Matrix]:
         """Covariance, curvature and variability of an optimum, each (k, k)."""
-        A = curvature(scores) + self._prior(older)[0]
-        fixed = self.prior[0] + (0.0 if older is None else older.variability)
+        A = curvature(scores, shares_of(self.fields)) + self._prior(rows, older)[0]
+        fixed = self._prior(rows, None)[0] + (0.0 if older is None else older.variability)
         A_inverse = np.asarray(np.linalg.inv(A))
-        repetition = scores.repetition
-        variabilities = [pooled_variability(scores, A_inverse, repetition) + fixed]
-        if not is_white or (repetition > 1.0).any():
-            variabilities.append(correlated_variability(scores) + fixed)
+        shares, repetition = shares_of(self.fields), scores.repetition
+        variabilities = []
+        if self.fields != ALL_WHITE:
+            variabilities.append(placed_variability(scores, self.fields, A_inverse) + fixed)
+        if not self._is_placed:
+            counted = repetition * np.square(shares)
+            variabilities.append(pooled_variability(scores, A_inverse, counted) + fixed)
+            if not is_white or (repetition > 1.0).any():
+                variabilities.append(correlated_variability(scores, shares) + fixed)
         pairs = [(covariance_of(A, B), A, B) for B in variabilities]
         return max(pairs, key=lambda pair: float(np.trace(pair[0][:2, :2])))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.window.map_kernels import map_cost, map_minimum, normal_equations
-from companion.estimation.window.window_map import (
+from companion.estimation.window.sandwich import (
     MIN_RISE_SHARE,
     STRETCHES,
     Cost,

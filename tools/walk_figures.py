@@ -1,0 +1,206 @@
+"""Recorded walks through the flying estimator: errors, states, and claims along the way.
+
+A claim is what the tracker says at each tenth of the measurements of a target. One of *localised*
+holds where the truth is within its R95. Where two places are stated, the error of the better one is
+told beside that of the best: which of them it is takes a walk to the side, and no statistics.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from companion.config.schema import load_config
+from companion.domain import EstimateState, TargetEstimate
+from companion.errors import ConfigError
+from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.replay.walk_replay import WalkRow, read_walk
+from tools.placed_walks import placed_cases, walks_of
+
+PRESETS = {
+    "rtt": "wifi_rtt",
+    "wsr": "wifi_aoa",
+    "plaza": "uwb_scaled",
+    "uwb": "uwb",
+}
+"""Preset by how the name of a recorded walk begins."""
+CLAIMS = 10
+"""Claims of a target along its walk."""
+CONFIGS = Path(__file__).resolve().parent.parent / "configs" / "companion"
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What was stated of a target at one time, beside the truth."""
+
+    state: EstimateState
+    error_m: float
+    better_error_m: float
+    """Of the better one of the places that are stated."""
+    r95_m: float
+
+    @classmethod
+    def of(cls, estimate: TargetEstimate, truth_enu_m: tuple[float, float]) -> Claim:
+        """An estimate beside the truth."""
+        error_m = better_m = math.dist(estimate.position_enu_m, truth_enu_m)
+        if estimate.alternative_enu_m is not None:
+            better_m = min(error_m, math.dist(estimate.alternative_enu_m, truth_enu_m))
+        return cls(estimate.state, error_m, better_m, estimate.r95_m)
+
+    @property
+    def is_localised(self) -> bool:
+        """Whether one place is claimed."""
+        return self.state is EstimateState.LOCALISED
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether the truth is within R95 of the estimate."""
+        return self.error_m <= self.r95_m
+
+    @property
+    def is_stated(self) -> bool:
+        """Whether the truth is within R95 of one of the places."""
+        return self.better_error_m <= self.r95_m
+
+
+@dataclass(slots=True)
+class TargetClaims:
+    """One target of a recorded walk."""
+
+    walk: str
+    target_id: str
+    measurements: int
+    along: list[Claim] = field(default_factory=list)
+    final: Claim | None = None
+    seconds: float = 0.0
+    """Of processor time, for all measurements."""
+
+
+def preset_of(path: Path) -> TrackerParams:
+    """The estimation of the preset that a walk of this name is replayed with."""
+    return load_config(CONFIGS / f"{name_of_preset(path)}.yaml").estimation
+
+
+def name_of_preset(path: Path) -> str:
+    """The preset that is meant for a walk of this name; a ConfigError where none is."""
+    for prefix, name in PRESETS.items():
+        if path.stem.startswith(prefix):
+            return name
+    known = ", ".join(PRESETS)
+    raise ConfigError(f"{path}: its name begins with none of {known}: no preset is meant for it")
+
+
+def walks_in(folder: Path) -> list[Path]:
+    """The recorded walks of a folder; a ConfigError where there are none."""
+    paths = sorted(folder.glob("*.csv"))
+    if not paths:
+        raise ConfigError(f"{folder}: no recorded walk (*.csv) in it")
+    return paths
+
+
+def claims_of(path: Path, params: TrackerParams) -> list[TargetClaims]:
+    """All targets of a walk whose truth is known, one after the other."""
+    targets: dict[str, list[WalkRow]] = {}
+    for row in read_walk(path):
+        if row.truth_enu_m is not None:
+            targets.setdefault(row.target_id, []).append(row)
+    return [replayed(path.stem, rows, params) for rows in targets.values()]
+
+
+def replayed(walk: str, rows: Sequence[WalkRow], params: TrackerParams) -> TargetClaims:
+    """One target's measurements through a tracker, with its claims."""
+    tracker = TargetTracker(params, rows[0].measurement.emitter_id)
+    found = TargetClaims(walk, rows[0].target_id, len(rows))
+    due = {len(rows) * (index + 1) // CLAIMS for index in range(CLAIMS)}
+    began_s = time.process_time()
+    for count, row in enumerate(rows, 1):
+        now_s = row.measurement.measured_at_s
+        tracker.fuse(row.measurement, row.agent_enu_m, now_s)
+        estimate = tracker.estimate(now_s) if count in due else None
+        if estimate is not None and row.truth_enu_m is not None:
+            found.along.append(Claim.of(estimate, row.truth_enu_m))
+    found.seconds = time.process_time() - began_s
+    if params.window.enabled:
+        tracker.optimize(params.window.starts)
+    last = rows[-1]
+    estimate = tracker.estimate(last.measurement.measured_at_s)
+    if estimate is not None and last.truth_enu_m is not None:
+        found.final = Claim.of(estimate, last.truth_enu_m)
+    return found
+
+
+def quantile(values: Iterable[float], share: float) -> float:
+    """A quantile, linear between neighbours; NaN of nothing."""
+    found = list(values)
+    return float(np.quantile(found, share)) if found else math.nan
+
+
+def share_of(claims: Sequence[Claim], holds: Callable[[Claim], bool]) -> str:
+    """How many of so many."""
+    return f"{sum(map(holds, claims))}/{len(claims)}"
+
+
+def pooled_lines(name: str, targets: Sequence[TargetClaims]) -> list[str]:
+    """The figures of targets taken together, as lines of text."""
+    finals = [target.final for target in targets if target.final is not None]
+    along = [claim for target in targets for claim in target.along]
+    errors, better = [c.error_m for c in finals], [c.better_error_m for c in finals]
+    count = sum(target.measurements for target in targets)
+    cost_ms = 1000.0 * sum(target.seconds for target in targets) / count
+    lines = [
+        f"{name}: {len(targets)} targets, {count} measurements, {cost_ms:.2f} ms each",
+        f"  final error, m          median {quantile(errors, 0.5):6.2f}  "
+        f"90 % {quantile(errors, 0.9):6.2f}",
+        f"  better stated place, m  median {quantile(better, 0.5):6.2f}  "
+        f"90 % {quantile(better, 0.9):6.2f}",
+    ]
+    for when, claims in (("final", finals), ("along the way", along)):
+        for state in EstimateState:
+            of_state = [claim for claim in claims if claim.state is state]
+            if of_state:
+                lines.append(
+                    f"  {when}, {state.value}: {len(of_state)}/{len(claims)}, "
+                    f"inside R95 {share_of(of_state, lambda c: c.is_inside)}, "
+                    f"of a stated place {share_of(of_state, lambda c: c.is_stated)}"
+                )
+    return lines
+
+
+def target_line(target: TargetClaims) -> str:
+    """One target, its final claim, and its states along the way (capital: within R95)."""
+    letters = "".join(
+        claim.state.value[0].upper() if claim.is_stated else claim.state.value[0]
+        for claim in target.along
+    )
+    final = target.final
+    if final is None:
+        return f"    {target.walk} {target.target_id}: nothing"
+    return (
+        f"    {target.walk[:22]:22s} {target.target_id[:12]:12s} {target.measurements:5d} "
+        f"{final.state.value:10s} error {final.error_m:7.2f}  better {final.better_error_m:6.2f}  "
+        f"R95 {final.r95_m:7.2f}  {letters}"
+    )
+
+
+def walk_lines(folder: Path, placed: int, seed: int) -> list[str]:
+    """The figures of all recorded walks of a folder, and of `placed` invented ones of each kind."""
+    pooled: dict[str, list[TargetClaims]] = {}
+    lines: list[str] = []
+    for path in walks_in(folder):
+        found = claims_of(path, preset_of(path))
+        lines += [target_line(target) for target in found]
+        pooled.setdefault(name_of_preset(path), []).extend(found)
+    if placed:
+        params = load_config(CONFIGS / "wifi_rtt.yaml").estimation
+        for case in placed_cases():
+            walks = walks_of(case, range(seed, seed + placed))
+            found = [replayed(str(case), rows, params) for rows in walks]
+            pooled[f"invented, {case}"] = found
+    for name, targets in pooled.items():
+        lines += pooled_lines(name, targets)
+    return lines
