@@ -15,6 +15,7 @@ import argparse
 import asyncio
 import math
 import os
+import socket
 import statistics
 import subprocess
 import sys
@@ -31,7 +32,7 @@ from companion.config.schema import CompanionConfig  # noqa: E402
 from companion.entry import outlive_readers  # noqa: E402
 from companion.flight_setup import build_endpoint, radio_links  # noqa: E402
 from companion.guidance.commands import ReportResult, Severity  # noqa: E402
-from companion.io.child_process import free_udp_ports  # noqa: E402
+from companion.io.child_process import free_udp_port  # noqa: E402
 from companion.io.links.transports import UdpBind  # noqa: E402
 from companion.io.shell import Clock, Shell, TimerStatistics  # noqa: E402
 from companion.link.interface import VEHICLE_ONLY  # noqa: E402
@@ -82,8 +83,6 @@ class Mute:
 
 def bad_radio(port: int, word: str) -> None:
     """What the other process does until it is ended."""
-    import socket
-
     deadline_s = time.monotonic() + 10.0
     while True:
         try:
@@ -121,7 +120,9 @@ class Trial:
 
 def trial(decoder: str, word: str, seconds: float) -> Trial:
     """Run the companion beside one radio."""
-    vehicle_port, radio_port = free_udp_ports(2)
+    vehicle_port = free_udp_port()
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        radio_port = probe.getsockname()[1]
     radios = (RadioConfig(name=decoder, url=f"tcpin:127.0.0.1:{radio_port}"),)
     (link,) = radio_links(radios)
     endpoint = build_endpoint(CompanionConfig(radios=radios), Mute(), (*VEHICLE_ONLY, link.spec))
