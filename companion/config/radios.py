@@ -42,13 +42,21 @@ def radio_setup(radio: RadioConfig, place: str) -> RadioSetup:
     kind = radio_kind(radio.name)
     settings = {**kind.defaults, **radio.settings}
     try:
-        return RadioSetup(
+        setup = RadioSetup(
             kind,
             record_within(settings, RadioSettings, "settings"),
             record_within(radio.options, kind.decoder.Options, "options"),
         )
     except ValueError as error:
         raise ConfigError(f"{place}: {error}") from None
+    try:
+        kind.decoder(setup.options)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ConfigError(f"{place}: its decoder cannot be made ({reason})") from error
+    return setup
 
 
 def parse_radio_option(text: str, configured: RadioConfig | None = None) -> RadioConfig:

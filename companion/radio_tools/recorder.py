@@ -16,6 +16,7 @@ from pathlib import Path
 
 from companion.config.schema import CompanionConfig
 from companion.domain import Attitude, VehicleState
+from companion.errors import ConfigError, LinkError
 from companion.flight_setup import radio_links
 from companion.guidance.events import Event, OriginSet, OwnPlaceRated, VehicleMoved, YawMeasured
 from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
@@ -205,7 +206,12 @@ def record_radios(
     vehicle: FlightLink | None,
     duration_s: float | None,
 ) -> Recorded:
-    """Record the radios of `config` until asked to stop; raises what opening links raises."""
+    """Record the radios of `config` until asked to stop; raises what opening links raises.
+
+    A file that is there already is a `ConfigError`: it may be what somebody flew an hour for.
+    """
+    if path.exists():
+        raise ConfigError(f"{path}: is there already; delete it, or choose another name")
     links = [*([] if vehicle is None else [vehicle]), *radio_links(config.radios)]
     radios = tuple(
         RecordedRadio(
@@ -223,7 +229,11 @@ def record_radios(
         header = RecordingHeader(started_unix_s=time.time() - clock.now_s(), radios=radios)
         writer = stack.enter_context(RadioRecordingWriter(path, header))
         endpoint = RecordingEndpoint(writer, listener, duration_s)
-        Shell(endpoint, [link.transport for link in links], clock).run_blocking()
+        try:
+            Shell(endpoint, [link.transport for link in links], clock).run_blocking()
+        except LinkError:
+            path.unlink(missing_ok=True)
+            raise
     return Recorded(**endpoint.counts)
 
 

@@ -13,7 +13,9 @@ from companion.config.radios import (
     replayed_radios,
 )
 from companion.config.schema import CompanionConfig, with_radios
+from companion.domain import Params
 from companion.errors import ConfigError
+from companion.radios.decoder import RadioDecoder, RadioKind, RadioReading
 
 FILE = """
 radios:
@@ -55,6 +57,25 @@ def test_a_wrong_option_of_the_format_is_named_by_its_path() -> None:
     radio = RadioConfig(name="ndjson", options={"volume": 3})
     with pytest.raises(ConfigError, match=r"^radios\[1\]: options.volume: unknown key"):
         radio_setup(radio, "radios[1]")
+
+
+class Stubborn(RadioDecoder):
+    """A plugin's, which fails where it should only be made."""
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        raise IndexError("no antenna")
+
+    def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
+        del data, received_s
+        return []
+
+
+def test_a_decoder_that_cannot_be_made_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = RadioKind("stubborn", Stubborn, "", "range", "", "udp")
+    monkeypatch.setattr("companion.config.radios.radio_kind", lambda _: kind)
+    with pytest.raises(ConfigError, match=r"^radios\[0\]: .*IndexError: no antenna"):
+        radio_setup(RadioConfig(name="stubborn"), "radios[0]")
 
 
 def test_an_unknown_radio_is_refused_when_it_is_chosen() -> None:

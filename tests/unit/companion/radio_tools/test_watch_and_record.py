@@ -212,3 +212,16 @@ def test_a_broken_plugin_that_is_not_chosen_hurts_nobody(
     said = capsys.readouterr().out.splitlines()
     assert any(text.startswith("ndjson ") for text in said)
     assert said[-1].startswith("broken: radio sonar")
+
+
+def test_a_recording_is_never_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "radio.jsonl"
+    words = ["radio", "record", str(path), "--radio", "ndjson@/dev/ttyNOWHERE"]
+    assert main(words) == 2
+    assert not path.exists()
+    path.write_text("precious")
+    assert main(words) == 2
+    assert path.read_text() == "precious"
+    assert "is there already" in capsys.readouterr().err
