@@ -22,6 +22,8 @@ NO_PATHS = {"companion/doctor"}
 OF_OTHERS = {
     "test_own.py",
     "my_radio.py",
+    "companion_acme.py",
+    "test_companion_acme.py",
     "acme-radio/acme_radio.py",
     "acme-radio/pyproject.toml",
     "conftest.py",
