@@ -24,8 +24,6 @@ OF_OTHERS = {
     "my_radio.py",
     "companion_acme.py",
     "test_companion_acme.py",
-    "acme-radio/acme_radio.py",
-    "acme-radio/pyproject.toml",
     "conftest.py",
     "test_search.py",
     "mavproxy.py",
