@@ -233,8 +233,11 @@ def _waves_told(sense: BearingSense, covered: float, view_rad: float, *, has_cir
     return Waves(has_angle, has_angle and has_circle)
 
 
-def core_sigma(errors: Vector, labels: Labels) -> tuple[Figure, float]:
-    """Standard deviation of a normal core, and the share of errors from anywhere, by EM."""
+def core_sigma(errors: Vector, groups: list[Labels]) -> tuple[Figure, float]:
+    """Standard deviation of a normal core, and the share of errors from anywhere, by EM.
+
+    Its interval is the widest by the groups that errors may have something in common in.
+    """
     sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), LEAST_SIGMA_RAD)
     share, anywhere = 0.05, 1.0 / max(2.0 * float(np.max(np.abs(errors))), 12.0 * sigma)
     core = np.ones(len(errors))
@@ -243,7 +246,9 @@ def core_sigma(errors: Vector, labels: Labels) -> tuple[Figure, float]:
         core = (1.0 - share) * density / ((1.0 - share) * density + share * anywhere)
         share = min(max(1.0 - float(core.mean()), 1e-4), 0.5)
         sigma = max(math.sqrt(float(np.sum(core * errors**2) / core.sum())), LEAST_SIGMA_RAD)
-    variance = ratio_figure(sums_of(core * errors**2, labels), sums_of(core, labels))
+    squares = core * errors**2
+    told = [ratio_figure(sums_of(squares, by), sums_of(core, by)) for by in groups]
+    variance = max(told, key=lambda figure: figure.half_width)
     low, high = math.sqrt(max(variance.low, 0.0)), math.sqrt(variance.high)
     return Figure(sigma, low, high), share
 
@@ -276,7 +281,9 @@ def fit_bearings(
     errors = problem.errors(mount, lag)
     amplitudes = [float(math.hypot(*fit.beta[i : i + 2])) for i in range(2, len(fit.beta), 2)]
     labels = _sectors(problem, mount, lag)
-    sigma, gross = core_sigma(errors, labels // max(1, (int(labels.max()) + 1) // SECTORS))
+    wider = labels // max(1, (int(labels.max()) + 1) // SECTORS)
+    pieces = _numbered(np.floor(problem.times_s / (4.0 * PIECE_S)))
+    sigma, gross = core_sigma(errors, [labels, wider, pieces])
     lag_sigma = math.sqrt(float(fit.covariance[1, 1])) if lag_s is None else math.inf
     return BearingFit(
         sense=sense,
