@@ -172,13 +172,15 @@ class MotionWatch:
 
 def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | None:
     """How a target believed to lie at `mean` (k,) walks, if it does; rows end with their time."""
-    still, walk = _Still(window_map, rows), _Walk(window_map, rows)
+    still, walk = window_map.solve(rows, mean), _Walk(window_map, rows)
+    if still is None:
+        return None
     try:
         with np.errstate(all="ignore"):
-            place = np.concatenate([still.minimum(mean), np.zeros(2)])
+            place = np.concatenate([still[0], np.zeros(2)])
             if not walk.may_begin(place):
                 return None
-            walking = walk.minimum(place)
+            walking = walk.minimum(np.concatenate([mean, np.zeros(2)]))
             covariance, inflation = walk.covariance(walking)
             velocity = walking[-2:]
             significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
@@ -190,18 +192,29 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | Non
     return Motion(velocity_mps=velocity, significance=min(fall, significance))
 
 
-class _Still:
-    """The window's problem for states of a target that lies still."""
+class _Walk:
+    """The window's problem for states [..., east velocity, north velocity], placed at the end."""
 
     def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
         self._map = window_map
         self._rows = rows
-        self._information, self._pull = window_map.prior
-        self._bounds = window_map.bounds
+        self._age_s = rows[:, SEQUENCE] - rows[:, SEQUENCE].max()
+        information, pull = window_map.prior
+        size = len(pull)
+        self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
+        self._information[:size, :size] = information
+        self._pull = np.concatenate([pull, np.zeros(2)])
+        free = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+        self._bounds = np.hstack([window_map.bounds, free])
 
     def scores(self, state: Vector) -> Scores:
-        """The problem linearised at a state."""
-        return self._map.scores(self._rows, state)
+        """The problem linearised at a state: seen from a target that walks, the sensor does."""
+        rows = np.array(self._rows)
+        rows[:, :2] -= self._age_s[:, None] * state[-2:]
+        scores = self._map.scores(rows, state[:-2])
+        by_velocity = scores.H[:, :2] * np.tile(self._age_s, 3)[:, None]
+        H = np.concatenate([scores.H, by_velocity], axis=1)
+        return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
 
     def cost(self, state: Vector) -> float:
         """The objective at a state."""
@@ -241,30 +254,6 @@ class _Still:
         weight = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
         A = (scores.H.T * weight) @ scores.H + self._information
         return A, scores.H.T @ psi + self._pull - self._information @ state
-
-
-class _Walk(_Still):
-    """The same for states [..., east velocity, north velocity], with the place at the end."""
-
-    def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
-        super().__init__(window_map, rows)
-        self._age_s = rows[:, SEQUENCE] - rows[:, SEQUENCE].max()
-        information, pull = window_map.prior
-        size = len(pull)
-        self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
-        self._information[:size, :size] = information
-        self._pull = np.concatenate([pull, np.zeros(2)])
-        free = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
-        self._bounds = np.hstack([window_map.bounds, free])
-
-    def scores(self, state: Vector) -> Scores:
-        """The problem linearised at a state: seen from a target that walks, the sensor does."""
-        rows = np.array(self._rows)
-        rows[:, :2] -= self._age_s[:, None] * state[-2:]
-        scores = self._map.scores(rows, state[:-2])
-        by_velocity = scores.H[:, :2] * np.tile(self._age_s, 3)[:, None]
-        H = np.concatenate([scores.H, by_velocity], axis=1)
-        return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
 
     def may_begin(self, still: Vector) -> bool:
         """Whether a first step away from lying still, with white noise, is worth the second fit."""
