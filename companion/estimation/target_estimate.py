@@ -40,6 +40,8 @@ WANDER_SHARE = 0.4
 """How far the own place wanders within a search, as a share of its sigma, where that is told."""
 AMBIGUOUS_PROBABILITY = 0.05
 """A second hypothesis with at least this probability makes the estimate ambiguous."""
+LEAST_ASIDE_M = 10.0
+"""A walk to the side by less than this tells nothing."""
 MAX_AMBIGUOUS = 3
 """More distinct places than this is searching, not ambiguous."""
 
@@ -87,6 +89,18 @@ def estimate_of(
         absolute_r95_m=max(r95_m, _r95_m(hypotheses, weights, on_earth)),
         settled_r95_m=settled_m,
     )
+
+
+def aside_of_m(estimate: TargetEstimate) -> float | None:
+    """How far off its line the sensor should go to tell two places apart; None: there is one.
+
+    Mirror images are as far from a line as each other. From a few metres aside, a quarter of what
+    parts them, one is nearer by more than ranges are wrong by.
+    """
+    other = estimate.alternative_enu_m
+    if other is None:
+        return None
+    return max(LEAST_ASIDE_M, 0.25 * math.dist(estimate.position_enu_m, other))
 
 
 def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix:

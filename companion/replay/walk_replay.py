@@ -16,6 +16,7 @@ from pathlib import Path
 
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
 from companion.errors import ConfigError
+from companion.estimation.target_estimate import aside_of_m
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.sandwich import Observability
 
@@ -220,7 +221,8 @@ def table(results: list[TargetResult]) -> str:
         )
         if estimate is not None and estimate.alternative_enu_m is not None:
             east, north = estimate.alternative_enu_m
-            lines.append(f"{'':<27}  {'or':<10} {east:9.2f} {north:9.2f}")
+            hint = f"walk {aside_of_m(estimate):.0f} m to the side to tell"
+            lines.append(f"{'':<27}  {'or':<10} {east:9.2f} {north:9.2f}  {hint}")
     errors = sorted(result.error_m for result in results if result.error_m is not None)
     if errors:
         middle = 0.5 * (errors[(len(errors) - 1) // 2] + errors[len(errors) // 2])

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint
 from companion.estimation.antenna import ABOUT_VERTICAL, antenna_axes_enu
+from companion.estimation.target_estimate import aside_of_m
 from companion.geometry.coordinates import combined
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
@@ -135,11 +136,17 @@ def _met_on_ground(place: PositionEnu, ray: PositionEnu, height_m: float) -> Poi
     return (east + share * e, north + share * n)
 
 
+def _words(estimate: TargetEstimate) -> str:
+    """The state in words, and what would resolve it."""
+    words, aside_m = ESTIMATE_WORDS[estimate.state], aside_of_m(estimate)
+    return words if aside_m is None else f"{words}: go {aside_m:.0f} m to the side"
+
+
 def _estimate(estimate: TargetEstimate) -> Json:
     ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
     return {
         "state": estimate.state.value,
-        "words": ESTIMATE_WORDS[estimate.state],
+        "words": _words(estimate),
         "place": estimate.position_enu_m,
         "ellipse": ellipse.corners_enu_m(),
         "r95_m": estimate.r95_m,
@@ -154,7 +161,7 @@ def _estimate(estimate: TargetEstimate) -> Json:
 
 def _emitter(emitter: EmitterStatus) -> Json:
     estimate = emitter.estimate
-    words = "not heard" if estimate is None else ESTIMATE_WORDS[estimate.state]
+    words = "not heard" if estimate is None else _words(estimate)
     if emitter.is_reported:
         words = f"reported, {words}"
     elif not emitter.is_current:

@@ -439,7 +439,7 @@ class WindowMap:
         variabilities = []
         if self.fields != ALL_WHITE:
             variabilities.append(placed_variability(scores, self.fields, A_inverse) + fixed)
-        if not self._is_placed:
+        if not (self._is_placed and variabilities):
             counted = repetition * np.square(shares)
             variabilities.append(pooled_variability(scores, A_inverse, counted) + fixed)
             if not is_white or (repetition > 1.0).any():

@@ -14,6 +14,7 @@ from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.target_estimate import (
     AMBIGUOUS_PROBABILITY,
     MAX_AMBIGUOUS,
+    aside_of_m,
     estimate_of,
     position_covariance_m2,
 )
@@ -183,3 +184,10 @@ def test_a_receiver_that_wanders_widens_r95_and_not_what_stops_the_search(
     else:
         assert wandering.r95_m == still.r95_m
     assert wandering.absolute_r95_m >= wandering.r95_m
+
+
+def test_of_two_places_it_is_told_how_far_to_the_side_decides() -> None:
+    assert aside_of_m(_told(_hypothesis())) is None
+    near, far = (_hypothesis(east, 0.5) for east in (6.0, 80.0))
+    assert aside_of_m(_told(_hypothesis(probability=0.5), near)) == 10.0
+    assert aside_of_m(_told(_hypothesis(probability=0.5), far)) == pytest.approx(20.0)

@@ -95,6 +95,11 @@ def test_parallel_bearings_name_a_place_within_reach() -> None:
     assert abs(near[0].mean[1]) < 200.0
 
 
+def test_bearings_are_fused_where_only_ranges_are_known_to_keep_errors_in_places() -> None:
+    rows = walk(np.random.default_rng(6), 60, ranges=False)
+    assert WindowMap(params(place_range_sigma_m=0.5)).optima(rows, [START])
+
+
 def claims(path: str, length_m: float, seeds: range) -> list[TargetClaims]:
     """What is claimed on invented walks."""
     case = PlacedCase(path, length_m)  # type: ignore[arg-type]
