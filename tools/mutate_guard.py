@@ -34,7 +34,8 @@ from tools.mutants import Mutant, mutants_of
 ROOT = Path(__file__).resolve().parent.parent
 EQUIVALENTS = ROOT / "tools" / "mutate_guard_equivalents.txt"
 MOST_EQUIVALENTS = 3
-TIMEOUT_S = 120
+TIMEOUT_S = 120.0
+"""Of the processor's time, so that nobody is killed because the machine is busy."""
 MEMORY_BYTES = 4 << 30
 PROFILE = "first-example-will-do"
 PYTEST = (
@@ -72,7 +73,7 @@ def start(tests: Sequence[str], module: str = "", tree: ast.Module | None = None
     if pid:
         return pid
     try:
-        signal.alarm(TIMEOUT_S)
+        signal.setitimer(signal.ITIMER_PROF, TIMEOUT_S)
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
         null = os.open(os.devnull, os.O_RDWR)
         for descriptor in (0, 1, 2):

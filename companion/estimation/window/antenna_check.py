@@ -13,8 +13,10 @@ with them, so that reflections weigh little and no noise needs to be known:
 
 with u the whitened residuals; ranges add their robust loss. An antenna is taken for another when
 the difference of the costs is `DECIDED`, and more than `DECIDED_SIGMAS` of what the noise that was
-drawn makes of it, the repetition of neighbours counted. Until then the planar array is believed,
-which promises the least.
+drawn makes of it, the repetition of neighbours counted: from each of the others. Until then the
+planar array is believed, which promises the least. An angle beyond a right one refutes a line at
+once. Bearings that are good right above prove an azimuth for good, shadows and reflections only
+spoil them: so an azimuth is given up when more speaks against it than ever did for it.
 
 Source: Q. H. Vuong, Econometrica 57 (1989), for models that need not be true.
 """
@@ -87,6 +89,8 @@ class AntennaCheck:
         self.taken: Candidate = "planar"
         self.is_shown = False
         """Whether the bearings show that they are no azimuth, or an azimuth."""
+        self._azimuth_gain = 0.0
+        """By how much an azimuth that is taken was better than the next, at the most."""
         self._solutions = 0
 
     @property
@@ -100,26 +104,42 @@ class AntennaCheck:
         The rows are those of a planar array, each with its printed angle.
         """
         self._solutions += 1
-        printed_rad = rows[:, VALUES + BEARING]
-        is_due = not self.is_shown or self._solutions % EVERY == 0
-        if not is_due or np.count_nonzero(~np.isnan(printed_rad)) < MIN_BEARINGS:
-            return False
-        found: dict[Candidate, Explained] = {}
-        for kind in CANDIDATES:
-            if kind == "line" and np.nanmax(np.abs(printed_rad)) > 0.5 * math.pi:
-                continue
-            explained = self._explained(kind, rows, mean, inflation)
-            if explained is not None:
-                found[kind] = explained
         before = self.taken
-        if before not in found:
-            return False
-        best = min(found, key=lambda kind: found[kind].cost)
-        if is_decided(found[before], found[best]):
-            self.taken = best
-        others = [found[kind] for kind in found if kind != self.taken]
-        self.is_shown = bool(others) and all(is_decided(o, found[self.taken]) for o in others)
+        printed_rad = rows[:, VALUES + BEARING]
+        is_borne = ~np.isnan(printed_rad)
+        is_no_line = bool(np.any(np.abs(printed_rad[is_borne]) > 0.5 * math.pi))
+        if is_no_line and before == "line":
+            self._take("planar", is_shown=False)
+        is_due = not self.is_shown or self._solutions % EVERY == 0
+        if is_due and np.count_nonzero(is_borne) >= MIN_BEARINGS:
+            found: dict[Candidate, Explained] = {}
+            for kind in CANDIDATES:
+                if kind != "line" or not is_no_line:
+                    explained = self._explained(kind, rows, mean, inflation)
+                    if explained is not None:
+                        found[kind] = explained
+            if self.taken in found:
+                self._judge(found)
         return self.taken != before
+
+    def _judge(self, found: dict[Candidate, Explained]) -> None:
+        """Take the best, if it is better than each of the others beyond doubt."""
+        best = min(found, key=lambda kind: found[kind].cost)
+        others = [found[kind] for kind in found if kind != best]
+        is_shown = bool(others) and all(is_decided(other, found[best]) for other in others)
+        gain = min((other.cost for other in others), default=0.0) - found[best].cost
+        if best != self.taken:
+            if not is_shown or gain < self._azimuth_gain + DECIDED:
+                self.is_shown = False
+                return
+            self._take(best, is_shown=True)
+        self.is_shown = is_shown
+        if best == "azimuth" and is_shown:
+            self._azimuth_gain = max(self._azimuth_gain, gain)
+
+    def _take(self, kind: Candidate, *, is_shown: bool) -> None:
+        self.taken, self.is_shown = kind, is_shown
+        self._azimuth_gain = 0.0
 
     def _explained(
         self, kind: Candidate, rows: Matrix, mean: Vector, inflation: Inflation

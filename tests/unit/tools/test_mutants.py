@@ -96,6 +96,24 @@ def test_a_mutant_is_run_and_its_verdict_written(tmp_path: Path) -> None:
     assert json.loads(report.read_text())["killed"] == 1
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("body", "passes"), [("time.sleep(4.0)", True), ("while True:\n        pass", False)]
+)
+def test_tests_end_by_the_processors_time_so_that_a_busy_machine_kills_no_mutant(
+    tmp_path: Path, body: str, passes: bool
+) -> None:
+    tests = tmp_path / "test_it.py"
+    tests.write_text(f"import time\n\ndef test_it():\n    {body}\n")
+    code = (
+        "from tools import mutate_guard as it\n"
+        "it.preload()\nit.TIMEOUT_S = 3\n"
+        f"raise SystemExit(not it.passes([{str(tests)!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=300)
+    assert (done.returncode == 0) == passes
+
+
 @pytest.mark.parametrize("path", ["companion/none.py", "/etc", "companion/guard/__pycache__"])
 def test_a_path_without_a_module_is_refused(path: str) -> None:
     command = [sys.executable, "-m", "tools.mutate_guard", path]

@@ -95,12 +95,33 @@ def test_reflections_do_not_make_an_azimuth_of_a_planar_array() -> None:
     assert check.taken == "planar"
 
 
-def test_what_was_found_is_given_up_when_the_bearings_show_another() -> None:
+def test_an_azimuth_is_given_up_when_more_speaks_against_it_than_spoke_for_it() -> None:
     check = looked("azimuth", 4, legs())
-    rows = printed("planar", legs(), np.random.default_rng(5))
+    rows = printed("planar", legs(count=240), np.random.default_rng(5))
     changes = [check.look(rows, TARGET, NO_INFLATION) for _ in range(4)]
     assert changes.count(True) == 1
     assert check.taken == "planar"
+
+
+def test_an_azimuth_that_was_shown_outlives_bearings_that_are_spoilt() -> None:
+    check = looked("azimuth", 4, legs())
+    # where each antenna would be taken for a planar array's, had nothing been seen before
+    rows = printed("planar", legs(count=60), np.random.default_rng(5))
+    fresh = AntennaCheck(with_antenna(PARAMS, "planar"))
+    fresh.look(rows, TARGET, NO_INFLATION)
+    assert (fresh.taken, fresh.is_shown) == ("planar", True)
+    assert [check.look(rows, TARGET, NO_INFLATION) for _ in range(8)] == [False] * 8
+    assert (check.taken, check.is_shown) == ("azimuth", False)
+
+
+def test_a_line_is_given_up_at_an_angle_that_none_prints() -> None:
+    check = looked("line", 4, legs())
+    assert check.taken == "line"
+    rows = printed("azimuth", legs(), np.random.default_rng(5))
+    rows[0, 4] = 2.0
+    changes = [check.look(rows, TARGET, NO_INFLATION) for _ in range(4)]
+    assert changes[0]
+    assert check.taken == "azimuth"
 
 
 @pytest.mark.parametrize(
