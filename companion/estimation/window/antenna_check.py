@@ -130,7 +130,7 @@ class AntennaCheck:
         gain = min((other.cost for other in others), default=0.0) - found[best].cost
         if best != self.taken:
             if not is_shown or gain < self._azimuth_gain + DECIDED:
-                self.is_shown = False
+                self.is_shown = self._azimuth_gain > 0.0
                 return
             self._take(best, is_shown=True)
         self.is_shown = is_shown
