@@ -99,8 +99,8 @@ class FrameSplitter:
     def _keep_unknown(
         self, buffer: bytes, guesses: list[tuple[int, int]], taken: list[tuple[int, int]]
     ) -> int:
-        """Keep the guesses that are likely frames; where the last of them ends."""
-        free_from = 0
+        """Keep those of one or more guesses that are likely frames; where the last one ends."""
+        free_from = guesses[0][0]
         good_ends = [end for _, end in taken]
         for start, end in guesses:
             if message_id(buffer[start:end]) in self._crc_extra_by_id:
