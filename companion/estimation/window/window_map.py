@@ -242,7 +242,9 @@ class WindowMap:
             belief = PlaceBelief(deviation, p.place_length_m, is_of_radio=told > 0.0)
             H, slope = scores.part(m), scores.slopes[m]
             prior = self._prior(rows, None)[0]
-            found[m] = place_noise(rows[:, :2], psi, H, slope, prior, belief)
+            noise = place_noise(rows[:, :2], psi, H, slope, prior, belief)
+            # what looks like it may be a target that is elsewhere now: its votes must count
+            found[m] = noise if told > 0.0 else replace(noise, repetition=1.0)
         # two components are one direction, with one share
         worst = max((f.repetition for f in found[BEARING:] if f is not None), default=1.0)
         directions = (None if f is None else replace(f, repetition=worst) for f in found[BEARING:])

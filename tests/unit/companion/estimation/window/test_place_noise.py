@@ -89,7 +89,8 @@ def test_parallel_bearings_name_a_place_within_reach() -> None:
     rows = walk(np.random.default_rng(5), 60, ranges=False, straight=True)
     rows[:, 4] = 0.5 * np.pi
     far = WindowMap(params()).optima(rows, [START])
-    near = WindowMap(params(reach_m=20.0)).optima(rows, [START])
+    believed = params(reach_m=20.0, place_bearing_sigma_deg=5.0)
+    near = WindowMap(believed).optima(rows, [START])
     assert not far or abs(far[0].mean[1]) > 200.0
     assert len(near) == 1
     assert abs(near[0].mean[1]) < 200.0
