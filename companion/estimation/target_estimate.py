@@ -5,9 +5,9 @@ relative, that is in the vehicle's own frame, and decides about the state. The a
 the error of the vehicle's own place in, the same one for every hypothesis: each covariance grows by
 its variance on both axes.
 
-That error does not stand still. A receiver's wanders by sqrt(2 T / tau) of its sigma in a time T,
-so that the frame in which a search of some 40 s has its mean is not the one that the vehicle flies
-in at its end: with tau from 100 to 300 s they are a third to a half of the told sigma apart.
+That error does not stand still, so that the frame in which a search has its mean is not the one
+that the vehicle flies in at its end (`shared_errors`). Nothing that is measured shows it, and so it
+counts in both radii, and not in the one that the search waits for.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from companion.domain import UNTOLD, EstimateState, OwnAccuracy, TargetEstimate
+from companion.domain import EstimateState, TargetEstimate
 from companion.estimation.hypotheses import Hypothesis, probabilities
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET, RangingModel
+from companion.estimation.window.shared_errors import NO_ERRORS, SharedErrors
 from companion.kernel import Matrix, Vector
 
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
@@ -36,8 +37,6 @@ R95_MAX_STEPS = 20
 _PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
 _COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
 
-WANDER_SHARE = 0.4
-"""How far the own place wanders within a search, as a share of its sigma, where that is told."""
 AMBIGUOUS_PROBABILITY = 0.05
 """A second hypothesis with at least this probability makes the estimate ambiguous."""
 LEAST_ASIDE_M = 10.0
@@ -54,17 +53,17 @@ def estimate_of(
     now_s: float,
     *,
     is_diverged: bool,
-    own: OwnAccuracy = UNTOLD,
+    shared: SharedErrors = NO_ERRORS,
 ) -> TargetEstimate:
     """What hypotheses, best first, add up to; `is_diverged`: the filter was started anew lately."""
-    weights, best = probabilities(hypotheses), hypotheses[0]
-    covariances = [position_covariance_m2(h, model.own_sigma_m) for h in hypotheses]
+    weights, best, own = probabilities(hypotheses), hypotheses[0], shared.own
+    covariances = [
+        position_covariance_m2(h, model.own_sigma_m) + shared.lasting for h in hypotheses
+    ]
     settled_m = r95_m = _r95_m(hypotheses, weights, covariances)
-    wander_m = WANDER_SHARE * own.horizontal_m if own.is_told else 0.0
-    more_m2 = wander_m**2 - model.own_sigma_m**2
-    if more_m2 > 0.0:  # beyond what is counted anyway
-        wandered = [covariance + more_m2 * np.eye(2) for covariance in covariances]
-        r95_m = max(settled_m, _r95_m(hypotheses, weights, wandered))
+    if shared.wander.any():
+        covariances = [covariance + shared.wander for covariance in covariances]
+        r95_m = max(settled_m, _r95_m(hypotheses, weights, covariances))
     state = EstimateState.DIVERGED if is_diverged else _state(weights, settled_m, localised_r95_m)
     is_ambiguous = state is EstimateState.AMBIGUOUS
     mean, P = best.state.mean, best.state.covariance

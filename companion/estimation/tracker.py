@@ -43,7 +43,7 @@ from companion.estimation.hypotheses import (
 )
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
-from companion.estimation.measurement_model import BEARING, RANGE, target_height_m
+from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE, target_height_m
 from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.noise.innovations import InnovationNoise, NoiseLearner, TrackerHealth
 from companion.estimation.screening.measurement_screen import (
@@ -55,7 +55,14 @@ from companion.estimation.screening.measurement_screen import (
 from companion.estimation.target_estimate import estimate_of
 from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import WindowOptimizer
+from companion.estimation.window.shared_errors import NO_ERRORS, SharedSigmas
 from companion.estimation.window.window_map import WindowParams
+
+UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
+"""What is not known of the ground's height and of a radio's stamps where nothing is configured."""
+OPTIMISM, CORRECTED_M = 1.5, 0.5
+"""Receivers know nothing of their reflections, and tell too little, those with corrections apart,
+which are better than this."""
 
 
 class TrackerParams(Params, frozen=True):
@@ -134,6 +141,7 @@ class TargetTracker:
         self._filter = filter_of(params.kind, believed)
         kept_as = None if self.antenna is None else self._filter.params
         self._optimizer = WindowOptimizer(self._filter.params, params.window, kept_as)
+        self._shared = NO_ERRORS
         self._noise = InnovationNoise.starting(params.initial_inflation)
         self._learner: NoiseLearner | None = None
         if params.adaptation is not None:
@@ -193,7 +201,7 @@ class TargetTracker:
         self.watch.add(measurement.measured_at_s, params.seen(measurement, sensor_enu_m))
         is_white = self._noise.is_white
         if not self.hypotheses:
-            self._optimizer.add(row, (), is_white=is_white)
+            self._optimizer.add(row, (), is_white=is_white, time_s=measurement.measured_at_s)
             self._start(measurement, sensor_enu_m)
             self.integrity.begin(measurement)
             return FusionReport(None)
@@ -218,7 +226,8 @@ class TargetTracker:
             if not bank.reports:
                 return self._restart(measurement, sensor_enu_m)
             row = self._optimizer.kept_as.seen(passed, sensor_enu_m)
-        self._optimizer.add(row, self.hypotheses, is_white=is_white)
+        at_s = measurement.measured_at_s
+        self._optimizer.add(row, self.hypotheses, is_white=is_white, time_s=at_s)
         several = len(bank.hypotheses) > 1
         self.hypotheses = consolidated(bank.hypotheses) if several else bank.hypotheses
         self._noise = self._noise.after(bank.reports[0], params.thresholds)
@@ -267,6 +276,19 @@ class TargetTracker:
             is_white=self._noise.is_white,
             fresh_starts=fresh_starts,
         )
+        self._shared = self._optimizer.shared(self.hypotheses[0], self._shared_sigmas)
+
+    @property
+    def _shared_sigmas(self) -> SharedSigmas:
+        """What is not known of what all measurements share, as told or configured."""
+        params, own = self._filter.params, self.own or UNTOLD
+        if params.model.antenna == AZIMUTH and not own.is_told:
+            return SharedSigmas()  # the paper's world, in which places and heights are known
+        lag_s = params.stamp_lag_sigma_s
+        lag_s = (UNTOLD_LAG_S if self.antenna is not None else 0.0) if lag_s is None else lag_s
+        optimism = 1.0 if own.horizontal_m < CORRECTED_M or not own.is_told else OPTIMISM
+        height_m = UNTOLD_HEIGHT_M if self.antenna is not None else 0.0
+        return SharedSigmas(optimism * own.horizontal_m, height_m, lag_s)
 
     def reject(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that is not fused, or that the caller could not even offer."""
@@ -281,7 +303,7 @@ class TargetTracker:
         self.own = None
 
     def _forget_place(self) -> None:
-        self.hypotheses = ()
+        self.hypotheses, self._shared = (), NO_ERRORS
         self._noise = InnovationNoise.starting(self.params.initial_inflation)
         self.integrity.forget()
         self.watch.clear()
@@ -332,7 +354,7 @@ class TargetTracker:
             self.accepted,
             now_s,
             is_diverged=self.integrity.is_recovering(self.accepted),
-            own=self.own or UNTOLD,
+            shared=self._shared._replace(own=self.own or UNTOLD),
         )
 
     def objection(self, now_s: float) -> Objection | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 from companion.domain import (
-    EstimateState,
     FlightMode,
     PositionEnu,
     PositionSetpoint,
@@ -27,31 +26,8 @@ from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.health.findings import Verdict
 from companion.guidance.health.watches import Watches
 from companion.guidance.messages import FenceMessages, GuardMessages, radius_texts, result_of
+from companion.guidance.stop_rules import SettledRule, StopRule
 from companion.guidance.tracking.measurements import EmitterScheduler
-
-
-class StopRule:
-    """The estimate names one place within a radius, without a break, for long enough."""
-
-    def __init__(self) -> None:
-        self._since_s: float | None = None
-
-    def begin_anew(self) -> None:
-        """What was seen so far counts no more."""
-        self._since_s = None
-
-    def is_met(
-        self, estimate: TargetEstimate | None, now_s: float, radius_m: float, confirm_s: float
-    ) -> bool:
-        """Whether the target is found; without an estimate the run is broken."""
-        is_one_place = estimate is not None and estimate.state is EstimateState.LOCALISED
-        if estimate is None or not is_one_place or estimate.settled_r95_m > radius_m:
-            self._since_s = None
-            return False
-        if self._since_s is None:
-            self._since_s = now_s
-        return now_s - self._since_s >= confirm_s
-
 
 SAME_LEG_M = 1.0
 """A waypoint that moves by less is the same one, seen better."""
@@ -59,6 +35,7 @@ REACHED_M = 3.0
 FINAL_AGAIN_S = 5.0
 """Longer than a request with all its repetitions takes."""
 ENDED_EARLY = "SEARCH ENDED, battery low:"
+LOCALISED, SETTLED = "LOCALISED", "SETTLED"
 
 
 class Reporting:
@@ -71,6 +48,7 @@ class Reporting:
         self._battery = battery
         self._scheduler = scheduler
         self._stop_rule = StopRule()
+        self._settled_rule = SettledRule()
         self._leg: tuple[float, PositionEnu | None] | None = None
         """When the battery was found low, and the waypoint flown at then."""
         self._final: tuple[FlightMode, float] | None = None
@@ -83,12 +61,15 @@ class Reporting:
         heard_s = context.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
         flown = context.estimate if context.phase in FLYING and is_fresh else None
-        radius_m, confirm_s = params.stop_radius_m, params.stop_confirm_s
-        is_met = self._stop_rule.is_met(flown, now_s, radius_m, confirm_s)
-        if is_met and flown is not None:
-            self._report(context.tracker, flown, "LOCALISED")
+        head = self._head(flown, now_s)
+        if head is not None and flown is not None:
+            if head is SETTLED:
+                radius = f"R95 settled at {flown.r95_m:.2g} m"
+                context.announce(Severity.NOTICE, f"stop radius out of reach: {radius}")
+            self._report(context.tracker, flown, head)
             if context.emitters.report_current():
                 self._stop_rule.begin_anew()
+                self._settled_rule.begin_anew()
                 self._scheduler.follow(now_s)
             else:
                 self._finish(FlightMode(params.on_localised), now_s)
@@ -97,6 +78,16 @@ class Reporting:
             self._report_rest(now_s)
             is_landing = params.on_localised == "land"
             self._finish(FlightMode.LAND if is_landing else FlightMode.RETURN, now_s)
+
+    def _head(self, flown: TargetEstimate | None, now_s: float) -> str | None:
+        """What a report begins with that is due by now; None: none is."""
+        params = self._context.params
+        confirm_s, settle_s = params.stop_confirm_s, params.settle_s
+        is_reached = self._stop_rule.is_met(flown, now_s, params.stop_radius_m, confirm_s)
+        if settle_s is None:
+            return LOCALISED if is_reached else None
+        is_settled = self._settled_rule.is_met(flown, now_s, max(settle_s, confirm_s))
+        return LOCALISED if is_reached else SETTLED if is_settled else None
 
     def _is_battery_end(self, now_s: float) -> bool:
         """Whether the battery is low and the leg that was flown is finished."""

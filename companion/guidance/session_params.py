@@ -33,6 +33,9 @@ class SessionParams(Params, frozen=True):
     """The target is reported once R95 stays under this ..."""
     stop_confirm_s: Positive = 10.0
     """... for this long."""
+    settle_s: Positive | None = 45.0
+    """Or, where that is out of reach, once R95 has improved by less than 8 % for this long; null:
+    never."""
     on_localised: Literal["hold", "return", "land"] = "hold"
     """Mode the autopilot is asked for after the report, a value of `FlightMode`."""
     ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5)] = 5.0

@@ -183,6 +183,10 @@ class FilterParams(Params, frozen=True, dict=True):
     """How well the vehicle knows its own place; it counts in every measurement and in R95."""
     process_noise_m_per_sqrt_s: NonNegative = 0.0
     """Random walk of the target; 0: it lies still."""
+    stamp_lag_s: NonNegative = 0.0
+    """How much later than it measured the radio stamps."""
+    stamp_lag_sigma_s: NonNegative | None = None
+    """How well that is known; null: as told with the antenna, 0.15 s where nobody told it."""
     target_height_m: float = 0.0
     """Height of the emitter above the local origin."""
     target_height_sigma_m: NonNegative = 0.0

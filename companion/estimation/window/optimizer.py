@@ -49,6 +49,12 @@ from companion.estimation.window.sandwich import (
     mirrored,
     observability_of,
 )
+from companion.estimation.window.shared_errors import (
+    NO_ERRORS,
+    SharedErrors,
+    SharedSigmas,
+    shared_errors,
+)
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     MIN_MEASUREMENTS,
@@ -135,21 +141,29 @@ class MeasurementWindow:
         self.rows: Matrix = np.empty((0, columns))
         """The measurements, (n, `columns`), oldest first."""
         self._size = size
-        self._sequence = 0
+        self._times_s: list[float] = []
+        """Of all that was taken in, by sequence number; NaN: not told."""
 
     @property
     def has_bearings(self) -> bool:
         """Whether any measurement held is a bearing."""
         return not bool(np.isnan(self.rows[:, VALUES + BEARING]).all())
 
-    def add(self, row: Row, target_enu_m: Point) -> Matrix:
+    @property
+    def times_s(self) -> Vector:
+        """When each of them was measured, (n,); what nobody told is the latest."""
+        times_s = np.array(self._times_s)[self.rows[:, SEQUENCE].astype(int)]
+        known = times_s[~np.isnan(times_s)]
+        return np.nan_to_num(times_s, nan=float(known.max()) if known.size else 0.0)
+
+    def add(self, row: Row, target_enu_m: Point, time_s: float = math.nan) -> Matrix:
         """Take in a measurement; what a full window, thinned first, lets go, (m, 10), or none."""
         dropped = self.rows[:0]
         if len(self.rows) == self._size:
             is_kept = kept_by_thinning(self.rows, int(KEPT_SHARE * self._size), target_enu_m)
             dropped, self.rows = self.rows[~is_kept], self.rows[is_kept]
-        self.rows = np.concatenate([self.rows, row_vector(row, self._sequence)[None]])
-        self._sequence += 1
+        self.rows = np.concatenate([self.rows, row_vector(row, len(self._times_s))[None]])
+        self._times_s.append(time_s)
         return dropped
 
 
@@ -271,7 +285,14 @@ class WindowOptimizer:
         rows[:, SIGMAS + RANGE] = filter_params.range_sigma_m
         rows[:, SIGMAS + BEARING] = math.radians(filter_params.bearing_sigma_deg)
 
-    def add(self, row: Row, hypotheses: Sequence[Hypothesis], *, is_white: bool) -> None:
+    def add(
+        self,
+        row: Row,
+        hypotheses: Sequence[Hypothesis],
+        *,
+        is_white: bool,
+        time_s: float = math.nan,
+    ) -> None:
         """Take in a measurement; what must leave the window becomes older evidence.
 
         While there are several hypotheses there is no place to expand it about, and where residuals
@@ -281,7 +302,7 @@ class WindowOptimizer:
         if hypotheses:
             mean = hypotheses[0].state.mean
             place = (float(mean[0]), float(mean[1]))
-        dropped = self.window.add(row, place)
+        dropped = self.window.add(row, place, time_s)
         if len(dropped) and len(hypotheses) == 1 and is_white:
             mean, params = hypotheses[0].state.mean, self._filter_params
             if not self._is_antenna_told:
@@ -332,6 +353,20 @@ class WindowOptimizer:
             least = None if is_free else np.array(optimum.covariance[:2, :2])
             following.append(Hypothesis(log_weight, state, least))
         return tuple(following)
+
+    def shared(self, hypothesis: Hypothesis, sigmas: SharedSigmas) -> SharedErrors:
+        """What errors that all measurements share make of a place that the window names."""
+        rows, mean = self.rows, hypothesis.state.mean
+        if len(rows) < MIN_MEASUREMENTS:
+            return NO_ERRORS
+        spread_m2 = float(np.trace(hypothesis.state.covariance[:2, :2]))
+        scores = self.map.scores(rows, mean, spread_m2)
+        prior = self.map.prior[0] + self._older.information
+        times_s, model = self.window.times_s, self._filter_params.model
+        try:
+            return shared_errors(rows, times_s, mean, scores, prior, model, sigmas)
+        except np.linalg.LinAlgError:
+            return NO_ERRORS
 
     def observability(self, mean: Vector) -> Observability | None:
         """What the window can tell about a target at `mean`; None before the first measurement."""

@@ -92,6 +92,11 @@ class EmitterQueue:
         return self._tracker_params.filter.antenna
 
     @property
+    def stamp_lag_s(self) -> float:
+        """How late the radio stamps what it measures."""
+        return self._tracker_params.filter.stamp_lag_s
+
+    @property
     def trackers(self) -> tuple[TargetTracker, ...]:
         """All filters, in the order in which the emitters were listed or heard."""
         return tuple(self._trackers.values()) or (self.current,)

@@ -48,6 +48,7 @@ class RangingListener:
         self._antenna = emitters.antenna
         self._is_array = self._antenna.kind not in ABOUT_VERTICAL
         self._takes_tilt = self._antenna.kind != "azimuth"
+        self._lag_s = emitters.stamp_lag_s
         self._track = track
         self._waiting: list[RangingMeasurement] = []
 
@@ -56,6 +57,9 @@ class RangingListener:
 
         Of too many that wait the oldest goes; a copy of one that waits does not wait, too.
         """
+        if self._lag_s:
+            measured_at_s = measurement.measured_at_s - self._lag_s
+            measurement = replace(measurement, measured_at_s=measured_at_s)
         identity = identity_of(measurement)
         if any(identity_of(waiting) == identity for waiting in self._waiting):
             return [self._emitters.current.reject(RejectReason.DUPLICATE)]

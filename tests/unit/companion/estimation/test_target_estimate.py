@@ -18,6 +18,7 @@ from companion.estimation.target_estimate import (
     estimate_of,
     position_covariance_m2,
 )
+from companion.estimation.window.shared_errors import SharedErrors
 
 R95_OF_EQUAL_AXES = 2.447746830680816
 """sqrt of the chi-square 0.95 quantile with 2 degrees of freedom."""
@@ -44,8 +45,13 @@ def _told(
     params: FilterParams = PLANE,
     is_diverged: bool = False,
     own: OwnAccuracy = UNTOLD,
+    lasting_m: float = 0.0,
+    wander_m: float = 0.0,
 ) -> TargetEstimate:
-    return estimate_of(hypotheses, params.model, 2.0, 77, 5.0, is_diverged=is_diverged, own=own)
+    shared = SharedErrors(lasting_m**2 * np.eye(2), wander_m**2 * np.eye(2), own)
+    return estimate_of(
+        hypotheses, params.model, 2.0, 77, 5.0, is_diverged=is_diverged, shared=shared
+    )
 
 
 def test_one_place_is_told_with_the_vehicles_own_error() -> None:
@@ -170,19 +176,12 @@ def test_a_height_that_is_estimated_has_the_own_height_in_it() -> None:
     assert estimated.absolute_height_sigma_m == pytest.approx(15.0)
 
 
-@pytest.mark.parametrize(("told_m", "widens"), [(0.02, False), (1.5, True)])
-def test_a_receiver_that_wanders_widens_r95_and_not_what_stops_the_search(
-    told_m: float, widens: bool
-) -> None:
-    own = OwnAccuracy(told_m, told_m, is_told=True)
-    still, wandering = _told(_hypothesis()), _told(_hypothesis(), own=own)
+def test_what_the_own_place_wanders_widens_r95_and_not_what_stops_the_search() -> None:
+    still, wandering = _told(_hypothesis()), _told(_hypothesis(), wander_m=0.6)
     assert wandering.settled_r95_m == still.settled_r95_m == still.r95_m
     assert wandering.state is still.state
-    if widens:
-        sigma_m = math.hypot(0.4, 0.4 * told_m)  # more than the 0.3 m that are configured
-        assert wandering.r95_m == pytest.approx(R95_OF_EQUAL_AXES * sigma_m)
-    else:
-        assert wandering.r95_m == still.r95_m
+    sigma_m = math.hypot(0.4, 0.3, 0.6)
+    assert wandering.r95_m == pytest.approx(R95_OF_EQUAL_AXES * sigma_m)
     assert wandering.absolute_r95_m >= wandering.r95_m
 
 
@@ -191,3 +190,10 @@ def test_of_two_places_it_is_told_how_far_to_the_side_decides() -> None:
     near, far = (_hypothesis(east, 0.5) for east in (6.0, 80.0))
     assert aside_of_m(_told(_hypothesis(probability=0.5), near)) == 10.0
     assert aside_of_m(_told(_hypothesis(probability=0.5), far)) == pytest.approx(20.0)
+
+
+def test_what_another_view_would_show_keeps_the_search_going() -> None:
+    lasting = _told(_hypothesis(), lasting_m=1.2)
+    assert lasting.settled_r95_m == lasting.r95_m
+    assert lasting.r95_m == pytest.approx(R95_OF_EQUAL_AXES * math.hypot(0.4, 0.3, 1.2))
+    assert lasting.state is EstimateState.SEARCHING

@@ -1,0 +1,145 @@
+"""Errors that a window's measurements share: no residual shows them, and no number of them helps.
+
+Theory of operation. A displacement d of what is seen moves a measurement by its partial p times d,
+and so the M-estimate by A^-1 sum s H^T p d, with H the whitened partials, s the slope of each
+modality and A the curvature (a "considered" parameter: S. F. Schmidt, Advances in Control Systems
+3, 1966). To first order this holds for any weights, however wrong.
+
+The own place errs by a first-order Gauss-Markov process b of sigma and time constant tau, so that
+the emitter seems to have been elsewhere, by b(t) - b(now), when it was measured. Where that is all
+that counts, it adds up to
+
+    W = sum_ij G_i C(t_i, t_j) G_j^T,    C(s, t) = sigma^2 (rho(s - t) - rho(s) - rho(t) + 1)
+
+with G_i = A^-1 H_i^T H_i,place and rho(t) = exp(-|t| / tau), times counted from now. A height that
+is not in the state, and a radio that stamps late by an unknown time, add a dyad each.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.domain import UNTOLD, OwnAccuracy
+from companion.estimation.measurement_model import EAST, NORTH, RangingModel
+from companion.estimation.window.map_kernels import row_residuals, row_sigmas
+from companion.estimation.window.sandwich import Scores, curvature
+from companion.kernel import Matrix, Vector
+
+TIME_CONSTANT_S = 150.0
+"""Of satellites on one frequency: 60 to 1,000 s."""
+BINS = 48
+"""The window is cut into as many times."""
+HEIGHT_STEP_M = 0.5
+LONGEST_GAP_S = 2.0
+"""Between rows farther apart than this no velocity is known."""
+
+
+class SharedSigmas(NamedTuple):
+    """Standard deviations of what all measurements share."""
+
+    own_m: float = 0.0
+    """Of the own place, per axis."""
+    height_m: float = 0.0
+    """Of the height between vehicle and target, where the state has none."""
+    lag_s: float = 0.0
+    """Of what the radio's stamps are late."""
+
+
+class SharedErrors(NamedTuple):
+    """What they make of the target's place, (2, 2) each, m^2."""
+
+    lasting: Matrix
+    """Of height and stamps, which another geometry would show."""
+    wander: Matrix
+    """Of the own place, which nothing shows."""
+    own: OwnAccuracy = UNTOLD
+    """How well that is known on the Earth."""
+
+
+NO_ERRORS = SharedErrors(np.zeros((2, 2)), np.zeros((2, 2)))
+
+
+def shared_errors(
+    rows: Matrix,
+    times_s: Vector,
+    mean: Vector,
+    scores: Scores,
+    prior: Matrix,
+    model: RangingModel,
+    sigmas: SharedSigmas,
+) -> SharedErrors:
+    """Of rows (n, 10 or 16) at `times_s` (n,), linearised at `mean` (k,) as `scores`.
+
+    `prior` is the state's information beside them, (k, k). A `LinAlgError` where no place is named.
+    """
+    A_inverse = np.linalg.inv(curvature(scores) + prior)[:2]
+    weighted = _weighted(scores)
+    lasting = np.zeros((2, 2))
+    if model.height_index < 0 and sigmas.height_m > 0.0:
+        by_height = _height_partials(rows, mean, scores, model)
+        lasting += _dyad(A_inverse @ (weighted.T @ by_height) * sigmas.height_m)
+    place = scores.H[:, [EAST, NORTH]]
+    if sigmas.lag_s > 0.0:
+        velocity = np.tile(_velocities(rows, times_s), (3, 1))
+        by_lag = np.sum(place * velocity, axis=1)
+        lasting += _dyad(A_inverse @ (weighted.T @ by_lag) * sigmas.lag_s)
+    wander = np.zeros((2, 2))
+    if sigmas.own_m > 0.0 and len(times_s):
+        wander = sigmas.own_m**2 * _wander(times_s, A_inverse, weighted, place)
+    return SharedErrors(lasting, wander)
+
+
+def _dyad(shift_m: Vector) -> Matrix:
+    return np.outer(shift_m, shift_m)
+
+
+def _weighted(scores: Scores) -> Matrix:
+    """Whitened partials (3 n, k), times the slope of each modality."""
+    n = scores.u.shape[1]
+    weighted: Matrix = np.repeat(np.array(scores.slopes), n)[:, None] * scores.H
+    return weighted
+
+
+def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingModel) -> Vector:
+    """Whitened partials by the target's height, (3 n,), 0 where nothing was measured."""
+    sigmas = row_sigmas(rows, mean, model)
+    low, high = (
+        row_residuals(rows, mean, sigmas, model._replace(height_m=model.height_m + step))
+        for step in (-HEIGHT_STEP_M, HEIGHT_STEP_M)
+    )
+    partials = np.where(scores.is_measured, (low - high) / (2.0 * HEIGHT_STEP_M), 0.0)
+    return partials.reshape(-1)
+
+
+def _velocities(rows: Matrix, times_s: Vector) -> Matrix:
+    """Of the vehicle at every row, (n, 2), m/s; 0 where its neighbours are too far off."""
+    n = len(rows)
+    before = np.maximum(np.arange(n) - 1, 0)
+    after = np.minimum(np.arange(n) + 1, n - 1)
+    gap_s = times_s[after] - times_s[before]
+    is_known = (gap_s > 1e-3) & (gap_s < LONGEST_GAP_S)
+    moved = rows[after, :2] - rows[before, :2]
+    velocities: Matrix = np.where(
+        is_known[:, None], moved / np.where(is_known, gap_s, 1.0)[:, None], 0.0
+    )
+    return velocities
+
+
+def _wander(times_s: Vector, A_inverse: Matrix, weighted: Matrix, place: Matrix) -> Matrix:
+    """W / sigma^2, (2, 2)."""
+    n, now_s = len(times_s), float(times_s.max())
+    span_s = max(now_s - float(times_s.min()), 1e-6)
+    which = np.minimum((BINS * (now_s - times_s) / span_s).astype(int), BINS - 1)
+    middles_s = (np.arange(BINS) + 0.5) * span_s / BINS
+    kept = np.exp(-middles_s / TIME_CONSTANT_S)
+    apart = np.exp(-np.abs(middles_s[:, None] - middles_s[None]) / TIME_CONSTANT_S)
+    C = apart - kept[:, None] - kept[None] + 1.0
+    shift = weighted @ A_inverse.T  # (3 n, 2)
+    total = np.zeros((2, 2))
+    for axis in range(2):
+        each = (shift * place[:, axis : axis + 1]).reshape(3, n, 2).sum(axis=0)
+        G = np.stack([np.bincount(which, each[:, row], BINS) for row in range(2)], axis=1)
+        total += G.T @ C @ G
+    return total

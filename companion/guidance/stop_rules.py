@@ -1,0 +1,69 @@
+"""When a search ends: the radius is reached, or it is out of reach.
+
+Theory of operation. Random errors fall with the number of measurements, those of a place or of the
+whole flight do not: the height of the ground, satellites, walls that stay where they are. So R95
+comes down to a radius of its own, which depends on the radio, the antenna and the place, and nobody
+can tell it beforehand. Where that is above the radius to stop at, more crossing tells nothing more.
+"""
+
+from __future__ import annotations
+
+from companion.domain import EstimateState, TargetEstimate
+
+
+class StopRule:
+    """The estimate names one place within a radius, without a break, for long enough."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def begin_anew(self) -> None:
+        """What was seen so far counts no more."""
+        self._since_s = None
+
+    def is_met(
+        self, estimate: TargetEstimate | None, now_s: float, radius_m: float, confirm_s: float
+    ) -> bool:
+        """Whether the target is found; without an estimate the run is broken."""
+        is_one_place = estimate is not None and estimate.state is EstimateState.LOCALISED
+        if estimate is None or not is_one_place or estimate.settled_r95_m > radius_m:
+            self._since_s = None
+            return False
+        if self._since_s is None:
+            self._since_s = now_s
+        return now_s - self._since_s >= confirm_s
+
+
+IMPROVED_SHARE = 0.92
+"""R95 that is not below this share of what it was has not improved."""
+WORSE_RATIO = 1.5
+"""R95 that has grown by more is looked at anew: something was learnt that contradicts it."""
+MOST_SETTLED_M = 100.0
+"""What settles above this is no place."""
+ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
+
+
+class SettledRule:
+    """R95 of one place does not improve any more."""
+
+    def __init__(self) -> None:
+        self._mark: tuple[float, float] | None = None
+        """When R95 improved last, and to what."""
+
+    def begin_anew(self) -> None:
+        """What was seen so far counts no more."""
+        self._mark = None
+
+    def is_met(self, estimate: TargetEstimate | None, now_s: float, settle_s: float) -> bool:
+        """Whether it has not improved for so long; without an estimate nothing is learnt."""
+        if estimate is None:
+            return False
+        r95_m = estimate.r95_m
+        if estimate.state not in ONE_PLACE or r95_m > MOST_SETTLED_M:
+            self._mark = None
+            return False
+        if self._mark is None or not (
+            IMPROVED_SHARE * self._mark[1] <= r95_m <= WORSE_RATIO * self._mark[1]
+        ):
+            self._mark = (now_s, r95_m)
+        return now_s - self._mark[0] >= settle_s

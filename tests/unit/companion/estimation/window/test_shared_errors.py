@@ -1,0 +1,97 @@
+"""What errors that all measurements of a window share make of the place that it names."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.window.map_kernels import COLUMNS
+from companion.estimation.window.shared_errors import (
+    TIME_CONSTANT_S,
+    SharedErrors,
+    SharedSigmas,
+    shared_errors,
+)
+from companion.estimation.window.window_map import WindowMap
+from companion.kernel import Matrix, Vector
+
+TARGET = (10.0, 30.0)
+HEIGHT_M = 20.0
+
+
+def _passes(courses: tuple[float, ...], count: int = 60) -> tuple[Matrix, Vector]:
+    """Rows of ranges and azimuths without noise, along straight passes of 50 m over the target."""
+    along = np.linspace(-25.0, 25.0, count)
+    places = np.concatenate(
+        [np.array(TARGET) + along[:, None] * (math.cos(c), math.sin(c)) for c in courses]
+    )
+    n = len(places)
+    rows = np.full((n, COLUMNS), np.nan)
+    rows[:, :2], rows[:, 2] = places, HEIGHT_M
+    east, north = (np.array(TARGET) - places).T
+    rows[:, 3] = np.sqrt(east**2 + north**2 + HEIGHT_M**2)
+    rows[:, 4] = np.arctan2(north, east)
+    rows[:, 6:9] = 0.5, 0.1, 0.1
+    rows[:, 9] = np.arange(n)
+    return rows, 0.2 * np.arange(n)
+
+
+def _shared(rows: Matrix, times_s: Vector, sigmas: SharedSigmas) -> SharedErrors:
+    params = FilterParams()
+    window_map, mean = WindowMap(params), np.array([*TARGET, 0.0, 0.0])
+    scores = window_map.scores(rows, mean)
+    return shared_errors(rows, times_s, mean, scores, window_map.prior[0], params.model, sigmas)
+
+
+def _solved(rows: Matrix, height_m: float = 0.0) -> Vector:
+    params = FilterParams(target_height_m=height_m)
+    solution = WindowMap(params).solve(rows, np.array([*TARGET, 0.0, 0.0]))
+    assert solution is not None
+    return solution[0][:2]
+
+
+def test_an_own_place_that_drifts_by_the_mean_of_the_search_is_counted_as_a_random_walk() -> None:
+    rows, times_s = _passes((0.3, 1.7, 2.5))
+    sigma_m, span_s = 1.5, float(times_s[-1])
+    wander = _shared(rows, times_s, SharedSigmas(own_m=sigma_m)).wander
+    walked_m2 = 2.0 * sigma_m**2 * span_s / (3.0 * TIME_CONSTANT_S)
+    assert np.diag(wander) == pytest.approx([walked_m2] * 2, rel=0.5)
+    assert np.linalg.eigvalsh(wander)[0] > 0.0
+
+
+def test_an_own_place_that_has_long_forgotten_counts_its_whole_error() -> None:
+    rows, _ = _passes((0.3, 1.7))
+    times_s = np.full(len(rows), 0.0)
+    times_s[-1] = 40.0 * TIME_CONSTANT_S  # all but the last one were measured an age ago
+    wander = _shared(rows, times_s, SharedSigmas(own_m=1.0)).wander
+    assert np.diag(wander) == pytest.approx([2.0, 2.0], rel=0.1)
+
+
+def test_a_height_that_is_wrong_moves_the_place_by_what_is_counted() -> None:
+    rows, times_s = _passes((0.3,))
+    rows[:, :2] += 12.0  # aside of it, where a range tells height as place
+    east, north = (np.array(TARGET) - rows[:, :2]).T
+    rows[:, 3] = np.sqrt(east**2 + north**2 + HEIGHT_M**2)
+    rows[:, 4] = np.nan
+    step_m = 0.2
+    moved = _solved(rows, height_m=step_m) - _solved(rows)
+    counted = _shared(rows, times_s, SharedSigmas(height_m=step_m)).lasting
+    assert counted == pytest.approx(np.outer(moved, moved), rel=0.2, abs=1e-5)
+
+
+def test_a_late_stamp_cancels_out_on_a_pass_back() -> None:
+    rows, times_s = _passes((0.3,))
+    once = _shared(rows, times_s, SharedSigmas(lag_s=0.3)).lasting
+    both, both_s = _passes((0.3, 0.3 + math.pi))
+    assert np.trace(once) > 0.1
+    assert np.trace(_shared(both, both_s, SharedSigmas(lag_s=0.3)).lasting) < 0.1 * np.trace(once)
+
+
+def test_nothing_shared_is_no_error() -> None:
+    rows, times_s = _passes((0.3, 1.7))
+    shared = _shared(rows, times_s, SharedSigmas())
+    assert not shared.lasting.any()
+    assert not shared.wander.any()
