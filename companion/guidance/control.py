@@ -64,8 +64,8 @@ class Reporting:
         head = self._head(flown, now_s)
         if head is not None and flown is not None:
             if head is SETTLED:
-                radius = f"R95 settled at {flown.r95_m:.2g} m"
-                context.announce(Severity.NOTICE, f"stop radius out of reach: {radius}")
+                text = f"stop radius out of reach: R95 settled at {flown.r95_m:.2g} m"
+                context.announce(Severity.NOTICE, text)
             self._report(context.tracker, flown, head)
             if context.emitters.report_current():
                 self._stop_rule.begin_anew()

@@ -154,7 +154,8 @@ class MeasurementWindow:
         """When each of them was measured, (n,); what nobody told is the latest."""
         times_s = np.array(self._times_s)[self.rows[:, SEQUENCE].astype(int)]
         known = times_s[~np.isnan(times_s)]
-        return np.nan_to_num(times_s, nan=float(known.max()) if known.size else 0.0)
+        latest_s = float(known.max()) if known.size else 0.0
+        return np.asarray(np.nan_to_num(times_s, nan=latest_s), dtype=np.float64)
 
     def add(self, row: Row, target_enu_m: Point, time_s: float = math.nan) -> Matrix:
         """Take in a measurement; what a full window, thinned first, lets go, (m, 10), or none."""

@@ -74,13 +74,13 @@ def shared_errors(
 
     `prior` is the state's information beside them, (k, k). A `LinAlgError` where no place is named.
     """
-    A_inverse = np.linalg.inv(curvature(scores) + prior)[:2]
+    A_inverse = np.asarray(np.linalg.inv(curvature(scores) + prior)[:2], dtype=np.float64)
     weighted = _weighted(scores)
     lasting = np.zeros((2, 2))
     if model.height_index < 0 and sigmas.height_m > 0.0:
         by_height = _height_partials(rows, mean, scores, model)
         lasting += _dyad(A_inverse @ (weighted.T @ by_height) * sigmas.height_m)
-    place = scores.H[:, [EAST, NORTH]]
+    place: Matrix = scores.H[:, EAST : NORTH + 1]
     if sigmas.lag_s > 0.0:
         velocity = np.tile(_velocities(rows, times_s), (3, 1))
         by_lag = np.sum(place * velocity, axis=1)
