@@ -36,7 +36,7 @@ def _passes(courses: tuple[float, ...], count: int = 60) -> tuple[Matrix, Vector
     rows[:, 4] = np.arctan2(north, east)
     rows[:, 6:9] = 0.5, 0.1, 0.1
     rows[:, 9] = np.arange(n)
-    return rows, 0.2 * np.arange(n)
+    return rows, np.arange(0.0, 0.2 * n - 0.1, 0.2)
 
 
 def _shared(rows: Matrix, times_s: Vector, sigmas: SharedSigmas) -> SharedErrors:
