@@ -166,8 +166,10 @@ class StdinLink(StreamLink):
         """Begin to read."""
         try:
             mode = os.fstat(0).st_mode
-            if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
-                raise LinkError("stdin: is a file; give file:PATH?play instead")
+            if not (stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(0)):
+                raise LinkError(
+                    "stdin: is no pipe and no terminal; of a file give file:PATH?play=1"
+                )
             fd = os.dup(0)
             os.set_blocking(fd, False)
         except OSError as error:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+from pathlib import Path
+
 import pytest
 
-from companion.errors import ConfigError
+from companion.errors import ConfigError, LinkError
+from companion.io.links.process_links import StdinLink
 from companion.io.links.radio_lines import radio_link
 from companion.link.interface import LinkRole
 from companion.link.radio_stage import RadioSettings, RadioSetup
@@ -87,3 +92,20 @@ def test_the_link_greets_the_radio_and_tells_its_loss() -> None:
     assert not isinstance(transport, str)
     link = transport.make(3, lambda _: None)  # type: ignore[union-attr]
     assert (link.greeting, link.tells_loss, link.index) == (b"lec\r", True, 3)
+
+
+@pytest.mark.parametrize("what", [os.devnull, "a file"])
+def test_standard_input_that_cannot_be_waited_for_is_refused_in_one_line(
+    what: str, tmp_path: Path
+) -> None:
+    path = Path(what) if what == os.devnull else tmp_path / what
+    path.touch()
+    before, given = os.dup(0), os.open(path, os.O_RDONLY)
+    try:
+        os.dup2(given, 0)
+        with pytest.raises(LinkError, match="stdin: is no pipe and no terminal"):
+            asyncio.run(StdinLink(0, lambda _: None).open())
+    finally:
+        os.dup2(before, 0)
+        os.close(before)
+        os.close(given)
