@@ -161,6 +161,11 @@ def calibrate(run: CalibrationRun) -> Calibration:
     _check_own_place(track, ranges, bearings, done)
     if not done.ranges and not done.bearings:
         done.range_refusals.append("nothing was measured where the vehicle's place is known")
+    elif not (done.has_ranges or done.has_bearings or done.refusals):
+        done.range_refusals.append(
+            f"{' and '.join(others)} needs {'bearings' if wants_bearings else 'ranges'}, "
+            "which this radio does not measure"
+        )
     return done
 
 

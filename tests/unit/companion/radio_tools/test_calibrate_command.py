@@ -119,6 +119,21 @@ def test_a_refusal_is_exit_code_1_and_says_why(
     assert "# input stage" not in output
 
 
+def test_a_turn_of_a_radio_without_bearings_is_refused_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    course = Course([at(10.0)], [0.3])
+    course.stay(20.0)
+    run = simulated(TRUTH, np.random.default_rng(1), course)
+    ranges = [replace(m, bearing_body_rad=None, bearing_sigma_rad=None) for m in run.measurements]
+    record(replace(run, measurements=ranges), tmp_path / "ranges.radio")
+    words = ("--point-enu", POINT_ENU, "--test", "turn@0-20")
+    assert typed(tmp_path / "ranges.radio", *words) == 1
+    assert "refused: turn needs bearings, which this radio does not measure" in (
+        capsys.readouterr().out
+    )
+
+
 def walk(path: Path, columns: tuple[str, ...]) -> Path:
     rng = np.random.default_rng(2)
     with path.open("w", newline="") as file:
