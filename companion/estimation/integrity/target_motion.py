@@ -52,6 +52,8 @@ NEAR = 3.0
 SIGNIFICANT = 60.0
 """Ten times what a statistic of this law reaches by chance once in 20: errors that repeat
 themselves for half a minute, or change with the place, reach 55 now and then."""
+LOST_SIGNIFICANT = 180.0
+"""The same of a target whose place was known and is no more: reflections can do that as well."""
 IN_A_ROW = 2
 """It must be so often in a row."""
 CALM = 18.4
@@ -91,6 +93,8 @@ class MotionWatch:
         self._due_s = -math.inf
         self._unseen = EVERY_COUNT
         """Measurements since the last look."""
+        self._was_near = False
+        """Whether the target's place was known once."""
         self._reset()
 
     @property
@@ -101,6 +105,7 @@ class MotionWatch:
     def clear(self) -> None:
         """Forget everything."""
         self._rows.clear()
+        self._was_near = False
         self._reset()
 
     def _reset(self) -> None:
@@ -127,12 +132,18 @@ class MotionWatch:
         return bool(self._rows) and self._unseen >= EVERY_COUNT and is_time
 
     def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> None:
-        """Look whether the target walks, where it matters: not of one that may be anywhere."""
+        """Look whether the target walks, where it matters: not of one that may be anywhere.
+
+        One whose place was known, and is lost, may have walked on.
+        """
         self._due_s, self._unseen = now_s + EVERY_S, 0
-        if self.suspected is None and r95_m > self._near_m:
+        is_near = r95_m <= self._near_m
+        self._was_near = self._was_near or is_near
+        if self.suspected is None and not self._was_near:
             return
         found = self._likeliest_motion(window_map, mean)
-        if found is not None and found.significance >= SIGNIFICANT:
+        least = SIGNIFICANT if is_near or self.suspected is not None else LOST_SIGNIFICANT
+        if found is not None and found.significance >= least:
             self.suspected = found
             self._significant += 1
             self._calm = 0
