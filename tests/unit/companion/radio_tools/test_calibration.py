@@ -68,6 +68,7 @@ def only_bearings(run: CalibrationRun) -> CalibrationRun:
 QUIET = Truth(nlos_share=0.05, scatter_m=0.1, between_m=0.05, correlation_m=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [1, 5])
 def test_radios_of_any_kind_come_out_as_they_are(first: int) -> None:
     found: list[Score] = []

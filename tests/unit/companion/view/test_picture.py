@@ -40,7 +40,7 @@ def test_a_picture_goes_into_json_and_stays_small() -> None:
     assert isinstance(drawn, dict)
     assert (drawn["r95_m"], drawn["absolute_r95_m"]) == (estimate.r95_m, estimate.absolute_r95_m)
     assert drawn["own_words"] == "3.00 m, not told"
-    assert picture["phase_detail"] == "approach: crossing 1, 18.8 m beyond the estimate"
+    assert picture["phase_detail"] == "approach: crossing 1, 20.0 m beyond the estimate"
 
 
 def antenna_view(mount_deg: tuple[float, float, float], kind: AntennaKind) -> dict[str, Any]:

@@ -107,6 +107,7 @@ def claims(path: str, length_m: float, seeds: range) -> list[TargetClaims]:
     return [replayed(path, rows, WIFI) for rows in walks_of(case, seeds)]
 
 
+@pytest.mark.slow
 def test_a_straight_walk_is_never_claimed_on_one_side_alone() -> None:
     along = [claim for target in claims("straight", 6.0, range(4)) for claim in target.along]
     assert all(claim.is_stated for claim in along if claim.state is EstimateState.AMBIGUOUS)

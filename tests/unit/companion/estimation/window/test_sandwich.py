@@ -74,6 +74,7 @@ def test_a_fit_makes_residuals_look_more_quadratic_than_they_are() -> None:
     assert _scores(np.full((1, 20), 0.5)).finite_sample_ratio(0, 4.0) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.5, 0.8, 0.95])
 def test_the_correlation_of_neighbours_is_found(rho: float) -> None:
     u = repeating(np.random.default_rng(1), rho, 2000).T
