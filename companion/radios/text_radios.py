@@ -80,9 +80,19 @@ class MakerfabsAt(FieldDecoder):
         return readings
 
 
+class UudfOptions(Params, frozen=True):
+    """What is told of a direction."""
+
+    as_arcsines: bool = False
+    """Both angles as a two-axis array says them, for `antenna.kind: two_axis`: a board that looks
+    down, whose azimuth about its own upright alone says little."""
+
+
 class Uudf(FieldDecoder):
     """`+UUDF` events of u-blox' direction finding: azimuth and elevation about the board."""
 
+    Options = UudfOptions
+    options: UudfOptions
     _EVENT = re.compile(r"\+UUDF:(.*)")
     FEWEST_FIELDS, MOST_FIELDS = 9, 10
 
@@ -104,10 +114,18 @@ class Uudf(FieldDecoder):
             RadioReading(
                 emitter=cells[0].upper(),
                 device_time_s=milliseconds / 1000.0,
-                azimuth_rad=math.radians(azimuth_deg),
+                azimuth_rad=self._across_rad(azimuth_deg, elevation_deg),
                 elevation_rad=math.radians(elevation_deg),
+                frame=AngleFrame.ARRAY if self.options.as_arcsines else AngleFrame.DEVICE,
             )
         )
+
+    def _across_rad(self, azimuth_deg: float, elevation_deg: float) -> float:
+        """The azimuth, or the arcsine of the direction's component to the side."""
+        azimuth_rad = math.radians(azimuth_deg)
+        if not self.options.as_arcsines:
+            return azimuth_rad
+        return math.asin(math.sin(azimuth_rad) * math.cos(math.radians(elevation_deg)))
 
 
 class Sx1280Options(Params, frozen=True):

@@ -38,7 +38,7 @@ examples, for a companion started with --ranging udp:127.0.0.1:14600, on ports t
   sim-link radio --follow udpin:127.0.0.1:14030 --send-to 127.0.0.1:14600   beside PX4 SITL
   sim-link radio --follow tcp:127.0.0.1:5763 --send-to 127.0.0.1:14600      beside ArduPilot SITL
 and for one that reads a radio of its own:
-  sim-link radio --follow udpin:127.0.0.1:14030 --as nlink_aoa --to pty:/tmp/uwb
+  sim-link radio --follow tcp:127.0.0.1:14030 --as nlink_aoa --to pty:/tmp/uwb
   companion ... --radio nlink@serial:/tmp/uwb:921600"""
 
 

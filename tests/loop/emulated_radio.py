@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from companion.domain import RangingMeasurement
@@ -15,15 +19,78 @@ from sim_link.lab.radio_follower import seen_from_nose
 from sim_link.world.environment import Emitter
 from sim_link.world.field_radio import FieldRadio
 
+MULTIPATH_SIGMA_M = 20.0
+"""What the cells' decoders count for it."""
+Coarsen = Callable[[RangingMeasurement], RangingMeasurement]
+
+
+def as_it_is(heard: RangingMeasurement) -> RangingMeasurement:
+    """All of it."""
+    return heard
+
+
+def of_a_cell(step_m: float, *, is_cut_off: bool = True) -> Coarsen:
+    """The middle of a step of the timing advance, and what a decoder counts for its error."""
+    sigma_m = math.hypot(step_m / math.sqrt(12.0), MULTIPATH_SIGMA_M)
+
+    def coarsen(heard: RangingMeasurement) -> RangingMeasurement:
+        assert heard.range_m is not None
+        range_m = (heard.range_m // step_m + 0.5) * step_m if is_cut_off else heard.range_m
+        return replace(heard, range_m=range_m, range_sigma_m=sigma_m)
+
+    return coarsen
+
+
+def in_steps(step_m: float) -> Coarsen:
+    """The nearest whole step of a range."""
+
+    def coarsen(heard: RangingMeasurement) -> RangingMeasurement:
+        assert heard.range_m is not None
+        return replace(heard, range_m=step_m * round(heard.range_m / step_m))
+
+    return coarsen
+
+
+def in_degrees(heard: RangingMeasurement) -> RangingMeasurement:
+    """A bearing in whole ones."""
+    assert heard.bearing_body_rad is not None
+    return replace(heard, bearing_body_rad=_whole(heard.bearing_body_rad))
+
+
+def in_degrees_about_an_upright(heard: RangingMeasurement) -> RangingMeasurement:
+    """Two arcsines whose azimuth and elevation come in whole degrees."""
+    assert heard.bearing_body_rad is not None
+    assert heard.elevation_rad is not None
+    right, up = math.sin(heard.bearing_body_rad), math.sin(heard.elevation_rad)
+    ahead = math.sqrt(max(0.0, 1.0 - right * right - up * up))
+    azimuth_rad, elevation_rad = _whole(math.atan2(right, ahead)), _whole(heard.elevation_rad)
+    across_rad = math.asin(math.sin(azimuth_rad) * math.cos(elevation_rad))
+    return replace(heard, bearing_body_rad=across_rad, elevation_rad=elevation_rad)
+
+
+def _whole(angle_rad: float) -> float:
+    return math.radians(round(math.degrees(angle_rad)))
+
 
 class EmulatedRadio:
     """Measures from the vehicle's true place as the simulator's own does.
 
     Args:
         emulator: Who prints; None: RADIO_RANGING.
+        has_clock: Whether RADIO_RANGING is stamped.
+        coarsen: What RADIO_RANGING tells of a measurement, where a format tells as little.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, emulator: Emulator | None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        emulator: Emulator | None,
+        coarsen: Coarsen = as_it_is,
+        *,
+        has_clock: bool = True,
+    ) -> None:
+        self._has_clock = has_clock
         payload = scenario.payload
         rng = np.random.default_rng(seed)
         self._radio = FieldRadio(
@@ -34,19 +101,21 @@ class EmulatedRadio:
         self._least_m = payload.min_altitude_m
         self._emulator = emulator
         self._codec = MavCodec(1, mavlink.MAV_COMP_ID_PERIPHERAL)
-        self.measured = 0
+        self._coarsen = coarsen
+        self._boot = b"" if emulator is None else emulator.boot()
 
     def __call__(self, sim: SimEndpoint, now_s: float) -> bytes | None:
         heard = self._heard(sim, now_s)
-        self.measured += heard is not None
         if self._emulator is None:
             if heard is None:
                 return None
-            return self._codec.encode(message_from_ranging(heard, round(1e6 * now_s)))
+            told, stamp_us = self._coarsen(heard), round(1e6 * now_s) * self._has_clock
+            return self._codec.encode(message_from_ranging(told, stamp_us))
         if heard is not None and not self._emulator.tells_north:
             heard = seen_from_nose(heard, sim.vehicle.body.yaw_ned_rad)
         asked = Round(now_s, (Answer(self._emitter.emitter_id, heard),))
-        return self._emulator.tell(asked) or None
+        printed, self._boot = self._boot + self._emulator.tell(asked), b""
+        return printed or None
 
     def _heard(self, sim: SimEndpoint, now_s: float) -> RangingMeasurement | None:
         body = sim.vehicle.body

@@ -208,7 +208,13 @@ def test_a_board_turns_two_arcsines_into_azimuth_and_elevation() -> None:
         is_array_angle=True,
     )
     printed = make_emulator("uudf", 1, 0.0).tell(Round(1.0, (Answer(EMITTER, asked),)))
+    half_rad = math.radians(0.51)
     (got,) = read(FORMAT_OF["uudf"], [(printed, 1.0)])
-    assert got.bearing_body_rad == pytest.approx(math.atan2(right, ahead), abs=math.radians(0.51))
-    assert got.elevation_rad == pytest.approx(math.asin(up), abs=math.radians(0.51))
+    assert got.bearing_body_rad == pytest.approx(math.atan2(right, ahead), abs=half_rad)
+    assert got.elevation_rad == pytest.approx(math.asin(up), abs=half_rad)
     assert not got.is_array_angle
+    back = replace(FORMAT_OF["uudf"], options={"as_arcsines": True})
+    (got,) = read(back, [(printed, 1.0)])
+    assert got.bearing_body_rad == pytest.approx(math.asin(right), abs=2.0 * half_rad)
+    assert got.elevation_rad == pytest.approx(math.asin(up), abs=half_rad)
+    assert got.is_array_angle

@@ -1,0 +1,247 @@
+"""Every radio's own bytes, flown: `sim-link`, `sim-link radio --as ...`, `companion --radio ...`.
+
+Real processes and real serial ports, sockets, pages, files and pipes. That the estimate is that of
+RADIO_RANGING to the format's step is shown in lockstep, where nothing else differs
+(tests/loop/test_emulated_radios.py); here the emitter is localised, and as well as it is said.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import yaml
+
+from companion.domain import Params
+from tests.ports import free_port
+from tests.radio_flights import as_flown, place_name, place_of, sigmas
+from tests.radio_formats import FORMAT_OF, FORMATS, Format
+
+pytestmark = pytest.mark.slow
+
+BIN = Path(sys.executable).parent
+SPEED = 3.0
+FLIGHT_S = 240.0
+"""Wall seconds for what takes ten on a machine that has the time."""
+STEPS = 4.0
+"""Halves of a step of a timing advance: it tells where to begin to look."""
+ONE_OF_EACH_LINE = ("ndjson", "fira_uci", "pdoa_js", "kraken", "lines", "iw_ftm", "android_rtt")
+BY_PAGE = ("kraken", "kraken_xml")
+BY_UDP = ("ndjson", "nlink_iot", "makerfabs_at")
+BY_TCP = ("lines", "srsran", "pans")
+BY_FILE = ("android_rtt", "oai")
+BY_PROGRAM = ("iw_ftm", "srsran_4g")
+"""All others are plugged into a serial port."""
+
+
+class Process:
+    """One command; what it says is kept by a thread."""
+
+    def __init__(self, directory: Path, *words: str, output: Path | None = None) -> None:
+        with open(os.devnull if output is None else output, "ab") as stream:
+            self.process = subprocess.Popen(
+                [BIN / words[0], *words[1:]],
+                cwd=directory,
+                stdin=subprocess.DEVNULL,
+                stdout=stream if output is not None else subprocess.PIPE,
+                stderr=subprocess.PIPE if output is not None else subprocess.STDOUT,
+                text=True,
+                env={**os.environ, "XDG_STATE_HOME": str(directory / "state")},
+            )
+        self.lines: list[str] = []
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def _read(self) -> None:
+        stream = self.process.stdout or self.process.stderr
+        assert stream is not None
+        for line in stream:
+            self.lines.append(line.rstrip("\n"))
+
+    def count(self, part: str) -> int:
+        return sum(part in line for line in self.lines)
+
+    def wait_for(self, part: str, count: int = 1) -> None:
+        deadline_s = time.monotonic() + FLIGHT_S
+        while self.count(part) < count:
+            last = "\n".join(self.lines[-20:])
+            assert time.monotonic() < deadline_s, f"{part!r} not in time, but\n{last}"
+            assert self.process.poll() is None or self.count(part) >= count, last
+            time.sleep(0.02)
+
+    def wait_to_end(self) -> None:
+        """It ends in order and in time."""
+        deadline_s = time.monotonic() + FLIGHT_S
+        while self.process.poll() is None and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        assert self.process.poll() == 0, "\n".join(self.lines[-30:])
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._reader.join()
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+
+
+class Rig:
+    """A vehicle, an emulated radio beside it, and a companion that reads the radio."""
+
+    def __init__(self, directory: Path, format_: Format, to: str, at: str) -> None:
+        self.directory, self.format, self.to, self.at = directory, format_, to, at
+        self.started: list[Process] = []
+        self.place = place_of(place_name(format_))
+        self.port, self.follow_port = free_port(), free_port()
+        self.radio_words = (
+            *("sim-link", "radio", "--follow", f"tcp:127.0.0.1:{self.follow_port}"),
+            *("--as", format_.name, "--to", to, "--scenario", "radio.yaml"),
+            *("--seed", "1", "--speed", f"{SPEED:g}"),
+        )
+        self._write()
+
+    def _write(self) -> None:
+        scenario, config = self.place.scenario, self.place.config
+        autopilot = msgspec.structs.replace(
+            scenario.autopilot, offboard_loss_timeout_s=60.0, parameters={"COM_DISARM_PRFLT": 60}
+        )
+        patient = msgspec.structs.replace(scenario, autopilot=autopilot)
+        deaf = msgspec.structs.replace(scenario.payload, max_range_m=1e-3)
+        write(self.directory / "radio.yaml", patient)
+        write(self.directory / "vehicle.yaml", msgspec.structs.replace(patient, payload=deaf))
+        format_, emitter_id = self.format, scenario.emitter.emitter_id
+        own: dict[str, object] = {"emitter": emitter_id}
+        if not format_.names_nobody:
+            own = {"emitters": {format_.kind.name_on_wire(emitter_id): emitter_id}}
+        if format_.name in BY_PAGE:
+            own["poll_s"] = 0.05
+        settings = {**own, **sigmas(format_, scenario)}
+        radio = {"name": format_.radio, "settings": settings, "options": dict(format_.options)}
+        write(self.directory / "companion.yaml", config, radios=[radio])
+
+    def start(self, *words: str, output: Path | None = None) -> Process:
+        process = Process(self.directory, *words, output=output)
+        self.started.append(process)
+        return process
+
+    def radio(self) -> Process:
+        """The radio, for now by hand."""
+        output = self.directory / "radio.log" if self.format.name in BY_FILE else None
+        process = self.start(*self.radio_words, output=output)
+        process.wait_for("sim-link: radio on")
+        return process
+
+    def companion(self, *options: str) -> Process:
+        companion = self.start(
+            *("companion", "--connect", f"udp:127.0.0.1:{self.port}", "--config", "companion.yaml"),
+            *("--radio", f"{self.format.radio}@{self.at}", "--speed", f"{SPEED:g}", *options),
+        )
+        companion.wait_for("waiting for an autopilot")
+        return companion
+
+    def vehicle(self) -> Process:
+        return self.start(
+            *("sim-link", "--seed", "1", "--speed", f"{SPEED:g}", "--scenario", "vehicle.yaml"),
+            *("--listen", f"127.0.0.1:{free_port()}", "--send-to", f"127.0.0.1:{self.port}"),
+            *("--link", f"tcpin:127.0.0.1:{self.follow_port}"),
+        )
+
+    def result(self) -> dict[str, Any]:
+        (path,) = self.directory.glob("flights/*/result.json")
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return found
+
+    def end(self) -> None:
+        for process in reversed(self.started):
+            process.end()
+
+
+def write(path: Path, record: Params, **others: object) -> None:
+    plain = {**msgspec.to_builtins(record), **others}
+    path.write_text(yaml.safe_dump(plain), encoding="utf-8")
+
+
+def rig_of(directory: Path, format_: Format) -> Rig:
+    """With the line that suits the radio."""
+    name, port = format_.name, free_port()
+    if name in BY_PAGE:
+        return Rig(directory, format_, f"http:127.0.0.1:{port}", f"http://127.0.0.1:{port}")
+    if name in BY_UDP:
+        return Rig(directory, format_, f"udpout:127.0.0.1:{port}", f"udp:127.0.0.1:{port}")
+    if name in BY_TCP:
+        return Rig(directory, format_, f"tcpin:127.0.0.1:{port}", f"tcp:127.0.0.1:{port}")
+    if name in BY_FILE:
+        return Rig(directory, format_, "stdout:", "file:radio.log")
+    rig = Rig(directory, format_, f"pty:{directory}/uwb", f"serial:{directory}/uwb:115200")
+    if name in BY_PROGRAM:
+        rig = Rig(directory, format_, "stdout:", "")
+        rig.at = "exec:" + " ".join((str(BIN / rig.radio_words[0]), *rig.radio_words[1:]))
+    return rig
+
+
+@pytest.fixture
+def rigs() -> Iterator[list[Rig]]:
+    made: list[Rig] = []
+    yield made
+    for rig in made:
+        rig.end()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_kernels() -> None:
+    """What compiles once and is kept on disk must not count against the time of a flight."""
+    code = "from companion.config.schema import CompanionConfig as C; import companion.run as run"
+    subprocess.run([sys.executable, "-c", f"{code}; run.prepare(C())"], check=True)
+
+
+@pytest.mark.parametrize(
+    "format_", [as_flown(each) for each in FORMATS], ids=lambda each: str(each.name)
+)
+def test_the_emitter_is_found_by_the_radios_own_bytes(
+    format_: Format, tmp_path: Path, rigs: list[Rig]
+) -> None:
+    rig = rig_of(tmp_path, format_)
+    rigs.append(rig)
+    if format_.name not in BY_PROGRAM:
+        rig.radio()
+    companion = rig.companion("--once")
+    rig.vehicle()
+    companion.wait_to_end()
+    result, scenario = rig.result(), rig.place.scenario
+    assert result["emitter_id"] == scenario.emitter.emitter_id
+    east, north = scenario.emitter.position_enu_m
+    error_m = math.hypot(result["east_m"] - east, result["north_m"] - north)
+    assert error_m <= max(1.5 * result["r95_m"], STEPS * (format_.range_m or 0.0))
+
+
+@pytest.mark.parametrize("name", ["nlink_aoa", "lines", "kraken"])
+def test_a_radio_that_is_unplugged_is_waited_for_and_said_once(
+    name: str, tmp_path: Path, rigs: list[Rig]
+) -> None:
+    """A serial port, a TCP port and a page that are gone, and there again."""
+    rig = rig_of(tmp_path, as_flown(FORMAT_OF[name]))
+    rigs.append(rig)
+    radio, companion = rig.radio(), rig.companion("--once")
+    rig.vehicle()
+    companion.wait_for("flying the plan")
+    silences, returns = companion.count("silent for"), companion.count("is heard again")
+    radio.end()
+    companion.wait_for("hold: no ranging")
+    companion.wait_for("silent for", silences + 1)
+    assert companion.count("is heard again") == returns
+    rig.radio()
+    companion.wait_for("is heard again", returns + 1)
+    companion.wait_to_end()
+    assert companion.count("silent for") == silences + 1
+    assert companion.count("is heard again") == returns + 1
+    assert rig.result()["emitter_id"] == rig.place.scenario.emitter.emitter_id

@@ -1,0 +1,105 @@
+"""Each radio's own bytes find the emitter as RADIO_RANGING of the same draws does.
+
+In lockstep: what differs is what the format has cut off, and nothing else.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import cache
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.flight_setup import build_endpoint
+from companion.link.endpoint import CompanionEndpoint
+from companion.link.interface import Journal, LinkRole, LinkSpec
+from sim_link.emulators.catalogue import make_emulator
+from tests.loop.emulated_radio import (
+    Coarsen,
+    EmulatedRadio,
+    as_it_is,
+    in_degrees,
+    in_degrees_about_an_upright,
+    in_steps,
+    of_a_cell,
+)
+from tests.loop.loop_helpers import Loop
+from tests.radio_flights import as_flown, place_name, place_of, sigmas
+from tests.radio_formats import FORMATS, LTE_STEP_M, NR_STEP_M, Format
+
+pytestmark = pytest.mark.slow
+
+SEED = 1
+FIGURES = os.environ.get("RADIO_FIGURES")
+"""A file to which errors, R95s and times are appended, the radio's and RADIO_RANGING's."""
+LIMIT_S = 400.0
+SHARE = 0.025
+"""Of the R95, by which errors and R95s may differ: what rounding within a step comes to."""
+LOOSE = ("uudf",)
+"""Bearings alone in whole degrees: within a minute the last digits lead to another path."""
+COARSE = {
+    "srsran_4g": of_a_cell(LTE_STEP_M),
+    "oai": of_a_cell(NR_STEP_M),
+    "srsran": of_a_cell(NR_STEP_M, is_cut_off=False),
+    "sx1280": in_steps(150.0 / (4.096 * 812.5)),
+    "kraken": in_degrees,
+    "kraken_xml": in_degrees,
+    "uudf": in_degrees_about_an_upright,
+}
+"""What RADIO_RANGING is rounded to, where steps are so large that another flight comes of them."""
+
+
+def flown(
+    place: str, format_: Format | None, coarsen: Coarsen = as_it_is, *, has_clock: bool = True
+) -> tuple[float, float, float]:
+    """Error, R95 and time of a flight that localised the emitter, metres and seconds."""
+    scenario, config = place_of(place).scenario, place_of(place).config
+    emulator = None if format_ is None else make_emulator(format_.name, SEED)
+    emitter_id = scenario.emitter.emitter_id
+
+    def make(
+        config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> CompanionEndpoint:
+        setup = None
+        if format_ is not None:
+            setup = format_.setup(emitter_id, **sigmas(format_, scenario))
+        return build_endpoint(config, journal, (*links[:-1], LinkSpec(LinkRole.RANGING, setup)))
+
+    radio = EmulatedRadio(scenario, SEED, emulator, coarsen, has_clock=has_clock)
+    period_s = 1.0 / scenario.payload.rate_hz
+    loop = Loop(config, scenario, SEED, None, radio, period_s, make)
+    loop.run_until(lambda: bool(loop.notes.results), LIMIT_S)
+    report = loop.notes.results[0][1]
+    assert report.emitter_id == emitter_id
+    return loop.error_m, report.estimate.r95_m, loop.now_s
+
+
+@cache
+def reference(place: str, coarsen: Coarsen, *, has_clock: bool) -> tuple[float, float, float]:
+    """The same with RADIO_RANGING."""
+    return flown(place, None, coarsen, has_clock=has_clock)
+
+
+@pytest.mark.parametrize(
+    "format_", [as_flown(each) for each in FORMATS], ids=lambda each: str(each.name)
+)
+def test_every_radio_finds_it_as_radio_ranging_does(format_: Format) -> None:
+    place = place_name(format_)
+    error_m, r95_m, time_s = flown(place, format_)
+    expected_m, expected_r95_m, expected_s = reference(
+        place, COARSE.get(format_.name, as_it_is), has_clock=format_.time_s is not None
+    )
+    if FIGURES is not None:
+        with open(FIGURES, "a", encoding="utf-8") as stream:
+            stream.write(
+                f"{format_.name} {place} {error_m:.3f} {r95_m:.3f} {time_s:.1f} "
+                f"{expected_m:.3f} {expected_r95_m:.3f} {expected_s:.1f}\n"
+            )
+    if format_.name in LOOSE:
+        assert error_m <= r95_m
+        return
+    assert r95_m == pytest.approx(expected_r95_m, rel=SHARE)
+    assert error_m == pytest.approx(expected_m, abs=SHARE * expected_r95_m)
+    assert time_s == pytest.approx(expected_s, abs=0.5)
