@@ -102,7 +102,7 @@ def radio_case(name: str, asked: Sequence[Round]) -> tuple[Callable[[], Take], B
     settings: RadioSettings = msgspec.convert(dict(kind.defaults), RadioSettings)
     emulator = make_emulator(name, 1, 100.0)
     printed = [(emulator.boot() or b"\n", 0.5)]
-    printed += [(emulator.tell(each), each.told_s) for each in asked]
+    printed += [(emulator.say(each), each.told_s) for each in asked]
 
     def start() -> Take:
         stage = RadioStage(RadioSetup(kind, settings, options))
@@ -194,7 +194,7 @@ class Latencies(Observer):
         self._due_s = now_s + 1.0 / LATENCY_HZ
         heard = self._radio.measure(self._emitter, vehicle.body.position_enu_m, now_s)
         answer = Answer(self._emitter.emitter_id, heard)
-        self._flight.post(self._emulator.tell(Round(now_s, (answer,))), Lane.RANGING)
+        self._flight.post(self._emulator.say(Round(now_s, (answer,))), Lane.RANGING)
 
 
 def latency_line(name: str, seconds: int) -> str:

@@ -86,11 +86,13 @@ class DecoderCounts:
 
 @dataclass(frozen=True, slots=True)
 class Poll:
-    """What a polled radio is asked for."""
+    """What a radio is asked for that does not talk by itself."""
 
     path: str
-    """Of the URL, where the link's address gives none."""
+    """By HTTP, where the link's address gives none."""
     period_s: float
+    request: bytes = b""
+    """Over a serial port or TCP, each period."""
 
 
 class RadioDecoder(ABC):

@@ -1,5 +1,8 @@
 """Decawave PANS on a DWM1001: the lines of its shell, and the answers of its TLV interface.
 
+Over TLV a tag says nothing by itself. It is asked as often as it ranges at most, and answers with
+what it measured last: an answer that has not changed in any of its millimetres is no new one.
+
 Sources: Decawave's host API (`dwm_api`); the shell's lines as users print them. Both tell the
 ranges of a tag to its anchors, so the vehicle carries the tag and the hidden one an anchor. The
 tag's own place, which is told as well, is of the anchors' frame and is nobody's here.
@@ -11,7 +14,7 @@ import re
 from struct import Struct
 
 from companion.domain import Params
-from companion.radios.decoder import FrameDecoder, RadioKind, RadioReading
+from companion.radios.decoder import FrameDecoder, Poll, RadioKind, RadioReading
 from companion.radios.fields import FieldDecoder
 
 PROMPT = re.compile(r"^(?:dwm> ?)+")
@@ -99,14 +102,20 @@ RECORDS = {ANCHORS_TAG: Struct("<HIB12xB"), TAGS_TAG: Struct("<QIB")}
 MOST_QUALITY = 100
 
 
+LOC_GET = b"\x0c\x00"
+"""`dwm_loc_get`: where the tag is, and how far its anchors are."""
+MOST_HZ = 10.0
+"""A tag ranges no faster."""
+
+
 class PansTlvDecoder(FrameDecoder):
-    """Answers to `dwm_loc_get`, which somebody must ask for: they come one by one."""
+    """Answers to `dwm_loc_get`, one by one."""
 
     start = re.compile(rb"\x40(?:\x01|\Z)")
 
-    def hello(self) -> bytes:
-        """Ask once."""
-        return b"\x0c\x00"
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._last = b""
 
     def size_at(self, data: bytes, at: int) -> int | None:
         """Of the status, and of what follows it if that is the answer's."""
@@ -137,10 +146,14 @@ class PansTlvDecoder(FrameDecoder):
             at += 2 + PLACE_VALUE_BYTES
         if at == len(frame):
             return []
+        if frame == self._last:
+            self.counts.refuse("seen before")
+            return []
         digits = 4 if frame[at] == ANCHORS_TAG else 16
         told = list(RECORDS[frame[at]].iter_unpack(frame[at + 3 :]))
         if any(max(qualities) > MOST_QUALITY for _, _, *qualities in told):
             return None
+        self._last = frame
         return [
             RadioReading(
                 emitter=f"{address:0{digits}X}",
@@ -168,5 +181,6 @@ PANS_TLV = RadioKind(
     gives="range",
     emitter="a DWM1001 anchor",
     transport="serial:115200",
+    poll=Poll("", 1.0 / MOST_HZ, LOC_GET),
     defaults=DEFAULTS,
 )

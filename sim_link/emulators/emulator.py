@@ -108,6 +108,8 @@ class Emulator(ABC):
     """Emitters in a round."""
     tells_north: ClassVar[bool] = False
     """Whether it can say a bearing from north, where that is what was measured."""
+    request: ClassVar[bytes] = b""
+    """What somebody must ask each time; empty: it talks by itself."""
     document: ClassVar[str | None] = None
     """Path that is polled by HTTP; None: the radio talks by itself."""
     epoch_s: ClassVar[float] = 0.0
@@ -129,6 +131,10 @@ class Emulator(ABC):
     def hear(self, data: bytes) -> bytes:  # noqa: ARG002  most do not listen
         """What it answers at once to what it is told."""
         return b""
+
+    def say(self, asked: Round) -> bytes:
+        """All that is said of a round where somebody asks once a round, if it must be asked."""
+        return self.tell(asked) + self.hear(self.request)
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:

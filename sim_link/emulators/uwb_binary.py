@@ -10,6 +10,8 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from companion.domain import PositionEnu
 from sim_link.emulators.emulator import U32, Answer, Emulator, Round, clamped
 
@@ -199,6 +201,9 @@ class PansAnchor:
         return head + struct.pack("<iiiB", *place_mm, self.place_quality)
 
 
+LOC_GET, UNKNOWN_COMMAND = b"\x0c\x00", b"\x40\x01\x01"
+
+
 def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnchor]) -> bytes:
     """The answer to `dwm_loc_get`: no error, the tag's place, its anchors."""
     place = struct.pack("<iiiB", *(round(1e3 * metres) for metres in place_m), quality)
@@ -207,14 +212,29 @@ def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnch
 
 
 class PansTlv(Emulator):
-    """A DWM1001 tag: answers when it is asked, and to a bridge that asks by itself once a round."""
+    """A DWM1001 tag: it says nothing by itself, and to who asks what it measured last."""
 
     name = "pans_tlv"
     title = "Decawave DWM1001 PANS, TLV"
     most = 12
+    request = LOC_GET
+
+    def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
+        super().__init__(clock_s, rng)
+        self._latest = pans_location((0.0, 0.0, 0.0), 0, ())
+        self._request = b""
+
+    def hear(self, data: bytes) -> bytes:
+        """An answer a request: tag, length, value."""
+        answers, request = b"", self._request + data
+        while len(request) >= 2 and len(request) >= 2 + request[1]:
+            whole, request = request[: 2 + request[1]], request[2 + request[1] :]
+            answers += self._latest if whole == LOC_GET else UNKNOWN_COMMAND
+        self._request = request
+        return answers
 
     def tell(self, asked: Round) -> bytes:
-        """As if somebody had asked."""
+        """Nothing; it is kept for the next who asks."""
         anchors = [
             PansAnchor(
                 answer.emitter_id,
@@ -224,4 +244,10 @@ class PansTlv(Emulator):
             for answer in asked.heard
             if answer.range_m is not None
         ]
-        return pans_location((0.0, 0.0, 0.0), 0, anchors)
+        self._latest = pans_location((0.0, 0.0, 0.0), 0, anchors)
+        return b""
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """Four hexadecimal digits, as PANS has them."""
+        return f"{emitter_id:04X}"

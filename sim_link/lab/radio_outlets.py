@@ -42,6 +42,10 @@ def is_stdout(text: str) -> bool:
 def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
     """Where `--to` leads; a `ConfigError` shows a right one."""
     scheme = text.strip().partition(":")[0].lower()
+    if kind.request and (is_stdout(text) or scheme.startswith("udp")):
+        raise ConfigError(
+            f"--to {text}: {kind.name} only answers; give pty:PATH or tcpin:HOST:PORT"
+        )
     if is_stdout(text):
         return OwnLine("stdout:", lambda index, _: StdoutLink(index))
     if scheme == "http":

@@ -16,5 +16,5 @@ OPTIONS: dict[str, Params] = {
 }
 """Of radios that are nothing without."""
 CHECKSUMMED = {"nlink"}
-TELLS_NEW_FROM_OLD = {"kraken", "kraken_xml"}
-"""Polled files that stay as they were while nobody transmits."""
+TELLS_NEW_FROM_OLD = {"kraken", "kraken_xml", "pans_tlv"}
+"""Polled: they say the same again until there is something new."""

@@ -114,7 +114,7 @@ class EmulatedRadio:
         if heard is not None and not self._emulator.tells_north:
             heard = seen_from_nose(heard, sim.vehicle.body.yaw_ned_rad)
         asked = Round(now_s, (Answer(self._emitter.emitter_id, heard),))
-        printed, self._boot = self._boot + self._emulator.tell(asked), b""
+        printed, self._boot = self._boot + self._emulator.say(asked), b""
         return printed or None
 
     def _heard(self, sim: SimEndpoint, now_s: float) -> RangingMeasurement | None:

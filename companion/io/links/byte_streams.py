@@ -175,6 +175,7 @@ class StreamLink(Link):
         self._stream: ByteStream | None = None
         self._is_closed = False
         self._bytes_per_s: float | None = None
+        self._asking: asyncio.TimerHandle | None = None
 
     @property
     def is_open(self) -> bool:
@@ -199,6 +200,7 @@ class StreamLink(Link):
     def close(self) -> None:
         """Close the stream."""
         self._is_closed = True
+        self._ask_no_more()
         if self._stream is not None:
             self._stream.close()
             self._stream = None
@@ -209,6 +211,20 @@ class StreamLink(Link):
         self._stream = ByteStream(handle, fd, self._take, self._forget, rate)
         if self.greeting:
             self._stream.write(self.greeting)
+        if self.request:
+            self._ask()
+
+    def _ask(self) -> None:
+        """Ask, and again in a period; a line that is full goes without."""
+        if self._stream is not None:
+            self._stream.write(self.request, is_droppable=True)
+        loop = asyncio.get_running_loop()
+        self._asking = loop.call_later(self.request_period_s, self._ask)
+
+    def _ask_no_more(self) -> None:
+        if self._asking is not None:
+            self._asking.cancel()
+            self._asking = None
 
     def _take(self, pieces: list[bytes]) -> None:
         self.counters.received += len(pieces)
@@ -216,6 +232,7 @@ class StreamLink(Link):
 
     def _forget(self, reason: str) -> None:
         self._stream = None
+        self._ask_no_more()
         if reason != "closed by the other end":
             self.counters.send_errors += 1
             self.counters.last_error = reason

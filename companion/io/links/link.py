@@ -54,6 +54,8 @@ class Link(ABC):
         self.counters = LinkCounters()
         self.greeting = b""
         """Sent to whoever is connected, each time, before anything else."""
+        self.request, self.request_period_s = b"", 1.0
+        """Sent as often over a byte stream, to a radio that only answers."""
         self.tells_loss = False
         """Whether an empty piece of a stream says that its other end is gone."""
         self._received = received

@@ -26,21 +26,23 @@ from companion.io.links.transports import (
 from companion.io.links.waiting_links import FileLink, HttpPollLink, PlayedFileLink
 from companion.link.interface import LinkRole, LinkSpec
 from companion.link.radio_stage import RadioSetup
+from companion.radios.decoder import Poll
 
-DEFAULT_PERIOD_S = 1.0
-"""Of a page that is polled, where neither kind nor settings say it."""
+DEFAULT_POLL = Poll("/", 1.0)
+"""Of a page that is polled, where the kind does not say it."""
 Make = Callable[[int, Received], Link]
 
 
 def radio_link(setup: RadioSetup, url: str) -> FlightLink:
     """The link of a radio that is at `url`; a `ConfigError` shows a right one."""
     address, make, listens_at = _line(setup, url.strip())
-    greeting = setup.kind.decoder(setup.options).hello()
+    greeting, poll = setup.kind.decoder(setup.options).hello(), setup.kind.poll or DEFAULT_POLL
 
     def greeted(index: int, received: Received) -> Link:
         """The link, which makes the radio talk and says when it is gone."""
         link = make(index, received)
         link.greeting, link.tells_loss = greeting, True
+        link.request, link.request_period_s = poll.request, setup.settings.poll_s or poll.period_s
         return link
 
     line = OwnLine(address, greeted, listens_at)
@@ -58,7 +60,8 @@ def _line(setup: RadioSetup, url: str) -> tuple[str, Make, UdpBind | TcpServer |
             if not rest.strip():
                 raise _wrong(url, "needs a command, for example exec:cat /tmp/radio.txt")
             poll = setup.kind.poll
-            period_s = setup.settings.poll_s or (poll.period_s if poll is not None else None)
+            usual_s = poll.period_s if poll is not None and not poll.request else None
+            period_s = setup.settings.poll_s or usual_s
             return url, lambda index, received: ExecLink(rest, period_s, index, received), None
         case "file":
             return _file(setup, url, rest)
@@ -92,7 +95,7 @@ def _transport(setup: RadioSetup, url: str) -> Transport:
 
 
 def _page(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
-    poll = setup.kind.poll
+    poll = setup.kind.poll or DEFAULT_POLL
     parts = urllib.parse.urlsplit(url)
     try:
         is_right = bool(parts.hostname) and parts.username is None and parts.port != 0
@@ -100,10 +103,10 @@ def _page(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
         is_right = False
     if not is_right:
         raise _wrong(url, "is no address of a page, for example http://192.168.1.10:8081/")
-    if parts.path in ("", "/") and poll is not None:
-        parts = parts._replace(path=poll.path)
-    full = urllib.parse.urlunsplit(parts._replace(path=parts.path or "/"))
-    period_s = setup.settings.poll_s or (DEFAULT_PERIOD_S if poll is None else poll.period_s)
+    if parts.path in ("", "/"):
+        parts = parts._replace(path=poll.path or "/")
+    full = urllib.parse.urlunsplit(parts)
+    period_s = setup.settings.poll_s or poll.period_s
     return full, lambda index, received: HttpPollLink(full, period_s, index, received), None
 
 

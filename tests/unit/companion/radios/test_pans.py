@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.radios.decoder import RadioReading
-from companion.radios.pans import PansDecoder, PansOptions, PansTlvDecoder
+from companion.radios.decoder import Poll, RadioReading
+from companion.radios.pans import PANS_TLV, PansDecoder, PansOptions, PansTlvDecoder
 
 FOUR = (
     "DIST,4,AN0,022E,7.94,8.03,0.00,3.44,AN1,9280,7.95,0.00,0.00,5.68,"
@@ -115,5 +115,13 @@ def test_an_error_is_told_and_what_fits_no_answer_costs_a_byte() -> None:
     assert decoder.counts.resync_bytes == len(wrong)
 
 
-def test_an_answer_is_asked_for() -> None:
-    assert PansTlvDecoder().hello() == b"\x0c\x00"
+def test_a_tag_is_asked_as_often_as_it_ranges_at_most() -> None:
+    assert PANS_TLV.poll == Poll("", 0.1, b"\x0c\x00")
+
+
+def test_an_answer_that_has_not_changed_is_no_new_one() -> None:
+    decoder = PansTlvDecoder()
+    moved = ANSWER[:5] + POSITION + ANSWER[18:]
+    counts = [len(decoder.feed(answer, 0.0)) for answer in (ANSWER, ANSWER, moved, moved, ANSWER)]
+    assert counts == [2, 0, 2, 0, 2]
+    assert decoder.counts.refused == {"seen before": 2}

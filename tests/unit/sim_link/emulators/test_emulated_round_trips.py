@@ -61,7 +61,7 @@ def said(
         told_s = 1.0 + 0.2 * number + float(rng.uniform(0.0, 0.1))
         each = drawn(rng, told_s, is_array=radio.antenna in ("line", "two_axis"))
         measured.append(each)
-        printed.append((radio.tell(Round(told_s, (Answer(EMITTER, each),))), told_s))
+        printed.append((radio.say(Round(told_s, (Answer(EMITTER, each),))), told_s))
     return measured, printed
 
 
@@ -166,7 +166,7 @@ def test_a_clock_that_starts_again_makes_no_difference(name: str, wrap_s: float)
 def test_who_does_not_answer_has_no_reading(format_: Format) -> None:
     measured, printed = said(format_, 3)
     radio = make_emulator(format_.name, 1, CLOCK_S)
-    silence = radio.tell(Round(9.0, (Answer(EMITTER),)))
+    silence = radio.say(Round(9.0, (Answer(EMITTER),)))
     stage = RadioStage(format_.setup(EMITTER))
     heard = [m for data, now_s in printed if data for m in stage.receive(data, now_s)]
     assert len(heard) == len(measured)
@@ -189,7 +189,7 @@ def test_emitters_are_told_apart(format_: Format) -> None:
     told = {i: replace(drawn(rng, 2.0, is_array=is_array), emitter_id=i) for i in ids}
     stage.receive(radio.boot() or b"\n", 0.0)
     asked = Round(2.0, (*(Answer(i, told[i]) for i in ids[:3]), Answer(5)))
-    got = stage.receive(radio.tell(asked), 2.0)
+    got = stage.receive(radio.say(asked), 2.0)
     assert sorted(each.emitter_id for each in got) == [1, 2, 3]
     for each in got:
         expected = told[each.emitter_id]

@@ -115,6 +115,22 @@ def test_it_boots_once_and_answers_what_it_is_told() -> None:
     assert ridden.printed() == b""
 
 
+def test_a_tag_with_tlv_answers_each_question_with_its_latest_and_is_silent_otherwise() -> None:
+    ridden = Ridden("pans_tlv")
+    fly(ridden, 2)
+    assert ridden.printed() == b""
+    ridden.radio.receive(Chunk(SEND, b"\x0c"), 3.0)
+    assert ridden.printed() == b""
+    ridden.radio.receive(Chunk(SEND, b"\x00\x0c\x00"), 3.1)
+    answers = ridden.printed()
+    assert len(answers) == 2 * 41
+    assert answers[:41] == answers[41:]
+    assert answers[:5] == b"\x40\x01\x00\x41\x0d"
+    assert answers[18:23] == b"\x49\x15\x01\x07\x00"
+    ridden.radio.receive(Chunk(SEND, b"\x15\x02\x01\x02\x0c\x00"), 3.2)
+    assert ridden.printed() == b"\x40\x01\x01" + answers[:41]
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -169,6 +185,8 @@ def test_a_page_is_a_host_and_a_port(text: str) -> None:
         ("kraken", "http:127.0.0.1", "give http:HOST:PORT"),
         ("kraken", "udp:127.0.0.1:14700", "give udpout:HOST:PORT"),
         ("nlink_aoa", "http:127.0.0.1:80", "is not polled"),
+        ("pans_tlv", "stdout:", "only answers"),
+        ("pans_tlv", "udpout:127.0.0.1:14700", "only answers"),
         ("kraken", "carrier-pigeon", "stdout:"),
     ],
 )

@@ -9,11 +9,15 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError, LinkError
+from companion.io.links.link import Link
 from companion.io.links.process_links import StdinLink
 from companion.io.links.radio_lines import radio_link
+from companion.io.links.tcp import TcpServerLink
+from companion.io.links.transports import OwnLine
 from companion.link.interface import LinkRole
 from companion.link.radio_stage import RadioSettings, RadioSetup
 from companion.radios.decoder import LineDecoder, Poll, RadioDecoder, RadioKind, RadioReading
+from tests.ports import free_port
 
 
 class Mute(LineDecoder):
@@ -25,10 +29,10 @@ class Mute(LineDecoder):
         return b"lec\r"
 
 
-def setup_of(transport: str, poll: Poll | None = None) -> RadioSetup:
+def setup_of(transport: str, poll: Poll | None = None, poll_s: float | None = None) -> RadioSetup:
     kind: type[RadioDecoder] = Mute
     return RadioSetup(
-        RadioKind("mute", kind, "", "range", "", transport, poll=poll), RadioSettings()
+        RadioKind("mute", kind, "", "range", "", transport, poll=poll), RadioSettings(poll_s=poll_s)
     )
 
 
@@ -88,10 +92,43 @@ def test_a_wrong_address_is_refused_in_one_line(url: str) -> None:
 
 
 def test_the_link_greets_the_radio_and_tells_its_loss() -> None:
-    transport = radio_link(setup_of("serial:115200"), "tcpin:127.0.0.1:9000").transport
-    assert not isinstance(transport, str)
-    link = transport.make(3, lambda _: None)  # type: ignore[union-attr]
+    link = made(setup_of("serial:115200"))
     assert (link.greeting, link.tells_loss, link.index) == (b"lec\r", True, 3)
+
+
+def test_a_radio_that_only_answers_is_asked_over_a_stream_and_no_page_for_it() -> None:
+    poll = Poll("", 0.3, b"?")
+    asked = [made(setup_of("serial:115200", poll, settings)) for settings in (None, 0.02)]
+    assert [(link.request, link.request_period_s) for link in asked] == [(b"?", 0.3), (b"?", 0.02)]
+    assert made(setup_of("serial:115200")).request == b""
+    assert str(radio_link(setup_of("http", poll), "http://a").transport) == "http://a/"
+
+
+def test_it_is_asked_while_it_is_there_and_whoever_comes_next() -> None:
+    link = made(setup_of("serial:115200", Poll("", 0.01, b"?")))
+
+    async def play() -> list[bytes]:
+        assert isinstance(link, TcpServerLink)
+        await link.open()
+        heard = []
+        for _ in range(2):
+            reader, writer = await asyncio.open_connection(*link.local_address)
+            heard.append(await asyncio.wait_for(reader.readexactly(8), 10.0))
+            writer.close()
+            await writer.wait_closed()
+            while link.is_connected:
+                await asyncio.sleep(0.0)
+        link.close()
+        return heard
+
+    assert asyncio.run(play()) == [b"lec\r????", b"lec\r????"]
+
+
+def made(setup: RadioSetup) -> Link:
+    """The link of a radio that connects to us."""
+    transport = radio_link(setup, f"tcpin:127.0.0.1:{free_port()}").transport
+    assert isinstance(transport, OwnLine)
+    return transport.make(3, lambda _: None)
 
 
 @pytest.mark.parametrize("what", [os.devnull, "a file"])
