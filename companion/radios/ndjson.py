@@ -37,6 +37,7 @@ class Line(msgspec.Struct, frozen=True):
     elevation_std: NonNegative | None = None
     quality: Annotated[int, msgspec.Meta(ge=0, le=100)] | None = None
     body_frame: bool | None = None
+    array_angle: bool | None = None
     line_of_sight: bool | None = None
 
 
@@ -51,6 +52,7 @@ RULES = {
     "elevation_std": "elevation_std must be a number of radians, not negative",
     "quality": "quality must be a whole number from 0 to 100",
     "body_frame": "body_frame must be true or false",
+    "array_angle": "array_angle must be true or false",
     "line_of_sight": "line_of_sight must be true, false or null",
 }
 FIELD = re.compile(r"\$\.(\w+)")
@@ -101,6 +103,9 @@ def _wrong_with(line: Line) -> str | None:
 
 
 def _reading_of(line: Line) -> RadioReading:
+    frame = AngleFrame.NOSE if line.body_frame else AngleFrame.NORTH
+    if line.array_angle:  # whatever `body_frame` says, as the message's flags have it
+        frame = AngleFrame.ARRAY
     return RadioReading(
         emitter=line.emitter_id,
         device_time_s=None if line.time_usec is None else line.time_usec / 1e6,
@@ -110,7 +115,7 @@ def _reading_of(line: Line) -> RadioReading:
         azimuth_sigma_rad=line.bearing_std,
         elevation_rad=line.elevation,
         elevation_sigma_rad=line.elevation_std,
-        frame=AngleFrame.NOSE if line.body_frame else AngleFrame.NORTH,
+        frame=frame,
         quality=None if line.quality is None else line.quality / 100.0,
         line_of_sight=line.line_of_sight,
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 
 from sim_link.emulators.emulator import Answer, Emulator, Round, clamped, lines, mac_of
 from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
@@ -19,11 +18,9 @@ RAW_STEP_M = 150.0 / (4.096 * BANDWIDTH_HZ / 1e3)
 
 
 def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
-    """RADIO_RANGING as JSON: what is unknown is left out, and so is an array's angle."""
+    """RADIO_RANGING as JSON: what is unknown is left out."""
     heard = answer.heard
     assert heard is not None
-    if heard.is_array_angle:
-        heard = replace(heard.without_direction(), elevation_rad=None, is_array_angle=False)
     bearing_rad = heard.bearing_body_rad
     if bearing_rad is None and heard.bearing_enu_rad is not None:
         bearing_rad = math.remainder(0.5 * math.pi - heard.bearing_enu_rad, 2.0 * math.pi)
@@ -38,6 +35,7 @@ def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
         "elevation_std": None if heard.elevation_rad is None else heard.elevation_sigma_rad,
         "quality": None if heard.quality is None else round(100.0 * heard.quality),
         "body_frame": True if heard.bearing_body_rad is not None else None,
+        "array_angle": heard.is_array_angle or None,
         "line_of_sight": heard.line_of_sight,
     }
     return {key: value for key, value in told.items() if value is not None}

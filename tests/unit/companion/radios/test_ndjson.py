@@ -48,6 +48,19 @@ def test_the_lines_of_the_reference_are_read() -> None:
     assert NdjsonDecoder().feed(RANGE + BEARING + BOTH, 0.0) == READINGS
 
 
+@pytest.mark.parametrize("body_frame", ["true", "false", "null"])
+def test_what_an_array_prints_is_said_to_be_an_arcsine_and_so_is_of_its_own_frame(
+    body_frame: str,
+) -> None:
+    line = f'{{"bearing":0.326,"elevation":-1.047,"array_angle":true,"body_frame":{body_frame}}}\n'
+    assert NdjsonDecoder().feed(line.encode(), 0.0) == [
+        RadioReading(azimuth_rad=0.326, elevation_rad=-1.047, frame=AngleFrame.ARRAY)
+    ]
+    plain = line.replace('"array_angle":true', '"array_angle":false').encode()
+    (reading,) = NdjsonDecoder().feed(plain, 0.0)
+    assert reading.frame is (AngleFrame.NOSE if body_frame == "true" else AngleFrame.NORTH)
+
+
 def test_separators_comments_blank_lines_and_crlf_are_no_matter() -> None:
     decoder = NdjsonDecoder()
     stream = b"\x1e" + RANGE[:-1] + b"\r\n\n# by hand\n  \n" + BEARING + b" " + BOTH
@@ -82,6 +95,7 @@ def test_separators_comments_blank_lines_and_crlf_are_no_matter() -> None:
         ),
         (b'{"emitter_id":"","range":1}', "emitter_id must be 0 to 65535, or a name in quotes"),
         (b'{"range":1,"quality":101}', "quality must be a whole number from 0 to 100"),
+        (b'{"bearing":1,"array_angle":1}', "array_angle must be true or false"),
         (b'{"range":1,"time_usec":-1}', "time_usec must be whole microseconds, not negative"),
         (b'{"range":1,"range_m":1' + b" " * 4096 + b"}", "line is too long"),
     ],

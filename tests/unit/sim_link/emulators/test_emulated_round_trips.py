@@ -197,6 +197,15 @@ def test_emitters_are_told_apart(format_: Format) -> None:
             assert each.range_m == pytest.approx(expected.range_m, abs=SLACK * format_.range_m)
 
 
+def test_a_program_that_prints_json_says_of_an_arcsine_that_it_is_one() -> None:
+    asked = drawn(np.random.default_rng(3), 1.0, is_array=True)
+    printed = make_emulator("ndjson", 1, 0.0).tell(Round(1.0, (Answer(EMITTER, asked),)))
+    (got,) = read(FORMAT_OF["ndjson"], [(printed, 1.0)])
+    assert got.is_array_angle
+    assert got.bearing_body_rad == pytest.approx(asked.bearing_body_rad, abs=1e-9)
+    assert got.elevation_rad == pytest.approx(asked.elevation_rad, abs=1e-9)
+
+
 def test_a_board_turns_two_arcsines_into_azimuth_and_elevation() -> None:
     right, up = 0.5, -0.6
     ahead = math.sqrt(1.0 - right * right - up * up)
