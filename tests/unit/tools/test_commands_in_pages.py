@@ -6,6 +6,7 @@ import re
 import shlex
 from collections import Counter
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
@@ -21,14 +22,15 @@ from sim_link.lab.radio_outlets import parse_outlet
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")])
-BLOCK = re.compile(r"^```\w*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+BLOCK = re.compile(r"^( *)```\w*\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
+"""In a list it is indented."""
 LISTENING = re.compile(r"--(?:connect|ranging|follow|master)[ =]udp(?:in)?:([\w.]+:\d+)")
 
 
 def blocks_of(page: Path) -> list[list[str]]:
     """The commands of each block, without remarks; a backslash at the end goes on."""
-    texts = (text.replace("\\\n", " ") for text in BLOCK.findall(page.read_text(encoding="utf-8")))
-    return [text.splitlines() for text in texts]
+    texts = (dedent(text) for _, text in BLOCK.findall(page.read_text(encoding="utf-8")))
+    return [text.replace("\\\n", " ").splitlines() for text in texts]
 
 
 def commands_of(page: Path) -> list[list[str]]:
@@ -41,6 +43,14 @@ def commands_of(page: Path) -> list[list[str]]:
 def in_root(path: Path | None) -> Path | None:
     """A file of this checkout; those that a reader is to make count as none."""
     return ROOT / path if path is not None and (ROOT / path).exists() else None
+
+
+def test_commands_of_a_list_are_read_too() -> None:
+    steps = commands_of(ROOT / "docs" / "radios" / "calibration.md")
+    assert [words[:3] for words in steps] == [
+        ["companion", "radio", "record"],
+        ["companion", "radio", "calibrate"],
+    ]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.name))
