@@ -98,7 +98,7 @@ def step_m(numerology: int = 0) -> float:
     return LTE_STEP_S * ONE_WAY_M_PER_S / float(2**numerology)
 
 
-class SrsRan4g(_Cell):
+class SrsRan4gDecoder(_Cell):
     """LTE: `RACH:` lines of the console, or `PRACH:` lines of the PHY log."""
 
     Options = SrsRan4gOptions
@@ -116,7 +116,7 @@ class SrsRan4g(_Cell):
         return self.passed_over(line)
 
 
-class SrsRan(_Cell):
+class SrsRanDecoder(_Cell):
     """5G: srsRAN Project's metrics, a JSON document a line, and its `RACH ind` log lines."""
 
     Options = SrsRanOptions
@@ -203,7 +203,7 @@ def _finite(value: object) -> float | None:
     return as_float if math.isfinite(as_float) else None
 
 
-class Oai(_Cell):
+class OaiDecoder(_Cell):
     """OpenAirInterface: `[RAPROC]` lines of a gNB, in steps of its numerology, and of an eNB."""
 
     Options = NrOptions
@@ -223,7 +223,7 @@ class Oai(_Cell):
 
 SRSRAN_4G = RadioKind(
     name="srsran_4g",
-    decoder=SrsRan4g,
+    decoder=SrsRan4gDecoder,
     title="srsRAN 4G base station, RACH lines of its log",
     gives="range",
     emitter="a phone that attaches to your own station",
@@ -231,7 +231,7 @@ SRSRAN_4G = RadioKind(
 )
 SRSRAN = RadioKind(
     name="srsran",
-    decoder=SrsRan,
+    decoder=SrsRanDecoder,
     title="srsRAN Project base station, metrics and RACH lines",
     gives="range",
     emitter="a phone that attaches to your own station",
@@ -239,7 +239,7 @@ SRSRAN = RadioKind(
 )
 OAI = RadioKind(
     name="oai",
-    decoder=Oai,
+    decoder=OaiDecoder,
     title="OpenAirInterface base station, RAPROC lines of its log",
     gives="range",
     emitter="a phone that attaches to your own station",

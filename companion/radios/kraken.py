@@ -184,7 +184,7 @@ class _Kraken(RadioDecoder):
         return None
 
 
-class KrakenLines(_Kraken, LineDecoder):
+class KrakenLinesDecoder(_Kraken, LineDecoder):
     """`DOA_value.html`: a line a channel of 17 fields, and the power seen in each degree."""
 
     longest_line = 16_384
@@ -212,7 +212,7 @@ def _result_of_cells(cells: list[str]) -> Result | str:
     )
 
 
-class KrakenXml(_Kraken):
+class KrakenXmlDecoder(_Kraken):
     """`doa.xml`: one document of the first channel; its angle is counter-clockwise."""
 
     longest_document = 8192
@@ -276,7 +276,7 @@ _COMMON_SETTINGS: Mapping[str, object] = {
 }
 KRAKEN = RadioKind(
     name="kraken",
-    decoder=KrakenLines,
+    decoder=KrakenLinesDecoder,
     title="KrakenSDR, DOA_value.html",
     gives="bearing",
     emitter="nothing: any transmitter",
@@ -286,7 +286,7 @@ KRAKEN = RadioKind(
 )
 KRAKEN_XML = RadioKind(
     name="kraken_xml",
-    decoder=KrakenXml,
+    decoder=KrakenXmlDecoder,
     title="KrakenSDR, doa.xml",
     gives="bearing",
     emitter="nothing: any transmitter",

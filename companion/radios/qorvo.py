@@ -120,7 +120,7 @@ class Twr(msgspec.Struct, frozen=True):
     ahead_cm: float = msgspec.field(name="Ycm", default=0.0)
 
 
-class Frame(msgspec.Struct, frozen=True):
+class JsFrame(msgspec.Struct, frozen=True):
     """A frame; the other kinds (SN, NewTag) tell nothing of a place."""
 
     twr: Twr | None = msgspec.field(name="TWR", default=None)
@@ -130,7 +130,7 @@ JS = re.compile(r"JS(?=[0-9A-Fa-f ]{4}\{)")
 LENGTH_DIGITS = 4
 SHORT_FORM = re.compile(r"AR([0-9A-F]{4})[0-9A-F]{2}([0-9A-F]{8})([0-9A-F]{8})$")
 """Address, number, X and Y in two's complement."""
-FRAME = msgspec.json.Decoder(Frame)
+FRAME = msgspec.json.Decoder(JsFrame)
 
 
 class PdoaJsDecoder(FieldDecoder):

@@ -37,7 +37,7 @@ class MakerfabsOptions(Params, frozen=True):
     """With `hidden: tag`, the slot of the anchor on the vehicle."""
 
 
-class MakerfabsAt(FieldDecoder):
+class MakerfabsAtDecoder(FieldDecoder):
     """`AT+RANGE=` reports of Makerfabs' AT firmware."""
 
     Options = MakerfabsOptions
@@ -88,7 +88,7 @@ class UudfOptions(Params, frozen=True):
     down, whose azimuth about its own upright alone says little."""
 
 
-class Uudf(FieldDecoder):
+class UudfDecoder(FieldDecoder):
     """`+UUDF` events of u-blox' direction finding: azimuth and elevation about the board."""
 
     Options = UudfOptions
@@ -136,7 +136,7 @@ class Sx1280Options(Params, frozen=True):
     printed metres, which are rounded, and wrong below zero."""
 
 
-class Sx1280(FieldDecoder):
+class Sx1280Decoder(FieldDecoder):
     """Semtech SX1280 ranging as RadioLib's and SX12XX-LoRa's examples print it."""
 
     Options = Sx1280Options
@@ -193,7 +193,7 @@ class LinesOptions(Params, frozen=True):
     """What to send once the line is open; a line end is added."""
 
 
-class Lines(FieldDecoder):
+class LinesDecoder(FieldDecoder):
     """Lines that an expression of the user's own matches; all others are passed over."""
 
     Options = LinesOptions
@@ -237,7 +237,7 @@ def _compiled(pattern: str) -> re.Pattern[str]:
 
 MAKERFABS_AT = RadioKind(
     name="makerfabs_at",
-    decoder=MakerfabsAt,
+    decoder=MakerfabsAtDecoder,
     title="Makerfabs MaUWB_DW3000 with AT firmware",
     gives="range",
     emitter="a Makerfabs anchor, or a tag with `hidden: tag`",
@@ -246,7 +246,7 @@ MAKERFABS_AT = RadioKind(
 )
 UUDF = RadioKind(
     name="uudf",
-    decoder=Uudf,
+    decoder=UudfDecoder,
     title="u-blox direction finding, C209 and ANNA-B4 (+UUDF)",
     gives="azimuth, elevation",
     emitter="a Bluetooth tag that sends direction finding advertisements",
@@ -256,7 +256,7 @@ UUDF = RadioKind(
 )
 SX1280 = RadioKind(
     name="sx1280",
-    decoder=Sx1280,
+    decoder=Sx1280Decoder,
     title="Semtech SX1280 ranging, lines of RadioLib and SX12XX-LoRa",
     gives="range",
     emitter="an SX1280 in the slave role",
@@ -266,7 +266,7 @@ SX1280 = RadioKind(
 )
 LINES = RadioKind(
     name="lines",
-    decoder=Lines,
+    decoder=LinesDecoder,
     title="any text: a regular expression of your own",
     gives="what its groups are called",
     emitter="whatever the radio needs",

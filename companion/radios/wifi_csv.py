@@ -37,7 +37,7 @@ class FtmCsvOptions(Params, frozen=True):
     delimiter: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] = ","
 
 
-class FtmCsv(FieldDecoder):
+class FtmCsvDecoder(FieldDecoder):
     """CSV of ESP32 firmware: GTEC's columns, the known variants without a header, or given ones."""
 
     Options = FtmCsvOptions
@@ -120,7 +120,7 @@ class AndroidRttOptions(Params, frozen=True):
     """The first line of a file that is followed from its end, or has none."""
 
 
-class AndroidRtt(FieldDecoder):
+class AndroidRttDecoder(FieldDecoder):
     """CSV of a Wi-Fi RTT app, by its header; names as apps and Android's own API have them."""
 
     Options = AndroidRttOptions
@@ -234,7 +234,7 @@ class AndroidRtt(FieldDecoder):
 
 FTM_CSV = RadioKind(
     name="ftm_csv",
-    decoder=FtmCsv,
+    decoder=FtmCsvDecoder,
     title="ESP32 Wi-Fi FTM, CSV of GTEC's and other firmware",
     gives="range",
     emitter="an FTM responder: an ESP32 or an access point that answers",
@@ -244,7 +244,7 @@ FTM_CSV = RadioKind(
 )
 ANDROID_RTT = RadioKind(
     name="android_rtt",
-    decoder=AndroidRtt,
+    decoder=AndroidRttDecoder,
     title="Android Wi-Fi RTT, CSV of an app",
     gives="range",
     emitter="an access point with 802.11mc",

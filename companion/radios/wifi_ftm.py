@@ -32,7 +32,7 @@ class Esp32FtmOptions(Params, frozen=True):
     configured emitter's."""
 
 
-class Esp32Ftm(FieldDecoder):
+class Esp32FtmDecoder(FieldDecoder):
     """The console of ESP-IDF's and Arduino's FTM examples, with colours and boot text."""
 
     Options = Esp32FtmOptions
@@ -117,7 +117,7 @@ class IwFtmOptions(Params, frozen=True):
     """The variance is that inside one burst, not what the place adds."""
 
 
-class IwFtm(FieldDecoder):
+class IwFtmDecoder(FieldDecoder):
     """What `iw dev ... measurement ftm_request` prints, run after run; unknown keys pass."""
 
     Options = IwFtmOptions
@@ -205,7 +205,7 @@ class IwFtm(FieldDecoder):
 
 ESP32_FTM = RadioKind(
     name="esp32_ftm",
-    decoder=Esp32Ftm,
+    decoder=Esp32FtmDecoder,
     title="ESP32 Wi-Fi FTM, console of the IDF and Arduino examples",
     gives="range",
     emitter="an FTM responder: an ESP32 or an access point that answers",
@@ -216,7 +216,7 @@ ESP32_FTM = RadioKind(
 )
 IW_FTM = RadioKind(
     name="iw_ftm",
-    decoder=IwFtm,
+    decoder=IwFtmDecoder,
     title="Linux `iw` FTM requests, an Intel card for example",
     gives="range",
     emitter="an FTM responder: an access point that answers",

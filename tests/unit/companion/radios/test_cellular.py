@@ -8,10 +8,10 @@ import pytest
 from companion.radios.cellular import (
     CellOptions,
     NrOptions,
-    Oai,
-    SrsRan,
-    SrsRan4g,
+    OaiDecoder,
+    SrsRan4gDecoder,
     SrsRan4gOptions,
+    SrsRanDecoder,
     SrsRanOptions,
     step_m,
 )
@@ -41,7 +41,7 @@ def test_a_step_of_the_timing_advance_halves_with_each_numerology(
 
 
 def test_an_attach_in_srsran_4g_is_the_middle_of_its_step() -> None:
-    (reading,) = SrsRan4g(SrsRan4gOptions(multipath_sigma_m=0.0)).feed(RACH.encode(), 0.0)
+    (reading,) = SrsRan4gDecoder(SrsRan4gOptions(multipath_sigma_m=0.0)).feed(RACH.encode(), 0.0)
 
     assert reading.emitter == "0x46"
     assert reading.range_m == pytest.approx(273.2, abs=0.1)
@@ -49,15 +49,15 @@ def test_an_attach_in_srsran_4g_is_the_middle_of_its_step() -> None:
 
 
 def test_detours_of_the_place_add_to_the_sigma_in_quadrature() -> None:
-    (reading,) = SrsRan4g(SrsRan4gOptions(multipath_sigma_m=30.0)).feed(RACH.encode(), 0.0)
+    (reading,) = SrsRan4gDecoder(SrsRan4gOptions(multipath_sigma_m=30.0)).feed(RACH.encode(), 0.0)
 
     assert reading.range_sigma_m == pytest.approx(math.hypot(22.536, 30.0), abs=0.01)
 
 
 def test_the_finer_line_of_the_physical_layer_is_read_where_it_is_chosen() -> None:
     both = (RACH + PRACH).encode()
-    (coarse,) = SrsRan4g().feed(both, 0.0)
-    (fine,) = SrsRan4g(SrsRan4gOptions(log="phy")).feed(both, 0.0)
+    (coarse,) = SrsRan4gDecoder().feed(both, 0.0)
+    (fine,) = SrsRan4gDecoder(SrsRan4gOptions(log="phy")).feed(both, 0.0)
 
     assert coarse.emitter == "0x46"
     assert fine.emitter is None
@@ -65,14 +65,14 @@ def test_the_finer_line_of_the_physical_layer_is_read_where_it_is_chosen() -> No
 
 
 def test_what_is_left_of_the_timing_is_no_range_while_the_loop_is_on() -> None:
-    decoder = SrsRan()
+    decoder = SrsRanDecoder()
 
     assert decoder.feed(METRICS.encode(), 0.0) == []
     assert decoder.counts.refused == {"residual: the station corrects the timing (loop_is_off)": 1}
 
 
 def test_with_the_loop_off_the_metrics_are_ranges() -> None:
-    (reading,) = SrsRan(SrsRanOptions(loop_is_off=True)).feed(METRICS.encode(), 0.0)
+    (reading,) = SrsRanDecoder(SrsRanOptions(loop_is_off=True)).feed(METRICS.encode(), 0.0)
 
     assert reading.emitter == "0x4601"
     assert reading.range_m == pytest.approx(78.07, abs=0.01)
@@ -82,13 +82,13 @@ def test_with_the_loop_off_the_metrics_are_ranges() -> None:
 
 def test_the_advance_that_the_phone_was_given_is_added() -> None:
     options = SrsRanOptions(loop_is_off=True, applied_steps=3)
-    (reading,) = SrsRan(options).feed(METRICS.encode(), 0.0)
+    (reading,) = SrsRanDecoder(options).feed(METRICS.encode(), 0.0)
 
     assert reading.range_m == pytest.approx(78.07 + 3 * 39.04, abs=0.02)
 
 
 def test_exactly_zero_is_no_observation() -> None:
-    decoder = SrsRan(SrsRanOptions(loop_is_off=True))
+    decoder = SrsRanDecoder(SrsRanOptions(loop_is_off=True))
 
     assert decoder.feed(METRICS.replace("520.8", "0.0").encode(), 0.0) == []
     assert decoder.counts.refused == {"not observed": 1}
@@ -100,7 +100,7 @@ def test_the_scheduler_s_line_of_an_attach_is_absolute() -> None:
         "0: preamble=12 tc-rnti=0x4601 freq_idx=0 start_symbol=0 TA=5.2083e-07s "
         "1: preamble=3 tc-rnti=0x4602 freq_idx=0 start_symbol=0 TA=0.0s\n"
     )
-    first, second = SrsRan().feed(line.encode(), 0.0)
+    first, second = SrsRanDecoder().feed(line.encode(), 0.0)
 
     assert (first.emitter, second.emitter) == ("0x4601", "0x4602")
     assert first.range_m == pytest.approx(78.07, abs=0.01)
@@ -121,7 +121,7 @@ def test_the_scheduler_s_line_of_an_attach_is_absolute() -> None:
     ],
 )
 def test_documents_that_are_none_are_counted_and_give_nothing(line: str) -> None:
-    decoder = SrsRan(SrsRanOptions(loop_is_off=True))
+    decoder = SrsRanDecoder(SrsRanOptions(loop_is_off=True))
 
     assert decoder.feed(line.encode() + b"\n", 0.0) == []
 
@@ -133,21 +133,21 @@ def test_documents_that_are_none_are_counted_and_give_nothing(line: str) -> None
 def test_openairinterface_tells_steps_of_its_numerology(
     line: str, numerology: int, range_m: float
 ) -> None:
-    (reading,) = Oai(NrOptions(numerology=numerology)).feed(line.encode(), 0.0)
+    (reading,) = OaiDecoder(NrOptions(numerology=numerology)).feed(line.encode(), 0.0)
 
     assert reading.range_m == pytest.approx(range_m, abs=0.1)
     assert reading.emitter is None
 
 
 def test_an_advance_beyond_the_standard_s_largest_is_refused() -> None:
-    decoder = Oai()
+    decoder = OaiDecoder()
 
     assert decoder.feed(GNB.replace("delay 3 ", "delay 65535 ").encode(), 0.0) == []
     assert decoder.counts.refused == {"timing advance is out of bounds": 1}
 
 
 def test_the_phone_has_another_number_after_each_attach_and_need_not_be_named() -> None:
-    (reading,) = SrsRan4g(SrsRan4gOptions(name="none")).feed(RACH.encode(), 0.0)
+    (reading,) = SrsRan4gDecoder(SrsRan4gOptions(name="none")).feed(RACH.encode(), 0.0)
 
     assert reading.emitter is None
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.radios.kraken import KrakenLines, KrakenOptions, KrakenXml
+from companion.radios.kraken import KrakenLinesDecoder, KrakenOptions, KrakenXmlDecoder
 
 POWERS = ", 0.00" * 360
 TAIL = "0.0, 0.0, 0, 0, GPS, R, R, R, R"
@@ -39,7 +39,7 @@ def xml(time_ms: int = 1718000000500, theta: float = 142, overdrive: str = "0") 
 
 
 def test_a_line_of_kraktak_is_a_bearing_clockwise_from_the_arrays_front() -> None:
-    (reading,) = KrakenLines().feed(KRAKTAK.encode(), 0.0)
+    (reading,) = KrakenLinesDecoder().feed(KRAKTAK.encode(), 0.0)
 
     assert reading.emitter == "144.3900"
     assert reading.azimuth_rad is not None
@@ -50,7 +50,7 @@ def test_a_line_of_kraktak_is_a_bearing_clockwise_from_the_arrays_front() -> Non
 
 
 def test_a_line_of_the_page_is_dated_to_the_middle_of_its_integration() -> None:
-    (reading,) = KrakenLines().feed(line(), 0.0)
+    (reading,) = KrakenLinesDecoder().feed(line(), 0.0)
 
     assert reading.emitter == "433.9200"
     assert math.degrees(reading.azimuth_rad or 0.0) == pytest.approx(218.0)
@@ -58,8 +58,8 @@ def test_a_line_of_the_page_is_dated_to_the_middle_of_its_integration() -> None:
 
 
 def test_the_document_says_the_same_direction_the_other_way_round() -> None:
-    (reading,) = KrakenXml().feed(xml(), 0.0)
-    (same,) = KrakenLines().feed(line(), 0.0)
+    (reading,) = KrakenXmlDecoder().feed(xml(), 0.0)
+    (same,) = KrakenLinesDecoder().feed(line(), 0.0)
 
     assert math.degrees(reading.azimuth_rad or 0.0) == pytest.approx(142.0)
     assert math.tau - (reading.azimuth_rad or 0.0) == pytest.approx(same.azimuth_rad)
@@ -69,10 +69,12 @@ def test_the_document_says_the_same_direction_the_other_way_round() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "decoder"), [(line(), KrakenLines()), (xml(), KrakenXml())], ids=["csv", "xml"]
+    ("data", "decoder"),
+    [(line(), KrakenLinesDecoder()), (xml(), KrakenXmlDecoder())],
+    ids=["csv", "xml"],
 )
 def test_a_page_that_stays_as_it_was_says_nothing_new(
-    data: bytes, decoder: KrakenLines | KrakenXml
+    data: bytes, decoder: KrakenLinesDecoder | KrakenXmlDecoder
 ) -> None:
     assert len(decoder.feed(data, 0.0)) == 1
     assert decoder.feed(data * 9, 0.2) == []
@@ -95,40 +97,43 @@ def test_a_page_that_stays_as_it_was_says_nothing_new(
     ],
 )
 def test_a_line_that_was_written_while_it_was_read_is_refused(torn: bytes) -> None:
-    decoder = KrakenLines()
+    decoder = KrakenLinesDecoder()
 
     assert decoder.feed(torn, 0.0) == []
     assert sum(decoder.counts.refused.values()) == 1
 
 
 def test_a_line_without_the_powers_is_enough() -> None:
-    assert len(KrakenLines().feed(line(powers=""), 0.0)) == 1
+    assert len(KrakenLinesDecoder().feed(line(powers=""), 0.0)) == 1
 
 
 def test_a_direction_of_low_confidence_is_refused_below_the_configured_one() -> None:
-    assert KrakenLines().feed(line(confidence=9.9), 0.0) == []
-    assert len(KrakenLines(KrakenOptions(min_confidence=5.0)).feed(line(confidence=9.9), 0.0)) == 1
+    assert KrakenLinesDecoder().feed(line(confidence=9.9), 0.0) == []
+    assert (
+        len(KrakenLinesDecoder(KrakenOptions(min_confidence=5.0)).feed(line(confidence=9.9), 0.0))
+        == 1
+    )
 
 
 @pytest.mark.parametrize("flag", ["1", "True"])
 def test_an_overdriven_receiver_is_not_believed(flag: str) -> None:
-    decoder = KrakenXml()
+    decoder = KrakenXmlDecoder()
 
     assert decoder.feed(xml(overdrive=flag), 0.0) == []
     assert decoder.counts.refused["receiver is overdriven"] == 1
-    assert len(KrakenXml().feed(xml(overdrive="False"), 0.0)) == 1
+    assert len(KrakenXmlDecoder().feed(xml(overdrive="False"), 0.0)) == 1
 
 
 def test_a_line_array_is_refused_unless_the_user_knows_its_side() -> None:
-    decoder = KrakenLines()
+    decoder = KrakenLinesDecoder()
 
     assert decoder.feed(line(array="ULA"), 0.0) == []
     assert decoder.counts.refused["line array: front or back is not known"] == 1
-    known = KrakenLines(KrakenOptions(accept_line_array=True))
+    known = KrakenLinesDecoder(KrakenOptions(accept_line_array=True))
     assert len(known.feed(line(array="ULA"), 0.0)) == 1
 
 
-def readings_at(decoder: KrakenLines, *lines: tuple[int, int]) -> list[bool]:
+def readings_at(decoder: KrakenLinesDecoder, *lines: tuple[int, int]) -> list[bool]:
     """Whether each line, of a time after the first in ms and a frequency in MHz, was believed."""
     return [
         bool(decoder.feed(line(1718000000000 + ms, frequency_hz=mhz * 1_000_000), 0.0))
@@ -138,21 +143,27 @@ def readings_at(decoder: KrakenLines, *lines: tuple[int, int]) -> list[bool]:
 
 def test_a_frequency_that_was_just_tuned_to_is_skipped_for_two_seconds() -> None:
     told = readings_at(
-        KrakenLines(), (0, 433), (500, 433), (1000, 868), (2000, 868), (2999, 868), (3000, 868)
+        KrakenLinesDecoder(),
+        (0, 433),
+        (500, 433),
+        (1000, 868),
+        (2000, 868),
+        (2999, 868),
+        (3000, 868),
     )
 
     assert told == [True, True, False, False, False, True]
 
 
 def test_tuning_back_is_skipped_as_well_once_the_frequency_was_away() -> None:
-    decoder = KrakenLines()
+    decoder = KrakenLinesDecoder()
     readings_at(decoder, (0, 433), (1000, 868), (20_000, 868))
 
     assert readings_at(decoder, (30_000, 433), (31_000, 433), (32_000, 433)) == [False, False, True]
 
 
 def test_channels_beside_each_other_may_fall_silent_and_come_back() -> None:
-    decoder = KrakenLines()
+    decoder = KrakenLinesDecoder()
     assert readings_at(decoder, (0, 433), (0, 868), (500, 433), (500, 868)) == [True] * 4
     readings_at(decoder, *((t, 868) for t in range(1000, 60_000, 500)))
 
@@ -160,7 +171,7 @@ def test_channels_beside_each_other_may_fall_silent_and_come_back() -> None:
 
 
 def test_channels_that_are_tuned_together_are_skipped_together() -> None:
-    decoder = KrakenLines()
+    decoder = KrakenLinesDecoder()
     readings_at(decoder, (0, 433), (0, 434))
 
     assert readings_at(decoder, (500, 868), (500, 869)) == [False, False]
@@ -168,15 +179,19 @@ def test_channels_that_are_tuned_together_are_skipped_together() -> None:
 
 
 def test_a_silence_of_the_only_transmitter_is_no_tuning() -> None:
-    assert readings_at(KrakenLines(), (0, 433), (58 * 60_000, 433)) == [True, True]
+    assert readings_at(KrakenLinesDecoder(), (0, 433), (58 * 60_000, 433)) == [True, True]
 
 
 def test_a_clock_that_is_set_back_is_followed() -> None:
-    assert readings_at(KrakenLines(), (60_000, 433), (0, 433), (500, 433)) == [True, True, True]
+    assert readings_at(KrakenLinesDecoder(), (60_000, 433), (0, 433), (500, 433)) == [
+        True,
+        True,
+        True,
+    ]
 
 
 def test_after_a_lost_line_another_receiver_may_answer() -> None:
-    decoder = KrakenLines()
+    decoder = KrakenLinesDecoder()
     readings_at(decoder, (0, 433), (500, 433))
     decoder.reset()
 
@@ -186,15 +201,15 @@ def test_after_a_lost_line_another_receiver_may_answer() -> None:
 def test_every_cut_of_a_document_gives_the_same() -> None:
     stream = b"<html>" + xml() + b"\n" + xml(1718000001000) + b"<DA" + xml(1718000001500)[:90]
     stream += b"x" * 9000 + xml(1718000002000)
-    whole = KrakenXml().feed(stream, 0.0)
+    whole = KrakenXmlDecoder().feed(stream, 0.0)
     assert len(whole) == 3
     for cut in range(0, len(stream), 7):
-        decoder = KrakenXml()
+        decoder = KrakenXmlDecoder()
         assert decoder.feed(stream[:cut], 0.0) + decoder.feed(stream[cut:], 0.0) == whole
 
 
 def test_a_document_without_an_end_is_not_kept() -> None:
-    decoder = KrakenXml()
+    decoder = KrakenXmlDecoder()
     for _ in range(100):
         decoder.feed(b"<DATA>" + b"<TIME>1</TIME>" * 700, 0.0)
 
@@ -203,7 +218,7 @@ def test_a_document_without_an_end_is_not_kept() -> None:
 
 
 def test_only_the_newest_frequencies_are_remembered() -> None:
-    decoder = KrakenLines()
+    decoder = KrakenLinesDecoder()
     readings_at(decoder, *((ms, 100 + ms) for ms in range(500)))
 
     assert len(decoder._channels._seen) == 64

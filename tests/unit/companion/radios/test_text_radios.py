@@ -7,13 +7,13 @@ import pytest
 from companion.errors import ConfigError
 from companion.radios.decoder import AngleFrame, RadioReading
 from companion.radios.text_radios import (
-    Lines,
+    LinesDecoder,
     LinesOptions,
-    MakerfabsAt,
+    MakerfabsAtDecoder,
     MakerfabsOptions,
-    Sx1280,
+    Sx1280Decoder,
     Sx1280Options,
-    Uudf,
+    UudfDecoder,
 )
 
 MAKERFABS = (
@@ -34,12 +34,14 @@ SX12XX = (
 )
 
 
-def read(decoder: MakerfabsAt | Uudf | Sx1280 | Lines, *lines: str) -> list[RadioReading]:
+def read(
+    decoder: MakerfabsAtDecoder | UudfDecoder | Sx1280Decoder | LinesDecoder, *lines: str
+) -> list[RadioReading]:
     return decoder.feed("".join(f"{line}\r\n" for line in lines).encode(), 0.0)
 
 
 def test_a_makerfabs_report_is_a_range_of_each_anchor_that_answered() -> None:
-    decoder = MakerfabsAt()
+    decoder = MakerfabsAtDecoder()
     ranges = [(reading.emitter, reading.range_m) for reading in read(decoder, *MAKERFABS)]
 
     assert ranges == [(2, 0.30), (0, 9.97), (1, 13.21), (2, 9.11), (3, 7.38)]
@@ -49,17 +51,17 @@ def test_a_makerfabs_report_is_a_range_of_each_anchor_that_answered() -> None:
 def test_some_firmware_puts_blanks_after_commas() -> None:
     spaced = MAKERFABS[1].replace(",", ", ")
 
-    assert read(MakerfabsAt(), spaced) == read(MakerfabsAt(), MAKERFABS[1])
+    assert read(MakerfabsAtDecoder(), spaced) == read(MakerfabsAtDecoder(), MAKERFABS[1])
 
 
 def test_a_hidden_tag_is_named_by_its_own_number_and_ranged_by_our_anchor() -> None:
-    (reading,) = read(MakerfabsAt(MakerfabsOptions(hidden="tag", slot=1)), MAKERFABS[1])
+    (reading,) = read(MakerfabsAtDecoder(MakerfabsOptions(hidden="tag", slot=1)), MAKERFABS[1])
 
     assert (reading.emitter, reading.range_m) == (7, 13.21)
 
 
 def test_a_slot_that_did_not_answer_keeps_its_old_range_to_itself() -> None:
-    (reading,) = read(MakerfabsAt(), MAKERFABS[1].replace("mask:0F", "mask:02"))
+    (reading,) = read(MakerfabsAtDecoder(), MAKERFABS[1].replace("mask:0F", "mask:02"))
 
     assert reading.emitter == 1
 
@@ -74,14 +76,14 @@ def test_a_slot_that_did_not_answer_keeps_its_old_range_to_itself() -> None:
     ],
 )
 def test_a_torn_makerfabs_report_is_refused(torn: str) -> None:
-    decoder = MakerfabsAt()
+    decoder = MakerfabsAtDecoder()
 
     assert read(decoder, torn) == []
     assert decoder.counts.refused == {"torn report": 1}
 
 
 def test_makerfabs_reports_are_turned_on() -> None:
-    assert MakerfabsAt().hello() == b"AT+SETRPT=1\r\n"
+    assert MakerfabsAtDecoder().hello() == b"AT+SETRPT=1\r\n"
 
 
 @pytest.mark.parametrize(
@@ -95,7 +97,7 @@ def test_makerfabs_reports_are_turned_on() -> None:
 def test_an_event_of_u_blox_is_two_angles_and_the_board_s_time(
     line: str, tag: str, azimuth_deg: float, elevation_deg: float, time_s: float
 ) -> None:
-    (reading,) = read(Uudf(), line)
+    (reading,) = read(UudfDecoder(), line)
 
     assert reading.emitter == tag
     assert reading.azimuth_rad == pytest.approx(math.radians(azimuth_deg))
@@ -107,11 +109,11 @@ def test_an_event_of_u_blox_is_two_angles_and_the_board_s_time(
 def test_the_user_s_text_may_hold_commas_and_quotes() -> None:
     text = UUDF[0].replace('"",', '"roof, ""north"", 3",')
 
-    assert read(Uudf(), text) == read(Uudf(), UUDF[0])
+    assert read(UudfDecoder(), text) == read(UudfDecoder(), UUDF[0])
 
 
 def test_other_events_are_passed_over_and_a_restart_does_not_stop_it() -> None:
-    decoder = Uudf()
+    decoder = UudfDecoder()
     readings = read(decoder, "+UUDFP:CCF9578E0D8A,-42,20,0", UUDF[2], "+STARTUP", UUDF[0])
 
     assert [reading.device_time_s for reading in readings] == [746.675, 15.869]
@@ -128,7 +130,7 @@ def test_other_events_are_passed_over_and_a_restart_does_not_stop_it() -> None:
     ],
 )
 def test_events_that_cannot_be_used_are_counted(line: str, reason: str) -> None:
-    decoder = Uudf()
+    decoder = UudfDecoder()
 
     assert read(decoder, line) == []
     assert decoder.counts.refused == {reason: 1}
@@ -144,7 +146,7 @@ def test_events_that_cannot_be_used_are_counted(line: str, reason: str) -> None:
     ids=["RadioLib", "master", "calibration"],
 )
 def test_both_libraries_lines_are_read(line: str, range_m: float) -> None:
-    (reading,) = read(Sx1280(), line)
+    (reading,) = read(Sx1280Decoder(), line)
 
     assert reading.range_m == range_m
     assert reading.emitter is None
@@ -157,7 +159,7 @@ def test_both_libraries_lines_are_read(line: str, range_m: float) -> None:
 def test_with_the_bandwidth_the_register_is_read_and_may_be_negative(
     raw: str, range_m: float
 ) -> None:
-    decoder = Sx1280(Sx1280Options(bandwidth_khz=812.5))
+    decoder = Sx1280Decoder(Sx1280Options(bandwidth_khz=812.5))
     (reading,) = read(decoder, SX12XX.replace("RAW,47", f"RAW,{raw}"))
 
     assert reading.range_m == pytest.approx(range_m, abs=5e-4)
@@ -174,7 +176,7 @@ def test_with_the_bandwidth_the_register_is_read_and_may_be_negative(
     ],
 )
 def test_ranging_that_failed_is_counted_by_reason(line: str, reason: str) -> None:
-    decoder = Sx1280()
+    decoder = Sx1280Decoder()
 
     assert read(decoder, line) == []
     assert decoder.counts.refused == {reason: 1}
@@ -182,7 +184,7 @@ def test_ranging_that_failed_is_counted_by_reason(line: str, reason: str) -> Non
 
 def test_a_bandwidth_that_the_chip_has_not_is_refused() -> None:
     with pytest.raises(ConfigError, match="bandwidth_khz"):
-        Sx1280(Sx1280Options(bandwidth_khz=800.0))
+        Sx1280Decoder(Sx1280Options(bandwidth_khz=800.0))
 
 
 CHANNEL_SOUNDING = r"ifft: (?P<range_m>[\d.]+)"
@@ -204,7 +206,7 @@ CHANNEL_SOUNDING = r"ifft: (?P<range_m>[\d.]+)"
     ],
 )
 def test_an_expression_reads_a_line_that_no_decoder_knows(line: str, range_m: float) -> None:
-    decoder = Lines(LinesOptions(pattern=CHANNEL_SOUNDING))
+    decoder = LinesDecoder(LinesOptions(pattern=CHANNEL_SOUNDING))
 
     (reading,) = read(decoder, "*** Booting Zephyr OS ***", line, line.replace("ifft: ", "ifft: n"))
     assert reading == RadioReading(range_m=range_m)
@@ -215,7 +217,7 @@ def test_the_groups_of_an_expression_say_quantity_and_unit() -> None:
         r"#(?P<emitter>\w+) t=(?P<time_ms>\d+)(?: d=(?P<range_cm>-?\d+))?"
         r" a=(?P<azimuth_deg>-?\d+)\+-(?P<azimuth_sigma_deg>\d+) (?P<line_of_sight>N?LOS)"
     )
-    decoder = Lines(LinesOptions(pattern=pattern, frame="nose"))
+    decoder = LinesDecoder(LinesOptions(pattern=pattern, frame="nose"))
     with_range, without = read(decoder, "#a1 t=1500 d=-50 a=90+-5 LOS", "#a1 t=1600 a=-90+-5 NLOS")
 
     assert with_range == RadioReading(
@@ -242,7 +244,7 @@ def test_the_groups_of_an_expression_say_quantity_and_unit() -> None:
 )
 def test_a_bad_expression_is_a_configuration_error(pattern: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        Lines(LinesOptions(pattern=pattern))
+        LinesDecoder(LinesOptions(pattern=pattern))
 
 
 @pytest.mark.parametrize(
@@ -263,7 +265,7 @@ def test_values_that_cannot_be_are_counted_by_reason(text: str, reason: str) -> 
         r"r=(?P<range_m>\S*)(?: a=(?P<azimuth_deg>\S+))?(?: q=(?P<quality>\S+))?"
         r"(?: s=(?P<range_sigma_m>\S+))?"
     )
-    decoder = Lines(LinesOptions(pattern=pattern))
+    decoder = LinesDecoder(LinesOptions(pattern=pattern))
 
     assert read(decoder, text) == []
     assert decoder.counts.refused == {reason: 1}
@@ -272,5 +274,5 @@ def test_values_that_cannot_be_are_counted_by_reason(text: str, reason: str) -> 
 def test_what_is_sent_once_the_line_is_open_is_configured() -> None:
     options = LinesOptions(pattern=CHANNEL_SOUNDING, hello="start")
 
-    assert Lines(options).hello() == b"start\r\n"
-    assert Lines(LinesOptions(pattern=CHANNEL_SOUNDING)).hello() == b""
+    assert LinesDecoder(options).hello() == b"start\r\n"
+    assert LinesDecoder(LinesOptions(pattern=CHANNEL_SOUNDING)).hello() == b""

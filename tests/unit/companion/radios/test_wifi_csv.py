@@ -3,7 +3,12 @@ from __future__ import annotations
 import pytest
 
 from companion.errors import ConfigError
-from companion.radios.wifi_csv import AndroidRtt, AndroidRttOptions, FtmCsv, FtmCsvOptions
+from companion.radios.wifi_csv import (
+    AndroidRttDecoder,
+    AndroidRttOptions,
+    FtmCsvDecoder,
+    FtmCsvOptions,
+)
 
 FRAMES = "33000,-51,1,2,3,4,34000,-52,5,6,7,8,"
 ANDROID = "timestamp,session,ssid,bssid,distance_mm,std_dev_mm,rssi,attempted,successful\n"
@@ -24,7 +29,7 @@ ROW = "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,5430,120,-61,8,7\n"
     ids=["gtec", "gtec extra", "gtec no frames", "words", "address", "bars m", "bars cm"],
 )
 def test_the_known_rows_are_told_apart(row: str, emitter: str | int | None, range_m: float) -> None:
-    (reading,) = FtmCsv().feed(row.encode() + b"\r\n", 0.0)
+    (reading,) = FtmCsvDecoder().feed(row.encode() + b"\r\n", 0.0)
 
     assert reading.emitter == emitter
     assert reading.range_m == pytest.approx(range_m)
@@ -40,14 +45,14 @@ def test_the_known_rows_are_told_apart(row: str, emitter: str | int | None, rang
     ],
 )
 def test_rows_that_cannot_be_used_are_counted(row: str, reason: str) -> None:
-    decoder = FtmCsv()
+    decoder = FtmCsvDecoder()
 
     assert decoder.feed(row.encode() + b"\n", 0.0) == []
     assert decoder.counts.refused == {reason: 1}
 
 
 def test_a_header_and_boot_text_are_passed_over() -> None:
-    decoder = FtmCsv()
+    decoder = FtmCsvDecoder()
     text = b"anchorId,rtt_est,rtt_raw,dist,numFrames,\nrst:0x1 (POWERON),boot:0x8\n"
 
     assert decoder.feed(text, 0.0) == []
@@ -56,7 +61,7 @@ def test_a_header_and_boot_text_are_passed_over() -> None:
 
 def test_columns_can_be_given_with_their_units() -> None:
     names = ("emitter", "_", "rtt_ps", "time_ms", "quality_percent")
-    decoder = FtmCsv(FtmCsvOptions(columns=names, delimiter=";"))
+    decoder = FtmCsvDecoder(FtmCsvOptions(columns=names, delimiter=";"))
     header, reading = b"id;ssid;rtt;ms;q\n", b"7;net;33800;1500;90\n"
 
     assert decoder.feed(header, 0.0) == []
@@ -79,11 +84,11 @@ def test_columns_that_say_nothing_are_a_configuration_error(
     names: tuple[str, ...], words: str
 ) -> None:
     with pytest.raises(ConfigError, match=words):
-        FtmCsv(FtmCsvOptions(columns=names))
+        FtmCsvDecoder(FtmCsvOptions(columns=names))
 
 
 def test_a_row_of_an_app_is_a_range_with_sigma_quality_and_time() -> None:
-    (reading,) = AndroidRtt().feed((ANDROID + ROW).encode(), 0.0)
+    (reading,) = AndroidRttDecoder().feed((ANDROID + ROW).encode(), 0.0)
 
     assert reading.emitter == "aa:bb:cc:dd:ee:ff"
     assert reading.range_m == pytest.approx(5.430)
@@ -93,7 +98,7 @@ def test_a_row_of_an_app_is_a_range_with_sigma_quality_and_time() -> None:
 
 
 def test_nothing_is_known_of_a_row_without_a_success() -> None:
-    decoder = AndroidRtt()
+    decoder = AndroidRttDecoder()
     row = "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,0,0,-127,8,0\n"
 
     assert decoder.feed((ANDROID + row).encode(), 0.0) == []
@@ -102,7 +107,7 @@ def test_nothing_is_known_of_a_row_without_a_success() -> None:
 
 def test_a_deviation_of_zero_is_none_and_a_distance_may_be_negative() -> None:
     row = "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,-120,0,-40,1,1\n"
-    (reading,) = AndroidRtt().feed((ANDROID + row).encode(), 0.0)
+    (reading,) = AndroidRttDecoder().feed((ANDROID + row).encode(), 0.0)
 
     assert reading.range_m == pytest.approx(-0.12)
     assert reading.range_sigma_m is None
@@ -117,7 +122,7 @@ def test_a_deviation_of_zero_is_none_and_a_distance_may_be_negative() -> None:
     ],
 )
 def test_one_sided_ranging_is_refused(header: str, row: str) -> None:
-    decoder = AndroidRtt()
+    decoder = AndroidRttDecoder()
 
     assert decoder.feed(f"{header}\n{row}\n".encode(), 0.0) == []
     assert decoder.counts.refused == {"one-sided: the access point has no 802.11mc": 1}
@@ -133,40 +138,42 @@ def test_one_sided_ranging_is_refused(header: str, row: str) -> None:
     ],
 )
 def test_the_unit_of_a_stamp_is_seen_by_its_magnitude(stamp: str, seconds: float) -> None:
-    (reading,) = AndroidRtt().feed(f"timestamp,range_m\n{stamp},4.5\n".encode(), 0.0)
+    (reading,) = AndroidRttDecoder().feed(f"timestamp,range_m\n{stamp},4.5\n".encode(), 0.0)
 
     assert reading.device_time_s == pytest.approx(seconds, abs=1e-6)
 
 
 def test_a_unit_in_the_column_s_name_or_in_the_options_comes_first() -> None:
     text = b"rangingTimestampMillis;mac;distance_m\n123456;AA:BB:CC:DD:EE:FF;4.5\n"
-    (named,) = AndroidRtt().feed(text, 0.0)
+    (named,) = AndroidRttDecoder().feed(text, 0.0)
     assert named.device_time_s == pytest.approx(123.456)
     assert named.emitter == "aa:bb:cc:dd:ee:ff"
 
-    (told,) = AndroidRtt(AndroidRttOptions(time_unit="us")).feed(
+    (told,) = AndroidRttDecoder(AndroidRttOptions(time_unit="us")).feed(
         b"timestamp,dist\n5000000,4.5\n", 0.0
     )
     assert told.device_time_s == pytest.approx(5.0)
 
 
 def test_a_row_before_any_header_and_a_torn_one_are_refused() -> None:
-    decoder = AndroidRtt()
+    decoder = AndroidRttDecoder()
 
     assert decoder.feed((ROW + ANDROID + ROW[:30] + "\n").encode(), 0.0) == []
     assert decoder.counts.refused == {"row before the header": 1, "torn row": 1}
 
 
 def test_the_header_can_be_told_for_a_file_that_is_followed_from_its_end() -> None:
-    (reading,) = AndroidRtt(AndroidRttOptions(header=ANDROID.strip())).feed(ROW.encode(), 0.0)
+    (reading,) = AndroidRttDecoder(AndroidRttOptions(header=ANDROID.strip())).feed(
+        ROW.encode(), 0.0
+    )
 
     assert reading.range_m == pytest.approx(5.430)
     with pytest.raises(ConfigError, match="no column of it is a distance"):
-        AndroidRtt(AndroidRttOptions(header="time,bssid"))
+        AndroidRttDecoder(AndroidRttOptions(header="time,bssid"))
 
 
 def test_a_header_may_come_again_with_other_columns() -> None:
     text = ANDROID + ROW + 'bssid,"range_m"\n"aa:bb:cc:dd:ee:01","7.5"\n'
-    first, second = AndroidRtt().feed(text.encode(), 0.0)
+    first, second = AndroidRttDecoder().feed(text.encode(), 0.0)
 
     assert (first.range_m, second.range_m) == (5.43, 7.5)

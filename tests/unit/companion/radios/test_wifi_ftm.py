@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.radios.wifi_ftm import Esp32Ftm, Esp32FtmOptions, IwFtm, IwFtmOptions
+from companion.radios.wifi_ftm import Esp32FtmDecoder, Esp32FtmOptions, IwFtmDecoder, IwFtmOptions
 
 IDF = """\
 ets Jul 29 2019 12:21:46\xf0\x1b[0;32mI (301) boot: ESP-IDF v5.2\x1b[0m
@@ -50,7 +50,7 @@ wdev 0x1 (phy #0): peer measurement complete
 
 def test_a_result_of_the_idf_has_its_session_s_peer_time_and_quality() -> None:
     for text in (IDF, IDF.replace("\n", "\r\n")):
-        (reading,) = Esp32Ftm().feed(text.encode("latin-1"), 0.0)
+        (reading,) = Esp32FtmDecoder().feed(text.encode("latin-1"), 0.0)
 
         assert reading.range_m == 5.07
         assert reading.device_time_s == pytest.approx(393.564)
@@ -60,21 +60,21 @@ def test_a_result_of_the_idf_has_its_session_s_peer_time_and_quality() -> None:
 
 def test_a_result_without_a_session_names_nobody() -> None:
     result = IDF.splitlines()[-1].encode() + b"\n"
-    (reading,) = Esp32Ftm().feed(result, 0.0)
+    (reading,) = Esp32FtmDecoder().feed(result, 0.0)
 
     assert reading.emitter is None
     assert reading.quality is None
 
 
 def test_the_configured_emitter_stands_where_the_log_is_not_to_name_it() -> None:
-    (reading,) = Esp32Ftm(Esp32FtmOptions(emitter_from_log=False)).feed(IDF.encode(), 0.0)
+    (reading,) = Esp32FtmDecoder(Esp32FtmOptions(emitter_from_log=False)).feed(IDF.encode(), 0.0)
 
     assert reading.emitter is None
 
 
 def test_a_session_s_quality_is_not_that_of_the_next() -> None:
     result = IDF.splitlines()[-1] + "\n"
-    first, second = Esp32Ftm().feed((IDF + result).encode(), 0.0)
+    first, second = Esp32FtmDecoder().feed((IDF + result).encode(), 0.0)
 
     assert first.quality is not None
     assert second.quality is None
@@ -88,7 +88,7 @@ def test_a_session_s_quality_is_not_that_of_the_next() -> None:
     ],
 )
 def test_arduino_says_a_distance_without_a_time(line: str, range_m: float) -> None:
-    (reading,) = Esp32Ftm().feed(line.encode() + b"\r\n", 0.0)
+    (reading,) = Esp32FtmDecoder().feed(line.encode() + b"\r\n", 0.0)
 
     assert reading.range_m == range_m
     assert reading.device_time_s is None
@@ -114,14 +114,14 @@ def test_arduino_says_a_distance_without_a_time(line: str, range_m: float) -> No
     ],
 )
 def test_what_the_esp32_says_of_failures_is_counted_by_reason(line: str, reason: str) -> None:
-    decoder = Esp32Ftm()
+    decoder = Esp32FtmDecoder()
 
     assert decoder.feed(line.encode() + b"\n", 0.0) == []
     assert decoder.counts.refused == {reason: 1}
 
 
 def test_the_table_of_frames_and_boot_text_belong_to_nothing() -> None:
-    decoder = Esp32Ftm()
+    decoder = Esp32FtmDecoder()
     noise = "FTM Report:\n| Diag |   RTT   |       T1 |  RSSI  |\n| 12 | INVALID | 0 | -60 |\n"
 
     assert decoder.feed(noise.encode() + b"\xff\x00rst:0x1 (POWERON)\n", 0.0) == []
@@ -130,7 +130,7 @@ def test_the_table_of_frames_and_boot_text_belong_to_nothing() -> None:
 
 
 def test_a_lost_line_forgets_whose_session_it_was() -> None:
-    decoder = Esp32Ftm()
+    decoder = Esp32FtmDecoder()
     decoder.feed(IDF.encode(), 0.0)
     decoder.reset()
     (reading,) = decoder.feed(IDF.splitlines()[-1].encode() + b"\n", 0.0)
@@ -149,7 +149,7 @@ def test_a_lost_line_forgets_whose_session_it_was() -> None:
 def test_a_run_of_iw_is_a_range(
     text: str, peer: str, range_m: float, sigma_m: float, time_s: float
 ) -> None:
-    (reading,) = IwFtm(IwFtmOptions(min_sigma_m=0.0)).feed(text.encode(), 0.0)
+    (reading,) = IwFtmDecoder(IwFtmOptions(min_sigma_m=0.0)).feed(text.encode(), 0.0)
 
     assert reading.emitter == peer
     assert reading.range_m == pytest.approx(range_m, abs=5e-4)
@@ -158,19 +158,19 @@ def test_a_run_of_iw_is_a_range(
 
 
 def test_the_spread_inside_a_burst_is_not_believed_to_be_all() -> None:
-    (reading,) = IwFtm().feed(IW.encode(), 0.0)
+    (reading,) = IwFtmDecoder().feed(IW.encode(), 0.0)
 
     assert reading.range_sigma_m == 0.5
 
 
 def test_a_round_trip_may_be_negative() -> None:
-    (reading,) = IwFtm().feed(IW.replace(" 48877", " -4000").encode(), 0.0)
+    (reading,) = IwFtmDecoder().feed(IW.replace(" 48877", " -4000").encode(), 0.0)
 
     assert reading.range_m == pytest.approx(-0.5996, abs=1e-4)
 
 
 def test_one_run_after_another_and_several_peers_are_read() -> None:
-    decoder = IwFtm()
+    decoder = IwFtmDecoder()
     readings = decoder.feed((IW + IW_FAILED + IW_MAIL + IW).encode(), 0.0)
 
     assert [reading.emitter for reading in readings] == [
@@ -186,7 +186,7 @@ def test_distances_stand_where_there_is_no_round_trip_and_attempts_are_a_quality
         "RTT_VARIANCE: 3814209", "DIST_VARIANCE: 1000000\n      SOMETHING_NEW: 3"
     )
     text = text.replace("BURST_INDEX: 0", "NUM_FTMR_ATTEMPTS: 8\n      NUM_FTMR_SUCCESSES: 6")
-    (reading,) = IwFtm().feed(text.encode(), 0.0)
+    (reading,) = IwFtmDecoder().feed(text.encode(), 0.0)
 
     assert reading.range_m == pytest.approx(7.326)
     assert reading.range_sigma_m == pytest.approx(1.0)
@@ -194,7 +194,7 @@ def test_distances_stand_where_there_is_no_round_trip_and_attempts_are_a_quality
 
 
 def test_a_peer_without_data_is_refused() -> None:
-    decoder = IwFtm()
+    decoder = IwFtmDecoder()
     text = "\n".join(IW.splitlines()[:2]) + " - no data!\nwdev 0x1: peer measurement complete\n"
 
     assert decoder.feed(text.encode(), 0.0) == []
@@ -202,6 +202,6 @@ def test_a_peer_without_data_is_refused() -> None:
 
 
 def test_the_newest_firmware_s_refusal_is_no_reading() -> None:
-    decoder = IwFtm()
+    decoder = IwFtmDecoder()
 
     assert decoder.feed(b"command failed: Operation not supported (-95)\n", 0.0) == []
