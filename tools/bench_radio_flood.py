@@ -37,7 +37,7 @@ from companion.io.links.transports import UdpBind  # noqa: E402
 from companion.io.shell import Clock, Shell, TimerStatistics  # noqa: E402
 from companion.link.interface import VEHICLE_ONLY  # noqa: E402
 from companion.link.radio_stage import RadioStage  # noqa: E402
-from sim_link.emulators.nlink import Motion, Node, Peer, node_frame2  # noqa: E402
+from sim_link.emulators.nlink import Node, NodeState, Peer, node_frame2  # noqa: E402
 
 BYTES_PER_S = 10_000_000
 KINDS: Mapping[str, tuple[str, str]] = {
@@ -158,7 +158,7 @@ def decoding_share() -> float:
     frames = []
     for number in range(FRAMES):
         peers = [Peer(n, 20.0 + n + 0.001 * number, -80.0, -79.0) for n in range(NODES)]
-        frames.append(node_frame2(Node(0, 5 * number, 5 * number), Motion(), peers))
+        frames.append(node_frame2(Node(0, 5 * number, 5 * number), NodeState(), peers))
     (link,) = radio_links((RadioConfig(name="nlink", url="tcpin:127.0.0.1:9"),))
     assert link.spec.radio is not None
     best_s = math.inf

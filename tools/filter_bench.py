@@ -46,7 +46,7 @@ from sim_link.lab.evaluation.case import (
     truth_of,
 )
 from sim_link.lab.evaluation.systems import System, belief_of, recursive_filter_of
-from sim_link.lab.evaluation.walk import Belief, first_fix, updated
+from sim_link.lab.evaluation.walk import WalkFilter, first_fix, updated
 
 WINDOW = 200
 """Measurements of the window whose solution is timed."""
@@ -76,7 +76,7 @@ class Walk:
     """(n, 2)"""
     z: Matrix
     """(n, 3) range, bearing and no elevation."""
-    belief: Belief
+    belief: WalkFilter
 
     def first_fix(self) -> tuple[Vector, Matrix]:
         """Mean and covariance that everyone starts from."""
@@ -202,7 +202,7 @@ def filterpy_seconds(walk: Walk) -> Seconds:
 
 
 @kernel
-def filtered(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Vector:
+def filtered(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Vector:
     """The mean after a walk, (n,); the target lies still, so a prediction changes nothing.
 
     Args:
@@ -261,7 +261,7 @@ def object_seconds(walk: Walk) -> Seconds:
 
 @kernel
 def stepped_often(
-    rows: Matrix, start: Vector, belief: Belief, information: Matrix, pull: Vector, steps: int
+    rows: Matrix, start: Vector, belief: WalkFilter, information: Matrix, pull: Vector, steps: int
 ) -> float:
     """The sum of the easts that so many first steps of the window end at."""
     total = 0.0

@@ -50,7 +50,14 @@ from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured,
 from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
 from sim_link.lab.evaluation.study import Cell, ResultRow, StudyResult, cells_of
 from sim_link.lab.evaluation.systems import System, belief_of, steering_of
-from sim_link.lab.evaluation.walk import FIXED, Belief, WalkSteering, first_fix, next_place, updated
+from sim_link.lab.evaluation.walk import (
+    FIXED,
+    WalkFilter,
+    WalkSteering,
+    first_fix,
+    next_place,
+    updated,
+)
 from tools.filter_bench import (
     FILTERPY_UPDATE,
     SEED,
@@ -100,7 +107,7 @@ def recorded_run(case: Case, system: System) -> RecordedRun:
 
 
 @kernel
-def believed(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Beliefs:
+def believed(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Beliefs:
     """What the recursive filter believes after every measurement of a run.
 
     Args:
@@ -121,7 +128,7 @@ def believed(track_enu_m: Matrix, z: Matrix, belief: Belief) -> Beliefs:
 
 @kernel
 def retraced(
-    track_enu_m: Matrix, z: Matrix, picks: Vector, belief: Belief, steering: WalkSteering
+    track_enu_m: Matrix, z: Matrix, picks: Vector, belief: WalkFilter, steering: WalkSteering
 ) -> Matrix:
     """Where filter and planner fly after every measurement but the first, (steps - 1, 2).
 
@@ -151,7 +158,7 @@ def decided(
     track_enu_m: Matrix,
     beliefs: Beliefs,
     picks: Vector,
-    belief: Belief,
+    belief: WalkFilter,
     steering: WalkSteering,
     passes: int,
 ) -> Matrix:

@@ -15,7 +15,7 @@ from collections.abc import Hashable
 from dataclasses import asdict
 
 from companion.domain import TargetEstimate, Waypoint
-from companion.estimation.integrity.target_motion import Motion
+from companion.estimation.integrity.target_motion import TargetMotion
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.window.antenna_check import AntennaCheck
@@ -235,7 +235,7 @@ class MotionMessages:
     def __init__(self) -> None:
         self._walking: set[int] = set()
 
-    def messages_for(self, emitter_id: int, motion: Motion | None) -> list[Announce]:
+    def messages_for(self, emitter_id: int, motion: TargetMotion | None) -> list[Announce]:
         """What is news, mostly nothing, of a target that walks, or lies still (None)."""
         is_walking, was_walking = motion is not None, emitter_id in self._walking
         if is_walking == was_walking:

@@ -8,7 +8,7 @@ minute behind ours. Nothing that a frame says is remembered before its signature
 forger can then neither lock out the real sender with a timestamp from the future nor fill the
 table of streams. (pymavlink, which stores the timestamp first, could not promise that.)
 
-`SigningRules` may be stricter than the guide, for who hears each component over one link only. A
+`SigningPolicy` may be stricter than the guide, for who hears each component over one link only. A
 frame recorded on another link of a component is not let in as the first of a stream of its own, but
 is a replay. A sender with the key whose clock is far ahead is refused, for it would push ours ahead
 for good. And a new stream is compared with our own clock, not with the newest timestamp, by which
@@ -111,7 +111,7 @@ Stream = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class SigningRules:
+class SigningPolicy:
     """What a receiver may be stricter about than the guide."""
 
     max_ahead: int | None = None
@@ -120,8 +120,8 @@ class SigningRules:
     """One stream per component, whatever link its frames were signed for."""
 
 
-AS_THE_GUIDE = SigningRules()
-ONE_LINK_EACH = SigningRules(max_ahead=6_000_000, joins_links=True)
+AS_THE_GUIDE = SigningPolicy()
+ONE_LINK_EACH = SigningPolicy(max_ahead=6_000_000, joins_links=True)
 """For a companion: clocks agree to a minute, and every component is heard over one link."""
 
 
@@ -137,7 +137,7 @@ class Signing:
         key: SigningKey,
         stored_timestamp: int = 0,
         streams: Mapping[Stream, int] | None = None,
-        rules: SigningRules = AS_THE_GUIDE,
+        rules: SigningPolicy = AS_THE_GUIDE,
         *,
         stored_clock: int | None = None,
     ) -> None:

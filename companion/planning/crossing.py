@@ -65,7 +65,7 @@ from companion.planning.planner import (
     route_to,
     way_finder,
 )
-from companion.planning.views import Antenna, Leg, best_reach_m, leg_over, rate
+from companion.planning.views import Antenna, LegView, best_reach_m, leg_over, rate
 
 DIRECTIONS_TRIED = 5
 """Directions tried before a crossing cut short by the fence is accepted."""
@@ -253,7 +253,7 @@ class LatchedCrossing:
         return route_to(request, waypoint)
 
 
-def _leg(request: PlanRequest, sight: Sight, along: Point, descent_m: float) -> Leg:
+def _leg(request: PlanRequest, sight: Sight, along: Point, descent_m: float) -> LegView:
     """A leg along a direction at the height of a descent; before the first one, along the way."""
     assert request.estimate is not None
     assert request.sigmas is not None

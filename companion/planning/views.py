@@ -55,7 +55,7 @@ class Antenna(NamedTuple):
     """About the boresight, or with a line or two axes behind as well, mirrored."""
 
 
-class Leg(NamedTuple):
+class LegView(NamedTuple):
     """What a leg over the target may see."""
 
     height_m: float
@@ -84,7 +84,7 @@ def leg_over(
     sigmas: tuple[float, float],
     antenna: Antenna,
     yaw_rad: float,
-) -> Leg:
+) -> LegView:
     """The leg of a vehicle whose heading is `yaw_rad` counter-clockwise of the leg's.
 
     `sigmas` are those of a range, m, and of a direction cosine, rad; infinite: none are measured.
@@ -114,7 +114,7 @@ def leg_over(
         half = math.acos(least / size) if size > least else 0.0
         if least == 0.0:
             half = WHOLE_RAD
-    return Leg(
+    return LegView(
         max(abs(height_m), LEAST_HEIGHT_M),
         turn_m,
         1.0 / (range_m * range_m),
@@ -129,7 +129,7 @@ def leg_over(
 
 
 @kernel
-def _directions_to(angle_rad: float, leg: Leg) -> float:
+def _directions_to(angle_rad: float, leg: LegView) -> float:
     """Antiderivative of what directions tell, by the angle from the nadir; times h sigma_0^2."""
     s, c = math.sin(angle_rad), math.cos(angle_rad)
     double, c2 = 2.0 * s * c, c * c
@@ -140,7 +140,7 @@ def _directions_to(angle_rad: float, leg: Leg) -> float:
 
 
 @kernel
-def information(reach_m: float, leg: Leg) -> float:
+def information(reach_m: float, leg: LegView) -> float:
     """What a leg from `reach_m` before the target to as far behind it tells in all, 1/m^2 by m."""
     most = math.atan2(reach_m, leg.height_m)
     told = 2.0 * leg.per_range_m2 * (reach_m - leg.height_m * most)
@@ -155,7 +155,7 @@ def information(reach_m: float, leg: Leg) -> float:
 
 
 @kernel
-def marginal(reach_m: float, leg: Leg) -> float:
+def marginal(reach_m: float, leg: LegView) -> float:
     """What one more metre at both ends tells: the derivative of `information`."""
     angle, slant_m = math.atan2(reach_m, leg.height_m), math.hypot(reach_m, leg.height_m)
     s, c = reach_m / slant_m, leg.height_m / slant_m
@@ -170,13 +170,13 @@ def marginal(reach_m: float, leg: Leg) -> float:
 
 
 @kernel
-def rate(reach_m: float, leg: Leg) -> float:
+def rate(reach_m: float, leg: LegView) -> float:
     """Information by the way that it takes, turns included, 1/m^2."""
     return information(reach_m, leg) / (2.0 * max(reach_m + leg.turn_m, 1e-9))
 
 
 @kernel
-def best_reach_m(leg: Leg, least_m: float, most_m: float) -> float:
+def best_reach_m(leg: LegView, least_m: float, most_m: float) -> float:
     """The overshoot of the greatest rate between two bounds; a metre more tells the mean.
 
     Bisection for that, and, because a field of view and tilted axes make more than one such place,

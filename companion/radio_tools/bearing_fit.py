@@ -183,7 +183,7 @@ def _folded_mount(turned: Vector, body: Matrix) -> tuple[float, float]:
     return best
 
 
-class _Problem:
+class _FitProblem:
     """Residuals of the bearings, said less predicted, by mount and lag."""
 
     def __init__(self, samples: BearingSamples, track: PoseTrack, sense: BearingSense) -> None:
@@ -262,7 +262,7 @@ def fit_bearings(
     lag_s: float | None = None,
 ) -> BearingFit:
     """Mount and lag about what the scan found; `lag_s` holds the lag there."""
-    problem = _Problem(samples, track, sense)
+    problem = _FitProblem(samples, track, sense)
     covered = covered_rad(track, problem.times_s - sense.lag_s)
     mount, lag, _ = _solved(problem, lag_s, Waves())
     off = problem.off_boresight(mount, lag)
@@ -299,7 +299,7 @@ def fit_bearings(
     )
 
 
-def _waves(problem: _Problem, mount: float, lag: float, waves: Waves) -> Matrix:
+def _waves(problem: _FitProblem, mount: float, lag: float, waves: Waves) -> Matrix:
     """Columns of what the antenna does wrong by its angle, and the compass by the heading."""
     off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
     columns: list[Vector] = []
@@ -312,7 +312,7 @@ def _waves(problem: _Problem, mount: float, lag: float, waves: Waves) -> Matrix:
 
 
 def _solved(
-    problem: _Problem, held_s: float | None, waves: Waves
+    problem: _FitProblem, held_s: float | None, waves: Waves
 ) -> tuple[float, float, LinearFit]:
     """Mount, lag and the last fit, whose parameters are mount, lag and the waves."""
     mount = problem.sense.mount_rad
@@ -347,7 +347,7 @@ def _with_held_lag(fit: LinearFit) -> LinearFit:
     return LinearFit(np.insert(fit.beta, 1, 0.0), covariance, fit.freedom)
 
 
-def _sectors(problem: _Problem, mount: float, lag: float) -> Labels:
+def _sectors(problem: _FitProblem, mount: float, lag: float) -> Labels:
     """Sectors of angle and heading: what an element or the compass does wrong is in one of them.
 
     Where there are next to none, pieces of time instead.

@@ -31,7 +31,7 @@ from sim_link.autopilot.protocols.plan_items import (
     PlanItem,
 )
 from sim_link.autopilot.scenario import PROJECTION_OF, BatteryParams, Scenario
-from sim_link.world.point_mass import Motion, PointMass
+from sim_link.world.point_mass import Kinematics, PointMass
 
 FULL_CELL_MV, EMPTY_CELL_MV, CELLS = 4200, 3500, 4
 HOVER_CURRENT_CA = 1800
@@ -106,7 +106,7 @@ class Area:
         return self.radius_m - math.dist(place, self.corners_enu_m[0])
 
 
-class Fence:
+class Geofence:
     """Areas that must or must not be flown in.
 
     Several inclusions together are one: inside any of them is inside (PX4 and ArduPilot alike).
@@ -196,7 +196,7 @@ class Aircraft:
         self.estimator = Estimator(origin, scenario.gps, noise_m, noise_rng, navigation)
         self.estimator.step(0.0, self.body.position_enu_m, 0.0)
         error = self.estimator.error
-        self.motion: Motion = self.body if error is None else Believed(self.body, error)
+        self.motion: Kinematics = self.body if error is None else Believed(self.body, error)
         """What the autopilot steers by."""
         east, north, _ = self.motion.position_enu_m
         self.home_enu_m: PositionEnu = (east, north, self.motion.ground_up_m)
@@ -212,7 +212,7 @@ class Aircraft:
         self.pilot = Pilot(scenario.vehicle, self.home_enu_m)
         self.mission = MissionRun(self._locate, first_mission_item)
         corners = scenario.fence.corners_enu_m
-        self.fence = Fence([Area(corners, scenario.fence.is_inclusion)] if corners else [])
+        self.fence = Geofence([Area(corners, scenario.fence.is_inclusion)] if corners else [])
         self.is_armed = False
         self.time_s = 0.0
         self.flight_time_s = 0.0
@@ -303,7 +303,7 @@ class Aircraft:
             """A place in 1e-7 degrees, local east and north."""
             return origin.enu_from_geodetic(lat_e7 / 1e7, lon_e7 / 1e7, origin.altitude_m)[:2]
 
-        self.fence = Fence(areas_from_items(items, enu_from_e7))
+        self.fence = Geofence(areas_from_items(items, enu_from_e7))
 
     def _locate(self, item: PlanItem) -> PositionEnu:
         frame = item.frame if item.frame in GLOBAL_FRAMES else 3

@@ -16,8 +16,8 @@ from companion.geometry.polygons import Point
 from sim_link.autopilot.control_inputs import DEAD_ZONE, Setpoint, Sticks, turned
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.world.point_mass import (
-    Motion,
-    VehicleParams,
+    Kinematics,
+    MulticopterParams,
     approach_speed_mps,
     approach_velocity,
     stopping_point,
@@ -61,7 +61,7 @@ class SpeedLimits:
 class Pilot:
     """Flies the tasks."""
 
-    def __init__(self, vehicle: VehicleParams, home_enu_m: PositionEnu) -> None:
+    def __init__(self, vehicle: MulticopterParams, home_enu_m: PositionEnu) -> None:
         self._vehicle = vehicle
         self.task = Task.STAY
         self.home_enu_m = home_enu_m
@@ -93,7 +93,7 @@ class Pilot:
         self.wanted_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
         """The velocity that the task wanted last."""
 
-    def enter(self, task: Task, body: Motion) -> None:
+    def enter(self, task: Task, body: Kinematics) -> None:
         """A new task begins."""
         self.task = task
         self._stay(body)
@@ -114,12 +114,12 @@ class Pilot:
         self._holds_the_ground = False
         self.hold_speed_mps, self.hold_yaw_ned_rad = speed_mps, yaw
 
-    def has_taken_off(self, body: Motion) -> bool:
+    def has_taken_off(self, body: Kinematics) -> bool:
         """Whether the takeoff height is reached."""
         return body.position_enu_m[2] >= self.takeoff_up_m - REACHED_M
 
     def command(
-        self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: Motion
+        self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: Kinematics
     ) -> PositionEnu:
         """The velocity that the task wants now, local east-north-up.
 
@@ -133,7 +133,7 @@ class Pilot:
         return self.wanted_enu_mps
 
     def _command(
-        self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: Motion
+        self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: Kinematics
     ) -> PositionEnu:
         match self.task:
             case Task.FOLLOW:
@@ -176,12 +176,12 @@ class Pilot:
                 return wrap_pi(heading_rad + rate_radps * STEP_S)
         return None
 
-    def _stay(self, body: Motion) -> None:
+    def _stay(self, body: Kinematics) -> None:
         east, north, up = stopping_point(body.position_enu_m, body.velocity_enu_mps, self._vehicle)
         self.hold_enu_m = (east, north, max(up, body.ground_up_m))
         self._holds_the_ground = body.is_on_ground
 
-    def _come_to_rest(self, body: Motion) -> PositionEnu:
+    def _come_to_rest(self, body: Kinematics) -> PositionEnu:
         """To where it stays since nothing is asked."""
         if not self._is_staying:
             self._stay(body)
@@ -189,7 +189,7 @@ class Pilot:
         return self._towards(self.hold_enu_m, body)
 
     def _towards(
-        self, goal_enu_m: PositionEnu, body: Motion, speed_mps: float | None = None
+        self, goal_enu_m: PositionEnu, body: Kinematics, speed_mps: float | None = None
     ) -> PositionEnu:
         self.goal_enu_m = goal_enu_m
         east, north, up = approach_velocity(body.position_enu_m, goal_enu_m, self._vehicle)
@@ -199,20 +199,20 @@ class Pilot:
         scale = limit_mps / speed if speed > limit_mps >= 0.0 else 1.0
         return (east * scale, north * scale, max(-limits.descent_mps, min(limits.climb_mps, up)))
 
-    def _land(self, body: Motion) -> PositionEnu:
+    def _land(self, body: Kinematics) -> PositionEnu:
         east, north, _ = self._towards(self.hold_enu_m, body)
         if body.height_m > SLOW_DESCENT_BELOW_M:
             return (east, north, -self._vehicle.max_descent_mps)
         return (east, north, -self._vehicle.landing_speed_mps)
 
-    def _fly_leg(self, leg: MissionLeg, body: Motion) -> PositionEnu:
+    def _fly_leg(self, leg: MissionLeg, body: Kinematics) -> PositionEnu:
         if leg.kind is LegKind.LAND:
             self.hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
             return self._land(body)
         self.hold_enu_m = leg.goal_enu_m
         return self._towards(leg.goal_enu_m, body, leg.speed_mps)
 
-    def _circle(self, body: Motion) -> PositionEnu:
+    def _circle(self, body: Kinematics) -> PositionEnu:
         """Along the circle, pulled back to its radius; the centre is where the nose pointed."""
         (east, north, _), (centre_e, centre_n) = body.position_enu_m, self._circle_centre
         angle = math.atan2(east - centre_e, north - centre_n)
@@ -223,7 +223,7 @@ class Pilot:
         self._circle_yaw_ned_rad = wrap_pi(angle + math.pi)
         return (back[0] + along[0], back[1] + along[1], back[2])
 
-    def _return(self, body: Motion) -> PositionEnu:
+    def _return(self, body: Kinematics) -> PositionEnu:
         if self._cruise_up_m is None:
             if self.final_up_m is not None:
                 return self._towards((*self.home_enu_m[:2], self.final_up_m), body)
@@ -239,13 +239,13 @@ class Pilot:
                 return self._return(body)
         return self._towards((*self.home_enu_m[:2], self._cruise_up_m), body)
 
-    def _is_over_home(self, body: Motion) -> bool:
+    def _is_over_home(self, body: Kinematics) -> bool:
         """Whether the wind lets it come no nearer, or it is there."""
         distance_m = math.dist(body.position_enu_m[:2], self.home_enu_m[:2])
         slack_mps = body.drift_mps + self._vehicle.position_gain_per_s * HOME_REACHED_M
         return approach_speed_mps(distance_m, self._vehicle) <= slack_mps
 
-    def _fly_by_sticks(self, sticks: Sticks, body: Motion) -> PositionEnu:
+    def _fly_by_sticks(self, sticks: Sticks, body: Kinematics) -> PositionEnu:
         """Velocities by deflection; let go, it stays where it comes to rest."""
         vehicle, speed_mps = self._vehicle, self._vehicle.max_speed_mps
         if sticks.deflection <= DEAD_ZONE:
@@ -256,7 +256,7 @@ class Pilot:
         limit_mps = vehicle.max_climb_mps if sticks.up > 0.0 else vehicle.max_descent_mps
         return (east, north, sticks.up * limit_mps)
 
-    def _follow(self, setpoint: Setpoint, body: Motion) -> PositionEnu:
+    def _follow(self, setpoint: Setpoint, body: Kinematics) -> PositionEnu:
         place, velocity = setpoint.position_en_m, setpoint.velocity_en_mps
         gives_nothing = (place, setpoint.up_m, velocity, setpoint.climb_mps) == (None,) * 4
         if gives_nothing and setpoint.acceleration_enu_mps2 is not None:

@@ -19,7 +19,7 @@ from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.message_streams import DUE_TOLERANCE_S
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.autopilot.telemetry import MAVLINK_VERSION
-from sim_link.world.attitude import Attitude
+from sim_link.world.attitude import EulerAngles
 from sim_link.world.environment import ChannelParams, Emitter, Environment
 from sim_link.world.field_radio import FieldRadio
 from sim_link.world.point_mass import PointMass
@@ -34,7 +34,7 @@ class _Pose(NamedTuple):
 
     position_enu_m: PositionEnu
     height_m: float
-    attitude: Attitude
+    attitude: EulerAngles
 
 
 class RadioPayload:

@@ -15,7 +15,7 @@ from companion.geometry.polygons import check_polygon
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.protocols.addressing import LinkMode
-from sim_link.world.antenna import AntennaParams
+from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import (
     Coordinate,
     EmitterParams,
@@ -25,7 +25,7 @@ from sim_link.world.environment import (
     ShadowParams,
 )
 from sim_link.world.field_radio import Measures
-from sim_link.world.point_mass import Share, VehicleParams, WindParams
+from sim_link.world.point_mass import MulticopterParams, Share, WindParams
 
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -130,7 +130,7 @@ class PayloadParams(Params, frozen=True):
     """Range and bearing, or one of them."""
     lag_s: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
     """How much later than it was made a measurement is stamped and sent, in whole steps."""
-    antenna: AntennaParams = AntennaParams()
+    antenna: AntennaModelParams = AntennaModelParams()
     """How it measures directions."""
 
 
@@ -154,7 +154,7 @@ class Scenario(Params, frozen=True):
     """What a path suffers that an obstacle blocks."""
     payload: PayloadParams = PayloadParams()
     autopilot: AutopilotParams = AutopilotParams()
-    vehicle: VehicleParams = VehicleParams()
+    vehicle: MulticopterParams = MulticopterParams()
     wind: WindParams = WindParams()
     battery: BatteryParams = BatteryParams()
     rc: RcParams = RcParams()

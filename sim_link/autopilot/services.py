@@ -98,7 +98,7 @@ CALIBRATION_S = 3.0
 CALIBRATION_REPORT_S = 0.5
 
 
-class Calibration:
+class SensorCalibration:
     """At most one at a time."""
 
     def __init__(self, commands: Commands, empty: CommandResult) -> None:
@@ -159,7 +159,7 @@ class Services:
         fly_to = self._fly_to if has_home_item else None
         self._plans = Plans(self._store, firmware.plans, self._texts, fly_to)
         self._commands = Commands(firmware.commands)
-        self._calibration = Calibration(self._commands, firmware.empty_calibration)
+        self._calibration = SensorCalibration(self._commands, firmware.empty_calibration)
         self._build = partial(build_message, vehicle)
         self.requests = MessageRequests(
             firmware.streams, firmware.requests, self._build, self._texts, links

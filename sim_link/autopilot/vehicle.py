@@ -19,7 +19,7 @@ from sim_link.autopilot.control_inputs import Sticks
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import ardupilot_parameters
 from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.base import Flavour
+from sim_link.autopilot.flavours.base import AutopilotFlavour
 from sim_link.autopilot.flavours.px4.firmware_profile import px4_parameters
 from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 from sim_link.autopilot.incidents import (
@@ -43,7 +43,7 @@ from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.scenario import FlavourName, Scenario
 from sim_link.world.point_mass import PointMass
 
-FLAVOURS: dict[FlavourName, tuple[type[Flavour], Callable[[Scenario], ParameterStore]]] = {
+FLAVOURS: dict[FlavourName, tuple[type[AutopilotFlavour], Callable[[Scenario], ParameterStore]]] = {
     "px4": (Px4Flavour, px4_parameters),
     "ardupilot": (ArduPilotFlavour, ardupilot_parameters),
 }
@@ -64,7 +64,7 @@ class SimVehicle:
         flavour, parameters = FLAVOURS[scenario.autopilot.flavour]
         first = flavour.firmware.first_mission_item
         self.aircraft = Aircraft(scenario, noise_rng, first, body)
-        self.flavour: Flavour = flavour(self.aircraft, parameters(scenario))
+        self.flavour: AutopilotFlavour = flavour(self.aircraft, parameters(scenario))
         self.body = self.aircraft.body
         self.estimator = self.aircraft.estimator
         self.battery = self.aircraft.battery

@@ -75,7 +75,7 @@ class Node:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class NodeState:
     """What NodeFrame2 says of its node's place."""
 
     eop: bytes = b"\xff\xff\xff"
@@ -135,7 +135,7 @@ def node_frame5(node: Node, peers: Sequence[Peer]) -> bytes:
     return variable_frame(MARK_NODE5, body)
 
 
-def node_frame2(node: Node, motion: Motion, peers: Sequence[Peer]) -> bytes:
+def node_frame2(node: Node, motion: NodeState, peers: Sequence[Peer]) -> bytes:
     """LinkTrack_NodeFrame2: place and motion, and ranges."""
     body = struct.pack("<BBI", node.role, node.id, node.system_ms % U32) + motion.eop
     body += b"".join(int24(metres) for metres in motion.place_m)
@@ -265,7 +265,7 @@ class NLinkNode2(NLinkEmulator):
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
         """All who answered."""
-        return node_frame2(node, Motion(), peers)
+        return node_frame2(node, NodeState(), peers)
 
 
 class NLinkTag0(NLinkEmulator):

@@ -22,7 +22,7 @@ from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, mak
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.lab.radio_follower import GeodeticEmitter, RadioFollower
 from sim_link.lab.radio_outlets import is_stdout, parse_outlet
-from sim_link.world.antenna import AntennaParams
+from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import Emitter
 
 MOST_HZ = 50.0
@@ -130,7 +130,7 @@ def _follower(arguments: argparse.Namespace) -> RadioFollower:
         payload = PayloadParams(
             rate_hz=min(kind.rate_hz, MOST_HZ),
             measures=kind.measures,
-            antenna=AntennaParams(kind=kind.antenna),
+            antenna=AntennaModelParams(kind=kind.antenna),
         )
     if arguments.rate is not None:
         payload = msgspec.structs.replace(payload, rate_hz=arguments.rate)

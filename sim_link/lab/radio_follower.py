@@ -35,7 +35,7 @@ from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.emulators.emulator import Answer, Emulator, Round
-from sim_link.world.attitude import LEVEL, Attitude
+from sim_link.world.attitude import LEVEL, EulerAngles
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams, Environment
 from sim_link.world.field_radio import FieldRadio
 
@@ -167,7 +167,7 @@ class RadioFollower:
                     self._tell_late(stamp_s)
             case mavlink.MAVLink_attitude_message():
                 self._attitude_heard_s = now_s
-                self._attitude = Attitude(message.roll, message.pitch, message.yaw)
+                self._attitude = EulerAngles(message.roll, message.pitch, message.yaw)
             case mavlink.MAVLink_home_position_message():
                 if math.isfinite(message.z):
                     self._ground_up_m = -message.z

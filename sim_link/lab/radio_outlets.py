@@ -26,7 +26,7 @@ EXAMPLES = "pty:/tmp/radio, udpout:127.0.0.1:14700, tcpin:127.0.0.1:14700, stdou
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
+class PageAddress:
     """A port of this machine where a document is asked for."""
 
     host: str
@@ -60,7 +60,7 @@ def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
     return transport
 
 
-def parse_page(text: str, kind: type[Emulator]) -> Page:
+def parse_page(text: str, kind: type[Emulator]) -> PageAddress:
     """Of `http:HOST:PORT`; a `ConfigError` shows a right one."""
     if kind.document is None:
         raise ConfigError(f"--to {text}: {kind.name} is not polled; give {EXAMPLES}")
@@ -72,7 +72,7 @@ def parse_page(text: str, kind: type[Emulator]) -> Page:
         host = port = None
     if host is None or not port:
         raise ConfigError(f"--to {text}: give http:HOST:PORT, for example http:127.0.0.1:8081")
-    return Page(host, port, kind.document)
+    return PageAddress(host, port, kind.document)
 
 
 class StdoutLink(Link):
@@ -101,7 +101,7 @@ class StdoutLink(Link):
 class HttpLink(Link):
     """A port that answers every question for the document with the latest."""
 
-    def __init__(self, page: Page, index: int) -> None:
+    def __init__(self, page: PageAddress, index: int) -> None:
         super().__init__(f"http {page.host}:{page.port}", index, lambda _: None)
         self._page = page
         self._document: bytes | None = None

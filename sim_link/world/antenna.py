@@ -27,13 +27,13 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 
 from companion.domain import Params, PositionEnu
-from sim_link.world.attitude import Attitude, Components, seen_from
+from sim_link.world.attitude import Components, EulerAngles, seen_from
 
 AntennaKind = Literal["ideal", "planar", "line", "two_axis"]
 Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
 
-class AntennaParams(Params, frozen=True):
+class AntennaModelParams(Params, frozen=True):
     """How a radio measures directions."""
 
     kind: AntennaKind = "ideal"
@@ -95,7 +95,7 @@ def turned_about_vertical(direction: Components, angle_rad: float) -> Components
 
 
 def seen_by_antenna(
-    direction: Components, attitude: Attitude, params: AntennaParams, offset_rad: float
+    direction: Components, attitude: EulerAngles, params: AntennaModelParams, offset_rad: float
 ) -> Components:
     """Components along boresight, right and down of a direction given east, north, up.
 
@@ -105,11 +105,11 @@ def seen_by_antenna(
     east, north, up = direction
     body = seen_from(attitude, (north, east, -up))
     roll, pitch, yaw = (math.radians(angle) for angle in params.mount_deg)
-    return seen_from(Attitude(roll, pitch, yaw + offset_rad), body)
+    return seen_from(EulerAngles(roll, pitch, yaw + offset_rad), body)
 
 
 def printed(
-    u: Components, params: AntennaParams, sigma_rad: float, normals: Components
+    u: Components, params: AntennaModelParams, sigma_rad: float, normals: Components
 ) -> Printed | None:
     """What the radio prints of a direction in its frame; None: nothing.
 

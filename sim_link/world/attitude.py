@@ -15,7 +15,7 @@ Components = tuple[float, float, float]
 """Along the three axes of a frame."""
 
 
-class Attitude(NamedTuple):
+class EulerAngles(NamedTuple):
     """Of a turned frame in an outer one, radians; a body's yaw is clockwise from north."""
 
     roll_rad: float = 0.0
@@ -23,10 +23,10 @@ class Attitude(NamedTuple):
     yaw_rad: float = 0.0
 
 
-LEVEL = Attitude()
+LEVEL = EulerAngles()
 
 
-def seen_from(attitude: Attitude, outer: Components) -> Components:
+def seen_from(attitude: EulerAngles, outer: Components) -> Components:
     """The components in the turned frame of a vector in the outer one: R transposed, times it."""
     x, y, z = outer
     cos, sin = math.cos(attitude.yaw_rad), math.sin(attitude.yaw_rad)

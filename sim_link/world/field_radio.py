@@ -31,7 +31,7 @@ import numpy as np
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.geometry.coordinates import wrap_pi
 from sim_link.world.antenna import (
-    AntennaParams,
+    AntennaModelParams,
     Printed,
     bent,
     direction_enu,
@@ -39,7 +39,7 @@ from sim_link.world.antenna import (
     seen_by_antenna,
     turned_about_vertical,
 )
-from sim_link.world.attitude import LEVEL, Attitude, Components, seen_from
+from sim_link.world.attitude import LEVEL, Components, EulerAngles, seen_from
 from sim_link.world.environment import (
     NO_MEMORY,
     ChannelParams,
@@ -56,7 +56,7 @@ from sim_link.world.line_of_sight import detour, is_blocked_in_space, walls_betw
 from sim_link.world.radio_channel import MIN_RANGE_M, ChannelDraw, RadioChannel
 
 Measures = Literal["both", "range", "bearing"]
-IDEAL = AntennaParams()
+IDEAL = AntennaModelParams()
 PATH_NORMALS, GROSS_NORMALS, FREE_NORMALS = 3, 4, 5
 """Drawn for each measurement: of the path, of gross errors, and of what never stays."""
 
@@ -117,7 +117,7 @@ class _Moment(NamedTuple):
 
     emitter: Emitter
     place: PositionEnu
-    attitude: Attitude
+    attitude: EulerAngles
     params: FieldChannelParams
     draw: ChannelDraw
     bend_up: float
@@ -153,7 +153,7 @@ class FieldRadio(RadioChannel):
         params: ChannelParams,
         rng: np.random.Generator,
         environment: Environment | None = None,
-        antenna: AntennaParams = IDEAL,
+        antenna: AntennaModelParams = IDEAL,
         measures: Measures = "both",
     ) -> None:
         super().__init__(in_the_field(params), rng, environment)
@@ -170,7 +170,7 @@ class FieldRadio(RadioChannel):
         self._paths.clear()
 
     def hear(
-        self, emitter: Emitter, place: PositionEnu, time_s: float, attitude: Attitude = LEVEL
+        self, emitter: Emitter, place: PositionEnu, time_s: float, attitude: EulerAngles = LEVEL
     ) -> RangingMeasurement | None:
         """One measurement of `emitter` from a place, local east, north, up; None: it is lost."""
         params = in_the_field(self._params_of(emitter))
@@ -187,7 +187,11 @@ class FieldRadio(RadioChannel):
         return self._told(moment, time_s, range_m, bearing)
 
     def _moment(
-        self, emitter: Emitter, place: PositionEnu, attitude: Attitude, params: FieldChannelParams
+        self,
+        emitter: Emitter,
+        place: PositionEnu,
+        attitude: EulerAngles,
+        params: FieldChannelParams,
     ) -> _Moment:
         """Always consumes the same amount of randomness, whatever the parameters."""
         fresh = self._field_rng.standard_normal(PATH_NORMALS + GROSS_NORMALS + FREE_NORMALS)

@@ -21,7 +21,7 @@ import msgspec
 
 from companion.domain import NonNegative, Params, PositionEnu, Positive
 from companion.geometry.coordinates import wrap_pi
-from sim_link.world.attitude import Attitude, leaning
+from sim_link.world.attitude import EulerAngles, leaning
 
 GRAVITY_MPS2 = 9.80665
 GROUND_CONTACT_M = 1e-3
@@ -35,7 +35,7 @@ WindSpeed = Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
-class VehicleParams(Params, frozen=True):
+class MulticopterParams(Params, frozen=True):
     """Limits and response of the multicopter."""
 
     max_speed_mps: Speed = 10.0
@@ -72,7 +72,7 @@ class WindParams(Params, frozen=True):
         return (self.east_mps, self.north_mps, self.gust_sigma_mps) != (0.0, 0.0, 0.0)
 
 
-class Motion(Protocol):
+class Kinematics(Protocol):
     """Where a vehicle is and how it moves: truly, or as its autopilot believes."""
 
     @property
@@ -109,7 +109,7 @@ class PointMass:
 
     def __init__(
         self,
-        params: VehicleParams,
+        params: MulticopterParams,
         wind: WindParams,
         position_enu_m: PositionEnu,
         ground_up_m: float = 0.0,
@@ -155,7 +155,7 @@ class PointMass:
         )
 
     @property
-    def attitude(self) -> Attitude:
+    def attitude(self) -> EulerAngles:
         """The true one: leaning for its acceleration and against the air, level on the ground."""
         east, north, _ = self.acceleration_enu_mps2
         drag_per_s = self._params.drag_per_s
@@ -168,7 +168,7 @@ class PointMass:
         cos_yaw, sin_yaw = math.cos(self.yaw_ned_rad), math.sin(self.yaw_ned_rad)
         forward = north * cos_yaw + east * sin_yaw
         right = east * cos_yaw - north * sin_yaw
-        return Attitude(*leaning(forward, right, GRAVITY_MPS2), self.yaw_ned_rad)
+        return EulerAngles(*leaning(forward, right, GRAVITY_MPS2), self.yaw_ned_rad)
 
     @property
     def height_m(self) -> float:
@@ -228,7 +228,7 @@ class PointMass:
         self.acceleration_enu_mps2 = (0.0, 0.0, 0.0)
 
 
-def limited_velocity(velocity_enu_mps: PositionEnu, params: VehicleParams) -> PositionEnu:
+def limited_velocity(velocity_enu_mps: PositionEnu, params: MulticopterParams) -> PositionEnu:
     """The velocity within the vehicle's limits, its horizontal direction kept."""
     ve, vn, vu = velocity_enu_mps
     speed = math.hypot(ve, vn)
@@ -237,7 +237,7 @@ def limited_velocity(velocity_enu_mps: PositionEnu, params: VehicleParams) -> Po
     return (ve * scale, vn * scale, vu)
 
 
-def approach_speed_mps(distance_m: float, params: VehicleParams) -> float:
+def approach_speed_mps(distance_m: float, params: MulticopterParams) -> float:
     """How fast to close a distance: proportional when near, what can still be braked when far."""
     gain = params.position_gain_per_s
     braking = BRAKING_SHARE * params.max_acceleration_mps2
@@ -248,7 +248,7 @@ def approach_speed_mps(distance_m: float, params: VehicleParams) -> float:
 
 
 def approach_velocity(
-    position_enu_m: PositionEnu, goal_enu_m: PositionEnu, params: VehicleParams
+    position_enu_m: PositionEnu, goal_enu_m: PositionEnu, params: MulticopterParams
 ) -> PositionEnu:
     """The velocity command that flies to a goal and stops there, within the limits."""
     e = goal_enu_m[0] - position_enu_m[0]
@@ -263,7 +263,7 @@ def approach_velocity(
 
 
 def stopping_point(
-    position_enu_m: PositionEnu, velocity_enu_mps: PositionEnu, params: VehicleParams
+    position_enu_m: PositionEnu, velocity_enu_mps: PositionEnu, params: MulticopterParams
 ) -> PositionEnu:
     """Where a vehicle that brakes now comes to rest, about."""
     speed = math.sqrt(sum(v * v for v in velocity_enu_mps))

@@ -16,7 +16,7 @@ from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.fleet.scenario_io import load_scenario
-from sim_link.world.antenna import AntennaParams as SensedAntenna
+from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import EmitterParams, FieldChannelParams
 from tests.loop.loop_helpers import AUTO, Loop
 
@@ -56,7 +56,7 @@ def test_the_search_goes_on_safely_whatever_the_radio_says(path: Path) -> None:
 @pytest.mark.slow
 def test_an_array_is_crossed_lower_where_that_tells_more_and_never_below_the_band() -> None:
     """The operator is told; the report comes from down there, and the climb back is not ours."""
-    array = SensedAntenna(kind="planar")
+    array = AntennaModelParams(kind="planar")
     scenario = Scenario(emitter=NEAR, channel=CLEAR, payload=PayloadParams(antenna=array))
     believed = FilterParams(antenna=AntennaParams(kind="planar"))
     planner = PlannerConfig(latched_crossing=LatchedCrossingParams(descend=True))

@@ -29,7 +29,7 @@ from sim_link.autopilot.protocols.command_protocol import (
     Commands,
 )
 from sim_link.autopilot.protocols.link_layer import Router
-from sim_link.autopilot.protocols.message_streams import MessageRequests, StreamRules
+from sim_link.autopilot.protocols.message_streams import MessageRequests, StreamProfile
 from sim_link.autopilot.protocols.mission_protocol import Plans
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.protocols.plan_items import PlanStore, PlanType
@@ -62,7 +62,7 @@ KINDS: tuple[type[Message], ...] = (
 NAMES = (b"MIS_TAKEOFF_ALT", b"RTL_ALT", b"_HASH_CHECK", b"SYSID_THISMAV", b"GF_ACTION")
 SPECIAL = (b"\0\0\xc0\x7f", b"\0\0\x80\x7f", b"\xff\xff\x7f\xff", b"\0\0\0\0", b"\0\0\x80\x3f")
 """NaN, infinity, the most negative float, 0 and 1."""
-STREAMS = StreamRules({0: 1.0, 30: 50.0, 148: 0.0}, 0.004, groups={10: (30,)})
+STREAMS = StreamProfile({0: 1.0, 30: 50.0, 148: 0.0}, 0.004, groups={10: (30,)})
 FRAMES = 20_000
 
 

@@ -12,9 +12,9 @@ from companion.domain import FlightMode
 from companion.mav.dialect import MAVLink_radio_ranging_message, RangingFlag, mavlink
 from sim_link.autopilot.navigation import FixChange, NavigationParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, PayloadParams, Scenario
-from sim_link.world.antenna import AntennaParams
+from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import FieldChannelParams
-from sim_link.world.point_mass import VehicleParams, WindParams
+from sim_link.world.point_mass import MulticopterParams, WindParams
 from tests.protocol.sim_helpers import ACCEPTED, ARM, GroundStation, local_setpoint
 
 ERRS = NavigationParams(
@@ -143,7 +143,7 @@ def rangings(station: GroundStation) -> list[Any]:
 
 
 def test_an_array_prints_in_its_own_frame_with_flags() -> None:
-    antenna = AntennaParams(kind="two_axis", mount_deg=(0.0, -90.0, 0.0))
+    antenna = AntennaModelParams(kind="two_axis", mount_deg=(0.0, -90.0, 0.0))
     scenario = Scenario(channel=QUIET, payload=PayloadParams(antenna=antenna))
     said = rangings(flying(scenario))[-1]
     assert said.flags == RangingFlag.BODY_FRAME | RangingFlag.ARRAY_ANGLE
@@ -154,7 +154,7 @@ def test_an_array_prints_in_its_own_frame_with_flags() -> None:
 
 def test_the_wind_leans_the_vehicle_and_turns_what_its_antenna_prints() -> None:
     wind = WindParams(north_mps=-10.0, let_through=0.0)
-    antenna = AntennaParams(kind="line")
+    antenna = AntennaModelParams(kind="line")
     scenario = Scenario(channel=QUIET, wind=wind, payload=PayloadParams(antenna=antenna))
     station = flying(scenario)
     told = station.last(mavlink.MAVLink_attitude_message)
@@ -171,7 +171,7 @@ def test_what_lags_tells_of_where_the_vehicle_was() -> None:
 
     def errors_m(lag_s: float) -> np.ndarray[Any, Any]:
         payload = PayloadParams(lag_s=lag_s, rate_hz=5.0)
-        fast = VehicleParams(max_speed_mps=5.0)
+        fast = MulticopterParams(max_speed_mps=5.0)
         station = flying(Scenario(channel=QUIET, payload=payload, vehicle=fast))
         station.stream = lambda: local_setpoint(90.0, 10.0, -20.0)
         places.clear()

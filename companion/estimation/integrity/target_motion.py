@@ -70,7 +70,7 @@ STEP_TOLERANCE_M = 5e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class TargetMotion:
     """A target that walks evenly, as the last seconds have it."""
 
     velocity_mps: Vector
@@ -98,7 +98,7 @@ class MotionWatch:
         self._reset()
 
     @property
-    def motion(self) -> Motion | None:
+    def motion(self) -> TargetMotion | None:
         """How the target walks, once that was seen twice in a row; None: it lies still."""
         return self.suspected if self._is_seen else None
 
@@ -111,7 +111,7 @@ class MotionWatch:
     def _reset(self) -> None:
         self._significant = self._calm = 0
         self._is_seen = False
-        self.suspected: Motion | None = None
+        self.suspected: TargetMotion | None = None
         """How the target seems to walk, since the first look that says so; None: it lies still."""
 
     def add(self, time_s: float, row: Row) -> None:
@@ -167,9 +167,9 @@ class MotionWatch:
             if len(rows) - begin >= MIN_COUNT and times_s[-1] - times_s[begin] >= LEAST_SPAN_S
         ]
 
-    def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> Motion | None:
+    def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> TargetMotion | None:
         """The motion of the shortest span in which it is significant, or the most significant."""
-        best: Motion | None = None
+        best: TargetMotion | None = None
         for rows in self._spans():
             motion = motion_of(window_map, rows, mean)
             if motion is None:
@@ -181,7 +181,7 @@ class MotionWatch:
         return best
 
 
-def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | None:
+def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> TargetMotion | None:
     """How a target believed to lie at `mean` (k,) walks, if it does; rows end with their time."""
     still, walk = window_map.solve(rows, mean), _Walk(window_map, rows)
     if still is None:
@@ -200,7 +200,7 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Motion | Non
         return None
     if not math.isfinite(fall + significance):
         return None
-    return Motion(velocity_mps=velocity, significance=min(fall, significance))
+    return TargetMotion(velocity_mps=velocity, significance=min(fall, significance))
 
 
 class _Walk:

@@ -28,7 +28,7 @@ from companion.mav.signing import (
     TICKS_PER_S,
     Signing,
     SigningKey,
-    SigningRules,
+    SigningPolicy,
 )
 
 HOW_TO_MAKE_ONE = (
@@ -110,7 +110,7 @@ class SigningStore:
         self._key_name = hashlib.sha256(b"name of the key" + key.secret).hexdigest()[:16]
         self._last = self._load()
 
-    def signing(self, key: SigningKey, rules: SigningRules) -> Signing:
+    def signing(self, key: SigningKey, rules: SigningPolicy) -> Signing:
         """Signing that remembers what was stored."""
         last = self._last
         if last is None:
@@ -174,7 +174,7 @@ class SigningKeeper:
 
 
 def open_signing_keeper(
-    key_file: Path, key: SigningKey, rules: SigningRules = AS_THE_GUIDE
+    key_file: Path, key: SigningKey, rules: SigningPolicy = AS_THE_GUIDE
 ) -> SigningKeeper:
     """Signing that goes on from the last run, by a memory beside the key, and is stored again."""
     store = SigningStore(key_file, key)

@@ -33,8 +33,8 @@ from sim_link.autopilot.control_inputs import (
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.command_protocol import Command, CommandForms, CommandResult
-from sim_link.autopilot.protocols.message_streams import RequestRules, StreamRules
-from sim_link.autopilot.protocols.parameter_protocol import ParameterRules
+from sim_link.autopilot.protocols.message_streams import RequestProfile, StreamProfile
+from sim_link.autopilot.protocols.parameter_protocol import ParameterProfile
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.protocols.plan_items import MissionState
 from sim_link.autopilot.protocols.plan_rules import MAX_ALTITUDE_M, PlanRules
@@ -90,7 +90,7 @@ def answers(result: CommandResult) -> Handler:
     return lambda *_: result
 
 
-def set_home(flavour: Flavour, command: Command, _now_s: float) -> int:
+def set_home(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int:
     """DO_SET_HOME: here (first parameter 1), or at a place of any frame that the aircraft knows."""
     aircraft, firmware = flavour.aircraft, flavour.firmware
     if command.params[0] == 1.0:
@@ -109,7 +109,7 @@ def set_home(flavour: Flavour, command: Command, _now_s: float) -> int:
     return ACCEPTED
 
 
-def terminate(flavour: Flavour, command: Command, _now_s: float) -> int:
+def terminate(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int:
     """DO_FLIGHTTERMINATION."""
     if command.params[0] != 1.0:
         return flavour.firmware.refusal
@@ -136,9 +136,9 @@ class Firmware(NamedTuple):
     keeps_given_home: bool
     """Whether arming leaves a home alone that a station set."""
     commands: CommandForms
-    requests: RequestRules
-    streams: StreamRules
-    parameters: ParameterRules
+    requests: RequestProfile
+    streams: StreamProfile
+    parameters: ParameterProfile
     plans: PlanRules
     rejects_for_others: bool
     """Whether a command for a system or component that it never heard is answered by FAILED."""
@@ -161,7 +161,7 @@ class Firmware(NamedTuple):
 
 
 def read_firmware(
-    package: str, streams: StreamRules, dialect: Container[int] | None = None
+    package: str, streams: StreamProfile, dialect: Container[int] | None = None
 ) -> Firmware:
     """What a package's `firmware.yaml` says; names of MAVLink's constants are their values."""
     text = files(package).joinpath("firmware.yaml").read_bytes()
@@ -200,7 +200,7 @@ class FenceState(NamedTuple):
     is_breached: bool
 
 
-class Flavour(ABC):
+class AutopilotFlavour(ABC):
     """One autopilot on one aircraft."""
 
     firmware: Firmware

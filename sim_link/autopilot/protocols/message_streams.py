@@ -52,7 +52,7 @@ def message_ids(names: str) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class StreamRules:
+class StreamProfile:
     """The streams of an autopilot."""
 
     default_rates_hz: Mapping[int, float]
@@ -82,7 +82,7 @@ class StreamTable:
     """The streams of one channel."""
 
     def __init__(
-        self, rules: StreamRules, started_s: float = 0.0, mode: LinkMode = "onboard"
+        self, rules: StreamProfile, started_s: float = 0.0, mode: LinkMode = "onboard"
     ) -> None:
         self._rules = rules
         self._rates_hz = rules.rates_by_mode_hz.get(mode, rules.default_rates_hz)
@@ -183,7 +183,7 @@ Build = Callable[[int], Message | None]
 
 
 @dataclass(frozen=True, slots=True)
-class RequestRules:
+class RequestProfile:
     """By which results an autopilot refuses."""
 
     no_message: CommandResult
@@ -209,8 +209,8 @@ class MessageRequests:
 
     def __init__(
         self,
-        streams: StreamRules,
-        rules: RequestRules,
+        streams: StreamProfile,
+        rules: RequestProfile,
         build: Build,
         texts: StatusTexts,
         links: Sequence[LinkSetup] = (LinkSetup(),),

@@ -32,7 +32,7 @@ MAX_BURST = 64
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterRules:
+class ParameterProfile:
     """How an autopilot speaks of its parameters."""
 
     encoding: ParamEncoding
@@ -67,7 +67,7 @@ class _Listing:
 class Parameters:
     """Serves one vehicle's parameters to all channels."""
 
-    def __init__(self, store: ParameterStore, rules: ParameterRules, texts: StatusTexts) -> None:
+    def __init__(self, store: ParameterStore, rules: ParameterProfile, texts: StatusTexts) -> None:
         self.store = store
         self._rules = rules
         self._texts = texts

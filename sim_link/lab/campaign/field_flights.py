@@ -26,7 +26,7 @@ from companion.errors import ConfigError
 from companion.geometry.polygons import Point
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.scenario_io import load_scenario
-from sim_link.lab.evaluation.study import FlightGrid, FlightRow, Told, hint
+from sim_link.lab.evaluation.study import ConfigKind, FlightGrid, FlightRow, hint
 from sim_link.lab.evaluation.study_run import Store, key_of
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 from sim_link.lab.pool import Pool, sources_digest
@@ -43,7 +43,7 @@ class FieldFlight:
     """One flight, which depends on these values only."""
 
     radio: str
-    told: Told
+    told: ConfigKind
     config: CompanionConfig
     scenario: Scenario
     seed: int
@@ -73,7 +73,7 @@ def flights_of(
     radios, configs, planners = (
         [name for name in kind if name in only] or list(kind) for kind in names
     )
-    cells: list[tuple[str, Told, CompanionConfig, Scenario]] = []
+    cells: list[tuple[str, ConfigKind, CompanionConfig, Scenario]] = []
     for radio in radios:
         scenario = load_scenario(folder / "scenarios" / "field" / f"{radio}.yaml")
         preset = load_config(folder / "companion" / "field" / f"{radio}.yaml")

@@ -15,7 +15,7 @@ import numpy as np
 from companion.config import schema
 from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
-from companion.link.interface import VehicleParams as CompanionVehicle
+from companion.link.interface import VehicleParams
 from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import (
@@ -31,7 +31,7 @@ from sim_link.lab.campaign.flights import (
 )
 from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule, fields_of
 from sim_link.world.environment import EmitterParams
-from sim_link.world.point_mass import VehicleParams, WindParams
+from sim_link.world.point_mass import MulticopterParams, WindParams
 
 Corners = tuple[tuple[float, float], ...]
 
@@ -154,7 +154,7 @@ def _scenario(
         start_enu_m=place.start_enu_m,
         emitter=EmitterParams(position_enu_m=emitter),
         autopilot=AutopilotParams(flavour=flavour),
-        vehicle=VehicleParams(max_speed_mps=12.0),
+        vehicle=MulticopterParams(max_speed_mps=12.0),
         wind=WindParams(
             east_mps=wind_mps * math.cos(heading),
             north_mps=wind_mps * math.sin(heading),
@@ -174,7 +174,7 @@ def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionC
         engage="operator" if is_operated else "auto", altitude_m=ALTITUDE_M, stop_confirm_s=3.0
     )
     planner = schema.PlannerConfig(kind=dice.one(PLANNERS))
-    vehicle = CompanionVehicle(setpoint=dice.one(("local_ned", "global_int")))
+    vehicle = VehicleParams(setpoint=dice.one(("local_ned", "global_int")))
     is_pattern = planner.kind in ("lawnmower", "expanding_square", "sector")
     if not is_pattern and dice.happens(0.3):
         planner = msgspec.structs.replace(planner, search="expanding_square")

@@ -83,7 +83,7 @@ class Sweep(Params, frozen=True):
     """By system and metric one number for each value."""
 
 
-Told = Literal["told", "not_told"]
+ConfigKind = Literal["told", "not_told"]
 
 
 class FlightGrid(Params, frozen=True):
@@ -91,7 +91,7 @@ class FlightGrid(Params, frozen=True):
 
     cut_s: dict[str, Positive]
     """By scenario of `scenarios/field`: how long after engaging a flight without a report ends."""
-    configs: tuple[Told, ...] = ("told", "not_told")
+    configs: tuple[ConfigKind, ...] = ("told", "not_told")
     """With the scenario's preset of `companion/field`, or with the defaults."""
     planners: tuple[CrossingKind | PatternKind, ...] = ("latched_crossing",)
     ring_m: tuple[Positive, Positive] = (25.0, 90.0)
@@ -306,7 +306,7 @@ class FlightRow(Params, frozen=True):
     """What one flight came to: one row of flights.csv; None where there is nothing to say."""
 
     radio: str
-    config: Told
+    config: ConfigKind
     planner: str
     seed: int
     is_reported: bool

@@ -31,7 +31,7 @@ from sim_link.lab.evaluation import case as cases
 from sim_link.lab.evaluation import walk
 from sim_link.lab.evaluation.case import Case, RunTruth, Scene
 from sim_link.lab.evaluation.metrics import r95_m
-from sim_link.lab.evaluation.walk import Belief, WalkSteering
+from sim_link.lab.evaluation.walk import WalkFilter, WalkSteering
 from sim_link.world.environment import NO_MEMORY
 
 STEP_S = 1.0
@@ -188,7 +188,7 @@ def system_named(name: str) -> System:
     return msgspec.convert({"filter": filter_name, "planner": planner}, System)
 
 
-def belief_of(case: Case, system: System) -> Belief:
+def belief_of(case: Case, system: System) -> WalkFilter:
     """What the system's recursive filter believes, as the compiled walk takes it."""
     target_filter = recursive_filter_of(case, system)
     params = target_filter.params
@@ -199,7 +199,7 @@ def belief_of(case: Case, system: System) -> Belief:
     iterations, penalty = 0, 1.0
     if isinstance(target_filter, AdmmEkf):
         iterations, penalty = target_filter.admm.iterations, target_filter.admm.penalty
-    return Belief(
+    return WalkFilter(
         sigma=sigma,
         thresholds=params.thresholds,
         bounds=params.bounds,

@@ -115,7 +115,7 @@ VARIANCE_EAST, COVARIANCE, VARIANCE_NORTH = range(6, 9)
 COLUMNS = 9
 
 
-class Belief(NamedTuple):
+class WalkFilter(NamedTuple):
     """What a recursive filter believes, as the kernels take it.
 
     Thresholds are (3, 2), bounds (2, n), priors (n,), the pull is (4,).
@@ -154,7 +154,7 @@ class WalkSteering(NamedTuple):
 
 @kernel
 def first_fix(
-    east_m: float, north_m: float, range_m: float, bearing_rad: float, belief: Belief
+    east_m: float, north_m: float, range_m: float, bearing_rad: float, belief: WalkFilter
 ) -> tuple[Vector, Matrix]:
     """Mean and covariance after the first measurement, inverted with the offsets' prior means."""
     mean = belief.prior_mean.copy()
@@ -166,7 +166,7 @@ def first_fix(
 
 @kernel
 def updated(
-    mean: Vector, covariance: Matrix, sensor_enu_m: Vector, z: Vector, belief: Belief
+    mean: Vector, covariance: Matrix, sensor_enu_m: Vector, z: Vector, belief: WalkFilter
 ) -> tuple[Vector, Matrix]:
     """Mean and covariance after a measurement; those given where it would spoil them."""
     sigma, factors, limits = belief.sigma, belief.inflation, belief.thresholds
@@ -204,7 +204,7 @@ def next_solution(count: int) -> int:
 
 
 @kernel
-def history_of(steps: int, belief: Belief) -> Matrix:
+def history_of(steps: int, belief: WalkFilter) -> Matrix:
     """Rows of the companion's window for a run, (steps, 10), nothing measured so far."""
     rows = np.full((steps, map_kernels.COLUMNS), np.nan)
     rows[:, map_kernels.SIGMAS : map_kernels.SEQUENCE] = belief.sigma
@@ -223,7 +223,7 @@ def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
 
 
 @kernel
-def descended(rows: Matrix, start: Vector, known: Vector, belief: Belief) -> Vector:
+def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) -> Vector:
     """The minimum (4,) that `start` leads to, or the `known` one as soon as it comes near that.
 
     The next solution of an early history follows soon, so that it need not be as exact.
@@ -245,7 +245,7 @@ def descended(rows: Matrix, start: Vector, known: Vector, belief: Belief) -> Vec
 
 
 @kernel
-def solved(rows: Matrix, mean: Vector, turn: int, belief: Belief) -> tuple[Vector, Matrix]:
+def solved(rows: Matrix, mean: Vector, turn: int, belief: WalkFilter) -> tuple[Vector, Matrix]:
     """The lower of two minima, (4,), and its covariance, (4, 4).
 
     The history so far is (k, 10), the filter's mean (4,); the turn says where the fresh start lies.
@@ -262,7 +262,7 @@ def solved(rows: Matrix, mean: Vector, turn: int, belief: Belief) -> tuple[Vecto
 
 
 @kernel
-def curvature_at(rows: Matrix, mean: Vector, belief: Belief) -> tuple[Matrix, float]:
+def curvature_at(rows: Matrix, mean: Vector, belief: WalkFilter) -> tuple[Matrix, float]:
     """Curvature (4, 4) and cost of the objective at `mean`."""
     sigmas = row_sigmas(rows, mean, belief.model)
     curvature, _, cost = normal_equations(
@@ -278,7 +278,7 @@ def next_place(
     covariance: Matrix,
     pick: float,
     latch: Latch,
-    belief: Belief,
+    belief: WalkFilter,
     steering: WalkSteering,
 ) -> tuple[float, float, Latch]:
     """Where a planner that follows the estimate flies next, and its latch.
@@ -332,7 +332,7 @@ def walked(
     start: Vector,
     truth: RunTruth,
     scene: Scene,
-    belief: Belief,
+    belief: WalkFilter,
     steering: WalkSteering,
 ) -> Matrix:
     """The record of a run, (steps, 9), by draws (steps, 6) of the channel.

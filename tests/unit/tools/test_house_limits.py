@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections import Counter
 from pathlib import Path
 from statistics import median
@@ -46,3 +47,12 @@ def test_no_folder_has_more_files_than_one_can_see_at_once() -> None:
 def test_a_module_is_found_by_its_name() -> None:
     names = Counter(path.name for path in MODULES if path.name not in PYTHONS_OWN)
     assert {name: n for name, n in names.items() if n > MOST_OF_ONE_NAME} == {}
+
+
+def test_a_public_class_has_a_name_of_its_own() -> None:
+    homes: dict[str, list[str]] = {}
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(path.relative_to(ROOT).as_posix())
+    assert {name: found for name, found in homes.items() if len(found) > 1} == {}

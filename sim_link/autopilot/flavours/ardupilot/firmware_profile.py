@@ -14,7 +14,7 @@ from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.flavours.base import read_firmware
 from sim_link.autopilot.pilot import STEP_S
-from sim_link.autopilot.protocols.message_streams import StreamRules, message_id, message_ids
+from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.scenario import Scenario
 
@@ -54,7 +54,7 @@ VENDORS = (range(150, 227), range(10001, 10152), range(11000, 11061))
 """Ids of ardupilotmega.xml, and of what it includes."""
 DIALECT = frozenset(CRC_EXTRA_BY_ID).difference(NOT_ITS_OWN).union(*VENDORS)
 
-STREAMS = StreamRules(
+STREAMS = StreamProfile(
     {message_id(row["message"]): float(row["hz"]) for row in STREAM_ROWS},
     STEP_S,
     fixed=frozenset(),

@@ -36,7 +36,13 @@ from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     CopterMode,
 )
 from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState, target_from
-from sim_link.autopilot.flavours.base import ACCEPTED, FAILED, FenceState, Flavour, HeartbeatState
+from sim_link.autopilot.flavours.base import (
+    ACCEPTED,
+    FAILED,
+    AutopilotFlavour,
+    FenceState,
+    HeartbeatState,
+)
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
@@ -54,7 +60,7 @@ ATTITUDE_SHARE = 0.5
 CRITICAL, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
 
-class ArduPilotFlavour(Flavour):
+class ArduPilotFlavour(AutopilotFlavour):
     """ArduCopter 4.5."""
 
     firmware = FIRMWARE

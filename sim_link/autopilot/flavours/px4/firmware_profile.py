@@ -14,7 +14,7 @@ from __future__ import annotations
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.flavours.base import read_firmware
 from sim_link.autopilot.pilot import STEP_S, SpeedLimits
-from sim_link.autopilot.protocols.message_streams import StreamRules, message_id
+from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.scenario import LossAction, Scenario
 
@@ -64,7 +64,7 @@ others make up the 154 messages a second that came in all."""
 HEARTBEAT_ONLY_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 NARROW_SHARE = 0.14
 """On 14030 (4000 bytes/s) LOCAL_POSITION_NED had 4.2 of its 30 Hz, and never more than 5."""
-STREAMS = StreamRules(
+STREAMS = StreamProfile(
     ONBOARD_HZ,
     STEP_S,
     rates_by_mode_hz={

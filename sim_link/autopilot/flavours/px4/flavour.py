@@ -48,8 +48,8 @@ from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,
     TEMPORARILY_REJECTED,
+    AutopilotFlavour,
     FenceState,
-    Flavour,
     HeartbeatState,
 )
 from sim_link.autopilot.flavours.px4.failsafes import Px4Failsafes, Reaction
@@ -72,7 +72,7 @@ OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
 CRITICAL = mavlink.MAV_SEVERITY_CRITICAL
 
 
-class Px4Flavour(Flavour):
+class Px4Flavour(AutopilotFlavour):
     """PX4 1.15, multicopter."""
 
     firmware = FIRMWARE

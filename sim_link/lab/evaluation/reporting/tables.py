@@ -95,7 +95,7 @@ def metric_name(metric: str) -> str:
     return METRICS.get(metric, metric.replace("_", " "))
 
 
-Standing = Literal["ahead", "level", "behind", "inside", "outside", ""]
+Verdict = Literal["ahead", "level", "behind", "inside", "outside", ""]
 
 SMALLER_IS_BETTER = frozenset({"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step"})
 WITHIN = frozenset({"nees_final", "coverage_min", "coverage_mean", "coverage_max"})
@@ -116,7 +116,7 @@ class TableCell:
     paper: str
     ours: str
     bound: str
-    verdict: Standing
+    verdict: Verdict
     notes: tuple[str, ...] = ()
 
 
@@ -150,7 +150,7 @@ def tables_of(rows: Iterable[ResultRow]) -> list[TableView]:
     ]
 
 
-def verdict_of(row: ResultRow) -> Standing:
+def verdict_of(row: ResultRow) -> Verdict:
     """Who is ahead, paper or ours; or whether ours is within the band that is asked for.
 
     Level is a paper's number inside of our 95 % interval, or the same number.

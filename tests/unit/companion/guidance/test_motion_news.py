@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.estimation.integrity.target_motion import Motion
+from companion.estimation.integrity.target_motion import TargetMotion
 from companion.guidance.commands import Severity
 from companion.guidance.messages import MotionMessages
 
-WALKING = Motion(np.array([0.6, 0.8]), 99.0)
+WALKING = TargetMotion(np.array([0.6, 0.8]), 99.0)
 
 
 def test_a_walk_is_told_once_and_so_is_its_end() -> None:

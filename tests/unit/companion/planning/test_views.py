@@ -21,7 +21,7 @@ from companion.planning.crossing import LatchedCrossing
 from companion.planning.views import (
     LEAST_HEIGHT_M,
     Antenna,
-    Leg,
+    LegView,
     best_reach_m,
     information,
     leg_over,
@@ -61,7 +61,7 @@ def _leg(
     cosine_rad: float = 0.05,
     yaw_rad: float = 0.0,
     turn_m: float = 10.0,
-) -> Leg:
+) -> LegView:
     return leg_over(height_m, turn_m, (range_m, cosine_rad), antenna, yaw_rad)
 
 
@@ -117,7 +117,7 @@ legs = st.builds(
 
 @settings(max_examples=100, deadline=None)
 @given(legs, st.floats(0.5, 40.0))
-def test_the_marginal_is_the_derivative(leg: Leg, reach_m: float) -> None:
+def test_the_marginal_is_the_derivative(leg: LegView, reach_m: float) -> None:
     step_m = 1e-4
     edges = [abs(math.tan(leg.middle_rad + side * leg.half_rad)) for side in (-1.0, 1.0)]
     if any(abs(reach_m - leg.height_m * edge) < 2.0 * step_m for edge in edges):
@@ -130,7 +130,7 @@ def test_the_marginal_is_the_derivative(leg: Leg, reach_m: float) -> None:
 @settings(max_examples=60, deadline=None)
 @given(legs, st.floats(0.5, 5.0), st.floats(6.0, 60.0))
 def test_the_overshoot_is_within_its_bounds_and_tells_what_brute_force_finds(
-    leg: Leg, least_m: float, most_m: float
+    leg: LegView, least_m: float, most_m: float
 ) -> None:
     reach_m = best_reach_m(leg, least_m, most_m)
     assert least_m <= reach_m <= most_m
@@ -184,7 +184,7 @@ def test_a_line_abreast_of_the_leg_tells_nothing_across_it() -> None:
 @settings(max_examples=100, deadline=None)
 @given(legs, st.floats(1.1, 4.0))
 def test_ranges_and_directions_without_an_edge_of_view_tell_more_from_lower(
-    leg: Leg, share: float
+    leg: LegView, share: float
 ) -> None:
     whole = leg._replace(half_rad=0.5 * math.pi, middle_rad=0.0, ahead_up=0.0, up2=0.0)
     lower = whole._replace(height_m=max(whole.height_m / share, LEAST_HEIGHT_M))

@@ -12,7 +12,7 @@ from companion.geometry.coordinates import LocalOrigin
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.navigation import Believed, FixChange, NavigationError, NavigationParams
 from sim_link.autopilot.scenario import GpsParams
-from sim_link.world.point_mass import PointMass, VehicleParams, WindParams
+from sim_link.world.point_mass import MulticopterParams, PointMass, WindParams
 
 ORIGIN = LocalOrigin(47.4, 8.5, 488.0)
 WANDERS = NavigationParams(
@@ -115,7 +115,7 @@ def test_a_target_goes_to_the_frame_that_is_steered_by() -> None:
 
 
 def test_the_believed_motion_is_the_true_one_displaced_ground_and_all() -> None:
-    body = PointMass(VehicleParams(), WindParams(), (10.0, 20.0, 0.0))
+    body = PointMass(MulticopterParams(), WindParams(), (10.0, 20.0, 0.0))
     error = NavigationError(WANDERS, np.random.default_rng(1))
     believed = Believed(body, error)
     off = [b - a for a, b in zip(body.position_enu_m, believed.position_enu_m, strict=True)]

@@ -17,7 +17,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.fleet.vehicles import Fleet, FleetOptions, link_specs, make_vehicles, numbered_path
 from sim_link.world.environment import EmitterParams
-from sim_link.world.point_mass import PointMass, VehicleParams, WindParams
+from sim_link.world.point_mass import MulticopterParams, PointMass, WindParams
 from tests.protocol.sim_helpers import GroundStation
 
 SEND_TO = (("127.0.0.1", 14550), ("127.0.0.1", 14540))
@@ -97,7 +97,7 @@ def test_every_link_has_rates_of_its_own() -> None:
 
 def test_gusts_have_the_spread_that_was_asked_for() -> None:
     wind = WindParams(east_mps=5.0, gust_sigma_mps=2.0, gust_time_constant_s=1.0, let_through=1.0)
-    body = PointMass(VehicleParams(), wind, (0.0, 0.0, 10.0))
+    body = PointMass(MulticopterParams(), wind, (0.0, 0.0, 10.0))
     rng = np.random.default_rng(1)
     speeds = []
     for _ in range(50_000):

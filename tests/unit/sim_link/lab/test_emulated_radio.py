@@ -22,8 +22,8 @@ from sim_link.autopilot.scenario import PayloadParams
 from sim_link.cli import main
 from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, make_emulator
 from sim_link.lab.radio_follower import FOLLOW, SEND, RadioFollower
-from sim_link.lab.radio_outlets import HttpLink, Page, parse_outlet, parse_page
-from sim_link.world.antenna import AntennaParams
+from sim_link.lab.radio_outlets import HttpLink, PageAddress, parse_outlet, parse_page
+from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -152,7 +152,7 @@ def test_it_says_so_in_its_own_way_where_nobody_answers(name: str, said: bytes) 
 
 
 def test_an_array_prints_what_its_antenna_measured() -> None:
-    ridden = Ridden("pdoa_js", PayloadParams(antenna=AntennaParams(kind="line")))
+    ridden = Ridden("pdoa_js", PayloadParams(antenna=AntennaModelParams(kind="line")))
     ridden.move(50.0, 20.0, 20.0, 1.0)
     frame = json.loads(ridden.printed()[6:])["TWR"]
     assert math.hypot(frame["Xcm"], frame["Ycm"]) == pytest.approx(frame["D"], abs=1.0)
@@ -175,7 +175,7 @@ def test_an_outlet_is_an_address(text: str, outlet: object) -> None:
     ["http:127.0.0.1:8081", "http://127.0.0.1:8081/", "http://127.0.0.1:8081/DOA_value.html"],
 )
 def test_a_page_is_a_host_and_a_port(text: str) -> None:
-    assert parse_page(text, kind_of("kraken")) == Page("127.0.0.1", 8081, "/DOA_value.html")
+    assert parse_page(text, kind_of("kraken")) == PageAddress("127.0.0.1", 8081, "/DOA_value.html")
     assert str(parse_outlet(text, kind_of("kraken"))) == "http:127.0.0.1:8081"
 
 
@@ -223,7 +223,7 @@ def test_a_format_that_cannot_name_an_emitter_says_so() -> None:
 
 def test_a_document_is_there_once_there_is_one_and_nowhere_else() -> None:
     async def play() -> list[tuple[int, bytes]]:
-        link = HttpLink(Page("127.0.0.1", 0, "/doa.xml"), 1)
+        link = HttpLink(PageAddress("127.0.0.1", 0, "/doa.xml"), 1)
         await link.open()
         base = f"http://127.0.0.1:{link.local_address[1]}"
         seen = [await asyncio.to_thread(ask, f"{base}/doa.xml")]

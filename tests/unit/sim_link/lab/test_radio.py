@@ -15,7 +15,7 @@ from companion.mav.endpoint import Chunk
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.lab.radio_command import parse_emitter
 from sim_link.lab.radio_follower import FOLLOW, SEND, GeodeticEmitter, RadioFollower
-from sim_link.world.antenna import AntennaParams
+from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 
 CLEAR = ChannelParams(
@@ -110,7 +110,7 @@ def test_a_restarted_autopilot_is_followed_on() -> None:
 
 
 def test_an_array_feels_the_attitude_that_is_told() -> None:
-    ridden = Ridden(payload=PayloadParams(antenna=AntennaParams(kind="planar")))
+    ridden = Ridden(payload=PayloadParams(antenna=AntennaModelParams(kind="planar")))
     ridden.radio.handle_timer(0.5)
     assert [m.param1 for m in ridden.asked()].count(mavlink.MAVLINK_MSG_ID_ATTITUDE) == 1
     ridden.tell(mavlink.MAVLink_attitude_message(900, 0.0, 0.0, 0.4, 0, 0, 0), 0.9)

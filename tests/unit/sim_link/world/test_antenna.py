@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from companion.domain import PositionEnu
 from sim_link.world.antenna import (
-    AntennaParams,
+    AntennaModelParams,
     Printed,
     bent,
     direction_enu,
@@ -21,15 +21,15 @@ from sim_link.world.antenna import (
     seen_by_antenna,
     turned_about_vertical,
 )
-from sim_link.world.attitude import LEVEL, Attitude, Components
+from sim_link.world.attitude import LEVEL, Components, EulerAngles
 
 QUIET = (0.0, 0.0, 0.0)
 PLANAR, LINE, TWO_AXIS = (
-    AntennaParams(kind="planar"),
-    AntennaParams(kind="line"),
-    AntennaParams(kind="two_axis"),
+    AntennaModelParams(kind="planar"),
+    AntennaModelParams(kind="line"),
+    AntennaModelParams(kind="two_axis"),
 )
-DOWN = AntennaParams(kind="two_axis", mount_deg=(0.0, -90.0, 0.0))
+DOWN = AntennaModelParams(kind="two_axis", mount_deg=(0.0, -90.0, 0.0))
 SIGMA_RAD = math.radians(3.0)
 ANGLES = st.floats(-math.pi, math.pi)
 SLOPES = st.floats(-1.5, 1.5)
@@ -43,7 +43,10 @@ def towards(azimuth_deg: float, elevation_deg: float) -> Components:
 
 
 def shown(
-    direction: Components, params: AntennaParams, attitude: Attitude = LEVEL, offset: float = 0.0
+    direction: Components,
+    params: AntennaModelParams,
+    attitude: EulerAngles = LEVEL,
+    offset: float = 0.0,
 ) -> Printed:
     u = seen_by_antenna(direction, attitude, params, offset)
     said = printed(u, params, 0.0, QUIET)
@@ -51,7 +54,9 @@ def shown(
     return said
 
 
-def scatter(direction: Components, params: AntennaParams, of: Callable[[Printed], float]) -> float:
+def scatter(
+    direction: Components, params: AntennaModelParams, of: Callable[[Printed], float]
+) -> float:
     """Degrees of standard deviation of what is printed."""
     rng = np.random.default_rng(4)
     u = seen_by_antenna(direction, LEVEL, params, 0.0)
@@ -144,7 +149,7 @@ def test_their_noise_is_the_same_all_around_the_boresight() -> None:
 
 def test_a_lean_turns_the_azimuth_of_what_is_nearly_below() -> None:
     """The emitter 10 degrees off the nadir ahead, the vehicle rolled by 10 degrees."""
-    said = shown(towards(0.0, -80.0), PLANAR, Attitude(roll_rad=math.radians(10.0)))
+    said = shown(towards(0.0, -80.0), PLANAR, EulerAngles(roll_rad=math.radians(10.0)))
     assert math.degrees(said.bearing_rad) == pytest.approx(45.0, abs=1.0)
     assert shown(towards(0.0, -80.0), PLANAR).bearing_rad == pytest.approx(0.0, abs=1e-12)
 
@@ -153,7 +158,7 @@ def test_a_lean_turns_the_azimuth_of_what_is_nearly_below() -> None:
 def test_the_vehicles_heading_and_the_mount_come_off(yaw: float, offset: float) -> None:
     """An offset, counter-clockwise positive, takes from what is counted clockwise."""
     params = msgspec.structs.replace(PLANAR, mount_deg=(0.0, 0.0, 25.0))
-    said = shown(towards(70.0, -20.0), params, Attitude(yaw_rad=yaw), offset)
+    said = shown(towards(70.0, -20.0), params, EulerAngles(yaw_rad=yaw), offset)
     expected = math.radians(70.0 - 25.0) - yaw - offset
     assert math.remainder(said.bearing_rad - expected, math.tau) == pytest.approx(0.0, abs=1e-9)
 

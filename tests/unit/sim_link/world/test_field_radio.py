@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
-from sim_link.world.antenna import AntennaParams
-from sim_link.world.attitude import LEVEL, Attitude
+from sim_link.world.antenna import AntennaModelParams
+from sim_link.world.attitude import LEVEL, EulerAngles
 from sim_link.world.environment import (
     ChannelParams,
     Emitter,
@@ -37,7 +37,7 @@ QUIET = FieldChannelParams(
     range_sigma_m=0.0,
     bearing_sigma_deg=0.0,
 )
-PLANAR = AntennaParams(kind="planar")
+PLANAR = AntennaModelParams(kind="planar")
 BLOCK = ObstacleParams(
     corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)), height_m=25.0
 )
@@ -50,7 +50,7 @@ def with_(params: FieldChannelParams = QUIET, **changes: object) -> FieldChannel
 
 def radio(
     params: ChannelParams,
-    antenna: AntennaParams | None = None,
+    antenna: AntennaModelParams | None = None,
     *,
     seed: int = 3,
     measures: Measures = "both",
@@ -58,11 +58,11 @@ def radio(
 ) -> FieldRadio:
     environment = Environment(obstacles) if obstacles else None
     rng = np.random.default_rng(seed)
-    return FieldRadio(params, rng, environment, antenna or AntennaParams(), measures)
+    return FieldRadio(params, rng, environment, antenna or AntennaModelParams(), measures)
 
 
 def heard(
-    instrument: FieldRadio, places: Sequence[PositionEnu], attitude: Attitude = LEVEL
+    instrument: FieldRadio, places: Sequence[PositionEnu], attitude: EulerAngles = LEVEL
 ) -> list[RangingMeasurement]:
     answers = (instrument.hear(EMITTER, place, 0.0, attitude) for place in places)
     return [answer for answer in answers if answer is not None]
@@ -83,7 +83,7 @@ def lag_correlation(values: Sequence[float], lag: int) -> float:
 def test_by_default_it_is_the_papers_channel_to_the_last_bit() -> None:
     plain = RadioChannel(ChannelParams(), np.random.default_rng(3), Environment([BLOCK]))
     field = radio(ChannelParams(), obstacles=[BLOCK])
-    leaning = Attitude(0.2, 0.1, 1.0)
+    leaning = EulerAngles(0.2, 0.1, 1.0)
     for place in along(1.0, 100):
         assert field.hear(EMITTER, place, 0.5, leaning) == plain.measure(EMITTER, place, 0.5)
 
@@ -231,7 +231,7 @@ def test_a_dipole_hears_nothing_straight_below_until_it_leans() -> None:
     above = [(50.0, 50.0, 20.0)]
     instrument = radio(with_(loss=loss))
     assert heard(instrument, above) == []
-    assert len(heard(instrument, above, Attitude(roll_rad=1.0))) == 1
+    assert len(heard(instrument, above, EulerAngles(roll_rad=1.0))) == 1
 
 
 def test_walls_swallow_packets() -> None:
@@ -291,7 +291,7 @@ def test_an_offset_is_counter_clockwise_for_every_antenna() -> None:
 
 
 def test_the_attitude_is_in_the_angle() -> None:
-    (said,) = heard(radio(QUIET, PLANAR), [HERE], Attitude(yaw_rad=math.radians(30.0)))
+    (said,) = heard(radio(QUIET, PLANAR), [HERE], EulerAngles(yaw_rad=math.radians(30.0)))
     assert said.bearing_body_rad == pytest.approx(math.radians(15.0))
     assert (said.bearing_enu_rad, said.is_array_angle) == (None, False)
 
@@ -312,15 +312,15 @@ def test_a_radio_measures_what_it_can() -> None:
 
 
 def test_beyond_its_field_of_view_a_radio_still_tells_the_range() -> None:
-    narrow = AntennaParams(kind="line", field_of_view_deg=60.0)
-    (said,) = heard(radio(QUIET, narrow), [HERE], Attitude(yaw_rad=math.radians(120.0)))
+    narrow = AntennaModelParams(kind="line", field_of_view_deg=60.0)
+    (said,) = heard(radio(QUIET, narrow), [HERE], EulerAngles(yaw_rad=math.radians(120.0)))
     assert said.range_m is not None
     assert (said.bearing_body_rad, said.is_array_angle) == (None, False)
-    assert heard(radio(QUIET, narrow, measures="bearing"), [HERE], Attitude(yaw_rad=2.0)) == []
+    assert heard(radio(QUIET, narrow, measures="bearing"), [HERE], EulerAngles(yaw_rad=2.0)) == []
 
 
 def test_two_axes_tell_both_angles() -> None:
-    down = AntennaParams(kind="two_axis", mount_deg=(0.0, -90.0, 0.0))
+    down = AntennaModelParams(kind="two_axis", mount_deg=(0.0, -90.0, 0.0))
     (said,) = heard(radio(with_(bearing_sigma_deg=3.0), down), [HERE])
     assert said.is_array_angle
     assert said.elevation_sigma_rad == said.bearing_sigma_rad == math.radians(3.0)

@@ -8,18 +8,18 @@ import pytest
 
 from companion.domain import PositionEnu
 from sim_link.world.point_mass import (
+    MulticopterParams,
     PointMass,
-    VehicleParams,
     WindParams,
     approach_velocity,
     limited_velocity,
 )
 
 STEP_S = 0.02
-PARAMS = VehicleParams()
+PARAMS = MulticopterParams()
 
 
-def airborne(params: VehicleParams = PARAMS, wind: WindParams | None = None) -> PointMass:
+def airborne(params: MulticopterParams = PARAMS, wind: WindParams | None = None) -> PointMass:
     return PointMass(params, wind or WindParams(), (0.0, 0.0, 50.0))
 
 
@@ -29,7 +29,7 @@ def fly(body: PointMass, command: PositionEnu | None, duration_s: float) -> None
 
 
 def test_velocity_responds_as_a_first_order_lag() -> None:
-    body = airborne(VehicleParams(velocity_time_constant_s=0.5))
+    body = airborne(MulticopterParams(velocity_time_constant_s=0.5))
     fly(body, (1.0, 0.0, 0.0), 0.5)
     assert body.velocity_enu_mps[0] == pytest.approx(1.0 - math.exp(-1.0), rel=1e-6)
     fly(body, (1.0, 0.0, 0.0), 0.5)

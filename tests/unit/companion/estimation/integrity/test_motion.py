@@ -14,8 +14,8 @@ from companion.estimation.integrity.target_motion import (
     IN_A_ROW,
     SIGNIFICANT,
     SPANS_S,
-    Motion,
     MotionWatch,
+    TargetMotion,
     motion_of,
 )
 from companion.estimation.tracker import TargetTracker, TrackerParams
@@ -63,7 +63,7 @@ def rows_of(
 
 def watched(
     watch: MotionWatch, rows: Matrix, mean: Vector | None = None, r95_m: float = 2.0
-) -> list[Motion | None]:
+) -> list[TargetMotion | None]:
     """What is seen while the rows come in, look by look."""
     seen = []
     for row in rows:

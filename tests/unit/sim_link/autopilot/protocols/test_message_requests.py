@@ -12,8 +12,8 @@ from sim_link.autopilot.protocols.command_protocol import Command, CommandResult
 from sim_link.autopilot.protocols.message_streams import (
     MAX_PEERS,
     MessageRequests,
-    RequestRules,
-    StreamRules,
+    RequestProfile,
+    StreamProfile,
 )
 from tests.unit.sim_link.autopilot.protocols.wire import (
     COMPANION,
@@ -30,7 +30,7 @@ ARDUPILOT_REQUESTS = ardupilot_firmware.FIRMWARE.requests
 NAN = math.nan
 ATTITUDE, VERSION, HOME, INTERVAL = 30, 148, 242, 244
 REQUEST, SET, GET = 512, 511, 510
-STREAMS = StreamRules({0: 1.0, ATTITUDE: 10.0, VERSION: 0.0}, 0.004, groups={10: (ATTITUDE,)})
+STREAMS = StreamProfile({0: 1.0, ATTITUDE: 10.0, VERSION: 0.0}, 0.004, groups={10: (ATTITUDE,)})
 Interval = mavlink.MAVLink_message_interval_message
 Text = mavlink.MAVLink_statustext_message
 
@@ -46,7 +46,7 @@ def build(number: int) -> Message | None:
     return None
 
 
-def requests(rules: RequestRules = PX4_REQUESTS) -> MessageRequests:
+def requests(rules: RequestProfile = PX4_REQUESTS) -> MessageRequests:
     made = MessageRequests(STREAMS, rules, build, StatusTexts())
     made.open(STATION_CHANNEL, 0.0)
     made.open(COMPANION_CHANNEL, 0.0)
@@ -93,7 +93,7 @@ def test_the_older_form_is_understood(number: int, first: float) -> None:
 )
 @pytest.mark.parametrize("number", [9999, HOME])
 def test_what_is_unknown_or_has_no_data_is_refused(
-    rules: RequestRules, result: int, number: int
+    rules: RequestProfile, result: int, number: int
 ) -> None:
     assert obey(requests(rules), REQUEST, number) == (result, [])
 
@@ -120,7 +120,7 @@ def test_an_interval_is_told_in_either_form(number: int, params: tuple[float, ..
     ("rules", "expected"),
     [(PX4_REQUESTS, CommandResult.ACCEPTED), (ARDUPILOT_REQUESTS, CommandResult.FAILED)],
 )
-def test_the_interval_of_what_is_unknown_is_zero(rules: RequestRules, expected: int) -> None:
+def test_the_interval_of_what_is_unknown_is_zero(rules: RequestProfile, expected: int) -> None:
     result, outgoing = obey(requests(rules), GET, 9999)
     (interval,) = of_type(outgoing, Interval)
     assert (result, interval.interval_us) == (expected, 0)
@@ -140,7 +140,7 @@ def test_a_rate_is_changed_on_the_channel_that_asked_and_on_no_other() -> None:
 @pytest.mark.parametrize("interval_us", [50_000.0, 0.0, -1.0, -2.0])
 @pytest.mark.parametrize("number", [9999, 0])
 def test_a_stream_that_cannot_be_set_is_refused_as_the_autopilot_does(
-    rules: RequestRules, result: int, texts: int, number: int, interval_us: float
+    rules: RequestProfile, result: int, texts: int, number: int, interval_us: float
 ) -> None:
     got, outgoing = obey(requests(rules), SET, number, interval_us)
     assert (got, len(of_type(outgoing, Text))) == (result, texts)

@@ -16,7 +16,7 @@ from sim_link.autopilot.protocols.parameter_protocol import (
     HASH_CHECK,
     MAX_LISTS,
     NO_INDEX,
-    ParameterRules,
+    ParameterProfile,
     Parameters,
 )
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, ParamSpec
@@ -52,7 +52,7 @@ def ardupilot(specs: tuple[ParamSpec, ...] = SPECS) -> Parameters:
     return Parameters(ParameterStore(specs), ARDUPILOT_RULES, StatusTexts())
 
 
-def parameters_of(rules: ParameterRules) -> Parameters:
+def parameters_of(rules: ParameterProfile) -> Parameters:
     return Parameters(ParameterStore(SPECS), rules, StatusTexts())
 
 
@@ -129,7 +129,7 @@ def test_two_lists_run_beside_each_other() -> None:
 
 
 @pytest.mark.parametrize(("rules", "rate_hz"), [(PX4_RULES, 1000.0), (ARDUPILOT_RULES, 1500.0)])
-def test_a_list_is_paced(rules: ParameterRules, rate_hz: float) -> None:
+def test_a_list_is_paced(rules: ParameterProfile, rate_hz: float) -> None:
     specs = tuple(ParamSpec(f"P{number}", INT32, number) for number in range(900))
     parameters = Parameters(ParameterStore(specs), rules, StatusTexts())
     ask(parameters, mavlink.MAVLink_param_request_list_message(1, 1))
@@ -154,7 +154,7 @@ def test_nothing_is_due_when_no_list_runs() -> None:
 
 
 @pytest.mark.parametrize("rules", [PX4_RULES, ARDUPILOT_RULES])
-def test_reading_by_index_tells_the_index(rules: ParameterRules) -> None:
+def test_reading_by_index_tells_the_index(rules: ParameterProfile) -> None:
     (outgoing,) = ask(parameters_of(rules), read(index=1))
     value = sent(outgoing)
     assert isinstance(value, Value)
@@ -199,7 +199,7 @@ def test_the_hash_is_silence_on_ardupilot() -> None:
 
 
 @pytest.mark.parametrize("rules", [PX4_RULES, ARDUPILOT_RULES])
-def test_a_change_is_told_to_every_channel(rules: ParameterRules) -> None:
+def test_a_change_is_told_to_every_channel(rules: ParameterProfile) -> None:
     parameters = parameters_of(rules)
     outgoing, *more = ask(parameters, set_real("ALTITUDE", 7.5))
     assert len(more) == rules.echoes - 1
@@ -267,7 +267,7 @@ def test_read_only_is_told_by_ardupilot_with_the_old_value_and_a_text() -> None:
 
 
 @pytest.mark.parametrize("rules", [PX4_RULES, ARDUPILOT_RULES])
-def test_setting_never_creates_a_parameter(rules: ParameterRules) -> None:
+def test_setting_never_creates_a_parameter(rules: ParameterProfile) -> None:
     parameters = parameters_of(rules)
     assert ask(parameters, set_real("NOBODY", 1.0)) == []
     assert parameters.store.index_of("NOBODY") is None

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_link.autopilot.protocols.message_streams import HEARTBEAT, StreamRules, StreamTable
+from sim_link.autopilot.protocols.message_streams import HEARTBEAT, StreamProfile, StreamTable
 
 ATTITUDE, POSITION, VERSION, STATE = 30, 32, 148, 245
 STEP_S = 0.004
-RULES = StreamRules(
+RULES = StreamProfile(
     {HEARTBEAT: 1.0, ATTITUDE: 50.0, POSITION: 30.0, VERSION: 0.0, STATE: 0.0},
     min_interval_s=0.004,
     groups={6: (POSITION,), 10: (ATTITUDE, HEARTBEAT)},
@@ -33,14 +33,14 @@ def run(
 @pytest.mark.parametrize("step_s", [0.001, 0.004, 0.02])
 @pytest.mark.parametrize("rate_hz", [0.5, 1.0, 3.0, 4.0, 7.0, 10.0, 29.97, 30.0, 49.0, 50.0])
 def test_the_rate_over_a_minute_is_the_one_asked(rate_hz: float, step_s: float) -> None:
-    table = StreamTable(StreamRules({POSITION: rate_hz}, min_interval_s=0.004))
+    table = StreamTable(StreamProfile({POSITION: rate_hz}, min_interval_s=0.004))
     assert len(run(table, 60.0, step_s)[POSITION]) == pytest.approx(60.0 * rate_hz, abs=1)
 
 
 @settings(deadline=None)
 @given(rate_hz=st.floats(0.1, 200.0), hours=st.integers(0, 1000))
 def test_no_rounding_adds_up(rate_hz: float, hours: int) -> None:
-    table = StreamTable(StreamRules({POSITION: rate_hz}, min_interval_s=0.004), 3600.0 * hours)
+    table = StreamTable(StreamProfile({POSITION: rate_hz}, min_interval_s=0.004), 3600.0 * hours)
     times = run(table, 5.0, start_s=3600.0 * hours)[POSITION]
     interval_s = 1.0 / rate_hz
     for number, time_s in enumerate(times):
