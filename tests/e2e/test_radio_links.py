@@ -318,6 +318,27 @@ def test_a_program_that_says_nothing_is_complained_about_once(
     assert "not found" in text
 
 
+def test_a_program_that_prints_and_ends_at_once_is_lost_once_and_run_ever_more_rarely(
+    listener: Listener, said: list[str], tmp_path: Path
+) -> None:
+    ill = tmp_path / "ill"
+    ill.touch()
+    command = f"echo 4.5; [ -e {ill} ] && exit 3; while true; do sleep 0.2; echo 5.5; done"
+
+    async def scene(shell: Shell) -> None:
+        await until(lambda: listener.stage.lost >= 3)
+        assert shell.links[0].counters.reconnects == 0
+        ill.unlink()
+        await until(lambda: shell.links[0].counters.reconnects == 1)
+
+    drive(listener, at(f"exec:{command}"), scene)
+    assert listener.ranges_m[:4] == [4.5] * 4
+    assert [text.rpartition(": ")[2].partition(" (")[0] for text in said] == [
+        "lost",
+        "is there again",
+    ]
+
+
 def test_a_program_that_is_not_there_is_refused_at_the_start(listener: Listener) -> None:
     async def scene(shell: Shell) -> None:
         raise AssertionError(shell)

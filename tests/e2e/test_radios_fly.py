@@ -8,14 +8,18 @@ emitter is localised, and as well as it is said.
 
 from __future__ import annotations
 
+import http.server
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +35,11 @@ from tests.radio_formats import FORMAT_OF, FORMATS, Format
 pytestmark = pytest.mark.slow
 
 BIN = Path(sys.executable).parent
-SPEED, SPEED_OF_BEARINGS = 3.0, 1.5
+SPEED = float(os.environ.get("RADIO_SPEED", "3"))
+SPEED_OF_BEARINGS = 0.5 * SPEED
 """Faster, a busy machine has stalls that end a launch; bearings alone cost more to work out."""
-FLIGHT_S = 120.0
-"""Wall seconds for what takes ten on a machine that has the time."""
+FLIGHT_S = 480.0 / SPEED
+"""Wall seconds: a cell's steps take some five minutes of the flight."""
 FIGURES = os.environ.get("RADIO_FIGURES")
 """A file to which each format's error and R95 are appended."""
 POLL_S = 0.03
@@ -253,16 +258,104 @@ def test_a_radio_that_is_unplugged_is_waited_for_and_said_once(
     rig = rig_of(tmp_path, as_flown(FORMAT_OF[name]))
     rigs.append(rig)
     radio, companion = rig.radio(), rig.companion("--once")
+    unplug_in_flight(rig, companion, radio.process.terminate, rig.radio)
+
+
+def test_a_page_that_answers_500_for_a_while_is_a_radio_unplugged(
+    tmp_path: Path, rigs: list[Rig]
+) -> None:
+    rig = rig_of(tmp_path, as_flown(FORMAT_OF["kraken"]))
+    rigs.append(rig)
+    with Front(rig.at) as front:
+        rig.at = front.url
+        rig.radio()
+        companion = rig.companion("--once")
+        unplug_in_flight(rig, companion, front.answers_500.set, front.answers_500.clear)
+    assert companion.count("lost (HTTP 500") == 1
+
+
+def test_a_program_that_ends_in_flight_is_run_again_until_it_is_there(
+    tmp_path: Path, rigs: list[Rig]
+) -> None:
+    """Meanwhile it is started in vain, as for a card that was pulled out."""
+    rig = rig_of(tmp_path, as_flown(FORMAT_OF["iw_ftm"]))
+    rigs.append(rig)
+    gone, pid, command = tmp_path / "gone", tmp_path / "pid", rig.at.removeprefix("exec:")
+    rig.at = f"exec:[ -e {gone} ] && echo no such device >&2 && exit 237; "
+    rig.at += f"echo $$ > {pid}; exec {command}"
+
+    def pull() -> None:
+        gone.touch()
+        os.kill(int(pid.read_text()), signal.SIGTERM)
+
+    companion = rig.companion("--once")
+    unplug_in_flight(rig, companion, pull, gone.unlink)
+    assert companion.count("no such device") == 1
+
+
+def unplug_in_flight(
+    rig: Rig, companion: Process, pull: Callable[[], object], push: Callable[[], object]
+) -> None:
+    """It holds as for ranging loss, goes on by itself, and says each once."""
     rig.vehicle()
     companion.wait_for("flying the plan")
     silences, returns = companion.count("silent for"), companion.count("is heard again")
-    radio.process.terminate()
+    losses = companion.count(": lost (")
+    pull()
     companion.wait_for("hold: no ranging")
     companion.wait_for("silent for", silences + 1)
     assert companion.count("is heard again") == returns
-    rig.radio()
+    push()
     companion.wait_for("is heard again", returns + 1)
     companion.wait_to_end()
     assert companion.count("silent for") == silences + 1
     assert companion.count("is heard again") == returns + 1
+    assert companion.count(": lost (") == losses + 1
     assert rig.result()["emitter_id"] == rig.place.scenario.emitter.emitter_id
+
+
+class Front:
+    """A server before the radio's own, which may answer for it that it cannot."""
+
+    def __init__(self, behind: str) -> None:
+        self.answers_500 = threading.Event()
+        is_ill = self.answers_500.is_set
+
+        class Page(http.server.BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def do_GET(self) -> None:
+                status, body = 500, b"no"
+                if not is_ill():
+                    status, body = page_of(f"{behind}{self.path}")
+                self.send_response(status)
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *arguments: object) -> None:
+                """Tests say enough."""
+
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page)
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(target=self._server.serve_forever)
+        self.url = f"http://127.0.0.1:{self._server.server_address[1]}"
+
+    def __enter__(self) -> Front:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def page_of(url: str) -> tuple[int, bytes]:
+    """What is there, whatever it is."""
+    try:
+        with urllib.request.urlopen(url, timeout=5.0) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read()

@@ -3,8 +3,9 @@
 Theory of operation of a program. The shell runs it in a session of its own. Beside it sits a second
 shell that reads a pipe of ours and ends the whole session when that closes: in order when the link
 does, and just as well when this process is killed. Its standard error is read, too; the last line
-of it says why it ended. One that ends is run again, sooner at first and later if it says nothing;
-one that is asked periodically is meant to end.
+of it says why it ended. One that ends is run again, sooner at first and later if it ends at once,
+whatever it printed; one that is asked periodically is meant to end. It counts as there again once
+it has talked for a second, or has ended as it is meant to.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ _SHELL_WORDS = frozenset(";|&(){}<>$=`\n")
 EXIT_LOOK_S = 0.05
 """From the end of its output until a program is surely gone."""
 LONGEST_NAME = 60
+STEADY_S = 1.0
+"""A program that talks for longer does not end at once."""
 
 
 class ExecLink(Link):
@@ -49,6 +52,7 @@ class ExecLink(Link):
         self._timer: asyncio.TimerHandle | None = None
         self._pause_s = BACKOFF_MIN_S
         self._has_said = False
+        self._started_s = 0.0
         self._is_lost = False
         self._complaint = ""
         self._is_closed = False
@@ -81,6 +85,7 @@ class ExecLink(Link):
     def _start(self) -> None:
         self._timer = None
         self._has_said, self._complaint = False, ""
+        self._started_s = asyncio.get_running_loop().time()
         try:
             process = subprocess.Popen(
                 ["/bin/sh", "-c", _KEEPER, "sh", self._command],
@@ -107,13 +112,17 @@ class ExecLink(Link):
 
     def _take(self, pieces: list[bytes]) -> None:
         self._has_said = True
+        if asyncio.get_running_loop().time() - self._started_s >= STEADY_S:
+            self._note_steady()
+        self.counters.received += len(pieces)
+        self._received([Chunk(self.index, piece, is_datagram=False) for piece in pieces])
+
+    def _note_steady(self) -> None:
+        self._pause_s = BACKOFF_MIN_S
         if self._is_lost:
             self._is_lost = False
             self.counters.reconnects += 1
             logger.info("%s: is there again", self.name)
-        self._pause_s = BACKOFF_MIN_S
-        self.counters.received += len(pieces)
-        self._received([Chunk(self.index, piece, is_datagram=False) for piece in pieces])
 
     def _complain(self, pieces: list[bytes]) -> None:
         lines = b"".join(pieces)[-4096:].decode(errors="replace").split("\n")
@@ -131,7 +140,9 @@ class ExecLink(Link):
         code = None if self._process is None else self._process.poll()
         self._release()
         is_meant = self._period_s is not None and self._has_said and code == 0
-        if not is_meant and not self._is_lost:
+        if is_meant:
+            self._note_steady()
+        elif not self._is_lost:
             self._is_lost = True
             words = f"ended with {code}" if code is not None else "ended"
             reason = f"{words}: {self._complaint}" if self._complaint else words
@@ -139,10 +150,8 @@ class ExecLink(Link):
             logger.warning("%s: lost (%s); running it again", self.name, reason)
         if self.tells_loss:
             self._received([Chunk(self.index, b"", is_datagram=False)])
-        pause_s = self._pause_s
-        if is_meant:
-            pause_s = self._period_s or 0.0
-        elif not self._has_said:
+        pause_s = (self._period_s or 0.0) if is_meant else self._pause_s
+        if not is_meant:
             self._pause_s = min(2.0 * self._pause_s, BACKOFF_MAX_S)
         self._timer = asyncio.get_running_loop().call_later(pause_s, self._start)
 
