@@ -34,11 +34,10 @@ from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import SequenceMonitor
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.mav.flight_modes import autopilot_of, mode_of, other_mode_name
 from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw
 
-TICK_S = 0.05
 HEARTBEAT_PERIOD_S = 1.0
 PATIENCE_S = 10.0
 """For an autopilot."""
@@ -63,14 +62,15 @@ class _Question:
         return self.value is None and self.tries < PARAMETER_TRIES
 
 
-class DoctorProbe:
-    """A `companion.mav.endpoint.Endpoint`; without a system id it takes the first one heard."""
+class DoctorProbe(OneShotEndpoint):
+    """Asks one link; without a system id it takes the first one heard."""
 
     def __init__(
         self, name: str, system_id: int | None, authenticity: Authenticity, duration_s: float
     ) -> None:
+        super().__init__(None)
         self._name = name
-        self._duration_s = duration_s
+        self._count_s = duration_s
         self._authenticity = authenticity
         self._binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
         signing = authenticity.of_link(0, is_trusted=False)
@@ -89,17 +89,13 @@ class DoctorProbe:
         self._bytes = 0
         self._bound_s: float | None = None
         self._began_s: float | None = None
-        self._now_s = 0.0
-        self._next_timer_s = 0.0
         self._next_heartbeat_s = 0.0
-        self._is_stopped = False
-        self._output: list[Chunk] = []
 
     # The Endpoint protocol
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in what arrived."""
-        self._now_s = now_s
+        super().receive(chunk, now_s)
         self._authenticity.advance(now_s)
         self._bytes += len(chunk.data)
         for message in self._codec.decode(chunk.data, is_datagram=chunk.is_datagram):
@@ -108,11 +104,10 @@ class DoctorProbe:
 
     def handle_timer(self, now_s: float) -> None:
         """Ask what is due."""
-        self._now_s = now_s
+        super().handle_timer(now_s)
         self._authenticity.advance(now_s)
         if self._began_s is None:
             self._began_s = now_s
-        self._next_timer_s = now_s + TICK_S
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
             self._send(outbound.heartbeat())
@@ -129,28 +124,14 @@ class DoctorProbe:
                 self._send(question)
         self._fence = self._fence or self._fence_fetch.check_silence(now_s)
 
-    def next_timer_s(self) -> float:
-        """When the next question may be due."""
-        return self._next_timer_s
-
-    def take_output(self) -> list[Chunk]:
-        """What is to be sent, in order; taken once."""
-        output, self._output = self._output, []
-        return output
-
-    def request_stop(self, now_s: float) -> None:
-        """End with what is known."""
-        del now_s
-        self._is_stopped = True
-
     @property
     def is_finished(self) -> bool:
         """Whether everything was asked and counted, or nobody is there."""
         if self._is_stopped:
             return True
         if self._bound_s is None:
-            return self._began_s is not None and self._now_s - self._began_s > PATIENCE_S
-        is_counted = self._now_s - self._bound_s >= SETTLE_S + self._duration_s
+            return self._began_s is not None and self.now_s - self._began_s > PATIENCE_S
+        is_counted = self.now_s - self._bound_s >= SETTLE_S + self._count_s
         is_answered = not any(question.is_open for question in self._questions)
         return is_counted and is_answered and self._fence is not None
 
@@ -160,7 +141,7 @@ class DoctorProbe:
         """What is known by now."""
         return LinkFacts(
             name=self._name,
-            waited_s=self._now_s - (self._began_s or 0.0),
+            waited_s=self.now_s - (self._began_s or 0.0),
             autopilot=None if self._binding.system_id is None else self._autopilot_facts(),
             other_autopilots=tuple(sorted(self._autopilots - {self._binding.system_id})),
             other_companions=tuple(sorted(self._companions)),
@@ -192,14 +173,14 @@ class DoctorProbe:
             gps_fix=None if fix is None else fix.fix_type,
             battery_pct=self._battery_pct(),
             round_trip_s=self._clock.round_trip_s,
-            clock_offset_s=self._clock.offset_at_s(self._now_s),
-            loss=self._sequence.loss(self._now_s),
+            clock_offset_s=self._clock.offset_at_s(self.now_s),
+            loss=self._sequence.loss(self.now_s),
             fence=self._fence,
         )
 
     def _rates(self) -> tuple[StreamRate, ...]:
         begin_s = (self._bound_s or 0.0) + SETTLE_S
-        seconds = max(0.0, self._now_s - begin_s)
+        seconds = max(0.0, self.now_s - begin_s)
         asked = {"HEARTBEAT": HEARTBEAT_HZ}
         asked |= {NAMES[number]: 1.0 / interval for number, interval in STREAM_INTERVAL_S.items()}
         return tuple(

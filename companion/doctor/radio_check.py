@@ -12,56 +12,34 @@ from companion.io.shell import Clock, Shell
 from companion.link.intake import FloodBudget
 from companion.link.quality import RadioStatus, RadioWatch
 from companion.link.radio_stage import RadioSetup, RadioStage
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Chunk, OneShotEndpoint
 
-TICK_S = 0.05
 MANY_REFUSED = 0.2
 """Share of what was said."""
 LATE_S = 0.5
 CALIBRATE = "companion radio calibrate, with the emitter at a known place"
 
 
-class RadioProbe:
-    """A `companion.mav.endpoint.Endpoint` that listens to one radio for a while."""
+class RadioProbe(OneShotEndpoint):
+    """Listens to one radio for a while; nothing but the link's greeting is sent."""
 
     def __init__(self, setup: RadioSetup, duration_s: float) -> None:
+        super().__init__(duration_s)
         self.stage = RadioStage(setup)
         self.watch = RadioWatch(self.stage)
-        self.now_s = 0.0
-        self._duration_s = duration_s
         self._budget = FloodBudget()
-        self._next_s = 0.0
-        self._is_stopped = False
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in what arrived."""
-        self.now_s = now_s
+        super().receive(chunk, now_s)
         if self._budget.spend_raw(len(chunk.data)):
             self.stage.receive(chunk.data, now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """Let rates be counted."""
-        self.now_s, self._next_s = now_s, now_s + TICK_S
+        super().handle_timer(now_s)
         self._budget.renew()
         self.watch.tick(now_s)
-
-    def next_timer_s(self) -> float:
-        """When to look again."""
-        return self._next_s
-
-    def take_output(self) -> list[Chunk]:
-        """Nothing but the link's greeting is sent."""
-        return []
-
-    def request_stop(self, now_s: float) -> None:
-        """End with what is known."""
-        del now_s
-        self._is_stopped = True
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether it was heard for long enough."""
-        return self._is_stopped or self.now_s >= self._duration_s
 
 
 def look_at_radios(radios: Sequence[RadioConfig], duration_s: float) -> tuple[RadioFacts, ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+TICK_S = 0.05
 Address = tuple[str, int]
 """Host and port of a UDP peer."""
 
@@ -58,3 +59,44 @@ class Endpoint(Protocol):
     @property
     def is_finished(self) -> bool:
         """Whether the shell may close the links."""
+
+
+class OneShotEndpoint:
+    """An `Endpoint` that looks again every tick, until its time is over or it is asked to end."""
+
+    def __init__(self, duration_s: float | None, tick_s: float = TICK_S) -> None:
+        self.now_s = 0.0
+        self._duration_s = duration_s
+        self._tick_s = tick_s
+        self._next_s = 0.0
+        self._is_stopped = False
+        self._output: list[Chunk] = []
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Take in what arrived."""
+        del chunk
+        self.now_s = now_s
+
+    def handle_timer(self, now_s: float) -> None:
+        """Do what is due."""
+        self.now_s, self._next_s = now_s, now_s + self._tick_s
+
+    def next_timer_s(self) -> float:
+        """When to look again."""
+        return self._next_s
+
+    def take_output(self) -> list[Chunk]:
+        """What is to be sent; taken once."""
+        output, self._output = self._output, []
+        return output
+
+    def request_stop(self, now_s: float) -> None:
+        """End at once, with what is known."""
+        del now_s
+        self._is_stopped = True
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether it was asked to end, or the time is over."""
+        is_over = self._duration_s is not None and self.now_s >= self._duration_s
+        return self._is_stopped or is_over

@@ -41,10 +41,9 @@ from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import SequenceMonitor
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.run import link_name, open_signing
 
-TICK_S = 0.05
 HEARTBEAT_PERIOD_S = 1.0
 PATIENCE_S = 0.5
 """So long a position waits for an attitude beside it."""
@@ -138,24 +137,20 @@ class PoseListener:
         return poses
 
 
-class RecordingEndpoint:
-    """A `companion.mav.endpoint.Endpoint` that writes; the vehicle's link, if any, is the first."""
+class RecordingEndpoint(OneShotEndpoint):
+    """Writes what arrives; the vehicle's link, if any, is the first."""
 
     def __init__(
         self, writer: RadioRecordingWriter, listener: PoseListener | None, duration_s: float | None
     ) -> None:
+        super().__init__(duration_s)
         self.counts = {"bytes": 0, "poses": 0}
         self._writer = writer
         self._listener = listener
-        self._duration_s = duration_s
-        self._next_s = 0.0
-        self._now_s = 0.0
-        self._is_stopped = False
-        self._output: list[Chunk] = []
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Keep what arrived."""
-        self._now_s = now_s
+        super().receive(chunk, now_s)
         number = chunk.link - (self._listener is not None)
         if number >= 0:
             self.counts["bytes"] += len(chunk.data)
@@ -167,29 +162,9 @@ class RecordingEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """Ask the autopilot what is due."""
-        self._now_s, self._next_s = now_s, now_s + TICK_S
+        super().handle_timer(now_s)
         if self._listener is not None:
             self._output += self._listener.due(now_s)
-
-    def next_timer_s(self) -> float:
-        """When the next question may be due."""
-        return self._next_s
-
-    def take_output(self) -> list[Chunk]:
-        """What is to be sent; taken once."""
-        output, self._output = self._output, []
-        return output
-
-    def request_stop(self, now_s: float) -> None:
-        """End at once."""
-        del now_s
-        self._is_stopped = True
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether it was asked to end, or the time is over."""
-        is_over = self._duration_s is not None and self._now_s >= self._duration_s
-        return self._is_stopped or is_over
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,8 @@ from companion.geometry.coordinates import bearing_ned_from_enu, wrap_pi
 from companion.link.intake import FloodBudget
 from companion.link.quality import RadioWatch
 from companion.link.radio_stage import RadioSetup, RadioStage
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Chunk, OneShotEndpoint
 
-TICK_S = 0.05
 LINE_S = 1.0
 KEPT = 50
 """Measurements of an emitter that its scatter is of."""
@@ -95,28 +94,25 @@ def _sigma(seen: float | None, said: float | None) -> str:
     return f" ({', '.join(words)})" if words else ""
 
 
-class WatchingEndpoint:
-    """A `companion.mav.endpoint.Endpoint` that shows lines once a second."""
+class WatchingEndpoint(OneShotEndpoint):
+    """Shows lines once a second; nothing is sent but greetings, which links send."""
 
     def __init__(
         self, setups: Sequence[RadioSetup], names: Sequence[str], show: Show, end_s: float | None
     ) -> None:
+        super().__init__(end_s)
         self.stages = [RadioStage(setup) for setup in setups]
         self._watches = [RadioWatch(stage) for stage in self.stages]
         self._budgets = [FloodBudget() for _ in setups]
         self._emitters: list[dict[int, EmitterView]] = [{} for _ in setups]
         self._names = names
         self._show = show
-        self._end_s = end_s
         self._news: deque[str] = deque(maxlen=5)
-        self._next_s = 0.0
         self._next_line_s = LINE_S
-        self._now_s = 0.0
-        self._is_stopped = False
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Take in what arrived, as far as a flight would."""
-        self._now_s = now_s
+        super().receive(chunk, now_s)
         if not self._budgets[chunk.link].spend_raw(len(chunk.data)):
             return
         emitters = self._emitters[chunk.link]
@@ -126,7 +122,7 @@ class WatchingEndpoint:
 
     def handle_timer(self, now_s: float) -> None:
         """Show what is due."""
-        self._now_s, self._next_s = now_s, now_s + TICK_S
+        super().handle_timer(now_s)
         for watch, budget in zip(self._watches, self._budgets, strict=True):
             budget.renew()
             self._news += [news.text for news in watch.tick(now_s)]
@@ -153,21 +149,3 @@ class WatchingEndpoint:
             shown = sorted(self._emitters[number].items())[:MOST_SHOWN]
             lines += [view.line(emitter_id, now_s) for emitter_id, view in shown]
         return lines
-
-    def next_timer_s(self) -> float:
-        """When to look again."""
-        return self._next_s
-
-    def take_output(self) -> list[Chunk]:
-        """Nothing is sent but greetings, which links send."""
-        return []
-
-    def request_stop(self, now_s: float) -> None:
-        """End at once."""
-        del now_s
-        self._is_stopped = True
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether it was asked to end, or the time is over."""
-        return self._is_stopped or (self._end_s is not None and self._now_s >= self._end_s)

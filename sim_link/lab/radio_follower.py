@@ -29,7 +29,7 @@ from companion.geometry.coordinates import (
 )
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.endpoint import Address, Chunk
+from companion.mav.endpoint import Address, Chunk, OneShotEndpoint
 from companion.mav.flight_modes import autopilot_of
 from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
@@ -76,8 +76,8 @@ def seen_from_nose(heard: RangingMeasurement, yaw_rad: float) -> RangingMeasurem
     return replace(heard, bearing_enu_rad=None, bearing_body_rad=body_rad)
 
 
-class RadioFollower:
-    """A `companion.mav.endpoint.Endpoint`; emitters with a place on Earth wait for the origin.
+class RadioFollower(OneShotEndpoint):
+    """A radio that flies along; emitters with a place on Earth wait for the origin.
 
     With a link of its own measurements go to link 1 instead of back to the vehicle's.
     """
@@ -93,6 +93,7 @@ class RadioFollower:
         has_own_link: bool = False,
         emulator: Emulator | None = None,
     ) -> None:
+        super().__init__(None, HEARTBEAT_S)
         self._params = params
         self._emulator = emulator
         self._radio = FieldRadio(channel, rng, environment, params.antenna, params.measures)
@@ -112,11 +113,8 @@ class RadioFollower:
         self._ground_up_m = 0.0
         self._position_heard_s = -math.inf
         self._measured_at_s = -math.inf
-        self._next_s = 0.0
         self._asked_s = -math.inf
-        self._is_finished = False
         self._has_booted = False
-        self._output: list[Chunk] = []
         self.measurements = 0
 
     @property
@@ -229,7 +227,7 @@ class RadioFollower:
 
     def handle_timer(self, now_s: float) -> None:
         """Heartbeat, and ask for what is missing."""
-        self._next_s = now_s + HEARTBEAT_S
+        super().handle_timer(now_s)
         if self._emulator is not None and not self._has_booted:
             self._has_booted = True
             self._print(self._emulator.boot())
@@ -261,21 +259,3 @@ class RadioFollower:
     def _send(self, message: Message, link: int) -> None:
         peer = self._peer if link == FOLLOW else None
         self._output.append(Chunk(link, self._codec.encode(message), peer))
-
-    def next_timer_s(self) -> float:
-        """When the next heartbeat is due."""
-        return self._next_s
-
-    def take_output(self) -> list[Chunk]:
-        """What is to be sent; taken once."""
-        output, self._output = self._output, []
-        return output
-
-    def request_stop(self, now_s: float) -> None:  # noqa: ARG002  the protocol gives the time
-        """End at once."""
-        self._is_finished = True
-
-    @property
-    def is_finished(self) -> bool:
-        """Whether it was asked to end."""
-        return self._is_finished
