@@ -120,7 +120,7 @@ def test_guided_given_again_after_a_while_gives_control_back() -> None:
     assert loop.error_m <= 1.5
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))])
 def test_a_stop_is_commanded_because_no_target_ever_times_out(seed: int) -> None:
     loop = flying(seed)
     loop.companion.request_stop(loop.now_s)

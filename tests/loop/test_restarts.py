@@ -19,6 +19,7 @@ MANUAL = CompanionConfig()
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 TAKE_OFF = mavlink.MAV_CMD_NAV_TAKEOFF
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+slow = pytest.mark.slow
 
 
 def in_control(
@@ -77,10 +78,21 @@ def test_an_estimate_survives_a_kill_and_is_localised_long_before_a_cold_one() -
     assert took_s[True] < 0.5 * took_s[False], took_s
 
 
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-@pytest.mark.parametrize("killed_after_s", [0.0, 0.7, 3.1, 11.0])
+@pytest.mark.parametrize(
+    ("killed_after_s", "flavour"),
+    [
+        pytest.param(0.0, "px4", marks=slow),
+        pytest.param(0.0, "ardupilot", marks=slow),
+        pytest.param(0.7, "px4", marks=slow),
+        (0.7, "ardupilot"),
+        (3.1, "px4"),
+        pytest.param(3.1, "ardupilot", marks=slow),
+        pytest.param(11.0, "px4", marks=slow),
+        pytest.param(11.0, "ardupilot", marks=slow),
+    ],
+)
 def test_a_companion_killed_in_control_never_engages_by_itself(
-    flavour: str, killed_after_s: float
+    killed_after_s: float, flavour: str
 ) -> None:
     autopilot = AutopilotParams(flavour=flavour, offboard_loss_action="hold")  # type: ignore[arg-type]
     loop, _ = in_control(AUTO, Scenario(autopilot=autopilot))
@@ -100,7 +112,9 @@ def test_a_companion_killed_in_control_never_engages_by_itself(
         assert drift_m < 0.5
 
 
-@pytest.mark.parametrize("at_s", [3.0, 8.0, 20.0, 30.0])
+@pytest.mark.parametrize(
+    "at_s", [pytest.param(3.0, marks=slow), 8.0, *(pytest.param(s, marks=slow) for s in (20, 30))]
+)
 def test_a_companion_killed_while_it_launches_launches_no_second_time(at_s: float) -> None:
     loop = Loop(AUTO)
     Checkpointing(loop.flight)
@@ -113,7 +127,12 @@ def test_a_companion_killed_while_it_launches_launches_no_second_time(at_s: floa
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda data: data[: len(data) // 2], lambda data: bytes(len(data)), lambda _: b""]
+    "damage",
+    [
+        lambda data: data[: len(data) // 2],
+        pytest.param(lambda data: bytes(len(data)), marks=slow),
+        pytest.param(lambda _: b"", marks=slow),
+    ],
 )
 def test_damaged_checkpoints_mean_a_cold_start_that_engages_nothing(
     damage: Callable[[bytes], bytes],
@@ -155,7 +174,7 @@ def test_a_yield_survives_a_kill() -> None:
     "config",
     [
         CompanionConfig(limits=LimitsConfig(speed_mps=4.0)),
-        CompanionConfig(mission=SessionParams(altitude_m=25.0)),
+        pytest.param(CompanionConfig(mission=SessionParams(altitude_m=25.0)), marks=slow),
     ],
 )
 def test_another_fence_or_mission_is_no_place_for_an_old_estimate(config: CompanionConfig) -> None:

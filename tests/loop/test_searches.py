@@ -61,7 +61,14 @@ def _distance_m(loop: Loop) -> float:
     return math.dist(place, EMITTER.position_enu_m)
 
 
-@pytest.mark.parametrize("search", ["lawnmower", "expanding_square", "sector"])
+@pytest.mark.parametrize(
+    "search",
+    [
+        "sector",
+        pytest.param("lawnmower", marks=pytest.mark.slow),
+        pytest.param("expanding_square", marks=pytest.mark.slow),
+    ],
+)
 def test_an_emitter_out_of_reach_is_searched_for_and_found(search: PatternKind) -> None:
     loop = _loop(_config(search))
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
@@ -79,7 +86,7 @@ def test_an_emitter_out_of_reach_is_searched_for_and_found(search: PatternKind) 
 
 def test_without_a_search_the_same_flight_waits() -> None:
     loop = _loop(_config(None))
-    loop.run(60.0)
+    loop.run(30.0)
     assert loop.phase is Phase.HOLD
     assert loop.said("hold: waiting for ranging")
 
@@ -113,6 +120,7 @@ def test_a_pattern_alone_is_flown_over_the_emitter() -> None:
     _check_places(loop)
 
 
+@pytest.mark.slow
 def test_the_information_planner_finds_the_emitter_too() -> None:
     loop = _loop(_config(None, kind="fim"), reach_m=500.0)
     loop.run_until(lambda: bool(loop.notes.results), 240.0)
@@ -121,6 +129,7 @@ def test_the_information_planner_finds_the_emitter_too() -> None:
     _check_places(loop)
 
 
+@pytest.mark.slow
 def test_crossings_in_three_dimensions_find_the_emitter() -> None:
     swinging = LatchedCrossingParams(altitude_swing_m=8.0)
     loop = _loop(_config(None, latched_crossing=swinging), reach_m=500.0)
