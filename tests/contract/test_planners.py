@@ -202,7 +202,7 @@ SLENDER_CORNER = Ground(
 """A keep-out ends next to the fence: the way back goes to where the two almost touch."""
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(ground=grounds(), flown=flights)
 @example(SLENDER_CORNER, [((0.0, 0.0), None, 0.0)])
 def test_every_waypoint_and_every_leg_keeps_the_margin(

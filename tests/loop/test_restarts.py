@@ -101,7 +101,7 @@ def test_a_companion_killed_in_control_never_engages_by_itself(
     loop.run(2.0)
     commands, setpoints = len(loop.commands), len(loop.setpoints)
     loop.flight.start_companion()
-    loop.run(30.0)
+    loop.run(15.0)
     asked = {number for _, number in loop.commands[commands:]}
     assert not asked & {ARM, TAKE_OFF, SET_MODE}
     assert loop.phase in (Phase.WAITING, Phase.STANDBY)
@@ -121,7 +121,7 @@ def test_a_companion_killed_while_it_launches_launches_no_second_time(at_s: floa
     loop.run(at_s)
     kill_for(loop, 1.0)
     commands = len(loop.commands)
-    loop.run(60.0)
+    loop.run(30.0)
     asked = {number for _, number in loop.commands[commands:]}
     assert not asked & {ARM, TAKE_OFF, SET_MODE}
 
@@ -138,7 +138,7 @@ def test_damaged_checkpoints_mean_a_cold_start_that_engages_nothing(
     damage: Callable[[bytes], bytes],
 ) -> None:
     loop, checkpointing = in_control(AUTO)
-    loop.run(15.0)
+    loop.run(5.0)
     loop.flight.kill_companion()
     slots = checkpointing.store.slots
     for number, data in slots.items():
@@ -150,7 +150,7 @@ def test_damaged_checkpoints_mean_a_cold_start_that_engages_nothing(
     assert loop.companion.session.estimate is None or (
         loop.companion.session.estimate.measurements < 20
     )
-    loop.run(20.0)
+    loop.run(10.0)
     assert not {number for _, number in loop.commands[commands:]} & {ARM, TAKE_OFF, SET_MODE}
 
 
@@ -162,7 +162,7 @@ def test_a_yield_survives_a_kill() -> None:
     assert loop.phase is Phase.YIELD, loop.notes.texts
     setpoints = len(loop.setpoints)
     kill_for(loop, 3.0)
-    loop.run(20.0)
+    loop.run(10.0)
     assert loop.companion.session.phase is Phase.YIELD
     assert len(loop.setpoints) == setpoints
     loop.grant()
@@ -179,7 +179,7 @@ def test_a_yield_survives_a_kill() -> None:
 )
 def test_another_fence_or_mission_is_no_place_for_an_old_estimate(config: CompanionConfig) -> None:
     loop, _ = in_control()
-    loop.run(15.0)
+    loop.run(5.0)
     loop.flight.config = config
     kill_for(loop, 3.0)
     loop.run(2.0)
@@ -199,7 +199,7 @@ def test_a_memory_that_is_too_old_is_none() -> None:
 
 def test_a_mission_that_was_stopped_in_the_air_can_be_taken_up_again() -> None:
     loop, checkpointing = in_control()
-    loop.run(15.0)
+    loop.run(5.0)
     loop.flight.stop_companion()
     loop.run_until(lambda: not loop.flight.is_companion_up, 2.0)
     assert checkpointing.store.slots

@@ -56,6 +56,7 @@ def test_a_belief_comes_back_with_doubt_that_grows_with_its_age() -> None:
         assert tracker.last_accepted_s is None
 
 
+@pytest.mark.slow
 def test_a_resumed_tracker_is_far_ahead_of_a_cold_one_and_keeps_its_word() -> None:
     resumed, cold, kept = [], [], 0
     for seed in range(8):

@@ -239,7 +239,8 @@ def _coverage_of_run(seed: int, p_nlos: float, kind: AntennaKind) -> list[bool]:
     return covered
 
 
-@pytest.mark.parametrize("p_nlos", [pytest.param(0.0, marks=pytest.mark.slow), 0.9])
+@pytest.mark.slow
+@pytest.mark.parametrize("p_nlos", [0.0, 0.9])
 def test_r95_holds_the_truth_as_often_as_it_says(p_nlos: float) -> None:
     covered = np.array([_coverage_of_run(seed, p_nlos, "azimuth") for seed in range(RUNS)])
     shares = covered.mean(axis=0)

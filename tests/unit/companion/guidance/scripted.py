@@ -17,6 +17,8 @@ from companion.domain import (
     RangingMeasurement,
     VehicleState,
 )
+from companion.estimation.tracker import TrackerParams
+from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_session
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Phase
@@ -51,6 +53,8 @@ from companion.guidance.tracking.emitters import QueueParams
 C = TypeVar("C", bound=Command)
 ORIGIN = LocalOrigin(47.4, 8.5, 488.0)
 TARGET = (40.0, 30.0, 0.0)
+FILTER_ALONE = TrackerParams(window=WindowParams(enabled=False))
+"""The window is half of the work of these tests; flights in lockstep have it."""
 
 
 class ScriptedFlight:
@@ -77,6 +81,7 @@ class ScriptedFlight:
             limits=limits or LimitsConfig(),
             planner=planner or PlannerConfig(),
             emitters=emitters or QueueParams(),
+            estimation=FILTER_ALONE,
         )
         self.session = build_session(config)
         self.now_s = 0.0

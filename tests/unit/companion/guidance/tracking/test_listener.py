@@ -254,12 +254,12 @@ def test_a_body_bearing_in_degrees_is_refused(flight: Flight) -> None:
     ]
 
 
-@pytest.mark.parametrize("copies", range(2, 6))
+@pytest.mark.parametrize("copies", [2, 5])
 def test_every_measurement_several_times_gives_the_same_estimate_byte_by_byte(
     copies: int,
 ) -> None:
     once, often = Flight(), Flight()
-    for step in range(60):
+    for step in range(30):
         time_s = 10.0 + 0.1 * step
         seen = replace(
             AT_10_S,
@@ -274,7 +274,7 @@ def test_every_measurement_several_times_gives_the_same_estimate_byte_by_byte(
                 late = replace(seen, measured_at_s=seen.measured_at_s + 1e-4 * copy)
                 flight.listener.receive(late)  # a sender's clock is read anew each time
                 flight.listener.fuse_due(time_s + 0.01 * copy)
-    assert once.tracker.accepted == often.tracker.accepted >= 59
+    assert once.tracker.accepted == often.tracker.accepted >= 29
     one, other = once.tracker.hypotheses[0].state, often.tracker.hypotheses[0].state
     assert one.mean.tobytes() == other.mean.tobytes()
     assert one.covariance.tobytes() == other.covariance.tobytes()
