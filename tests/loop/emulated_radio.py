@@ -22,6 +22,18 @@ from sim_link.world.field_radio import FieldRadio
 MULTIPATH_SIGMA_M = 20.0
 """What the cells' decoders count for it."""
 Coarsen = Callable[[RangingMeasurement], RangingMeasurement]
+Stamp = Callable[[float], int]
+"""Microseconds of the sender's clock at a time of the vehicle's."""
+
+
+def by_the_vehicle(now_s: float) -> int:
+    """On the autopilot's clock."""
+    return round(1e6 * now_s)
+
+
+def without_a_clock(now_s: float) -> int:  # noqa: ARG001  whenever it is
+    """As RADIO_RANGING says that there is none."""
+    return 0
 
 
 def as_it_is(heard: RangingMeasurement) -> RangingMeasurement:
@@ -77,8 +89,8 @@ class EmulatedRadio:
 
     Args:
         emulator: Who prints; None: RADIO_RANGING.
-        has_clock: Whether RADIO_RANGING is stamped.
         coarsen: What RADIO_RANGING tells of a measurement, where a format tells as little.
+        stamp: What it tells of the time.
     """
 
     def __init__(
@@ -87,10 +99,9 @@ class EmulatedRadio:
         seed: int,
         emulator: Emulator | None,
         coarsen: Coarsen = as_it_is,
-        *,
-        has_clock: bool = True,
+        stamp: Stamp = by_the_vehicle,
     ) -> None:
-        self._has_clock = has_clock
+        self._stamp = stamp
         payload = scenario.payload
         rng = np.random.default_rng(seed)
         self._radio = FieldRadio(
@@ -109,8 +120,8 @@ class EmulatedRadio:
         if self._emulator is None:
             if heard is None:
                 return None
-            told, stamp_us = self._coarsen(heard), round(1e6 * now_s) * self._has_clock
-            return self._codec.encode(message_from_ranging(told, stamp_us))
+            told = message_from_ranging(self._coarsen(heard), self._stamp(now_s))
+            return self._codec.encode(told)
         if heard is not None and not self._emulator.tells_north:
             heard = seen_from_nose(heard, sim.vehicle.body.yaw_ned_rad)
         asked = Round(now_s, (Answer(self._emitter.emitter_id, heard),))
