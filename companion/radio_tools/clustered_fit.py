@@ -105,16 +105,21 @@ def sums_of(values: Vector, labels: Labels) -> Vector:
 
 
 def ratio_figure(parts: Vector, weights: Vector) -> Figure:
-    """Sum of the parts over sum of the weights, one of each a place, by the jackknife."""
+    """Sum of the parts over sum of the weights, one of each a place, by the jackknife.
+
+    Where a few places have most of the variance they are its degrees of freedom
+    (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
+    """
     used = weights > 0.0
     parts, weights = parts[used], weights[used]
     total, weight = float(parts.sum()), float(weights.sum())
     value, count = total / weight, len(parts)
     if count < 2:
         return Figure(value, -math.inf, math.inf)
-    without = (total - parts) / np.maximum(weight - weights, 1e-12)
-    variance = (count - 1.0) / count * float(np.sum((without - value) ** 2))
-    return figure(value, math.sqrt(variance), count - 1.0)
+    squares = ((total - parts) / np.maximum(weight - weights, 1e-12) - value) ** 2
+    variance = (count - 1.0) / count * float(np.sum(squares))
+    telling = float(np.sum(squares)) ** 2 / max(float(np.sum(squares**2)), 1e-300)
+    return figure(value, math.sqrt(variance), min(count - 1.0, telling))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from companion.domain import RangingMeasurement
 from companion.io.logs.radio_recording import TimedPose
 from companion.radio_tools.calibration import Calibration, CalibrationRun, RunWindow, calibrate
 from companion.radio_tools.calibration_text import verdict
+from companion.radio_tools.clustered_fit import ratio_figure
 from tools.calibration_campaign import (
     POINT,
     Course,
@@ -358,3 +359,14 @@ def test_bearings_by_north_that_turn_the_other_way_are_refused() -> None:
     course, _ = all_tests()
     run = measured_by_north(run_of(replace(QUIET, lag_s=0.0), course), 0.3, sign=-1)
     refusal(run, "wrong way")
+
+
+def test_where_one_place_has_most_of_the_variance_there_are_not_as_many_as_there_are() -> None:
+    """Twelve places whose mean is as uncertain either way, by one of them or by all alike."""
+    count = 12
+    one, all_alike = np.zeros(count), np.tile([-1.0, 1.0], count // 2)
+    one[0] = math.sqrt(count / (1.0 - 1.0 / count))
+    assert np.var(one) == pytest.approx(np.var(all_alike))
+    lonely, even = (ratio_figure(parts, np.ones(count)) for parts in (one, all_alike))
+    assert even.half_width == pytest.approx(2.2010 / math.sqrt(count - 1.0), rel=1e-3)
+    assert lonely.half_width > 3.0 * even.half_width
