@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from companion.errors import ConfigError, LinkError
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Chunk, OneShotEndpoint
 from sim_link.lab.conformance.cli import open_link
 from tests.ports import free_port
 from tests.protocol.memory_link import MemoryHub
@@ -16,36 +16,22 @@ from tests.protocol.memory_link import MemoryHub
 PATIENCE_S = 30.0
 
 
-class Clock:
+class Clock(OneShotEndpoint):
     """An endpoint that says its time each second, and to each sender what it sent."""
 
     def __init__(self) -> None:
+        super().__init__(None, 1.0)
         self._next_s = 1.0
-        self._output: list[Chunk] = []
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        del now_s
+        super().receive(chunk, now_s)
         self._output.append(Chunk(0, b"re:" + chunk.data, chunk.peer))
         assert chunk.peer is not None
         self._output.append(Chunk(0, b"fw:" + chunk.data, None, frozenset({chunk.peer})))
 
     def handle_timer(self, now_s: float) -> None:
+        super().handle_timer(now_s)
         self._output.append(Chunk(0, f"{now_s:g}".encode()))
-        self._next_s += 1.0
-
-    def next_timer_s(self) -> float:
-        return self._next_s
-
-    def take_output(self) -> list[Chunk]:
-        output, self._output = self._output, []
-        return output
-
-    def request_stop(self, now_s: float) -> None:
-        del now_s
-
-    @property
-    def is_finished(self) -> bool:
-        return False
 
 
 def test_time_passes_to_the_next_timer_and_no_further() -> None:
