@@ -10,7 +10,8 @@ from typing import Any, NoReturn, TypeAlias
 
 from companion import __version__
 from companion.errors import ConfigError
-from companion.radio_tools.radio_commands import add_arguments
+from companion.radio_tools import radio_commands
+from companion.setup_tools import config_commands
 
 MAX_SECONDS = 300.0
 MAX_SPEED = 50.0
@@ -74,13 +75,14 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_flight(parser)
     _add_web(parser.add_argument_group("live map (extra web)"))
     commands = parser.add_subparsers(
-        dest="command", metavar="{demo,replay,report,doctor,radio,warm-up}"
+        dest="command", metavar="{demo,replay,report,doctor,radio,config,warm-up}"
     )
     _add_demo(commands)
     _add_replay(commands)
     _add_report(commands)
     _add_doctor(commands)
     _add_radio(commands)
+    _add_config(commands)
     _add_warm_up(commands)
     return parser
 
@@ -193,7 +195,16 @@ def _add_radio(commands: Commands) -> None:
         help="list, watch, record and calibrate radios",
         description="Radios with formats of their own: which there are, and what they say.",
     )
-    add_arguments(radio)
+    radio_commands.add_arguments(radio)
+
+
+def _add_config(commands: Commands) -> None:
+    config = commands.add_parser(
+        "config",
+        help="show every value of a configuration and its origin, or the schema",
+        description="What a configuration comes to, and the schema of its files.",
+    )
+    config_commands.add_arguments(config)
 
 
 def _add_warm_up(commands: Commands) -> None:

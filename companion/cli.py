@@ -72,6 +72,8 @@ def _run(argv: Sequence[str] | None) -> int:
             return _doctor(arguments)
         case "radio":
             return _radio(arguments)
+        case "config":
+            return _config(arguments)
         case "warm-up":
             return _warm_up(arguments)
     return _fly(arguments)
@@ -192,6 +194,12 @@ def _links(arguments: argparse.Namespace, config: CompanionConfig) -> list[Fligh
 
 def _radio(arguments: argparse.Namespace) -> int:
     from companion.radio_tools.radio_commands import run
+
+    return run(arguments)
+
+
+def _config(arguments: argparse.Namespace) -> int:
+    from companion.setup_tools.config_commands import run
 
     return run(arguments)
 

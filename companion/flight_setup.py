@@ -19,6 +19,7 @@ from companion import __version__
 from companion.config.radios import RadioConfig, radio_setups
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.config.tunables import Tunables
+from companion.config.versions import renew
 from companion.errors import ConfigError
 from companion.estimation.antenna import (
     ABOUT_VERTICAL,
@@ -239,6 +240,9 @@ def open_flight(path: Path) -> RecordedFlight:
 def facts_of_json(data: bytes) -> FlightFacts:
     """What `facts_as_json` wrote; a `ConfigError` for anything else, and for other versions."""
     try:
-        return msgspec.json.decode(data, type=FlightFacts)
+        raw = msgspec.json.decode(data)
+        if isinstance(raw, dict) and isinstance(raw.get("config"), dict):
+            renew(raw["config"], "config")
+        return msgspec.convert(raw, FlightFacts, str_keys=False)
     except (msgspec.DecodeError, ValueError) as error:
         raise ConfigError(f"not the facts of a flight: {error}") from error

@@ -17,6 +17,7 @@ import msgspec
 from companion.config.fence_files import read_fence
 from companion.config.loader import load_yaml
 from companion.config.radios import RadioConfig, flown_radios
+from companion.config.versions import SCHEMA_VERSION, renew
 from companion.domain import NonNegative, Params, Positive
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
@@ -201,6 +202,8 @@ class PlannerConfig(Params, frozen=True):
 class CompanionConfig(Params, frozen=True):
     """Everything that a file can configure."""
 
+    schema_version: Annotated[int, msgspec.Meta(ge=1, le=SCHEMA_VERSION)] = SCHEMA_VERSION
+    """Of these keys; files of earlier versions are read, and brought to this one."""
     mission: SessionParams = SessionParams()
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
     """The emitter to look for; null: the first one heard."""
@@ -220,7 +223,7 @@ def load_config(path: Path | None) -> CompanionConfig:
     """The configuration in a file, or the defaults; a `ConfigError` names file and place."""
     if path is None:
         return CompanionConfig()
-    config = load_yaml(path, CompanionConfig)
+    config = load_yaml(path, CompanionConfig, lambda raw: renew(raw, str(path)))
     if config.limits.fence_file is not None:
         beside = str(path.parent / config.limits.fence_file)
         limits = msgspec.structs.replace(config.limits, fence_file=beside)

@@ -1,0 +1,166 @@
+"""Each value of a configuration with where it is from, and the schema that editors read."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import itertools
+import json
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from companion.config.loader import parse_value, read_text
+from companion.config.schema import CompanionConfig
+from companion.config.versions import KEY, renew
+from companion.link.radio_stage import RadioSettings
+
+DEFAULT = "default"
+WIDTH = 44
+"""Column at which origins stand."""
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A value, its path with dots, and where it is from."""
+
+    path: str
+    value: object
+    origin: str
+
+
+def shown_values(file: Path | None, steps: Sequence[tuple[str, CompanionConfig]]) -> list[Shown]:
+    """Every value of the last configuration, in the order of the schema.
+
+    `steps` are the configuration as the file (or nothing) has it, and what each flag made of it,
+    by what is to be shown as the origin.
+    """
+    written = {} if file is None else _written(file)
+    origins: dict[str, str] = {}
+    values: dict[str, object] = {}
+    for number, (origin, config) in enumerate(steps):
+        for path, value in _leaves(config, ""):
+            if number == 0:
+                origins[path] = origin if _is_in(written, path) else DEFAULT
+            elif value != values[path]:
+                origins[path] = origin
+            values[path] = value
+    return [Shown(path, values[path], origins[path]) for path in values]
+
+
+def as_yaml(values: Sequence[Shown]) -> list[str]:
+    """The same as the lines of a configuration file, with origins as remarks."""
+    lines: list[str] = []
+    open_sections: list[str] = []
+    for shown in values:
+        *sections, key = shown.path.split(".")
+        same = 0
+        while same < min(len(sections), len(open_sections)):
+            if sections[same] != open_sections[same]:
+                break
+            same += 1
+        lines += [f"{'  ' * n}{sections[n]}:" for n in range(same, len(sections))]
+        open_sections = sections
+        line = f"{'  ' * len(sections)}{key}: {_flow(shown.value)}"
+        lines.append(f"{line:<{WIDTH}}  # {shown.origin}")
+    return lines
+
+
+def as_json(values: Sequence[Shown]) -> list[dict[str, object]]:
+    """The same for programs."""
+    return [
+        {"path": each.path, "value": msgspec.to_builtins(each.value), "origin": each.origin}
+        for each in values
+    ]
+
+
+def json_schema() -> str:
+    """The JSON Schema of a configuration file, with what each key means."""
+    kinds = (CompanionConfig, RadioSettings)
+    (whole, settings), records = msgspec.json.schema_components(
+        kinds, ref_template="#/$defs/{name}"
+    )
+    records["RadioConfig"]["properties"]["settings"] = settings
+    remarks = dict(_remarks(CompanionConfig)) | dict(_remarks(RadioSettings))
+    for record, name in remarks:
+        properties = records[record]["properties"]
+        properties[name] = {**properties[name], "description": remarks[record, name]}
+    head = {"$schema": DIALECT, "title": "companion-guidance configuration"}
+    return json.dumps({**head, **whole, "$defs": records}, indent=2)
+
+
+def _written(file: Path) -> dict[str, Any]:
+    raw = parse_value(read_text(file), str(file))
+    if not isinstance(raw, dict):
+        return {}
+    is_told = KEY in raw
+    renew(raw, str(file))
+    if not is_told:
+        del raw[KEY]
+    return raw
+
+
+def _is_in(raw: object, path: str) -> bool:
+    for part in path.split("."):
+        if not isinstance(raw, dict) or part not in raw:
+            return False
+        raw = raw[part]
+    return True
+
+
+def _leaves(record: object, path: str) -> Iterator[tuple[str, object]]:
+    """The values of a record that are no records themselves, by their paths."""
+    for name in getattr(record, "__struct_fields__", ()):
+        value, place = getattr(record, name), f"{path}{name}"
+        if isinstance(value, msgspec.Struct):
+            yield from _leaves(value, f"{place}.")
+        else:
+            yield place, value
+
+
+def _flow(value: object) -> str:
+    plain = msgspec.to_builtins(value)
+    text = yaml.safe_dump(plain, default_flow_style=True, width=10_000, sort_keys=False)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _remarks(kind: type[msgspec.Struct]) -> Iterator[tuple[tuple[str, str], str]]:
+    """The docstrings of the fields of a record and of all that are in it, by record and field."""
+    seen: set[type] = set()
+    waiting: list[Any] = [msgspec.inspect.type_info(kind)]
+    while waiting:
+        info = waiting.pop()
+        if isinstance(info, msgspec.inspect.StructType):
+            if info.cls in seen:
+                continue
+            seen.add(info.cls)
+            waiting += [each.type for each in info.fields]
+            for name, text in _field_remarks(info.cls):
+                yield (info.cls.__name__, name), text
+        elif isinstance(info, msgspec.inspect.UnionType):
+            waiting += info.types
+        elif isinstance(info, msgspec.inspect.VarTupleType):
+            waiting.append(info.item_type)
+
+
+def _field_remarks(cls: type) -> Iterator[tuple[str, str]]:
+    """The texts under the fields of a class, from its source; inherited ones are its parent's."""
+    try:
+        (body,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+    except (OSError, TypeError):  # a package without its sources
+        return
+    statements = body.body if isinstance(body, ast.ClassDef) else []
+    for before, after in itertools.pairwise(statements):
+        if (
+            isinstance(before, ast.AnnAssign)
+            and isinstance(before.target, ast.Name)
+            and isinstance(after, ast.Expr)
+            and isinstance(after.value, ast.Constant)
+        ):
+            yield before.target.id, " ".join(str(after.value.value).split())

@@ -1,0 +1,90 @@
+"""The version of the configuration's schema, and how files of earlier ones are read.
+
+The number goes up when a key is renamed, moved, taken away or means something else; a key that is
+added does not change it. A file that does not say its version is of the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from companion.errors import ConfigError
+
+SCHEMA_VERSION = 1
+KEY = "schema_version"
+
+
+@dataclass(frozen=True, slots=True)
+class Migration:
+    """What one version did to the keys of the one before it; keys are paths with dots."""
+
+    to: int
+    moved: Mapping[str, str] = field(default_factory=dict)
+    """Earlier path to present one; the value is taken along."""
+    gone: Mapping[str, str] = field(default_factory=dict)
+    """Earlier path to what to do instead, in words; a file that has it is refused."""
+
+
+MIGRATIONS: tuple[Migration, ...] = ()
+"""In the order of their versions; the last one leads to `SCHEMA_VERSION`."""
+
+
+def renew(
+    raw: dict[str, Any],
+    name: str,
+    present: int = SCHEMA_VERSION,
+    migrations: Sequence[Migration] = MIGRATIONS,
+) -> None:
+    """Bring plain values of the file `name` to the present schema, in place.
+
+    A `ConfigError` for a version that is not known, for keys that are gone, and for a value that
+    has its earlier and its present name.
+    """
+    version = _version(raw, name, present)
+    for migration in migrations:
+        if migration.to > version:
+            _apply(migration, raw, name)
+    raw[KEY] = present
+
+
+def _version(raw: Mapping[str, Any], name: str, present: int) -> int:
+    version = raw.get(KEY, 1)
+    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
+        raise ConfigError(f"{name}: $.{KEY}: expected a whole number from 1 to {present}")
+    if version > present:
+        raise ConfigError(
+            f"{name}: $.{KEY}: the file is of schema {version}, and this companion reads up to "
+            f"{present}; install a newer companion-guidance"
+        )
+    return version
+
+
+def _apply(migration: Migration, raw: dict[str, Any], name: str) -> None:
+    for path, words in migration.gone.items():
+        if _owner(raw, path) is not None:
+            raise ConfigError(f"{name}: $.{path}: gone since schema {migration.to}; {words}")
+    for earlier, path in migration.moved.items():
+        owner = _owner(raw, earlier)
+        if owner is None:
+            continue
+        if _owner(raw, path) is not None:
+            raise ConfigError(f"{name}: $.{earlier}: is $.{path} now, and both are given; keep one")
+        value = owner.pop(earlier.rpartition(".")[2])
+        *sections, key = path.split(".")
+        place = raw
+        for section in sections:
+            place = place.setdefault(section, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"{name}: $.{path}: `{section}` must be a section")
+        place[key] = value
+
+
+def _owner(raw: Mapping[str, Any], path: str) -> dict[str, Any] | None:
+    """The mapping that has the last key of a path, or None."""
+    *sections, key = path.split(".")
+    place: Any = raw
+    for section in sections:
+        place = place.get(section) if isinstance(place, dict) else None
+    return place if isinstance(place, dict) and key in place else None

@@ -1,0 +1,96 @@
+"""Files of earlier schemas are read, and what cannot be is refused with what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from companion.config.schema import load_config
+from companion.config.versions import MIGRATIONS, SCHEMA_VERSION, Migration, renew
+from companion.errors import ConfigError
+from companion.io.logs.log_files import FAMILY, FORMAT
+from companion.io.logs.radio_recording import VERSION as RECORDING_VERSION
+from companion.mav.dialect import (
+    MAVLink_radio_ranging_message,
+    MAVLink_target_estimate_message,
+)
+
+INVENTED = (
+    Migration(2, moved={"mission.height_m": "mission.altitude_m", "seek": "planner.search"}),
+    Migration(
+        3, moved={"planner.search": "search.pattern"}, gone={"log.gzip": "compress yourself"}
+    ),
+)
+
+
+def renewed(text: str) -> dict[str, Any]:
+    raw: dict[str, Any] = yaml.safe_load(text)
+    renew(raw, "site.yaml", 3, INVENTED)
+    return raw
+
+
+def test_a_file_without_a_version_is_of_the_first_and_takes_every_step() -> None:
+    assert renewed("{mission: {height_m: 20}, seek: sector}") == {
+        "schema_version": 3,
+        "mission": {"altitude_m": 20},
+        "planner": {},
+        "search": {"pattern": "sector"},
+    }
+
+
+def test_a_file_of_a_later_version_takes_only_the_steps_after_it() -> None:
+    assert renewed("{schema_version: 2, seek: sector, planner: {search: sector}}") == {
+        "schema_version": 3,
+        "seek": "sector",
+        "planner": {},
+        "search": {"pattern": "sector"},
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            "schema_version: 4",
+            "$.schema_version: the file is of schema 4, and this companion reads up to 3; "
+            "install a newer companion-guidance",
+        ),
+        ("schema_version: 0", "$.schema_version: expected a whole number from 1 to 3"),
+        ("schema_version: yes", "$.schema_version: expected a whole number from 1 to 3"),
+        ("schema_version: '2'", "$.schema_version: expected a whole number from 1 to 3"),
+        ("log: {gzip: true}", "$.log.gzip: gone since schema 3; compress yourself"),
+        (
+            "mission: {height_m: 1, altitude_m: 2}",
+            "$.mission.height_m: is $.mission.altitude_m now, and both are given; keep one",
+        ),
+        ("{seek: sector, planner: 3}", "$.planner.search: `planner` must be a section"),
+    ],
+)
+def test_what_cannot_be_renewed_is_refused_in_one_line(text: str, complaint: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        renewed(text)
+    assert str(refused.value) == f"site.yaml: {complaint}"
+
+
+def test_the_last_step_leads_to_the_present_schema() -> None:
+    assert [m.to for m in MIGRATIONS] == list(range(2, SCHEMA_VERSION + 1))
+
+
+def test_a_file_of_a_schema_to_come_is_refused_before_its_keys_are(tmp_path: Path) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_text(f"schema_version: {SCHEMA_VERSION + 1}\nnew_key: 1\n")
+    with pytest.raises(ConfigError, match="install a newer companion-guidance") as refused:
+        load_config(path)
+    assert "new_key" not in str(refused.value)
+
+
+def test_the_page_tells_the_versions_that_are() -> None:
+    page = (Path(__file__).parents[4] / "docs/versions.md").read_text()
+    inputs = FORMAT.removeprefix(FAMILY).decode()
+    assert f"| schema {SCHEMA_VERSION} |" in page
+    assert f"`flight.inputs` {inputs}, radio recordings {RECORDING_VERSION} |" in page
+    assert f"RADIO_RANGING {MAVLink_radio_ranging_message.id} " in page
+    assert f"TARGET_ESTIMATE {MAVLink_target_estimate_message.id} " in page
