@@ -160,8 +160,9 @@ def _add_demo(commands: Commands) -> None:
     _file(demo, "--config", "companion configuration")
     _file(demo, "--json", "write the result as JSON")
     _file(demo, "--plot", "where to draw the track (default track.png)", default=Path("track.png"))
-    text = "serve the live map, with buttons (default port 8080)"
+    text = "serve the live map, with buttons (default port 8080), and open the browser"
     _option(demo, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
+    _switch(demo, "--no-browser", "open no browser")
     _switch(demo, "--no-plot", "do not draw the track")
 
 

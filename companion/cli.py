@@ -224,17 +224,24 @@ def _report(arguments: argparse.Namespace) -> int:
 
 def _report_flight(directory: Path) -> None:
     """A report of every flight; of a long one only on request, because the end must be quick."""
-    from companion.report.page import is_quick, write_report  # jinja2 only where it is needed
+    from companion.report.page import is_quick
 
-    if not is_quick(directory):
+    if is_quick(directory):
+        _write_report(directory)
+    else:
         print(f"companion: make the report with: companion report {directory}", file=sys.stderr)
-        return
+
+
+def _write_report(directory: Path) -> Path | None:
+    from companion.report.page import write_report  # jinja2 only where it is needed
+
     try:
         path = write_report(directory)
     except CompanionError as error:
         print(f"companion: no report: {error}", file=sys.stderr)
-    else:
-        logging.getLogger("companion").info("report: %s", path)
+        return None
+    logging.getLogger("companion").info("report: %s", path)
+    return path
 
 
 def _replay(arguments: argparse.Namespace) -> int:
@@ -301,6 +308,7 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
+    from companion.demo.browser import open_page
     from companion.demo.runner import DemoOptions, run_demo, scenario_named
 
     scenario, preset = None, None
@@ -319,10 +327,18 @@ def _demo(arguments: argparse.Namespace) -> int:
     def make_views(config: CompanionConfig, truth_enu_m: tuple[float, float]) -> list[FlightView]:
         """The screen, and the map with the emitter's true place for comparison."""
         page = [] if settings is None else [_web_view(settings, config, truth_enu_m)]
+        if page and not arguments.no_browser:
+            open_page(page[0].url)
         return [*page, _console_view()]
 
+    def report(directory: Path) -> None:
+        """Always: nothing flies that would wait for the end."""
+        path = _write_report(directory)
+        if path is not None and settings is not None and not arguments.no_browser:
+            open_page(path.resolve().as_uri())
+
     config = load_config(arguments.config or preset)
-    is_found = run_demo(options, config, make_views, _report_flight)
+    is_found = run_demo(options, config, make_views, report)
     return 0 if is_found else EXIT_FAILED
 
 

@@ -21,6 +21,7 @@ from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
+from companion.view.next_step import next_step
 
 Json = dict[str, object]
 
@@ -53,6 +54,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "phase": status.phase.value,
         "phase_text": _phase_text(status),
         "phase_detail": status.detail,
+        "next_step": next_step(endpoint, status),
         "mode": vehicle.name_of(status.mode),
         "is_armed": status.is_armed,
         "is_link_lost": status.is_link_lost and endpoint.binding.heard_s is not None,
@@ -217,20 +219,24 @@ class FlightSnapshot:
     time_to_go_s: float | None = None
     radios: tuple[tuple[str, str], ...] = ()
     """Names, and how they are."""
+    next_step: str = ""
+    """What the operator does now."""
 
 
 def flight_snapshot(
     endpoint: CompanionEndpoint, now_s: float, time_to_go_s: float | None = None
 ) -> FlightSnapshot:
     """The present moment of a flight."""
+    status = endpoint.session.status(now_s)
     return FlightSnapshot(
-        status=endpoint.session.status(now_s),
+        status=status,
         setpoint_rate_hz=endpoint.outlet.setpoint_rate_hz(now_s),
         bad_frames=endpoint.bad_frames,
         stop_radius_m=endpoint.session.params.stop_radius_m,
         ages_s=ages_s(endpoint, now_s),
         time_to_go_s=time_to_go_s,
         radios=radio_words(endpoint, now_s),
+        next_step=next_step(endpoint, status),
     )
 
 

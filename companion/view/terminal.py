@@ -77,6 +77,7 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
     guard = "; ".join(status.guard) if status.phase in IN_CONTROL else ""
     return [
         ("phase", phase),
+        ("do next", Text(moment.next_step, "bold")),
         ("vehicle", Text(f"{status.mode.value}, {armed}, height {height}")),
         ("flown", Text(f"{status.distance_m:.0f} m")),
         ("distance", Text(_distance(status))),

@@ -42,11 +42,12 @@ class PhaseBar:
 
     def __init__(self) -> None:
         bar = ui.row().classes("w-full items-center justify-between gap-x-4 gap-y-0 rounded")
-        with bar.classes("px-3 py-2") as self._bar:
+        with bar.classes("px-3 py-2").props("role=status") as self._bar:
             with ui.row().classes("items-baseline gap-x-3 gap-y-0").props("id=phase"):
                 self._phase = ui.label("waiting for the companion").classes("text-lg font-bold")
                 self._detail = ui.label("")
             self._mode = ui.label("").props("id=mode")
+            self._next = ui.label("").classes("w-full text-base").props("id=next-step")
         self._colour(QUIET)
 
     def show(self, picture: Json) -> None:
@@ -54,6 +55,7 @@ class PhaseBar:
         is_lost = picture["is_link_lost"]
         self._phase.set_text(("AUTOPILOT LOST: " if is_lost else "") + picture["phase_text"])
         self._detail.set_text(picture["phase_detail"])
+        self._next.set_text(picture["next_step"])
         armed = "armed" if picture["is_armed"] else "disarmed"
         self._mode.set_text(f"{picture['mode']}, {armed}")
         self._colour(BAD if is_lost else PHASE_COLOURS.get(picture["phase"], QUIET))
@@ -62,6 +64,7 @@ class PhaseBar:
         """Say that nothing comes from the companion any more."""
         self._phase.set_text(f"COMPANION SILENT for {for_s:.0f} s")
         self._detail.set_text("what you see is old")
+        self._next.set_text("Watch the vehicle, and take over with the mode switch if in doubt.")
         self._colour(BAD)
 
     def _colour(self, colour: str) -> None:

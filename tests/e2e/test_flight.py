@@ -208,6 +208,8 @@ def test_demo_writes_its_result_and_picture(commands: Commands, autopilot: str) 
     assert value["time_s"] > 0.0
     assert value["distance_m"] > 50.0
     assert (commands.directory / "track.png").read_bytes().startswith(b"\x89PNG")
+    (report,) = commands.directory.glob("flights/*/report.html")
+    assert "LOCALISED" in report.read_text()
 
 
 @pytest.mark.slow

@@ -1,0 +1,70 @@
+"""At every moment of a flight the operator reads what to do, in few plain words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from companion.domain import EstimateState
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session import GuidanceStatus
+from companion.view.next_step import next_step
+from tests.loop.loop_helpers import Loop
+
+MOST_WORDS = 20
+"""Of the whole text; a longer one is not read in flight."""
+
+
+@pytest.fixture(scope="module")
+def flown() -> Loop:
+    loop = Loop(seed=1)
+    loop.run(30.0)
+    return loop
+
+
+def told(loop: Loop, **changes: object) -> str:
+    return next_step(loop.companion, status_of(loop, **changes))
+
+
+def status_of(loop: Loop, **changes: object) -> GuidanceStatus:
+    return replace(loop.companion.session.status(loop.now_s), **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_every_phase_has_a_short_sentence_of_its_own(flown: Loop, phase: Phase) -> None:
+    text = told(flown, phase=phase, detail="")
+    assert text.endswith(".")
+    assert len(text.split()) <= MOST_WORDS
+    others = {told(flown, phase=each, detail="") for each in Phase if each is not phase}
+    assert text not in others
+
+
+def test_before_anything_is_heard_it_says_what_to_switch_on() -> None:
+    assert told(Loop(seed=1)).startswith("Switch the autopilot on.")
+
+
+def test_a_lost_link_comes_before_the_phase(flown: Loop) -> None:
+    assert "failsafe" in told(flown, is_link_lost=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"estimate": None}, "look for the radio"),
+        ({"phase": Phase.HOLD, "detail": "operator requested hold"}, "Press RESUME"),
+        ({"phase": Phase.HOLD, "detail": "no ranging for 5 s"}, "Check the radio"),
+        ({"phase": Phase.WAITING, "detail": "found in OFFBOARD"}, "Switch to another mode"),
+    ],
+)
+def test_it_goes_by_what_is_known(flown: Loop, changes: dict[str, object], words: str) -> None:
+    assert words in told(flown, **{"phase": Phase.NORMAL, **changes})
+
+
+@pytest.mark.parametrize("state", EstimateState)
+def test_a_search_is_told_by_the_state_of_its_estimate(flown: Loop, state: EstimateState) -> None:
+    estimate = flown.companion.session.estimate
+    assert estimate is not None
+    told_now = told(flown, phase=Phase.NORMAL, estimate=replace(estimate, state=state))
+    assert ("two places" in told_now) is (state is EstimateState.AMBIGUOUS)
+    assert ("report" in told_now) is (state is EstimateState.LOCALISED)
