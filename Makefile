@@ -1,7 +1,7 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo missions test test-all faults check dist clean venv-demo venv-dev
+.PHONY: help demo missions test test-all faults check dist deb clean venv-demo venv-dev
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
@@ -20,6 +20,7 @@ help:
 	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
 	@echo "make check   format, lint, types and import rules"
 	@echo "make dist    sdist and wheel of both distributions, into dist/"
+	@echo "make deb     Debian package of this machine's kind, into dist/ (DEB_ARGS='--architecture arm64')"
 	@echo "make clean   remove .venv and every cache"
 	@echo "Each makes .venv by itself when needed; PYTHON=... chooses the interpreter."
 
@@ -44,10 +45,17 @@ check: venv-dev
 	$(BIN)/mypy --strict
 	$(BIN)/lint-imports
 
+# Two builds of one commit are the same bytes; outside of git the date is the first that a zip can have.
+export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 315532800)
+
 dist: venv-dev
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation --outdir dist .
 	$(BIN)/python -m build --no-isolation --outdir dist sim_link
+	$(BIN)/twine check --strict dist/*
+
+deb: dist
+	$(BIN)/python tools/make_deb.py $(DEB_ARGS)
 
 venv-demo venv-dev: venv-%:
 	@tools/make_venv.sh $*

@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             from sim_link.lab.subcommands import run_subcommand  # slow to import, and rarely needed
 
             return run_subcommand(given)
-        return _run(_arguments(given))
+        return _run(simulator_parser().parse_args(given))
     except CompanionError as error:
         print(f"sim-link: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -84,7 +84,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILED
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+def simulator_parser() -> ComplaintParser:
+    """What the command understands besides its subcommands; a complaint is a `ConfigError`."""
     parser = ComplaintParser(
         prog="sim-link",
         description=DESCRIPTION,
@@ -95,7 +96,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         add_options(parser.add_argument)
     parser.add_argument("--quiet", action="store_true", help="do not print mode changes")
     parser.add_argument("--version", action="version", version=f"sim-link {__version__}")
-    return parser.parse_args(argv)
+    return parser
 
 
 def _add_scene(add: Callable[..., object]) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from companion.arguments import argument_parser
 
-UNIT = Path(__file__).parents[4] / "configs/systemd/companion.service"
+ROOT = Path(__file__).parents[4]
+UNIT = ROOT / "configs/systemd/companion.service"
+OPTIONS = ROOT / "packaging/debian/service.env"
 
 
 def unit() -> configparser.ConfigParser:
@@ -33,6 +35,8 @@ def test_it_is_watched_and_has_a_place_for_its_state() -> None:
 
 
 def test_its_command_is_one_of_ours() -> None:
-    _, *arguments = shlex.split(unit()["Service"]["ExecStart"])
+    _, _, options = OPTIONS.read_text().partition("COMPANION_OPTIONS=")
+    started = unit()["Service"]["ExecStart"].replace("$COMPANION_OPTIONS", options.strip())
+    _, *arguments = shlex.split(started)
     parsed = argument_parser().parse_args(arguments)
     assert parsed.connect.startswith("serial:")

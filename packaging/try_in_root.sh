@@ -1,0 +1,52 @@
+#!/bin/sh
+# Tries the Debian package in a root of its own: install, doctor, demo, purge.
+#
+#   sudo packaging/try_in_root.sh ROOT PACKAGE.deb
+#
+# ROOT comes of: debootstrap --variant=minbase --include=python3,systemd,udev bookworm ROOT
+# It has no network here, so that nothing can be downloaded, and afterwards it is as it was: files
+# that the package left are listed, and are a failure.
+set -eu
+
+root=${1:?usage: try_in_root.sh ROOT PACKAGE.deb} package=${2:?usage: try_in_root.sh ROOT PACKAGE.deb}
+
+inside() {
+    unshare --net --mount --pid --fork --kill-child sh -c '
+        ip link set lo up 2>/dev/null || python3 -c "
+import fcntl, socket, struct
+fcntl.ioctl(socket.socket(), 0x8914, struct.pack(\"16sH14x\", b\"lo\", 1))"
+        mount -t proc proc "$0/proc"
+        mount -t tmpfs tmpfs "$0/dev/shm" 2>/dev/null || true
+        exec chroot "$0" env -i HOME=/tmp/home LC_ALL=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin sh -c "$1"
+    ' "$root" "$1"
+}
+
+files() {
+    find "$root" -xdev \( -path "$root/proc" -o -path "$root/tmp" -o -path "$root/dev" \
+        -o -path "$root/var/lib/dpkg" -o -path "$root/var/log" -o -path "$root/var/cache" \) -prune \
+        -o -printf '%P\n' | grep -vx opt | sort
+}
+
+mkdir -p "$root/tmp/home"
+files >"$root/tmp/before"
+cp "$package" "$root/tmp/companion.deb"
+began_s=$(date +%s)
+inside 'dpkg --install /tmp/companion.deb'
+echo "installed after $(($(date +%s) - began_s)) s"
+inside 'cd /tmp && companion demo --no-plot --json /tmp/demo.json >/tmp/demo.log 2>&1' ||
+    { tail -5 "$root/tmp/demo.log"; exit 1; }
+grep LOCALISED "$root/tmp/demo.log"
+echo "localised after $(($(date +%s) - began_s)) s"
+inside 'cd /tmp && { sim-link --quiet & sleep 4; } && companion doctor --connect udp:127.0.0.1:14540; kill $!'
+inside 'getent passwd companion; id -nG companion; dpkg --verify companion-guidance; dpkg --purge companion-guidance'
+if inside 'getent passwd companion' >/dev/null; then
+    echo "purged, but the user companion is still there" >&2
+    exit 1
+fi
+files >"$root/tmp/after"
+# dpkg takes /opt away with the last package in it.
+if ! diff "$root/tmp/before" "$root/tmp/after"; then
+    echo "purged, but the lines above differ" >&2
+    exit 1
+fi
+echo "purged: nothing is left"

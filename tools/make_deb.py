@@ -1,0 +1,221 @@
+"""Builds the Debian package: `make deb`, or tools/make_deb.py --architecture arm64.
+
+A virtual environment is a folder with a pyvenv.cfg, a link to the system's Python and
+lib/pythonX.Y/site-packages. The package holds one that is laid out here, with such a folder for
+each Python of Debian 12 and 13: binary wheels of the pinned versions are unpacked, not built, so
+that one machine makes the packages of every architecture, and installing neither downloads nor
+compiles. The same sources and SOURCE_DATE_EPOCH (the last commit's time by default) give the same
+bytes.
+
+Needs dpkg-deb, and the package index for wheels that pip does not have in its cache.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+import shtab
+from argparse_manpage.manpage import Manpage
+
+from companion import __version__
+from companion.arguments import argument_parser
+from sim_link.cli import simulator_parser
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGING = ROOT / "packaging"
+PYTHONS = ("3.11", "3.13")
+"""Debian 12 and Raspberry Pi OS of 2023; Debian 13 and Raspberry Pi OS of 2025."""
+MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
+GLIBCS = ("2_28", "2_27", "2_26", "2_17", "2_12", "2_5")
+"""Of the wheels that are taken: Debian 12 has 2.36."""
+EXTRAS = ("companion-guidance[mcap]", "companion-sim-link", "rich")
+COMMANDS = {
+    "companion": "companion.entry",
+    "sim-link": "sim_link.cli",
+    "companion-conformance": "sim_link.lab.conformance.cli",
+}
+FILES = {
+    "companion.sysusers": "usr/lib/sysusers.d/companion.conf",
+    "60-companion.rules": "usr/lib/udev/rules.d/60-companion.rules",
+    "service.env": "etc/companion/service.env",
+}
+CONFFILES = ("etc/companion/companion.yaml", "etc/companion/service.env")
+HOME = Path("opt/companion")
+SHARED = HOME / "lib/shared"
+"""What every Python reads: wheels without compiled modules, and the presets."""
+
+
+def main() -> int:
+    """Build one package and print where it is."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--architecture", choices=tuple(MACHINES), default=native_architecture())
+    parser.add_argument("--wheels", type=Path, default=ROOT / "dist", help="those of this project")
+    parser.add_argument("--output", type=Path, default=ROOT / "dist")
+    options = parser.parse_args()
+    os.environ.setdefault("SOURCE_DATE_EPOCH", last_commit_s())
+    work = ROOT / "build/deb" / options.architecture
+    tree = work / "tree"
+    shutil.rmtree(tree, ignore_errors=True)
+    lay_out_environment(tree, options.architecture, options.wheels, work / "wheels")
+    lay_out_system(tree)
+    lay_out_documentation(tree / "usr/share")
+    write_control(tree, options.architecture)
+    print(build(tree, options.output, options.architecture))
+    return 0
+
+
+def native_architecture() -> str:
+    """As dpkg calls it."""
+    machine = os.uname().machine
+    return next((name for name, known in MACHINES.items() if known == machine), "amd64")
+
+
+def last_commit_s() -> str:
+    """Seconds since 1970 of what is packaged."""
+    command = ("git", "-C", str(ROOT), "log", "-1", "--format=%ct")
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -> None:
+    """The virtual environment with its commands, and the wheels of each Python."""
+    binaries = tree / HOME / "bin"
+    binaries.mkdir(parents=True)
+    (binaries / "python3").symlink_to("/usr/bin/python3")
+    settings = "home = /usr/bin\ninclude-system-site-packages = false\n"
+    (tree / HOME / "pyvenv.cfg").write_text(settings)
+    for version in PYTHONS:
+        place = tree / HOME / f"lib/python{version}/site-packages"
+        place.mkdir(parents=True)
+        (place / "shared.pth").write_text(f"/{SHARED}\n")
+        for wheel in fetch_wheels(version, architecture, own, cache / version):
+            is_pure = wheel.name.endswith("-none-any.whl")
+            unpack(wheel, tree / SHARED if is_pure else place)
+    for command, module in COMMANDS.items():
+        script = binaries / command
+        script.write_text(
+            f"#!/{HOME}/bin/python3\nimport sys\n\nfrom {module} import main\n\nsys.exit(main())\n"
+        )
+        script.chmod(0o755)
+    shutil.copytree(ROOT / "configs", tree / SHARED / "configs")
+    (tree / HOME / "configs").symlink_to("lib/shared/configs")
+
+
+def fetch_wheels(version: str, architecture: str, own: Path, place: Path) -> list[Path]:
+    """Binary wheels of the pinned versions; pip keeps what it once downloaded."""
+    shutil.rmtree(place, ignore_errors=True)
+    platforms = [f"--platform=manylinux_{libc}_{MACHINES[architecture]}" for libc in GLIBCS]
+    platforms += [
+        f"--platform=manylinux{year}_{MACHINES[architecture]}" for year in (2014, 2010, 1)
+    ]
+    options = ["--only-binary=:all:", "--implementation=cp", f"--python-version={version}"]
+    files = [f"--find-links={own}", f"--constraint={PACKAGING / 'constraints.txt'}"]
+    pip = [sys.executable, "-m", "pip", "download", "--quiet", f"--dest={place}"]
+    subprocess.run([*pip, *options, *platforms, *files, *EXTRAS], check=True)
+    return sorted(place.glob("*.whl"))
+
+
+def unpack(wheel: Path, place: Path) -> None:
+    """What a wheel puts among the modules; its scripts and headers are not needed."""
+    with zipfile.ZipFile(wheel) as archive:
+        members = [name for name in archive.namelist() if ".data/" not in name]
+        archive.extractall(place, members)
+
+
+def lay_out_system(tree: Path) -> None:
+    """Unit, user, udev rule, conffiles and the commands on the path."""
+    for source, target in FILES.items():
+        put(PACKAGING / "debian" / source, tree / target)
+    put(ROOT / "configs/companion/default.yaml", tree / "etc/companion/companion.yaml")
+    put(ROOT / "configs/systemd/companion.service", tree / "lib/systemd/system/companion.service")
+    (tree / "usr/bin").mkdir(parents=True)
+    for command in COMMANDS:
+        (tree / "usr/bin" / command).symlink_to(f"/{HOME}/bin/{command}")
+
+
+def put(source: Path, target: Path) -> None:
+    """A copy with its folders."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)
+
+
+def lay_out_documentation(share: Path) -> None:
+    """Man pages and completions of what argparse knows; changelog and licence."""
+    for parser in (argument_parser(), simulator_parser()):
+        completions = share / "bash-completion/completions" / parser.prog
+        completions.parent.mkdir(parents=True, exist_ok=True)
+        completions.write_text(shtab.complete(parser, "bash"))
+        compress(manual_page(parser), share / "man/man1" / f"{parser.prog}.1.gz")
+    documents = share / "doc/companion-guidance"
+    put(ROOT / "LICENSE", documents / "copyright")
+    compress((ROOT / "CHANGELOG.md").read_text(), documents / "changelog.gz")
+
+
+def manual_page(parser: argparse.ArgumentParser) -> str:
+    """In troff, dated by SOURCE_DATE_EPOCH."""
+    built_at = datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
+    facts = {
+        "description": (parser.description or "").partition(".")[0].replace("\n", " "),
+        "project_name": "companion-guidance",
+        "version": __version__,
+        "manual_title": "User commands",
+        "date": f"{built_at:%Y-%m-%d}",
+    }
+    return str(Manpage(parser, _data=facts))
+
+
+def compress(text: str, target: Path) -> None:
+    """A gzip file without a time in it."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(gzip.compress(text.encode(), mtime=0))
+
+
+def write_control(tree: Path, architecture: str) -> None:
+    """The package's own files; sums of all others, in the order of their names."""
+    place = tree / "DEBIAN"
+    files = sorted(path for path in tree.rglob("*") if path.is_file() and not path.is_symlink())
+    size_kb = sum(-(-path.stat().st_size // 1024) for path in files)
+    place.mkdir()
+    control = (PACKAGING / "debian/control").read_text()
+    for name, value in (
+        ("VERSION", __version__),
+        ("ARCHITECTURE", architecture),
+        ("SIZE_KB", size_kb),
+    ):
+        control = control.replace(f"@{name}@", str(value))
+    (place / "control").write_text(control)
+    (place / "conffiles").write_text("".join(f"/{name}\n" for name in CONFFILES))
+    sums = (
+        f"{hashlib.md5(path.read_bytes(), usedforsecurity=False).hexdigest()}  "
+        f"{path.relative_to(tree)}\n"
+        for path in files
+    )
+    (place / "md5sums").write_text("".join(sums))
+    for script in ("postinst", "prerm", "postrm"):
+        put(PACKAGING / "debian" / script, place / script)
+        (place / script).chmod(0o755)
+
+
+def build(tree: Path, output: Path, architecture: str) -> Path:
+    """Pack the tree, whatever the umask and the user of this machine."""
+    for path in [tree, *tree.rglob("*")]:
+        if not path.is_symlink():
+            is_run = path.is_dir() or path.stat().st_mode & 0o100
+            path.chmod(0o755 if is_run else 0o644)
+    output.mkdir(parents=True, exist_ok=True)
+    package = output / f"companion-guidance_{__version__}_{architecture}.deb"
+    command = ["dpkg-deb", "--root-owner-group", "-Zxz", "--build", str(tree), str(package)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return package
+
+
+if __name__ == "__main__":
+    sys.exit(main())
