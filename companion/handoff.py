@@ -1,7 +1,8 @@
-"""A finding for ground teams: GeoJSON (RFC 7946), KML 2.2 (OGC 07-147r2) and MGRS text.
+"""A finding for ground teams: GeoJSON (RFC 7946), KML 2.2 (OGC 07-147r2), CoT and MGRS text.
 
 GeoJSON and KML hold the place, its 95 % ellipse and the second place; Google Earth, ATAK and
-QGroundControl open the KML. MGRS is the grid text that ground teams read out over the radio.
+QGroundControl open the KML. Cursor on Target (CoT) is what TAK's maps exchange, MGRS the grid text
+that ground teams read out over the radio.
 
 Who is handed a place goes there with another receiver than the vehicle's, whose error is not in
 that one. So ellipses, the grid and the radius that comes first are absolute; the relative radius is
@@ -102,6 +103,11 @@ def handoff_of(
 
 MIN_DIGITS, MAX_DIGITS = 1, 5
 """A digit pair is 10 km, five are 1 m."""
+
+
+def geo_uri(place: Degrees) -> str:
+    """A WGS84 place as phones open it on their maps (RFC 5870), to about a decimetre."""
+    return f"geo:{place[0]:.6f},{place[1]:.6f}"
 
 
 def mgrs_text(place: Degrees, r95_m: float) -> str:
@@ -220,6 +226,48 @@ def _coordinates(place: Degrees) -> str:
 def printable(text: str) -> str:
     """`text` without what XML 1.0 cannot hold (control characters, lone surrogates)."""
     return "".join(c if c.isprintable() else "?" for c in text)
+
+
+COT_TYPE = "a-u-G"
+"""Atom, unknown affiliation, ground: nothing is claimed of who carries the radio."""
+COT_HOW = "m-r"
+STALE_AFTER_S = 600.0
+COT_UNKNOWN = "9999999.0"
+"""The schema's value for a height or a linear error that is unknown."""
+
+
+def cot_event(handoff: Handoff, sender: str) -> bytes:
+    """One event; an emitter keeps its `uid`, so the next one of a sender moves the same marker.
+
+    Source: MITRE, "Cursor on Target Message Router User's Guide", event schema 2.0; `ce` is the
+    95 % circular error as TAK reads it, and absolute: the teams come with their own receivers.
+    """
+    emitter = printable(handoff.emitter)
+    event = ET.Element(
+        "event",
+        version="2.0",
+        uid=f"{printable(sender)}.emitter.{emitter}",
+        type=COT_TYPE,
+        how=COT_HOW,
+        time=handoff.time_utc,
+        start=handoff.time_utc,
+        stale=utc_text(handoff.unix_s + STALE_AFTER_S),
+    )
+    ET.SubElement(
+        event,
+        "point",
+        lat=f"{handoff.place_deg[0]:.7f}",
+        lon=f"{handoff.place_deg[1]:.7f}",
+        hae=COT_UNKNOWN,  # we know the height above sea level, not above the ellipsoid
+        ce=f"{handoff.absolute_r95_m:.1f}",
+        le=COT_UNKNOWN,
+    )
+    detail = ET.SubElement(event, "detail")
+    ET.SubElement(detail, "contact", callsign=f"EMITTER {emitter}")
+    remarks = f"{handoff.state}, {handoff.radii}, {handoff.measurements} measurements"
+    ET.SubElement(detail, "remarks").text = remarks
+    data: bytes = ET.tostring(event, encoding="utf-8", xml_declaration=True)
+    return data
 
 
 GEOJSON, KML, TEXT = "handoff.geojson", "handoff.kml", "handoff.txt"

@@ -255,8 +255,9 @@ def replay_on_map(
     done: Callable[[FlightReplay], None],
 ) -> FlightReplay:
     """Run a flight again on the live map, without buttons, until Ctrl-C; `done` has it earlier."""
-    used = open_recording(path).facts.config if config is None else config
-    view = WebView(settings, used)
+    facts = open_recording(path).facts
+    used = facts.config if config is None else config
+    view = WebView(settings, used, began_unix_s=facts.started_unix_s)
     try:
         say(f"live map: {view.url}; Ctrl-C ends it")
         page = MapOfReplay(view, speed)

@@ -4,8 +4,7 @@ An event goes out when an emitter is localised, when what is known of it has cha
 then so that nobody takes it for stale; never more than one a second for each emitter. The socket
 does not wait, and what it refuses is counted.
 
-Source: MITRE, "Cursor on Target Message Router User's Guide", event schema 2.0; `ce` is the 95 %
-circular error as TAK reads it, and absolute: the teams come with receivers of their own.
+What an event says is in `companion.handoff`.
 """
 
 from __future__ import annotations
@@ -16,53 +15,14 @@ import math
 import socket
 import time
 from collections.abc import Callable
-from xml.etree import ElementTree as ET
 
 from companion.domain import EstimateState, TargetEstimate
 from companion.errors import ConfigError, LinkError
 from companion.guidance.session import EmitterStatus
-from companion.handoff import Handoff, handoff_of, printable, utc_text
+from companion.handoff import STALE_AFTER_S, cot_event, handoff_of
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.endpoint import Address
 from companion.run import FlightView
-
-TYPE = "a-u-G"
-"""Atom, unknown affiliation, ground: nothing is claimed of who carries the radio."""
-HOW = "m-r"
-STALE_AFTER_S = 600.0
-NO_VALUE = "9999999.0"
-"""The schema's value for a height or a linear error that is unknown."""
-
-
-def cot_event(handoff: Handoff, sender: str) -> bytes:
-    """One event; an emitter keeps its `uid`, so the next one of a sender moves the same marker."""
-    emitter = printable(handoff.emitter)
-    event = ET.Element(
-        "event",
-        version="2.0",
-        uid=f"{printable(sender)}.emitter.{emitter}",
-        type=TYPE,
-        how=HOW,
-        time=handoff.time_utc,
-        start=handoff.time_utc,
-        stale=utc_text(handoff.unix_s + STALE_AFTER_S),
-    )
-    ET.SubElement(
-        event,
-        "point",
-        lat=f"{handoff.place_deg[0]:.7f}",
-        lon=f"{handoff.place_deg[1]:.7f}",
-        hae=NO_VALUE,  # we know the height above sea level, not above the ellipsoid
-        ce=f"{handoff.absolute_r95_m:.1f}",
-        le=NO_VALUE,
-    )
-    detail = ET.SubElement(event, "detail")
-    ET.SubElement(detail, "contact", callsign=f"EMITTER {emitter}")
-    remarks = f"{handoff.state}, {handoff.radii}, {handoff.measurements} measurements"
-    ET.SubElement(detail, "remarks").text = remarks
-    data: bytes = ET.tostring(event, encoding="utf-8", xml_declaration=True)
-    return data
-
 
 log = logging.getLogger("companion.view")
 

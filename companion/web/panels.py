@@ -156,7 +156,7 @@ class AgeBars:
                 with ui.row().classes("w-full items-center no-wrap gap-2 numbers"):
                     ui.label(name).classes("w-20 shrink-0")
                     bar = ui.linear_progress(0.0, show_value=False, size="8px")
-                    bar.props(f"id=age-{name} rounded")
+                    bar.props(f'id=age-{name} rounded aria-label="age of {name}"')
                     label = ui.label("-").classes("w-28 shrink-0 text-right whitespace-nowrap")
                     label.tooltip(f"too old to be flown on from {old_after_s:g} s on")
                     self._bars[name] = (bar, label)
@@ -181,7 +181,7 @@ class _ChangingLines:
     def __init__(self, panel: ui.element, classes: str, name: str) -> None:
         self._panel = panel
         with panel:
-            self._lines = ui.column().classes(classes).props(f"id={name}")
+            self._lines = ui.column().classes(classes).props(f"id={name} tabindex=0")
         panel.set_visibility(False)
         self._shown: list[Any] = []
 
@@ -256,7 +256,7 @@ LEAST_OF_GOAL = 0.1
 REDRAW_EVERY = 4
 """Curves change slowly: drawn anew with every fourth picture."""
 GREY, LINE = "#7c8a9a", "#3b82f6"
-"""Read on white and on black."""
+"""Of lines, seen on white and on black; texts have their colour from the style sheet."""
 
 
 class Charts:
@@ -275,7 +275,7 @@ class Charts:
                 if name == "r95_m":
                     options["series"][0]["markLine"] = _level(goal_m, "goal")
                     options["yAxis"]["min"] = self._least_m
-                self._charts[name] = ui.echart(options).classes("panel chart")
+                self._charts[name] = ui.echart(options, renderer="svg").classes("panel chart")
 
     def show(self, curve: Sequence[Mapping[str, Any]]) -> None:
         """Draw the curves, now and then."""

@@ -30,6 +30,7 @@ from fastapi.responses import PlainTextResponse, Response
 from nicegui import ui
 from nicegui.element import Element
 
+from companion.web.handoff_dialog import HandoffButton
 from companion.web.panels import (
     AgeBars,
     Charts,
@@ -147,12 +148,15 @@ class Page:
         self._shown, self._shown_at_s = -1, time.monotonic()
         ui.dark_mode(None)
         ui.add_css(STYLE)
+        ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
         self._phase = PhaseBar()
         with ui.row().classes("w-full no-wrap max-lg:flex-wrap gap-2"):
             with ui.column().classes("w-full lg:w-2/3 gap-1"):
                 self._map = SearchMap(hub.scene, tile_zooms)
-                if press is not None:
-                    _buttons(press)
+                with ui.row().classes("w-full items-center justify-end gap-2 buttons"):
+                    self._handoff = HandoffButton()
+                    if press is not None:
+                        _buttons(press)
             with ui.column().classes("w-full lg:w-1/3 gap-2 side"):
                 self._numbers = Numbers()
                 self._ages = AgeBars(hub.scene)
@@ -176,16 +180,16 @@ class Page:
         self._ages.show(picture)
         self._emitters.show(picture)
         self._radios.show(picture)
+        self._handoff.show(picture)
         self._texts.show(picture)
         self._charts.show(hub.curve)
 
 
 def _buttons(press: Press) -> None:
-    with ui.row().classes("w-full items-center justify-end gap-2 buttons"):
-        for name, label, colour, question in BUTTONS:
-            dialog = _confirmation(question, label, colour, partial(press, name))
-            button = ui.button(label, color=colour, on_click=dialog.open)
-            button.props(f"id=button-{name} unelevated text-color=white").classes("press")
+    for name, label, colour, question in BUTTONS:
+        dialog = _confirmation(question, label, colour, partial(press, name))
+        button = ui.button(label, color=colour, on_click=dialog.open)
+        button.props(f"id=button-{name} unelevated text-color=white").classes("press")
 
 
 def _confirmation(
@@ -201,7 +205,8 @@ def _confirmation(
 
             sure = ui.button(label, color=colour, on_click=do).classes("press")
             sure.props(f"id=confirm-{label.lower()} unelevated text-color=white")
-            ui.button("Cancel", on_click=dialog.close).props("flat").classes("press")
+            cancel = ui.button("Cancel", color=None, on_click=dialog.close)
+            cancel.props("flat").classes("press plain")
     return dialog
 
 

@@ -4,7 +4,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from companion.view.cot import cot_event
+from companion.handoff import cot_event
 from tests.unit.companion.handoff.handoff_helpers import HOSTILE, handoff
 
 

@@ -1,0 +1,73 @@
+"""One button for the ground team: the place as text, as a QR code and as files for their maps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import segno
+from nicegui import ui
+
+from companion.handoff import Handoff, cot_event, geo_uri, geojson, kml, mgrs_text
+
+COLOUR = "#1f4e79"
+"""White text is read on it."""
+SENDER = "companion"
+
+
+class HandoffButton:
+    """HAND OVER, which is there once something was located."""
+
+    def __init__(self) -> None:
+        self._handoffs: list[Handoff] = []
+        with ui.dialog() as self._dialog, ui.card().classes("handoff"):
+            self._content = ui.column().classes("w-full gap-2")
+            close = ui.button("Close", color=None, on_click=self._dialog.close)
+            close.props("flat no-caps").classes("press plain")
+        button = ui.button("HAND OVER", color=COLOUR, on_click=self._open)
+        self._button = button.props("id=button-handoff unelevated text-color=white")
+        self._button.classes("press").set_visibility(False)
+
+    def show(self, picture: Mapping[str, Any]) -> None:
+        """Take in what is known now; an open dialog stays as it was."""
+        self._handoffs = msgspec.convert(picture["handoffs"], list[Handoff])
+        self._button.set_visibility(bool(self._handoffs))
+
+    def _open(self) -> None:
+        handoffs = list(self._handoffs)
+        self._content.clear()
+        with self._content:
+            for handoff in handoffs:
+                _place(handoff)
+            ui.label("Files for maps and ATAK").classes("muted")
+            with ui.row().classes("gap-2"):
+                _file("GeoJSON", "handoff.geojson", geojson(handoffs).encode())
+                _file("KML", "handoff.kml", kml(handoffs).encode())
+                for handoff in handoffs:
+                    name = f"emitter-{handoff.emitter}.cot"
+                    label = "CoT" if len(handoffs) == 1 else f"CoT {handoff.emitter}"
+                    _file(label, name, cot_event(handoff, SENDER))
+        self._dialog.open()
+
+
+def _place(handoff: Handoff) -> None:
+    """What is read out over the radio, and what a phone reads from the screen."""
+    latitude_deg, longitude_deg = handoff.place_deg
+    radius_m, place = handoff.absolute_r95_m, handoff.place_deg
+    with ui.row().classes("w-full items-center gap-4"):
+        with ui.column().classes("gap-1"):
+            ui.label(f"Emitter {handoff.emitter}: {handoff.state}").classes("font-bold")
+            ui.label(mgrs_text(place, radius_m)).classes("grid-text numbers")
+            ui.label(f"{latitude_deg:.6f}, {longitude_deg:.6f}").classes("numbers")
+            ui.label(f"Search the whole circle, {radius_m:.1f} m about it.").classes("numbers")
+            ui.label(handoff.time_utc).classes("muted numbers")
+        code = segno.make(geo_uri(place), error="m").svg_data_uri(scale=4, light="#ffffff")
+        picture = ui.element("img").classes("qr")
+        picture.props["src"], picture.props["alt"] = code, f"QR code of {geo_uri(place)}"
+
+
+def _file(label: str, name: str, content: bytes) -> None:
+    button = ui.button(label, color=None, on_click=lambda: ui.download.content(content, name))
+    button.props(f"id=file-{label.lower().replace(' ', '-')} outline no-caps")
+    button.classes("press plain")
