@@ -6,11 +6,16 @@ same functions run as they are.
 
 Compiled kernels are kept in the user's cache, in a folder named after the state of the sources:
 numba notices when a kernel's own file has changed, but not when a kernel that it calls has.
+
+Where the package `companion_kernels` is installed (tools/build_kernels.py makes it, the Debian
+package brings it) and was compiled of these very sources, its machine code is called and numba is
+not loaded.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import importlib
 import os
@@ -22,11 +27,39 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-numba: Any = None  # typed by nobody to the same effect in every version
-with contextlib.suppress(ImportError):
-    numba = importlib.import_module("numba")
-
 F = TypeVar("F", bound=Callable[..., Any])
+
+NATIVE_SOURCES = ("kernel.py", "domain.py", "geometry", "estimation", "planning")
+"""What compiled code is made of, in this package."""
+
+
+def sources_digest() -> str:
+    """A short name for the text of what kernels are compiled of."""
+    digest = hashlib.sha256()
+    here = Path(__file__).resolve().parent
+    for name in NATIVE_SOURCES:
+        below = here / name
+        for path in sorted(below.rglob("*.py")) if below.is_dir() else [below]:
+            digest.update(path.relative_to(here).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _load_native() -> Any:
+    """The package of kernels compiled ahead; None: none, or of other sources."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return None
+    with contextlib.suppress(ImportError):
+        package = importlib.import_module("companion_kernels")
+        if sources_digest() == package.DIGEST:
+            return importlib.import_module("companion_kernels._native"), package.VARIANTS
+    return None
+
+
+_native: Any = _load_native()
+numba: Any = None  # typed by nobody to the same effect in every version
+if _native is None:
+    with contextlib.suppress(ImportError):
+        numba = importlib.import_module("numba")
 
 PACKAGES = ("companion", "sim_link")
 """Those that define kernels."""
@@ -66,29 +99,72 @@ def _keep_compiled_apart() -> None:
 if numba is not None:
     _keep_compiled_apart()
 
-IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
-"""Whether kernels are compiled; then the first call of each takes up to seconds."""
+IS_NATIVE: bool = _native is not None
+"""Whether kernels were compiled before they were installed."""
+IS_COMPILED: bool = IS_NATIVE or (numba is not None and not numba.config.DISABLE_JIT)
+"""Whether kernels are compiled; with numba the first call of each takes up to seconds."""
 
 
-_KERNELS: list[Any] = []
+KERNELS: list[Any] = []
+"""Those that numba compiles."""
 
 
 def kernel(function: F) -> F:
-    """Compile `function` if numba is there; `function.py_func` is the plain one only then."""
+    """The compiled `function` where there is one; only numba's has the plain one as `py_func`."""
+    if _native is not None:
+        code, variants = _native
+        table = variants.get(f"{function.__module__}.{function.__name__}", {})
+        compiled = {kinds: getattr(code, name) for kinds, name in table.items()}
+        return cast(F, _dispatcher(function, compiled)) if compiled else function
     if numba is None:
         return function
     compiled = numba.njit(cache=True)(function)
-    _KERNELS.append(compiled)
+    KERNELS.append(compiled)
     return cast(F, compiled)
+
+
+def _dispatcher(
+    function: Callable[..., Any], compiled: dict[tuple[object, ...], Callable[..., Any]]
+) -> Callable[..., Any]:
+    """Calls what was compiled for such arguments, or `function` itself for any other."""
+
+    @functools.wraps(function)
+    def dispatched(*arguments: Any) -> Any:
+        return compiled.get(tuple(map(kind_of, arguments)), function)(*arguments)
+
+    return dispatched
+
+
+_FLAGS = 0x401
+"""Of an array: C order, may be written to."""
+_KINDS: dict[type, str] = {
+    **dict.fromkeys((float, np.float64), "float"),
+    **dict.fromkeys((int, np.int64), "int"),
+    **dict.fromkeys((bool, np.bool_), "bool"),
+}
+
+
+def kind_of(argument: Any) -> object:
+    """What compiled code must know of an argument."""
+    kind = type(argument)
+    if kind is np.ndarray:
+        return argument.dtype.char, argument.ndim, argument.flags.num & _FLAGS
+    if kind is tuple:
+        return f"tuple {len(argument)}"
+    if kind not in _KINDS:
+        _KINDS[kind] = f"{kind.__module__}.{kind.__qualname__}"
+    return _KINDS[kind]
 
 
 def count_compiled() -> int:
     """How many kernels were compiled, or loaded, in this process."""
-    return sum(bool(getattr(each, "signatures", ())) for each in _KERNELS)
+    return sum(bool(getattr(each, "signatures", ())) for each in KERNELS)
 
 
 def has_compiled_cache() -> bool:
     """Whether kernels of these sources were compiled before, so that loading takes a second."""
+    if IS_NATIVE:
+        return True
     folder = os.environ.get("NUMBA_CACHE_DIR") or (numba.config.CACHE_DIR if numba else "")
     return bool(folder) and next(Path(folder).rglob("*.nbi"), None) is not None
 

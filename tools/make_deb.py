@@ -7,7 +7,11 @@ that one machine makes the packages of every architecture, and installing neithe
 compiles. The same sources and SOURCE_DATE_EPOCH (the last commit's time by default) give the same
 bytes.
 
-Needs dpkg-deb, and the package index for wheels that pip does not have in its cache.
+The kernels are compiled ahead by tools/build_kernels.py, once for each state of the sources, where
+an interpreter of the version is found here and the architecture is this machine's. Without them
+they run as plain Python, which is told.
+
+Needs dpkg-deb, a C compiler, and the package index for what pip does not have in its cache.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ from argparse_manpage.manpage import Manpage
 
 from companion import __version__
 from companion.arguments import argument_parser
+from companion.kernel import sources_digest
 from sim_link.cli import simulator_parser
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -96,6 +101,11 @@ def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -
         place = tree / HOME / f"lib/python{version}/site-packages"
         place.mkdir(parents=True)
         (place / "shared.pth").write_text(f"/{SHARED}\n")
+        kernels = kernels_for(version, own) if architecture == native_architecture() else None
+        if kernels is None:
+            print(f"make_deb: Python {version} gets kernels in plain Python", file=sys.stderr)
+        else:
+            shutil.copytree(kernels, place / kernels.name)
         for wheel in fetch_wheels(version, architecture, own, cache / version):
             is_pure = wheel.name.endswith("-none-any.whl")
             unpack(wheel, tree / SHARED if is_pure else place)
@@ -107,6 +117,44 @@ def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -
         script.chmod(0o755)
     shutil.copytree(ROOT / "configs", tree / SHARED / "configs")
     (tree / HOME / "configs").symlink_to("lib/shared/configs")
+
+
+def kernels_for(version: str, own: Path) -> Path | None:
+    """The package of compiled kernels for a Python, made if it is not of these sources."""
+    is_this = sys.version.startswith(f"{version}.")
+    program = sys.executable if is_this else other_python(version)
+    kernels = ROOT / f"build/kernels/{version}/companion_kernels"
+    described = kernels / "__init__.py"
+    if described.exists() and sources_digest() in described.read_text():
+        return kernels
+    if program is None:
+        return None
+    shutil.rmtree(kernels, ignore_errors=True)
+    if not is_this:
+        program = environment_for(program, version, own)
+    command = (program, "-W", "ignore", str(ROOT / "tools/build_kernels.py"), str(kernels.parent))
+    subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    return kernels
+
+
+def other_python(version: str) -> str | None:
+    """An interpreter on the path that starts."""
+    program = shutil.which(f"python{version}")
+    if program is None or subprocess.run([program, "-c", ""], check=False).returncode != 0:
+        return None
+    return program
+
+
+def environment_for(program: str, version: str, own: Path) -> str:
+    """The interpreter of an environment of another Python, with what compiling needs."""
+    place = ROOT / f"build/kernels/python{version}"
+    python = str(place / "bin/python")
+    subprocess.run([program, "-m", "venv", "--clear", str(place)], check=True)
+    files = (f"--find-links={own}", f"--constraint={PACKAGING / 'constraints.txt'}")
+    wanted = ("companion-guidance", "numba", "setuptools")
+    pip = (python, "-m", "pip", "install", "--quiet", *files, *wanted)
+    subprocess.run(pip, check=True)
+    return python
 
 
 def fetch_wheels(version: str, architecture: str, own: Path, place: Path) -> list[Path]:

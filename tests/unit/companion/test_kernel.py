@@ -1,0 +1,79 @@
+"""Kernels compiled ahead: called for arguments they were compiled for, and for no others."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion import kernel as module
+from companion.estimation.measurement_model import RangingModel
+from companion.kernel import frozen, kind_of, sources_digest
+
+
+def scaled(*arguments: Any) -> str:
+    return f"plain, of {len(arguments)}"
+
+
+VECTOR = ("d", 1, 0x401)
+TABLE = {f"{__name__}.scaled": {(VECTOR, "float"): "k0"}}
+
+
+def compiled_ahead(monkeypatch: pytest.MonkeyPatch) -> Any:
+    code = SimpleNamespace(k0=lambda *arguments: f"compiled, of {len(arguments)}")
+    monkeypatch.setattr(module, "_native", (code, TABLE))
+    return module.kernel(scaled)
+
+
+def test_arguments_as_compiled_for_are_computed_by_machine_code(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    call = compiled_ahead(monkeypatch)
+    assert call(np.zeros(3), 2.0) == "compiled, of 2"
+    assert call(np.zeros(3), np.float64(2.0)) == "compiled, of 2"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (np.zeros(3), 2),
+        (np.zeros(3, np.float32), 2.0),
+        (np.zeros((3, 1)), 2.0),
+        (np.zeros(6)[::2], 2.0),
+        (frozen(np.zeros(3)), 2.0),
+        ([0.0], 2.0),
+    ],
+)
+def test_any_others_are_computed_by_the_function_itself(
+    monkeypatch: pytest.MonkeyPatch, arguments: tuple[Any, Any]
+) -> None:
+    assert compiled_ahead(monkeypatch)(*arguments) == "plain, of 2"
+
+
+def test_a_kernel_that_was_not_compiled_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_native", (SimpleNamespace(), {}))
+    assert module.kernel(scaled) is scaled
+
+
+def test_records_are_told_by_their_class_and_tuples_by_their_length() -> None:
+    model = RangingModel(*range(9))
+    assert kind_of(model) == "companion.estimation.measurement_model.RangingModel"
+    assert kind_of((1.0, 2.0)) == "tuple 2"
+    assert (kind_of(True), kind_of(1)) == ("bool", "int")
+
+
+@pytest.mark.parametrize("digest", [sources_digest(), "of other sources"])
+def test_kernels_of_other_sources_are_left_alone(
+    monkeypatch: pytest.MonkeyPatch, digest: str
+) -> None:
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    code = SimpleNamespace()
+    monkeypatch.setitem(
+        sys.modules, "companion_kernels", SimpleNamespace(DIGEST=digest, VARIANTS=TABLE)
+    )
+    monkeypatch.setitem(sys.modules, "companion_kernels._native", code)
+    expected = (code, TABLE) if digest == sources_digest() else None
+    assert module._load_native() == expected

@@ -1,0 +1,186 @@
+"""Memory and processor time of the companion in flight, beside two libraries that only listen.
+
+    .venv/bin/python tools/bench_process.py [--seconds 30] [--kernels FOLDER] [--json FILE]
+
+Each client gets a simulated PX4 of its own, with the streams of PX4's onboard link, at real time.
+The companion flies the canonical search on it; MAVSDK-Python (its position, attitude and health)
+and pymavlink (`recv_match`) idle. FOLDER is where tools/build_kernels.py wrote to. Figures are of
+the process after it has settled, while it flies: resident memory and processor time as /proc tells.
+Flights by turns, one at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from companion.io.child_process import free_udp_port
+from tools.console import OneLineParser, positive
+
+ROOT = Path(__file__).resolve().parents[1]
+SETTLING_S = 15.0
+"""From the start of the client to the first look; the companion has taken off by then."""
+CLIENTS = ("native", "numba", "plain", "mavsdk", "pymavlink")
+"""The companion with its kernels compiled ahead, by numba, or not at all; and who listens only."""
+LISTENERS = ("mavsdk", "pymavlink")
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """What a client took."""
+
+    client: str
+    resident_mb: float
+    """At the end."""
+    processor_pct: float
+    """Of one core."""
+
+
+def main() -> int:
+    """Measure each, and print a table."""
+    parser = OneLineParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=positive, default=30, help="to look at each")
+    parser.add_argument("--only", action="append", choices=CLIENTS, help="repeatable")
+    parser.add_argument("--kernels", type=Path, metavar="FOLDER", help="compiled ahead")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--listen", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.listen is not None:
+        with suppress(KeyboardInterrupt):
+            listen(*options.listen.split("@"))
+        return 0
+    print(f"{'client':10} {'memory':>8} {'processor':>10}")
+    uses = []
+    clients = CLIENTS if options.kernels else CLIENTS[1:]
+    for client in options.only or clients:
+        use = measure(client, options.seconds, options.kernels)
+        uses.append(use)
+        print(f"{client:10} {use.resident_mb:5.0f} MB {use.processor_pct:8.1f} %", flush=True)
+    if options.json is not None:
+        options.json.write_text(json.dumps([asdict(use) for use in uses], indent=2) + "\n")
+    return 0
+
+
+def measure(client: str, seconds: int, kernels: Path | None) -> Use:
+    """Run the client on a simulator, and look at it twice."""
+    port = free_udp_port()
+    with tempfile.TemporaryDirectory() as folder, simulator(port):
+        environment = environment_of(client, kernels)
+        with running(command_of(client, port, Path(folder)), environment) as process:
+            time.sleep(SETTLING_S)
+            before_s, began_s = processor_s(process.pid), time.monotonic()
+            time.sleep(seconds)
+            used_s, took_s = processor_s(process.pid) - before_s, time.monotonic() - began_s
+            return Use(client, round(resident_mb(process.pid), 1), round(100 * used_s / took_s, 2))
+
+
+def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
+    """How it is started."""
+    if client in LISTENERS:
+        return sys.executable, __file__, "--listen", f"{client}@{port}"
+    config = folder / "fly.yaml"
+    lines = (
+        "mission: {engage: auto, stop_confirm_s: 1000.0}",  # flies on for as long as it is watched
+        f"log: {{directory: {folder / 'flights'}}}",
+        f"process: {{state_directory: {folder / 'state'}}}",
+    )
+    config.write_text("\n".join(lines))
+    program = Path(sys.executable).with_name("companion")
+    options = ("--connect", f"udp:127.0.0.1:{port}", "--config", str(config), "--quiet")
+    return str(program), *options
+
+
+def environment_of(client: str, kernels: Path | None) -> dict[str, str]:
+    """Where it finds which kernels."""
+    path = f"{kernels.resolve()}:{ROOT}" if client == "native" and kernels else str(ROOT)
+    plain = {"NUMBA_DISABLE_JIT": "1"} if client == "plain" else {}
+    return {**os.environ, "PYTHONPATH": path, **plain}
+
+
+@contextmanager
+def simulator(port: int) -> Iterator[None]:
+    """A PX4 that sends to this port, on ports of its own."""
+    program = Path(sys.executable).with_name("sim-link")
+    addresses = ("--send-to", f"127.0.0.1:{port}", "--listen", f"127.0.0.1:{free_udp_port()}")
+    with running((str(program), "--quiet", "--seed", "7", *addresses), dict(os.environ)):
+        yield
+
+
+@contextmanager
+def running(
+    command: Sequence[str], environment: dict[str, str]
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that is asked to end, and then made to."""
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
+    try:
+        yield process
+        if process.poll() is not None:
+            raise SystemExit(f"bench_process: {command[0]} ended with {process.returncode}")
+    finally:
+        process.send_signal(signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(5.0)
+        process.kill()
+        process.wait()
+
+
+def processor_s(pid: int) -> float:
+    """User and system time of all its threads."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+
+
+def resident_mb(pid: int) -> float:
+    """Memory in RAM now."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def listen(library: str, port: str) -> None:
+    """Take in what comes, and do nothing with it."""
+    if library == "mavsdk":
+        asyncio.run(listen_by_mavsdk(port))
+    mavutil: Any = importlib.import_module("pymavlink.mavutil")
+    link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}")
+    while True:
+        link.recv_match(blocking=True)
+
+
+async def listen_by_mavsdk(port: str) -> None:
+    """What a small app subscribes to."""
+    from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+    from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+
+    settings = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
+    async with Mavsdk(settings) as mavsdk:
+        await mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+        telemetry = TelemetryAsync(await mavsdk.first_autopilot(30.0))
+        streams = (
+            telemetry.subscribe_position(),
+            telemetry.subscribe_attitude_euler(),
+            telemetry.subscribe_health(),
+        )
+        await asyncio.gather(*map(exhaust, streams))
+
+
+async def exhaust(stream: AsyncIterator[object]) -> None:
+    """Take what comes, for ever."""
+    async for _ in stream:
+        pass
+
+
+if __name__ == "__main__":
+    sys.exit(main())
