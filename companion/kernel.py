@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-NATIVE_SOURCES = ("kernel.py", "domain.py", "geometry", "estimation", "planning")
+NATIVE_SOURCES = ("domain.py", "geometry", "estimation", "planning")
 """What compiled code is made of, in this package."""
 
 
@@ -50,7 +50,7 @@ def _load_native() -> Any:
         return None
     with contextlib.suppress(ImportError):
         package = importlib.import_module("companion_kernels")
-        if sources_digest() == package.DIGEST:
+        if sources_digest() == getattr(package, "DIGEST", None):
             return importlib.import_module("companion_kernels._native"), package.VARIANTS
     return None
 

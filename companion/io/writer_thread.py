@@ -9,7 +9,6 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -45,7 +44,8 @@ class WriterThread(Generic[T]):
         self.overflowed = 0
         self.failed = 0
         self._gather_s = gather_s
-        self._queue: queue.Queue[T | None] = queue.Queue(max_queued)
+        self._max_queued = max_queued
+        self._queue: queue.SimpleQueue[T | None] = queue.SimpleQueue()
         self._is_closed = False
         self._is_ending = threading.Event()
         self._busy_since_s: float | None = None
@@ -78,10 +78,9 @@ class WriterThread(Generic[T]):
 
     def append(self, item: T) -> bool:
         """Queue an item; counted instead if the queue is full or closed. Whether it was queued."""
-        if not self._is_closed:
-            with suppress(queue.Full):
-                self._queue.put_nowait(item)
-                return True
+        if not self._is_closed and self._queue.qsize() < self._max_queued:
+            self._queue.put(item)
+            return True
         self.overflowed += 1
         return False
 
@@ -91,15 +90,7 @@ class WriterThread(Generic[T]):
             return
         self._is_closed = True
         self._is_ending.set()
-        while True:
-            try:
-                self._queue.put_nowait(None)
-            except queue.Full:  # an item gives way, or nobody would ever end
-                with suppress(queue.Empty):
-                    self._queue.get_nowait()
-                    self.overflowed += 1
-            else:
-                return
+        self._queue.put(None)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
         """Write what is queued, for so long at most; whether all of it was written."""

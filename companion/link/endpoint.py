@@ -27,6 +27,7 @@ from companion.link.gcs_services import (
     ParamRequest,
     TunableBook,
 )
+from companion.link.inbound import UNREAD
 from companion.link.intake import Authenticity, AutopilotBinding, Intake
 from companion.link.interface import (
     EndpointParams,
@@ -48,7 +49,7 @@ from companion.link.ranging_sources import (
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import sender_of
+from companion.mav.framing import message_id, sender_of
 
 __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
 
@@ -234,6 +235,10 @@ class CompanionEndpoint:
         was_bound, is_peer = binding.is_bound, chunk.peer == binding.peer
         if binding.is_keyed or not was_bound or is_peer:
             self._journal.frame(frame, now_s)
+        if message_id(frame) in UNREAD:
+            if self.authenticity.is_proved(frame):
+                self.executor.note_unread(frame, chunk.peer, now_s)
+            return
         message = self._intakes[chunk.link].codec.decode_proved(frame)
         if message is None or not self.authenticity.is_proved(frame):
             return

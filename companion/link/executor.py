@@ -18,6 +18,8 @@ from companion.link.outlet import Outlet
 from companion.link.quality import LinkHealth
 from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Address
+from companion.mav.framing import sender_of, sequence_of
 
 TEXTS_PER_S, TEXT_BURST = 10, 30
 """Texts of the autopilot that go to the log."""
@@ -79,6 +81,11 @@ class SessionExecutor:
         if autopilot is Autopilot.OTHER:
             text = "unknown autopilot: only PX4 and ArduPilot modes are understood"
             self.journal.text(commands.Severity.WARNING, text, now_s)
+
+    def note_unread(self, frame: bytes, peer: Address | None, now_s: float) -> None:
+        """Take in that there was a frame which nobody reads."""
+        if self.binding.hear(sender_of(frame), peer, now_s):
+            self._health.sequence.take(sequence_of(frame), now_s)
 
     def receive(self, message: Message, now_s: float) -> None:
         """Take in a message of the autopilot."""

@@ -140,6 +140,27 @@ MAX_YAW_RAD = 2.0 * math.pi
 """Half a turn by the definition of ATTITUDE; what is more than a whole one is no heading."""
 
 
+UNREAD = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_ACTUATOR_CONTROL_TARGET,
+        mavlink.MAVLINK_MSG_ID_ALTITUDE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+        mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
+        mavlink.MAVLINK_MSG_ID_HIGHRES_IMU,
+        mavlink.MAVLINK_MSG_ID_ODOMETRY,
+        mavlink.MAVLINK_MSG_ID_SCALED_IMU,
+        mavlink.MAVLINK_MSG_ID_SCALED_IMU2,
+        mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
+        mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
+        mavlink.MAVLINK_MSG_ID_VFR_HUD,
+        mavlink.MAVLINK_MSG_ID_VIBRATION,
+    }
+)
+"""Streams that autopilots send unasked and nothing here reads, two thirds of PX4's onboard link:
+they are logged and show that the autopilot is there, but are not decoded."""
+
+
 class VehicleInbound:
     """Events from the bound autopilot's messages; `sync` knows its clock best."""
 

@@ -110,7 +110,10 @@ class AutopilotBinding:
         """Whether a message comes from the bound autopilot; binds to the first one."""
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._maybe_bind(message, peer)
-        ids = (message.get_srcSystem(), message.get_srcComponent())
+        return self.hear((message.get_srcSystem(), message.get_srcComponent()), peer, now_s)
+
+    def hear(self, ids: tuple[int, int], peer: Address | None, now_s: float) -> bool:
+        """The same of a frame that is no HEARTBEAT, by its sender."""
         if not self.is_bound or ids != (self.system_id, self.component_id):
             return False
         if peer != self.peer:

@@ -152,6 +152,11 @@ def sender_of(frame: bytes) -> tuple[int, int]:
     return (frame[at], frame[at + 1])
 
 
+def sequence_of(frame: bytes) -> int:
+    """The sequence number in a frame's header."""
+    return frame[2 if frame[0] == MAGIC_V1 else 4]
+
+
 def frame_crc(frame: bytes, crc_extra: int) -> int:
     """The CRC that a frame must carry, from its header and payload."""
     end = HEADER_LENGTH[frame[0]] + frame[1]

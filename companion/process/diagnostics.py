@@ -69,6 +69,7 @@ def _peak_mb() -> float:
 
 
 RECORD_PERIOD_S = 10.0
+LOOK_PERIOD_S = 0.1
 SILENT_DISK_S = 2.0
 MISSED_TICKS = 10
 """Within a period, before it is reported."""
@@ -100,13 +101,16 @@ class ProcessDiagnostics:
         self._journal = parts.journal
         self._timing = parts.timing
         self._speed = speed
-        self._next_s = -math.inf
+        self._next_s = self._next_look_s = -math.inf
         self._reported_dropped = 0
         self._is_disk_silent = False
         self._late_total_s = 0.0
 
     def run(self, now_s: float) -> None:
-        """Record and report what is due."""
+        """Record and report what is due; a wake-up soon after another has nothing new."""
+        if now_s / self._speed < self._next_look_s:
+            return
+        self._next_look_s = now_s / self._speed + LOOK_PERIOD_S
         self._check_disk(now_s)
         if now_s / self._speed < self._next_s:
             return
