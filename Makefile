@@ -1,7 +1,7 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo missions test test-all faults check dist deb clean venv-demo venv-dev
+.PHONY: help demo missions test test-all faults check dist deb site clean venv-demo venv-dev
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
@@ -21,6 +21,7 @@ help:
 	@echo "make check   format, lint, types and import rules"
 	@echo "make dist    sdist and wheel of both distributions, into dist/"
 	@echo "make deb     Debian package of this machine's kind, into dist/ (DEB_ARGS='--architecture arm64')"
+	@echo "make site    the pages as a site, into site/; open site/index.html"
 	@echo "make clean   remove .venv and every cache"
 	@echo "Each makes .venv by itself when needed; PYTHON=... chooses the interpreter."
 
@@ -57,9 +58,12 @@ dist: venv-dev
 deb: dist
 	$(BIN)/python tools/make_deb.py $(DEB_ARGS)
 
+site: venv-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 venv-demo venv-dev: venv-%:
 	@tools/make_venv.sh $*
 
 clean:
-	rm -rf .venv build dist .coverage .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build dist site .coverage .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

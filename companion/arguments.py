@@ -11,7 +11,7 @@ from typing import Any, NoReturn, TypeAlias
 from companion import __version__
 from companion.errors import ConfigError
 from companion.radio_tools import radio_commands
-from companion.setup_tools import config_commands
+from companion.setup_tools import config_commands, setup_commands
 
 MAX_SECONDS = 300.0
 MAX_SPEED = 50.0
@@ -75,7 +75,7 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_flight(parser)
     _add_web(parser.add_argument_group("live map (extra web)"))
     commands = parser.add_subparsers(
-        dest="command", metavar="{demo,replay,report,doctor,radio,config,warm-up}"
+        dest="command", metavar="{demo,setup,doctor,replay,report,radio,config,warm-up}"
     )
     _add_demo(commands)
     _add_replay(commands)
@@ -83,6 +83,7 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_doctor(commands)
     _add_radio(commands)
     _add_config(commands)
+    _add_setup(commands)
     _add_warm_up(commands)
     return parser
 
@@ -197,6 +198,17 @@ def _add_radio(commands: Commands) -> None:
         description="Radios with formats of their own: which there are, and what they say.",
     )
     radio_commands.add_arguments(radio)
+
+
+def _add_setup(commands: Commands) -> None:
+    setup = commands.add_parser(
+        "setup",
+        help="make this computer ready to fly: configuration, service, doctor, compiling",
+        description="Ask what the vehicle has, or take it from the options; write configuration "
+        "and service, compile ahead, run the doctor, and say what to set in the autopilot. "
+        "All is written or nothing. Exit code 1: written, but the doctor says do not fly.",
+    )
+    setup_commands.add_arguments(setup)
 
 
 def _add_config(commands: Commands) -> None:

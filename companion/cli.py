@@ -74,6 +74,8 @@ def _run(argv: Sequence[str] | None) -> int:
             return _radio(arguments)
         case "config":
             return _config(arguments)
+        case "setup":
+            return _setup(arguments)
         case "warm-up":
             return _warm_up(arguments)
     return _fly(arguments)
@@ -200,6 +202,12 @@ def _radio(arguments: argparse.Namespace) -> int:
 
 def _config(arguments: argparse.Namespace) -> int:
     from companion.setup_tools.config_commands import run
+
+    return run(arguments)
+
+
+def _setup(arguments: argparse.Namespace) -> int:
+    from companion.setup_tools.setup_commands import run
 
     return run(arguments)
 

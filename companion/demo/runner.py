@@ -15,6 +15,7 @@ from typing import Any
 
 import msgspec
 
+from companion.config.presets import CONFIG_FOLDERS
 from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import STOP_TIMEOUT_S, SimulatorProcess
 from companion.errors import CompanionError, ConfigError
@@ -31,7 +32,6 @@ from companion.run import FlightOptions, FlightView, fly, is_handed_over, prepar
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
 """Obstacles that end less than this below the search altitude are flown around."""
-CONFIGS = (Path("configs"), Path(__file__).parents[2] / "configs")
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
 """Real seconds after which a simulator that is not heard is given up."""
@@ -63,12 +63,14 @@ def scenario_named(path: Path) -> tuple[Path, Path | None]:
     """
     if path.exists() or path.suffix or path.is_absolute():
         return path, None
-    for configs in CONFIGS:
+    for configs in CONFIG_FOLDERS:
         file, preset = (configs / kind / f"{path}.yaml" for kind in ("scenarios", "companion"))
         if file.is_file():
             return file, preset if preset.is_file() else None
     below = [
-        (file, configs / "scenarios") for configs in CONFIGS for file in configs.rglob("*.yaml")
+        (file, configs / "scenarios")
+        for configs in CONFIG_FOLDERS
+        for file in configs.rglob("*.yaml")
     ]
     known = {str(file.relative_to(at).with_suffix("")) for file, at in below if at in file.parents}
     there = f"; there are {', '.join(sorted(known))}" if known else ""

@@ -14,12 +14,13 @@ from sim_link.lab.mission import mission_cli
 
 def run_subcommand(argv: Sequence[str]) -> int:
     """Run it; the exit code. `CompanionError`: bad input, or something could not be done."""
-    arguments = _parser().parse_args(argv)
+    arguments = subcommand_parser().parse_args(argv)
     code: int = arguments.run(arguments)
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
+def subcommand_parser() -> argparse.ArgumentParser:
+    """What `sim-link` understands with a subcommand in front."""
     parser = ComplaintParser(prog="sim-link")
     commands = parser.add_subparsers(required=True, metavar="{mission,radio,proxy}")
     mission = commands.add_parser("mission", help="fly mission scripts")

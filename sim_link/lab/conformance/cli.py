@@ -214,7 +214,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Try the rules; the exit code is that of `EPILOG`."""
     outlive_readers()
     try:
-        return _run(_arguments(argv))
+        return _run(parsed_arguments(argv))
     except (CompanionError, rules.NotApplicable) as error:
         print(f"companion-conformance: {error}", file=sys.stderr)
         return rules.EXIT_BAD_INPUT
@@ -223,7 +223,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return rules.EXIT_FAILED
 
 
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+def parsed_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    """What the command was asked for; a complaint is a `ConfigError`."""
     parser = ComplaintParser(
         prog="companion-conformance",
         description=DESCRIPTION,

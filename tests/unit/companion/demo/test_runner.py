@@ -8,8 +8,9 @@ import msgspec
 import pytest
 
 from companion.cli import main
+from companion.config.presets import CONFIG_FOLDERS
 from companion.config.schema import CompanionConfig
-from companion.demo.runner import CONFIGS, _demo_config, busy_hint, scenario_named
+from companion.demo.runner import _demo_config, busy_hint, scenario_named
 from companion.errors import ConfigError
 
 BLOCK = [[30.0, 30.0], [45.0, 30.0], [45.0, 60.0], [30.0, 60.0]]
@@ -52,7 +53,7 @@ def test_a_scenario_without_room_to_fly_is_refused() -> None:
 def test_a_scenario_may_be_named_and_brings_the_preset_of_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    checkout = CONFIGS[1]
+    checkout = CONFIG_FOLDERS[1]
     monkeypatch.chdir(tmp_path)
     file, preset = scenario_named(Path("field/rubble"))
     assert (file, preset) == (

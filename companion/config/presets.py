@@ -1,0 +1,44 @@
+"""Where configurations that come with the program are: presets, radios, the service unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from companion.errors import ConfigError
+
+_PACKAGE = Path(__file__).parents[1]
+CONFIG_FOLDERS = (Path("configs"), _PACKAGE.parent / "configs", _PACKAGE / "configs")
+"""Of the working directory, of the checkout, of the installed package; the first one counts."""
+PRESETS = ("companion", "radios")
+
+
+def shipped_file(name: str) -> Path:
+    """A file below `configs`, wherever it is; a `ConfigError` if this installation lacks it."""
+    for folder in CONFIG_FOLDERS:
+        if (folder / name).is_file():
+            return folder / name
+    raise ConfigError(f"configs/{name}: not in this installation; install companion-guidance anew")
+
+
+def preset_named(name: str) -> Path:
+    """The file of a preset: a path, or its name below `configs/companion` or `configs/radios`."""
+    path = Path(name)
+    if path.is_file():
+        return path
+    for folder in CONFIG_FOLDERS:
+        for kind in PRESETS:
+            file = folder / kind / f"{name}.yaml"
+            if file.is_file():
+                return file
+    raise ConfigError(f"preset {name}: no such file, and none of {', '.join(preset_names())}")
+
+
+def preset_names() -> list[str]:
+    """The names that `preset_named` knows."""
+    names = {
+        str(file.relative_to(folder / kind).with_suffix(""))
+        for folder in CONFIG_FOLDERS
+        for kind in PRESETS
+        for file in (folder / kind).rglob("*.yaml")
+    }
+    return sorted(names)

@@ -1,0 +1,246 @@
+"""`companion setup`: asks what a vehicle has, or takes it from flags, and makes it ready to fly."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import os
+import shlex
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from companion.config.fence_files import read_fence
+from companion.config.loader import parse_value, read_text
+from companion.config.presets import preset_named, preset_names, shipped_file
+from companion.config.radios import parse_radio_option
+from companion.config.schema import load_config
+from companion.config.versions import KEY, SCHEMA_VERSION
+from companion.doctor.examination import exit_code, run_doctor
+from companion.doctor.findings import as_lines
+from companion.errors import ConfigError
+from companion.flight_setup import radio_links
+from companion.io.links.transports import Transport, parse_flight_link
+from companion.kernel import IS_COMPILED
+from companion.link.interface import LinkRole
+from companion.run import prepare
+from companion.setup_tools.autopilot_guide import guide
+from companion.setup_tools.site_files import (
+    CONFIG,
+    SERVICE_OPTIONS,
+    UNIT,
+    check_files,
+    remove_files,
+    write_files,
+)
+
+AUTOPILOTS = ("px4", "ardupilot")
+LINK = "serial:/dev/ttyAMA0:921600"
+SYSTEM = Path("/etc/companion")
+SYSTEM_UNITS = (Path("/lib/systemd/system"), Path("/usr/lib/systemd/system"))
+"""Where a package has its unit; it reads `service.env` of `SYSTEM`."""
+HOMES = (Path("/home"), Path("/root"))
+NONE = "none"
+DOCTOR_S = 5.0
+
+Ask = Callable[[str], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What a vehicle has, as options give it; nothing is checked yet."""
+
+    autopilot: str
+    connect: str
+    radio: str | None
+    """NAME[:OPTIONS]@URL; None: the autopilot's link or `ranging` brings what is measured."""
+    ranging: str | None
+    preset: str | None
+    fence: Path | None
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `companion setup` understands."""
+    parser.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="which one flies")
+    for name, place, metavar, text in (
+        ("--connect", "link", "URL", f"link to the autopilot, for example {LINK}"),
+        ("--radio", "own_radio", "RADIO", "NAME[:KEY=VALUE,...]@URL, or none"),
+        ("--ranging", "own_ranging", "URL", "link that carries only ranging messages"),
+        ("--preset", "preset", "NAME", "what to begin with: a file, or a name in configs"),
+    ):
+        parser.add_argument(name, dest=place, metavar=metavar, help=text)
+    text = ".plan or .kml file with the fence, which is copied; or none: 150 m to each side"
+    parser.add_argument("--fence", dest="site", metavar="FILE", help=text)
+    text = f"where the configuration goes (default: {SYSTEM} for root, else ~/.config/companion)"
+    parser.add_argument("--directory", metavar="DIR", type=Path, help=text)
+    text = "write a systemd unit into DIR as well, unless a package brought one"
+    parser.add_argument("--unit-directory", metavar="DIR", type=Path, help=text)
+    parser.add_argument("--user", metavar="NAME", help="who runs the service (default: you)")
+    parser.add_argument("--no-doctor", action="store_true", help="do not look at the autopilot now")
+    parser.add_argument("--no-warm-up", action="store_true", help="do not compile now")
+    parser.add_argument("--remove", action="store_true", help="undo the setup in --directory")
+
+
+def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
+    """Do it; the exit code."""
+    directory = arguments.directory or _usual_directory()
+    if arguments.remove:
+        _say(*remove_files(directory))
+        return 0
+    choices = _choices(arguments, ask if sys.stdin.isatty() or ask is not input else None)
+    link = parse_flight_link(choices.connect, LinkRole.VEHICLE).transport
+    contents = site_contents(choices)
+    check_files(contents)
+    files = {directory / name: content for name, content in contents.items()}
+    if arguments.unit_directory is not None:
+        files[arguments.unit_directory / UNIT] = unit(
+            directory, arguments.user or getpass.getuser()
+        )
+    write_files(directory, files)
+    _say(*(f"wrote {path}" for path in files))
+    return _finish(arguments, choices, link, directory)
+
+
+def _finish(
+    arguments: argparse.Namespace, choices: Choices, link: Transport, directory: Path
+) -> int:
+    config = load_config(directory / CONFIG)
+    if not arguments.no_warm_up and IS_COMPILED:
+        prepare(config)
+        _say("compiled what a flight needs")
+    code = 0
+    if not arguments.no_doctor:
+        findings = run_doctor(config, link, DOCTOR_S)
+        _say(*as_lines(findings))
+        code = exit_code(findings)
+    _say("", *guide(choices.autopilot, link, config), "", *_next(choices, directory, arguments))
+    return code
+
+
+def _next(choices: Choices, directory: Path, arguments: argparse.Namespace) -> list[str]:
+    config = directory / CONFIG
+    lines = [
+        "then:",
+        f"  companion doctor --connect {choices.connect} --config {config}",
+        f"  companion {options(choices)} --config {config}",
+    ]
+    has_unit = any((folder / UNIT).exists() for folder in SYSTEM_UNITS) and directory == SYSTEM
+    if arguments.unit_directory is not None or has_unit:
+        lines.append("or at every start of the computer:")
+        lines.append("  systemctl daemon-reload && systemctl enable --now companion")
+    return [*lines, f"undo: companion setup --remove --directory {directory}"]
+
+
+def options(choices: Choices) -> str:
+    """What the command line has beside the configuration."""
+    words = ["--connect", choices.connect]
+    if choices.ranging is not None:
+        words += ["--ranging", choices.ranging]
+    return shlex.join(words)
+
+
+def site_contents(choices: Choices) -> dict[str, bytes]:
+    """The files of a choice, by name; a `ConfigError` for what cannot be."""
+    raw: dict[str, Any] = {KEY: SCHEMA_VERSION}
+    if choices.preset is not None:
+        preset = preset_named(choices.preset)
+        found = parse_value(read_text(preset), str(preset))
+        raw.update(found if isinstance(found, dict) else {})
+    contents: dict[str, bytes] = {}
+    if choices.radio is not None:
+        radio = parse_radio_option(choices.radio)
+        radio_links((radio,))
+        raw["radios"] = _with_radio(raw.get("radios") or [], msgspec.to_builtins(radio))
+    if choices.fence is not None:
+        read_fence(choices.fence)
+        name = f"fence{choices.fence.suffix.lower()}"
+        contents[name] = read_text(choices.fence).encode()
+        limits = {k: v for k, v in (raw.get("limits") or {}).items() if k != "fence_enu_m"}
+        raw["limits"] = {**limits, "fence_file": name}
+    if choices.ranging is not None:
+        parse_flight_link(choices.ranging, LinkRole.RANGING)
+    head = "# Made by `companion setup`; `companion config show --config FILE` has every value.\n"
+    text = yaml.safe_dump(raw, sort_keys=False, allow_unicode=True)
+    service = f"COMPANION_OPTIONS={options(choices)}\n"
+    return {**contents, CONFIG: (head + text).encode(), SERVICE_OPTIONS: service.encode()}
+
+
+def _with_radio(radios: list[dict[str, Any]], radio: dict[str, Any]) -> list[dict[str, Any]]:
+    """A preset's radios, with what is chosen in place of the one of that name."""
+    same = next((each for each in radios if each.get("name") == radio["name"]), {})
+    for section in ("settings", "options"):
+        radio[section] = {**(same.get(section) or {}), **radio[section]}
+    return [*(each for each in radios if each is not same), radio]
+
+
+def unit(directory: Path, user: str) -> bytes:
+    """The unit that comes with the program, for this installation."""
+    text = read_text(shipped_file(f"systemd/{UNIT}"))
+    program = shutil.which("companion") or str(Path(sys.argv[0]).absolute())
+    text = text.replace("/opt/companion/bin/companion", program)
+    text = text.replace(f"{SYSTEM}/", f"{directory.absolute()}/")
+    if any(each.is_relative_to(home) for each in (Path(program), directory) for home in HOMES):
+        text = text.replace("ProtectHome=yes", "ProtectHome=read-only")
+    return text.replace("User=companion\n", f"User={user}\n").encode()
+
+
+def _usual_directory() -> Path:
+    if os.geteuid() == 0:
+        return SYSTEM
+    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "companion"
+
+
+def _choices(arguments: argparse.Namespace, ask: Ask | None) -> Choices:
+    """What flags say, and the answers to what they do not."""
+    if ask is None and arguments.link is None:
+        raise ConfigError(f"setup: say where the autopilot is: --connect {LINK}")
+    asked = _Questions(ask)
+    autopilot = asked.one("Autopilot, px4 or ardupilot", arguments.kind, AUTOPILOTS[0], AUTOPILOTS)
+    connect = asked.one("Link to the autopilot", arguments.link, LINK)
+    radio = asked.one("Radio as NAME@URL (companion radio list)", arguments.own_radio, NONE)
+    suggested = radio.partition("@")[0].partition(":")[0]
+    known = preset_names()
+    preset = asked.one("Preset", arguments.preset, suggested if suggested in known else "default")
+    fence = asked.one("Fence, a .plan or .kml file", arguments.site, NONE)
+    return Choices(
+        autopilot=autopilot,
+        connect=connect,
+        radio=None if radio == NONE else radio,
+        ranging=arguments.own_ranging,
+        preset=None if preset == "default" else preset,
+        fence=None if fence == NONE else Path(fence),
+    )
+
+
+class _Questions:
+    """Asks on a terminal what no flag has told; without a terminal defaults count."""
+
+    def __init__(self, ask: Ask | None) -> None:
+        self._ask = ask
+
+    def one(
+        self, question: str, told: str | None, default: str, among: tuple[str, ...] = ()
+    ) -> str:
+        """The flag's value, the answer, or the default."""
+        if told is not None or self._ask is None:
+            return default if told is None else told
+        while True:
+            try:
+                answer = self._ask(f"{question} [{default}]: ").strip() or default
+            except EOFError:
+                raise ConfigError("setup: no answer; nothing was written") from None
+            if not among or answer in among:
+                return answer
+            _say(f"one of: {', '.join(among)}")
+
+
+def _say(*lines: str) -> None:
+    for line in lines:
+        sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

@@ -1,0 +1,171 @@
+"""`companion setup`: by flags or by answers; all of it or nothing; undone without a trace."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from companion.arguments import argument_parser
+from companion.cli import EXIT_BAD_INPUT, main
+from companion.config.schema import load_config
+from companion.setup_tools.setup_commands import run
+
+ROOT = Path(__file__).resolve().parents[4]
+SERIAL = "serial:/dev/ttyAMA0:921600"
+OFFLINE = ("--no-doctor", "--no-warm-up")
+FENCE = (
+    '{"fileType": "Plan", "geoFence": {"version": 2, "circles": [], "polygons": [{"version": 1, '
+    '"inclusion": true, "polygon": [[47, 8], [47.01, 8], [47.01, 8.01], [47, 8.01]]}]}}'
+)
+
+
+def setup(directory: Path, *more: str) -> int:
+    return main(["setup", "--directory", str(directory), *OFFLINE, *more])
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_by_flags_it_writes_what_a_flight_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, etc = tmp_path / "Site.plan", tmp_path / "etc"
+    plan.write_text(FENCE)
+    radio = ("--radio", "esp32_ftm:emitter=7@/dev/ttyUSB0")
+    assert setup(etc, "--connect", SERIAL, *radio, "--fence", str(plan)) == 0
+    plan.unlink()
+    config = load_config(etc / "companion.yaml")
+    assert config.radios[0].url == "/dev/ttyUSB0"
+    assert config.radios[0].settings["emitter"] == 7
+    assert config.estimation == load_config(ROOT / "configs/radios/esp32_ftm.yaml").estimation
+    assert config.limits.fence_file == str(etc / "fence.plan")
+    assert (etc / "service.env").read_text() == f"COMPANION_OPTIONS=--connect {SERIAL}\n"
+    told = capsys.readouterr().out
+    assert "COM_OBL_RC_ACT" in told
+    assert f"companion --connect {SERIAL} --config {etc / 'companion.yaml'}" in told
+
+
+def test_on_a_terminal_it_asks_for_what_no_flag_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers = iter(["arducopter", "ardupilot", "tcp:127.0.0.1:5762", "", "", ""])
+    asked: list[str] = []
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return next(answers)
+
+    arguments = argument_parser().parse_args(["setup", "--directory", str(tmp_path), *OFFLINE])
+    assert run(arguments, ask) == 0
+    assert [question.split(" [")[0] for question in asked] == [
+        "Autopilot, px4 or ardupilot",
+        "Autopilot, px4 or ardupilot",
+        "Link to the autopilot",
+        "Radio as NAME@URL (companion radio list)",
+        "Preset",
+        "Fence, a .plan or .kml file",
+    ]
+    told = capsys.readouterr().out
+    assert "one of: px4, ardupilot" in told
+    assert "set in ArduPilot" in told
+    assert "SERIAL2_BAUD" not in told, "there is no serial port"
+
+
+def test_somebody_who_leaves_has_written_nothing(tmp_path: Path) -> None:
+    def leave(_: str) -> str:
+        raise EOFError
+
+    arguments = argument_parser().parse_args(["setup", "--directory", str(tmp_path), *OFFLINE])
+    assert complaint(arguments, leave) == "setup: no answer; nothing was written"
+    assert tree(tmp_path) == {}
+
+
+def complaint(arguments: argparse.Namespace, ask: object) -> str:
+    with pytest.raises(Exception, match="setup") as refused:
+        run(arguments, ask)  # type: ignore[arg-type]
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "setup: say where the autopilot is"),
+        (("--connect", "usb0"), "usb0"),
+        (("--connect", SERIAL, "--radio", "esp32_ftm"), "give NAME@URL"),
+        (("--connect", SERIAL, "--radio", "nobody@/dev/ttyUSB0"), "nobody"),
+        (("--connect", SERIAL, "--fence", "/nowhere.plan"), "/nowhere.plan: no such file"),
+        (("--connect", SERIAL, "--preset", "moon"), "preset moon: no such file"),
+        (("--connect", SERIAL, "--ranging", "udp:x"), "udp:x"),
+        (("--remove",), "no setup was made here"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], words: str
+) -> None:
+    assert setup(tmp_path, *options) == EXIT_BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
+    assert tree(tmp_path) == {}
+
+
+def test_a_preset_that_is_wrong_is_named_without_the_folder_it_was_tried_in(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    preset = tmp_path / "own.yaml"
+    preset.write_text("mission: {altitude_m: 900}")
+    assert setup(tmp_path / "etc", "--connect", SERIAL, "--preset", str(preset)) == EXIT_BAD_INPUT
+    line = capsys.readouterr().err
+    assert line.startswith("companion: companion.yaml: $.mission.altitude_m: 900 m is outside")
+    assert not (tmp_path / "etc").exists()
+
+
+def test_where_one_file_cannot_be_written_all_is_as_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    etc = tmp_path / "etc"
+    etc.mkdir()
+    (etc / "companion.yaml").write_text("mission: {altitude_m: 30}\n")
+    before = tree(tmp_path)
+    nowhere = ("--unit-directory", str(tmp_path / "nowhere"))
+    assert setup(etc, "--connect", SERIAL, *nowhere) == EXIT_BAD_INPUT
+    assert "cannot be written" in capsys.readouterr().err
+    assert tree(tmp_path) == before
+
+
+def test_the_service_is_the_projects_own_unit_for_this_installation(tmp_path: Path) -> None:
+    etc, units = tmp_path / "etc", tmp_path / "units"
+    units.mkdir()
+    assert setup(etc, "--connect", SERIAL, "--unit-directory", str(units), "--user", "pilot") == 0
+    ours = (ROOT / "configs/systemd/companion.service").read_text().splitlines()
+    made = (units / "companion.service").read_text().splitlines()
+    changed = [
+        line for line, own in zip(made, ours, strict=True) if line != own and "#" not in line
+    ]
+    keys = [line.split("=")[0] for line in changed if not line.startswith("ProtectHome")]
+    assert keys == ["EnvironmentFile", "ExecStartPre", "ExecStart", "User"]
+    assert f"EnvironmentFile={etc}/service.env" in made
+
+
+def test_remove_leaves_no_trace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    etc = tmp_path / "etc"
+    etc.mkdir()
+    (etc / "companion.yaml").write_text("mission: {altitude_m: 30}\n")
+    before = tree(tmp_path)
+    for altitude in ("uwb", "wifi_rtt"):  # twice: the second one must not forget what was there
+        assert setup(etc, "--connect", SERIAL, "--preset", altitude) == 0
+    assert setup(etc, "--remove") == 0
+    assert f"as before the setup: {etc / 'companion.yaml'}" in capsys.readouterr().out
+    assert tree(tmp_path) == before
+
+
+def test_remove_keeps_what_somebody_changed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert setup(tmp_path, "--connect", SERIAL) == 0
+    (tmp_path / "companion.yaml").write_text("mission: {altitude_m: 30}\n")
+    assert setup(tmp_path, "--remove") == 0
+    assert "kept: " in capsys.readouterr().out
+    assert list(tree(tmp_path)) == ["companion.yaml"]

@@ -1,0 +1,93 @@
+"""Every command that a page has for copying is understood by the program that it calls."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from companion.arguments import argument_parser, check_place_of_options
+from sim_link.cli import SUBCOMMANDS, simulator_parser
+from sim_link.lab.conformance.cli import parsed_arguments
+from sim_link.lab.subcommands import subcommand_parser
+from tests.unit.tools.test_commands_in_pages import PAGES, ROOT
+
+SHELL = re.compile(r"^( *)```sh\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
+TARGETS = set(
+    re.findall(r"^([a-z-]+)(?: [a-z-]+)*:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+)
+TARGETS |= {"venv-demo", "venv-dev"}
+OF_OTHERS = set(
+    ("mavproxy.py", "sim_vehicle.py", "commander", "mode", "arm", "pip", "echo", "pytest", ".")
+)
+"""Programs that this project does not have; their commands are read, and never run, by a test."""
+PX4S_TARGET = "px4_sitl"
+THEIR_MODULES = {"pytest", "companion", "pip", "http.server", "tools.mutate_guard"}
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """The lines of a page's shell blocks as words, without what a shell adds around them."""
+    texts = (dedent(text) for _, text in SHELL.findall(page.read_text(encoding="utf-8")))
+    lines = [line for text in texts for line in text.replace("\\\n", " ").splitlines()]
+    found = []
+    for line in lines:
+        words = shlex.split(line.removesuffix("&"), comments=True)
+        while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+            words = words[1:]
+        for mark in (">", "|", ";"):
+            words = words[: words.index(mark)] if mark in words else words
+        if words and not words[0].startswith("("):
+            found.append([words[0].removeprefix(".venv/bin/"), *words[1:]])
+    return found
+
+
+def understand(words: list[str]) -> None:
+    """Give a command to its own parser; raises what that raises."""
+    program, *rest = words
+    match program:
+        case "companion":
+            check_place_of_options(argument_parser().parse_args(rest))
+        case "sim-link" if rest and rest[0] in SUBCOMMANDS:
+            subcommand_parser().parse_args(rest)
+        case "sim-link":
+            simulator_parser().parse_args(rest)
+        case "companion-conformance":
+            parsed_arguments(rest)
+        case "make":
+            targets = [word for word in rest if "=" not in word]
+            assert PX4S_TARGET in targets or set(targets) <= TARGETS
+        case "python" if rest[0] == "-m":
+            assert rest[1] in THEIR_MODULES
+        case "python":
+            assert (ROOT / rest[0]).exists() or rest[0] == "test_companion_acme.py"
+        case "dask":
+            assert rest[0] in ("scheduler", "worker")
+        case _:
+            assert program in OF_OTHERS, f"`{program}`: whose is it?"
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_commands_for_copying_are_understood(page: Path) -> None:
+    for words in commands_of(page):
+        try:
+            understand(words)
+        except (Exception, SystemExit) as error:
+            pytest.fail(f"{shlex.join(words)}: {error}")
+
+
+def test_a_command_that_nobody_understands_is_found() -> None:
+    for text in ("companion demo --sped 4", "sim-link --sed 7", "make dmo", "gadget --on"):
+        with pytest.raises(Exception, match=r"\w"):
+            understand(shlex.split(text))
+
+
+def test_a_newcomer_needs_two_commands_and_a_flight_on_px4_six() -> None:
+    first = SHELL.findall((ROOT / "docs/index.md").read_text(encoding="utf-8"))[0][1]
+    px4 = SHELL.findall((ROOT / "docs/px4.md").read_text(encoding="utf-8"))[0][1]
+    assert len(first.splitlines()) == 2
+    assert len(px4.splitlines()) == 6
