@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from companion.config.schema import CompanionConfig
@@ -37,8 +38,9 @@ from companion.io.links.transports import Transport
 from companion.io.shell import Clock, Shell
 from companion.io.state.signing_keys import load_signing_key
 from companion.io.state.vehicle_lock import VehicleLock, state_directory
-from companion.kernel import has_compiled_cache
+from companion.kernel import IS_NATIVE, has_compiled_cache
 from companion.link.intake import Authenticity
+from companion.process.diagnostics import process_use
 from companion.run import link_name, open_signing
 
 MEGABYTE = 1_000_000
@@ -51,7 +53,8 @@ def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
     return HostFacts(
         python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
         numpy=_version("numpy") or "?",
-        numba=_version("numba"),
+        numba=None if IS_NATIVE else _version("numba"),
+        has_native_kernels=IS_NATIVE,
         are_kernels_kept=has_compiled_cache(),
         logs=look_at_place(logs),
         state=look_at_place(state),
@@ -144,6 +147,8 @@ def exit_code(findings: list[CheckResult]) -> int:
 def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[CheckResult]:
     version = ".".join(str(part) for part in host.python)
     compiled = f"numba {host.numba}" if host.numba else "no numba: kernels run as plain Python"
+    if host.has_native_kernels:
+        compiled = "kernels compiled ahead"
     yield ok("python", f"{version}, numpy {host.numpy}, {compiled}")
     if host.numba and not host.are_kernels_kept:
         text = "not compiled yet: the first flight waits for half a minute"
@@ -206,6 +211,11 @@ def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[CheckResul
     yield _check_identity(autopilot)
     yield from _check_company(link, autopilot, config)
     yield _check_loss(link, autopilot)
+    if link.resident_mb is not None:
+        text = (
+            f"{link.resident_mb:.0f} MB, {link.processor_pct:.1f} % of one core for these streams"
+        )
+        yield ok("process", text)
     lacking = _lacking(autopilot)
     yield from _check_estimator(autopilot, lacking)
     yield from _check_readiness(autopilot)
@@ -367,8 +377,14 @@ def look_at_link(
         signing = None if keeper is None else keeper.signing
         authenticity = Authenticity(signing, time.time() - clock.now_s())
         probe = DoctorProbe(name, config.vehicle.system_id, authenticity, duration_s)
+        before = process_use()
         Shell(probe, [link], clock).run_blocking()
-        return probe.facts()
+        use, took_s = process_use(), clock.now_s()
+        return replace(
+            probe.facts(),
+            resident_mb=use.resident_mb,
+            processor_pct=100.0 * (use.processor_s - before.processor_s) / took_s,
+        )
     finally:
         if keeper is not None:
             keeper.close()

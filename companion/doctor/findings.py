@@ -79,6 +79,10 @@ class LinkFacts:
     """That failed their checksum or made no sense."""
     unproved_frames: int
     """That signing refused; 0 without a key."""
+    resident_mb: float | None = None
+    """Memory of this process while it listened, with all that a flight loads."""
+    processor_pct: float | None = None
+    """Of one core, for taking the streams in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +104,9 @@ class HostFacts:
     python: tuple[int, int, int]
     numpy: str
     numba: str | None
-    """Its version; None: not installed."""
+    """Its version; None: not installed, or not needed."""
+    has_native_kernels: bool
+    """Whether kernels were compiled before they were installed."""
     are_kernels_kept: bool
     """Whether they were compiled before, so that a flight need not wait for it."""
     logs: PlaceFacts

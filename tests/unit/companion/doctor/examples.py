@@ -52,6 +52,7 @@ HOST = HostFacts(
     python=(3, 11, 7),
     numpy="2.0.0",
     numba=None,
+    has_native_kernels=False,
     logs=PlaceFacts("flights", None, 20_000.0, 0.02),
     state=PlaceFacts("/var/lib/companion", None, 20_000.0, 0.02),
     key_problem=None,

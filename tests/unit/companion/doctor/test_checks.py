@@ -201,3 +201,13 @@ def test_a_stream_that_this_autopilot_does_not_send_now_is_not_missed(
     assert name not in {finding.subject for finding in findings}
     slow = StreamRate(name, 5.0, 2, 5.0)
     assert finding_about(name, autopilot_with(rates=(slow,), **changes)).level is Level.WARN
+
+
+def test_memory_and_processor_time_are_told() -> None:
+    facts = link_with(resident_mb=66.2, processor_pct=3.14)
+    assert finding_about("process", facts).text == "66 MB, 3.1 % of one core for these streams"
+
+
+def test_kernels_compiled_ahead_need_no_warm_up() -> None:
+    facts = host_with(numba=None, has_native_kernels=True)
+    assert finding_about("python", facts).text.endswith("kernels compiled ahead")
