@@ -20,6 +20,7 @@ help:
 	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
 	@echo "make check   format, lint, types and import rules"
 	@echo "make dist    sdist and wheel of both distributions, into dist/"
+	@echo "make parts   list of parts (CycloneDX), licences, known weaknesses, into dist/"
 	@echo "make deb     Debian package of this machine's kind, into dist/ (DEB_ARGS='--architecture arm64')"
 	@echo "make site    the pages as a site, into site/; open site/index.html"
 	@echo "make clean   remove .venv and every cache"
@@ -54,6 +55,9 @@ dist: venv-dev
 	$(BIN)/python -m build --no-isolation --outdir dist .
 	$(BIN)/python -m build --no-isolation --outdir dist sim_link
 	$(BIN)/twine check --strict dist/*
+
+parts: dist
+	PYTHONPATH=. $(BIN)/python tools/list_parts.py
 
 deb: dist
 	$(BIN)/python tools/make_deb.py $(DEB_ARGS)

@@ -1,0 +1,83 @@
+"""What a release is made of: a CycloneDX list of parts, their licences, and known weaknesses.
+
+    make dist && .venv/bin/python tools/list_parts.py
+
+Installs the wheels of dist/ with the pinned versions of packaging/constraints.txt into an
+environment of their own, as the Debian package has them, and writes what is installed there to
+dist/companion-guidance.cdx.json and dist/LICENCES.txt. Exit code 1 if pip-audit knows a weakness,
+or cannot ask.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tools.make_deb import EXTRAS, PACKAGING, ROOT
+
+DIST = ROOT / "dist"
+PARTS = DIST / "companion-guidance.cdx.json"
+LICENCES = DIST / "LICENCES.txt"
+ENVIRONMENT = ROOT / "build/parts"
+
+
+def main() -> int:
+    """Write both lists, then ask for weaknesses."""
+    python = ENVIRONMENT / "bin/python"
+    run(sys.executable, "-m", "venv", "--without-pip", "--clear", ENVIRONMENT)
+    files = (f"--find-links={DIST}", f"--constraint={PACKAGING / 'constraints.txt'}")
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", *files, *EXTRAS)
+    beside = Path(sys.executable).parent
+    options = ("--output-reproducible", "--pyproject", ROOT / "pyproject.toml")
+    run(beside / "cyclonedx-py", "environment", *options, "--output-file", PARTS, python)
+    parts = json.loads(PARTS.read_text())["components"]
+    lines = sorted(f"{part['name']} {part['version']}: {licence_of(part)}" for part in parts)
+    LICENCES.write_text("\n".join(lines) + "\n")
+    print(f"{PARTS}: {len(parts)} parts\n{LICENCES}")
+    (place,) = ENVIRONMENT.glob("lib/python3.*/site-packages")
+    return audit(beside / "pip-audit", place)
+
+
+def audit(program: Path, place: Path) -> int:
+    """Print what is known of the parts of others; 1 if that is anything, or could not be asked."""
+    command = [str(program), "--path", str(place), "--progress-spinner=off", "--format=json"]
+    asked = subprocess.run(command, check=False, capture_output=True, text=True)
+    parts = json.loads(asked.stdout)["dependencies"]
+    others = [part for part in parts if not part["name"].startswith("companion-")]
+    unknown = [part["name"] for part in others if "skip_reason" in part]
+    weak = [part for part in others if part.get("vulns")]
+    for part in weak:
+        names = ", ".join(weakness["id"] for weakness in part["vulns"])
+        print(f"{part['name']} {part['version']}: {names}")
+    if unknown:
+        print(f"not looked up, the package index does not tell: {', '.join(unknown)}")
+    print(f"{len(others) - len(unknown)} parts looked up, {len(weak)} with known weaknesses")
+    return int(bool(weak or unknown))
+
+
+def run(*command: str | Path) -> None:
+    """Run it; an error if it fails."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    subprocess.run([str(word) for word in command], check=True, env=environment)
+
+
+def licence_of(part: dict[str, Any]) -> str:
+    """As the part itself tells: an expression, identifiers, or names."""
+    return " AND ".join(dict.fromkeys(_licences(part))) or "not told"
+
+
+def _licences(part: dict[str, Any]) -> Iterator[str]:
+    for entry in part.get("licenses", ()):
+        told = entry.get("license", {})
+        name = entry.get("expression") or told.get("id") or told.get("name")
+        if name:
+            yield str(name).splitlines()[0]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
