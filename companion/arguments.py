@@ -11,7 +11,7 @@ from typing import Any, NoReturn, TypeAlias
 from companion import __version__
 from companion.errors import ConfigError
 from companion.radio_tools import radio_commands
-from companion.setup_tools import config_commands, setup_commands
+from companion.setup_tools import config_commands, setup_commands, tile_commands
 
 MAX_SECONDS = 300.0
 MAX_SPEED = 50.0
@@ -75,7 +75,7 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_flight(parser)
     _add_web(parser.add_argument_group("live map (extra web)"))
     commands = parser.add_subparsers(
-        dest="command", metavar="{demo,setup,doctor,replay,report,radio,config,warm-up}"
+        dest="command", metavar="{demo,setup,doctor,replay,report,radio,tiles,config,warm-up}"
     )
     _add_demo(commands)
     _add_replay(commands)
@@ -84,6 +84,8 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_radio(commands)
     _add_config(commands)
     _add_setup(commands)
+    text = "map tiles for the live map, from an archive or a server"
+    tile_commands.add_arguments(commands.add_parser("tiles", help=text, description=text))
     _add_warm_up(commands)
     return parser
 

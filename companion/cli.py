@@ -76,6 +76,8 @@ def _run(argv: Sequence[str] | None) -> int:
             return _config(arguments)
         case "setup":
             return _setup(arguments)
+        case "tiles":
+            return _tiles(arguments)
         case "warm-up":
             return _warm_up(arguments)
     return _fly(arguments)
@@ -208,6 +210,12 @@ def _config(arguments: argparse.Namespace) -> int:
 
 def _setup(arguments: argparse.Namespace) -> int:
     from companion.setup_tools.setup_commands import run
+
+    return run(arguments)
+
+
+def _tiles(arguments: argparse.Namespace) -> int:
+    from companion.setup_tools.tile_commands import run
 
     return run(arguments)
 

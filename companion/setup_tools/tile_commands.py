@@ -1,0 +1,157 @@
+"""`companion tiles`: a folder of map tiles for the live map, from an archive or from a server."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import sys
+import time
+import urllib.request
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from companion import __version__
+from companion.errors import CompanionError, ConfigError
+from companion.setup_tools.tile_archives import Tile, tiles_in
+
+MOST_TILES = 20_000
+"""Of one fetch; more is a burden to a server that others pay for."""
+PAUSE_S = 0.05
+TIMEOUT_S = 20.0
+MOST_BYTES = 2_000_000
+"""Of one tile."""
+LATITUDES_DEG = 85.0
+METRES_PER_DEGREE = 111_319.5
+SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
+"""How PNG, JPEG and WebP begin."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `companion tiles` understands."""
+    commands = parser.add_subparsers(dest="tiles_command", metavar="{fetch,import}", required=True)
+    archive = commands.add_parser("import", help="unpack an MBTiles or PMTiles file of pictures")
+    archive.add_argument("archive", metavar="FILE", type=Path)
+    fetch = commands.add_parser(
+        "fetch",
+        help="get the tiles about a place from a server that you name",
+        description="Get the tiles about a place from a server. You name it, so its terms of use "
+        "are yours to keep; many public servers forbid fetching ahead.",
+    )
+    fetch.add_argument("url", metavar="URL", help="with {z}, {x} and {y} in it")
+    fetch.add_argument("--around", metavar="LAT,LON", required=True, help="centre, degrees")
+    fetch.add_argument("--radius", metavar="M", type=float, default=500.0, help="default 500")
+    fetch.add_argument("--zoom", metavar="MIN-MAX", default="13-17", help="default 13-17")
+    for command in (archive, fetch):
+        command.add_argument("folder", metavar="DIR", type=Path, help="for --web-tiles DIR")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do it; the exit code."""
+    if arguments.tiles_command == "import":
+        return _finish(_stored(tiles_in(arguments.archive), arguments.folder), arguments.folder)
+    places = wanted_tiles(arguments.around, arguments.radius, arguments.zoom)
+    url = _checked_url(arguments.url)
+    missing = [each for each in places if not _file(arguments.folder, *each).exists()]
+    count = _stored(_fetched(url, missing), arguments.folder)
+    return _finish(count, arguments.folder)
+
+
+def _finish(count: int, folder: Path) -> int:
+    sys.stdout.write(f"{count} tiles in {folder}; show them with: --web-tiles {folder}\n")
+    return 0
+
+
+def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, int, int]]:
+    """Zoom, x and y of every tile that a square about a place touches."""
+    latitude_deg, longitude_deg = _place(around)
+    least, most = _zooms(zooms)
+    if not 0.0 < radius_m <= 100_000.0:
+        raise ConfigError(f"--radius {radius_m:g}: give metres, up to 100000")
+    north_deg = radius_m / METRES_PER_DEGREE
+    east_deg = north_deg / math.cos(math.radians(latitude_deg))
+    wanted: list[tuple[int, int, int]] = []
+    for zoom in range(least, most + 1):
+        left, top = _tile_at(latitude_deg + north_deg, longitude_deg - east_deg, zoom)
+        right, bottom = _tile_at(latitude_deg - north_deg, longitude_deg + east_deg, zoom)
+        if len(wanted) + (right - left + 1) * (bottom - top + 1) > MOST_TILES:
+            raise ConfigError(
+                f"--zoom {zooms}: more than {MOST_TILES} tiles; choose a smaller --radius or zoom"
+            )
+        wanted += [(zoom, x, y) for x in range(left, right + 1) for y in range(top, bottom + 1)]
+    return wanted
+
+
+def _place(text: str) -> tuple[float, float]:
+    try:
+        latitude_deg, longitude_deg = map(float, text.split(","))
+    except ValueError:
+        raise ConfigError(f"--around {text}: give LAT,LON in degrees, as in 47.4,8.55") from None
+    if not (abs(latitude_deg) <= LATITUDES_DEG and abs(longitude_deg) <= 180.0):
+        raise ConfigError(f"--around {text}: no such place on a map of tiles")
+    return latitude_deg, longitude_deg
+
+
+def _zooms(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)(?:-(\d+))?", text)
+    least = int(match[1]) if match else -1
+    most = int(match[2] or match[1]) if match else -1
+    if not 0 <= least <= most <= 22:
+        raise ConfigError(f"--zoom {text}: give MIN-MAX between 0 and 22, as in 13-17")
+    return least, most
+
+
+def _tile_at(latitude_deg: float, longitude_deg: float, zoom: int) -> tuple[int, int]:
+    """The tile that has a place in it, of the usual web map (spherical Mercator)."""
+    count = 2**zoom
+    latitude_rad = math.radians(max(-LATITUDES_DEG, min(LATITUDES_DEG, latitude_deg)))
+    x = (longitude_deg + 180.0) / 360.0 * count
+    y = (1.0 - math.asinh(math.tan(latitude_rad)) / math.pi) / 2.0 * count
+    return min(max(int(x), 0), count - 1), min(max(int(y), 0), count - 1)
+
+
+def _checked_url(url: str) -> str:
+    if not url.startswith(("http://", "https://")):
+        raise ConfigError(f"{url}: must begin with http:// or https://")
+    if not all(part in url for part in ("{z}", "{x}", "{y}")):
+        raise ConfigError(f"{url}: must have {{z}}, {{x}} and {{y}} in it")
+    return url
+
+
+def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
+    """One after the other, unhurried; what came before a failure is kept by who takes it."""
+    for zoom, x, y in places:
+        address = url.replace("{z}", str(zoom)).replace("{x}", str(x)).replace("{y}", str(y))
+        agent = {"User-Agent": f"companion-guidance/{__version__}"}
+        try:
+            request = urllib.request.Request(address, headers=agent)
+            with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
+                yield Tile(zoom, x, y, answer.read(MOST_BYTES))
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "reason", None) or error
+            raise CompanionError(
+                f"{address}: {reason}; what came before is kept, so run it again to go on"
+            ) from error
+        time.sleep(PAUSE_S)
+
+
+def _stored(tiles: Iterable[Tile], folder: Path) -> int:
+    """Write them as `z/x/y.png`, whatever kind of picture they are; browsers look inside."""
+    count = 0
+    for tile in tiles:
+        if not tile.picture.startswith(SIGNATURES):
+            raise CompanionError(f"tile {tile.zoom}/{tile.x}/{tile.y}: is no picture")
+        file = _file(folder, tile.zoom, tile.x, tile.y)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            part = file.with_suffix(".part")
+            part.write_bytes(tile.picture)
+            part.replace(file)
+        except OSError as error:
+            raise CompanionError(f"{file}: cannot be written ({error.strerror})") from error
+        count += 1
+    return count
+
+
+def _file(folder: Path, zoom: int, x: int, y: int) -> Path:
+    return folder / str(zoom) / str(x) / f"{y}.png"
