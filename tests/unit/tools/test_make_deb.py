@@ -1,0 +1,105 @@
+"""The Debian package: what it brings, in which form, and the same bytes again."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from companion import __version__
+from tools import make_deb
+
+needs_dpkg = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="dpkg-deb is not here")
+needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not here")
+
+
+@pytest.fixture
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """All of the package but its wheels, of a time long ago."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    place = tmp_path / "tree"
+    make_deb.lay_out_system(place)
+    make_deb.lay_out_documentation(place / "usr/share")
+    make_deb.write_control(place, "amd64")
+    return place
+
+
+def test_configuration_is_kept_by_upgrades(tree: Path) -> None:
+    kept = (tree / "DEBIAN/conffiles").read_text().split()
+    assert kept == ["/etc/companion/companion.yaml", "/etc/companion/service.env"]
+    for name in kept:
+        assert (tree / name.removeprefix("/")).is_file()
+
+
+def test_the_unit_starts_what_the_package_brings(tree: Path) -> None:
+    unit = (tree / "lib/systemd/system/companion.service").read_text()
+    assert f"ExecStart=/{make_deb.HOME}/bin/companion " in unit
+    assert "EnvironmentFile=/etc/companion/service.env" in unit
+    assert (tree / "usr/bin/companion").readlink() == Path("/opt/companion/bin/companion")
+
+
+def test_manuals_have_every_option_and_the_date_of_the_sources(tree: Path) -> None:
+    for command, option in (("companion", "signing-key"), ("sim-link", "ready-after")):
+        page = gzip.decompress((tree / f"usr/share/man/man1/{command}.1.gz").read_bytes()).decode()
+        assert option in page.replace("\\-", "-")
+        assert "2023" in page.splitlines()[0]
+
+
+@needs_bash
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("companion doc", "doctor"),
+        ("companion demo --auto", "--autopilot"),
+        ("sim-link --se", "--seed"),
+    ],
+)
+def test_bash_completes(tree: Path, words: str, expected: str) -> None:
+    command = words.split()[0]
+    script = tree / "usr/share/bash-completion/completions" / command
+    asked = (
+        f"source {script}; COMP_WORDS=({words}); COMP_CWORD={len(words.split()) - 1}; "
+        f"_shtab_{command.replace('-', '_')}; echo ${{COMPREPLY[@]}}"
+    )
+    done = subprocess.run(["bash", "-c", asked], capture_output=True, text=True, check=True)
+    assert expected in done.stdout.split()
+
+
+def test_scripts_and_headers_of_wheels_are_left_out(tmp_path: Path) -> None:
+    wheel = tmp_path / "part-1-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("part/__init__.py", "")
+        archive.writestr("part-1.data/scripts/part.py", "")
+    make_deb.unpack(wheel, tmp_path / "site")
+    assert [path.name for path in (tmp_path / "site").iterdir()] == ["part"]
+
+
+@needs_dpkg
+def test_two_builds_are_the_same_bytes(tree: Path, tmp_path: Path) -> None:
+    first = make_deb.build(tree, tmp_path / "first", "amd64").read_bytes()
+    for path in tree.rglob("*"):
+        if not path.is_symlink():
+            os.utime(path)
+            path.chmod(0o775 if path.is_dir() or path.stat().st_mode & 0o100 else 0o600)
+    assert make_deb.build(tree, tmp_path / "second", "amd64").read_bytes() == first
+
+
+@needs_dpkg
+def test_dpkg_reads_what_the_package_says_of_itself(tree: Path, tmp_path: Path) -> None:
+    package = make_deb.build(tree, tmp_path, "amd64")
+    fields = ["dpkg-deb", "--field", str(package), "Package", "Version", "Architecture"]
+    said = subprocess.run(fields, capture_output=True, text=True, check=True).stdout
+    assert said.splitlines() == [
+        "Package: companion-guidance",
+        f"Version: {__version__}",
+        "Architecture: amd64",
+    ]
+    listed = subprocess.run(
+        ["dpkg-deb", "--contents", str(package)], capture_output=True, text=True, check=True
+    ).stdout
+    assert {line.split()[1] for line in listed.splitlines()} == {"root/root"}
