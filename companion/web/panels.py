@@ -42,7 +42,7 @@ class PhaseBar:
 
     def __init__(self) -> None:
         bar = ui.row().classes("w-full items-center justify-between gap-x-4 gap-y-0 rounded")
-        with bar.classes("px-3 py-2").props("role=status") as self._bar:
+        with bar.classes("px-3 py-2").props("role=status id=bar") as self._bar:
             with ui.row().classes("items-baseline gap-x-3 gap-y-0").props("id=phase"):
                 self._phase = ui.label("waiting for the companion").classes("text-lg font-bold")
                 self._detail = ui.label("")
@@ -80,7 +80,7 @@ class Numbers:
     )
 
     def __init__(self) -> None:
-        with _panel("Estimate"):
+        with _panel("Estimate").props("id=estimate-panel"):
             with ui.row().classes("items-baseline gap-x-3 gap-y-0"):
                 self._r95 = ui.label("R95 -").classes("text-3xl numbers").props("id=r95")
                 self._state = ui.label("nothing heard yet").classes("text-base font-bold")
@@ -151,7 +151,7 @@ class AgeBars:
     def __init__(self, scene: Json) -> None:
         self._old_after_s: Mapping[str, float] = scene.get("old_after_s", {})
         self._bars: dict[str, tuple[ui.linear_progress, ui.label]] = {}
-        with _panel("Age of the inputs"):
+        with _panel("Age of the inputs").props("id=age-panel"):
             for name, old_after_s in self._old_after_s.items():
                 with ui.row().classes("w-full items-center no-wrap gap-2 numbers"):
                     ui.label(name).classes("w-20 shrink-0")
@@ -170,7 +170,7 @@ class AgeBars:
             colour = "negative" if share >= 1.0 else "warning" if share > 0.6 else "positive"
             if is_over and name == "ranging":
                 colour = "grey"  # nothing is measured any more, and nothing flown on it
-            bar.set_value(share)
+            bar.set_value(round(share, 2))  # 4e-14 is no number to a screen reader
             bar.props(f"color={colour}")
             label.set_text("not heard" if age_s is None else f"{age_s:.1f} of {limit_s:g} s")
 

@@ -41,6 +41,7 @@ from companion.web.panels import (
     TextList,
 )
 from companion.web.settings import Access, WebSettings, tile, zooms_of
+from companion.web.tour import Tour
 
 TRACK_POINTS = 1000
 TRACK_STEP_M = 0.5
@@ -154,6 +155,7 @@ class Page:
             with ui.column().classes("w-full lg:w-2/3 gap-1"):
                 self._map = SearchMap(hub.scene, tile_zooms)
                 with ui.row().classes("w-full items-center justify-end gap-2 buttons"):
+                    Tour()
                     self._handoff = HandoffButton()
                     if press is not None:
                         _buttons(press)

@@ -21,7 +21,6 @@ LONGER = {
     "docs/process.md": 22.1,
     "docs/radios/any-radio.md": 18.6,
     "docs/radios/plugin.md": 19.6,
-    "docs/reliability.md": 22.1,
     "docs/simulator.md": 20.0,
     "docs/watching.md": 19.4,
     "docs/wire.md": 23.2,
