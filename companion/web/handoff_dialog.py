@@ -23,8 +23,9 @@ class HandoffButton:
         self._handoffs: list[Handoff] = []
         with ui.dialog() as self._dialog, ui.card().classes("handoff"):
             self._content = ui.column().classes("w-full gap-2")
-            close = ui.button("Close", color=None, on_click=self._dialog.close)
-            close.props("flat no-caps").classes("press plain")
+            with ui.row().classes("w-full justify-end"):
+                close = ui.button("Close", color=None, on_click=self._dialog.close)
+                close.props("outline no-caps").classes("press plain")
         button = ui.button("HAND OVER", color=COLOUR, on_click=self._open)
         self._button = button.props("id=button-handoff unelevated text-color=white")
         self._button.classes("press").set_visibility(False)

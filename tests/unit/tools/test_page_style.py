@@ -14,15 +14,11 @@ PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")])
 MOST_WORDS = 18.0
 """Of a page's sentences on average."""
 LONGER = {
-    "docs/conformance.md": 18.8,
     "docs/estimation.md": 22.2,
     "docs/flying.md": 22.4,
     "docs/missions.md": 20.9,
     "docs/process.md": 22.1,
-    "docs/radios/any-radio.md": 18.6,
-    "docs/radios/plugin.md": 19.6,
     "docs/simulator.md": 20.0,
-    "docs/watching.md": 19.4,
     "docs/wire.md": 23.2,
 }
 """Pages that are not rewritten yet, and what they have; only ever lowered, or taken off."""
