@@ -20,8 +20,8 @@ TARGETS = set(
     re.findall(r"^([a-z-]+)(?: [a-z-]+)*:", (ROOT / "Makefile").read_text(), re.MULTILINE)
 )
 TARGETS |= {"venv-demo", "venv-dev"}
-OF_OTHERS = set(
-    ("mavproxy.py", "sim_vehicle.py", "commander", "mode", "arm", "pip", "echo", "pytest", ".")
+OF_OTHERS = {".", "apt", "systemctl", "debootstrap", "packaging/try_in_root.sh"} | set(
+    ("mavproxy.py", "sim_vehicle.py", "commander", "mode", "arm", "pip", "pipx", "echo", "pytest")
 )
 """Programs that this project does not have; their commands are read, and never run, by a test."""
 PX4S_TARGET = "px4_sitl"
@@ -35,7 +35,7 @@ def commands_of(page: Path) -> list[list[str]]:
     found = []
     for line in lines:
         words = shlex.split(line.removesuffix("&"), comments=True)
-        while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+        while words and re.fullmatch(r"[A-Z_]+=\S*|sudo", words[0]):
             words = words[1:]
         for mark in (">", "|", ";"):
             words = words[: words.index(mark)] if mark in words else words
