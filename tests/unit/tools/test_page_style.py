@@ -16,10 +16,7 @@ MOST_WORDS = 18.0
 LONGER = {
     "docs/estimation.md": 22.2,
     "docs/flying.md": 22.4,
-    "docs/missions.md": 20.9,
-    "docs/process.md": 22.1,
     "docs/simulator.md": 20.0,
-    "docs/wire.md": 23.2,
 }
 """Pages that are not rewritten yet, and what they have; only ever lowered, or taken off."""
 LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
