@@ -36,6 +36,12 @@ SETTLING_S = 15.0
 CLIENTS = ("native", "numba", "plain", "mavsdk", "pymavlink")
 """The companion with its kernels compiled ahead, by numba, or not at all; and who listens only."""
 LISTENERS = ("mavsdk", "pymavlink")
+WITHOUT_NUMBA = """
+import sys
+sys.modules["numba"] = None
+from companion.entry import main
+sys.exit(main())
+"""
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -99,16 +105,19 @@ def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
         f"process: {{state_directory: {folder / 'state'}}}",
     )
     config.write_text("\n".join(lines))
-    program = Path(sys.executable).with_name("companion")
+    program: tuple[str, ...] = (str(Path(sys.executable).with_name("companion")),)
+    if client == "numba":
+        subprocess.run([*program, "warm-up"], check=True, stdout=subprocess.DEVNULL)
+    if client == "plain":
+        program = (sys.executable, "-c", WITHOUT_NUMBA)
     options = ("--connect", f"udp:127.0.0.1:{port}", "--config", str(config), "--quiet")
-    return str(program), *options
+    return *program, *options
 
 
 def environment_of(client: str, kernels: Path | None) -> dict[str, str]:
     """Where it finds which kernels."""
     path = f"{kernels.resolve()}:{ROOT}" if client == "native" and kernels else str(ROOT)
-    plain = {"NUMBA_DISABLE_JIT": "1"} if client == "plain" else {}
-    return {**os.environ, "PYTHONPATH": path, **plain}
+    return {**os.environ, "PYTHONPATH": path}
 
 
 @contextmanager
