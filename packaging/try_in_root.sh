@@ -4,6 +4,7 @@
 #   sudo packaging/try_in_root.sh ROOT PACKAGE.deb
 #
 # ROOT comes of: debootstrap --variant=minbase --include=python3,systemd,udev bookworm ROOT
+# With --arch arm64 and qemu-user-static it is an arm64 one; that is slow: DEMO_ARGS='--speed 0.1'.
 # It has no network here, so that nothing can be downloaded, and afterwards it is as it was: files
 # that the package left are listed, and are a failure.
 set -eu
@@ -33,11 +34,12 @@ cp "$package" "$root/tmp/companion.deb"
 began_s=$(date +%s)
 inside 'dpkg --install /tmp/companion.deb'
 echo "installed after $(($(date +%s) - began_s)) s"
-inside 'cd /tmp && companion demo --no-plot --json /tmp/demo.json >/tmp/demo.log 2>&1' ||
+inside 'cd /tmp && companion demo --no-plot '"${DEMO_ARGS:-}"' --json /tmp/demo.json >/tmp/demo.log 2>&1' ||
     { tail -5 "$root/tmp/demo.log"; exit 1; }
 grep LOCALISED "$root/tmp/demo.log"
 echo "localised after $(($(date +%s) - began_s)) s"
-inside 'cd /tmp && { sim-link --quiet & sleep 4; } && companion doctor --connect udp:127.0.0.1:14540; kill $!'
+inside 'cd /tmp && sim-link >sim.log & until grep -q listening /tmp/sim.log; do sleep 1; done; \
+    companion doctor --connect udp:127.0.0.1:14540; kill $!'
 inside 'getent passwd companion; id -nG companion; dpkg --verify companion-guidance; dpkg --purge companion-guidance'
 if inside 'getent passwd companion' >/dev/null; then
     echo "purged, but the user companion is still there" >&2
