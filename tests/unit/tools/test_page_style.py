@@ -13,10 +13,8 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")])
 MOST_WORDS = 18.0
 """Of a page's sentences on average."""
-LONGER = {
-    "docs/estimation.md": 22.2,
-}
-"""Pages that are not rewritten yet, and what they have; only ever lowered, or taken off."""
+LONGER: dict[str, float] = {}
+"""Pages that are not plain yet, and what they have; only ever lowered, or taken off."""
 LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 CODE = re.compile(r"`[^`]*`")
 END = re.compile(r"(?<=[.!?])[\s*)\"]+(?=[A-Z*\"(])|\n\s*\n|\n *(?:[-*]|\d+\.) (?:\[.\] )?")
