@@ -1,0 +1,94 @@
+#!/bin/sh
+# Tries the service of the Debian package under systemd, in a container of its own: start, crash,
+# hang, full disk, bad options, too many crashes.
+#
+#   sudo packaging/try_service.sh ROOT PACKAGE.deb
+#
+# ROOT is as for try_in_root.sh; it needs systemd-nspawn (Debian: systemd-container). The container
+# has a network of its own with nothing but itself. The package is purged at the end.
+set -eu
+
+root=${1:?usage: try_service.sh ROOT PACKAGE.deb} package=${2:?usage: try_service.sh ROOT PACKAGE.deb}
+log=$(mktemp)
+
+cp "$package" "$root/tmp/companion.deb"
+chroot "$root" dpkg --install /tmp/companion.deb >"$log"
+echo 'COMPANION_OPTIONS=--connect udp:127.0.0.1:14540' >"$root/etc/companion/service.env"
+systemd-nspawn --quiet --directory "$root" --private-network --register=no --keep-unit --boot \
+    >"$log" 2>&1 </dev/null &
+container=$!
+end() {
+    kill -TERM "$container" 2>/dev/null || true
+    wait "$container" || true
+    chroot "$root" dpkg --purge companion-guidance >/dev/null
+    rm -f "$log"
+}
+trap end EXIT
+
+leader=
+for _ in $(seq 60); do
+    leader=$(pgrep -P "$container" | head -1) || true
+    [ -n "$leader" ] && grep -q 'Multi-User System' "$log" && break
+    sleep 1
+done
+
+inside() {
+    nsenter --target "$leader" --all env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/tmp "$@"
+}
+
+property() {
+    inside systemctl show companion --property "$1" --value
+}
+
+# What it must be, within seconds: until PROPERTY VALUE SECONDS.
+until_is() {
+    for _ in $(seq "$3"); do
+        [ "$(property "$1")" = "$2" ] && return
+        sleep 1
+    done
+    echo "$1 is $(property "$1"), not $2" >&2
+    inside journalctl --unit companion --no-pager --lines 20 >&2
+    exit 1
+}
+
+start() {
+    inside systemctl reset-failed companion 2>/dev/null || true
+    inside systemctl start companion
+    until_is ActiveState active 60
+}
+
+inside systemd-run --quiet --unit sim sim-link
+start
+echo "started as $(inside stat -c %U "/proc/$(property MainPID)"), $(property StatusText)"
+
+inside systemctl kill --signal KILL companion
+until_is NRestarts 1 20
+until_is ActiveState active 60
+echo "killed: started again"
+
+inside systemctl kill --signal STOP companion
+until_is NRestarts 2 20
+until_is ActiveState active 60
+echo "hung: ended by the watchdog, started again"
+
+inside systemctl kill --signal KILL companion
+until_is ActiveState failed 20
+echo "a third time within a minute: left alone ($(property Result))"
+
+inside systemctl stop companion 2>/dev/null || true
+inside mount -t tmpfs -o size=3m,mode=777 tmpfs /var/lib/companion
+start
+inside sh -c 'head -c 4m /dev/zero >/var/lib/companion/filler 2>/dev/null || true'
+sleep 15
+until_is ActiveState active 1
+[ "$(property NRestarts)" = 0 ]
+echo "disk full: flies on; $(inside journalctl --unit companion --no-pager --output cat --grep 'log entries lost' | tail -1)"
+inside systemctl stop companion
+inside umount /var/lib/companion
+
+echo 'COMPANION_OPTIONS=--connect nonsense:1' >"$root/etc/companion/service.env"
+inside systemctl reset-failed companion 2>/dev/null || true
+inside systemctl start companion 2>/dev/null || true
+until_is ActiveState failed 20
+[ "$(property ExecMainStatus)" = 2 ] && [ "$(property NRestarts)" = 0 ]
+echo "bad options: exit code 2, not tried again"
