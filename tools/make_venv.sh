@@ -97,8 +97,12 @@ fi
 
 echo "installing the project and its $extra packages into $venv (once)"
 rm -f "$venv/.installed-$extra"
+case $extra in
+demo) extras=demo,web ;; # the live map belongs to it
+*) extras=$extra ;;
+esac
 # In one command: then pip finds companion-sim-link here, and looks for it nowhere else.
-install install --quiet --editable ".[$extra]" --editable ./sim_link ||
+install install --quiet --editable ".[$extras]" --editable ./sim_link ||
     fail "the install failed, see above; run it again"
 print_stamp >"$venv/.installed-$extra.part"
 mv "$venv/.installed-$extra.part" "$venv/.installed-$extra"
