@@ -133,7 +133,8 @@ def kernels_for(version: str, own: Path) -> Path | None:
     if not is_this:
         program = environment_for(program, version, own)
     command = (program, "-W", "ignore", str(ROOT / "tools/build_kernels.py"), str(kernels.parent))
-    subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    fixed = {"PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0"}
+    subprocess.run(command, check=True, env={**os.environ, **fixed})
     return kernels
 
 

@@ -7,6 +7,7 @@ sources the other compiles everything anew, which takes half a minute.
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -24,16 +25,31 @@ pytest.importorskip("numba", reason="kernels are compiled only with the extra `f
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def _results(path: Path, *, compiled: bool) -> dict[str, Matrix]:
-    jit = {"NUMBA_DISABLE_JIT": "0" if compiled else "1"}
-    subprocess.run(
-        [sys.executable, "-m", "tests.oracle.kernel_runs", str(path)],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **jit},
-        check=True,
-    )
+def _run(*words: str, **variables: str) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+    subprocess.run([sys.executable, *words], cwd=ROOT, env=environment, check=True)
+
+
+def _results(path: Path, *, compiled: bool, ahead: Path | None = None) -> dict[str, Matrix]:
+    paths = f"{ahead}:{ROOT}" if ahead else str(ROOT)
+    switch = "0" if compiled else "1"
+    command = ("-m", "tests.oracle.kernel_runs", str(path))
+    _run(*command, PYTHONPATH=paths, NUMBA_DISABLE_JIT=switch)
     with np.load(path) as file:
         return dict(file)
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(shutil.which("cc") is None, reason="compiling ahead needs a C compiler")
+def test_plain_kernels_and_those_compiled_ahead_agree(tmp_path: Path) -> None:
+    _run("-W", "ignore", "tools/build_kernels.py", str(tmp_path))
+    is_native = "import companion.kernel as k; assert k.IS_NATIVE and k.numba is None"
+    _run("-c", is_native, PYTHONPATH=f"{tmp_path}:{ROOT}", NUMBA_DISABLE_JIT="0")
+    plain = _results(tmp_path / "plain.npz", compiled=False)
+    ahead = _results(tmp_path / "ahead.npz", compiled=True, ahead=tmp_path)
+    assert plain.keys() == ahead.keys()
+    for name, expected in plain.items():
+        np.testing.assert_allclose(ahead[name], expected, rtol=1e-12, atol=1e-15, err_msg=name)
 
 
 def test_plain_and_compiled_kernels_agree(tmp_path: Path) -> None:
