@@ -46,11 +46,15 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     probe = run(sys.executable, "-m", "pip", "download", "-q", "-d", folder / "probe", "pyserial")
     if probe.returncode != 0:
         pytest.skip("no package index can be reached")
+    build_into(folder)
+    return folder
+
+
+def build_into(folder: Path) -> None:
     for project in (ROOT, ROOT / "sim_link"):
         build = (sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, project)
         done = run(*build, cwd=folder)
         assert done.returncode == 0, done.stdout + done.stderr
-    return folder
 
 
 def environment(folder: Path, wheels: Path, *requirements: str) -> Path:
@@ -84,6 +88,17 @@ def test_each_wheel_holds_its_own_package_alone(wheels: Path) -> None:
         }
         assert there <= set(wheel.namelist())
         assert (wheels / f"{name}-{__version__}.tar.gz").exists()
+
+
+def test_two_builds_are_the_same_bytes_and_fit_for_an_index(wheels: Path, tmp_path: Path) -> None:
+    build_into(tmp_path)
+    files = sorted(tmp_path.iterdir())
+    assert len(files) == 4
+    assert {
+        file.name for file in files if file.read_bytes() != (wheels / file.name).read_bytes()
+    } == set()
+    checked = run(sys.executable, "-m", "twine", "check", "--strict", *files)
+    assert checked.returncode == 0, checked.stdout
 
 
 def test_the_flight_program_alone_brings_nothing_of_the_laboratory(flight: Path) -> None:
