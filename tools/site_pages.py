@@ -2,11 +2,14 @@
 
 The pages are written for a checkout, where `../configs/x.yaml` is a link. On the site there is no
 such file: the link's words stay, without a link. CHANGELOG.md and CONTRIBUTING.md are pages of it.
+Links that are called by their file have the name that the page has in the menu.
 """
 
 from __future__ import annotations
 
+import posixpath
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 OF_ROOT = ("CHANGELOG.md", "CONTRIBUTING.md")
 OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?P<path>[^)]*)\)")
 INTO_DOCS = re.compile(r"\]\(docs/")
+BY_FILE = re.compile(r"\[(?:[\w-]+/)*[\w-]+\.md\]\((?P<path>[\w/.-]+\.md)(?P<place>#[^)]*)?\)")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -25,13 +29,33 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """Give a page the links that the site has."""
-    if page.file.src_uri in OF_ROOT:
-        return OUTSIDE.sub(_words, INTO_DOCS.sub("](", markdown))
-    if "/" in page.file.src_uri:
-        return re.sub(r"\[([^\]]+)\]\(\.\./\.\./(?P<path>[^)]*)\)", _words, markdown)
-    return OUTSIDE.sub(_words, markdown)
+    here = page.file.src_uri
+    if here in OF_ROOT:
+        markdown = OUTSIDE.sub(_words, INTO_DOCS.sub("](", markdown))
+    elif "/" in here:
+        markdown = re.sub(r"\[([^\]]+)\]\(\.\./\.\./(?P<path>[^)]*)\)", _words, markdown)
+    else:
+        markdown = OUTSIDE.sub(_words, markdown)
+    names = dict(_named(config["nav"]))
+
+    def named(link: re.Match[str]) -> str:
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(here), link["path"]))
+        name = names.get(path)
+        return link[0] if name is None else f"[{name}]({link['path']}{link['place'] or ''})"
+
+    return BY_FILE.sub(named, markdown)
+
+
+def _named(menu: Any) -> Iterator[tuple[str, str]]:
+    """The pages of a menu with the names that they have there."""
+    for entry in menu:
+        for name, below in entry.items():
+            if isinstance(below, str):
+                yield below, name
+            else:
+                yield from _named(below)
 
 
 def _words(link: re.Match[str]) -> str:

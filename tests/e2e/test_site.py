@@ -51,6 +51,7 @@ def test_every_page_of_docs_is_on_the_site_and_in_its_menu(site: Path) -> None:
         name = str(page.relative_to(ROOT / "docs").with_suffix(".html"))
         assert (site / name).exists()
         assert f'href="{name}"' in start, f"{name} is in no menu"
+    assert ">flying.md</a>" not in (site / "safety.html").read_text(encoding="utf-8")
     assert "../configs" not in (site / "configuration.html").read_text(encoding="utf-8")
 
 
