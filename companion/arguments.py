@@ -11,7 +11,7 @@ from typing import Any, NoReturn, TypeAlias
 from companion import __version__
 from companion.errors import ConfigError
 from companion.radio_tools import radio_commands
-from companion.setup_tools import config_commands, setup_commands, tile_commands
+from companion.setup_tools.options import add_config, add_setup, add_tiles
 
 MAX_SECONDS = 300.0
 MAX_SPEED = 50.0
@@ -85,7 +85,7 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_config(commands)
     _add_setup(commands)
     text = "map tiles for the live map, from an archive or a server"
-    tile_commands.add_arguments(commands.add_parser("tiles", help=text, description=text))
+    add_tiles(commands.add_parser("tiles", help=text, description=text))
     _add_warm_up(commands)
     return parser
 
@@ -210,7 +210,7 @@ def _add_setup(commands: Commands) -> None:
         "and service, compile ahead, run the doctor, and say what to set in the autopilot. "
         "All is written or nothing. Exit code 1: written, but the doctor says do not fly.",
     )
-    setup_commands.add_arguments(setup)
+    add_setup(setup)
 
 
 def _add_config(commands: Commands) -> None:
@@ -219,7 +219,7 @@ def _add_config(commands: Commands) -> None:
         help="show every value of a configuration and its origin, or the schema",
         description="What a configuration comes to, and the schema of its files.",
     )
-    config_commands.add_arguments(config)
+    add_config(config)
 
 
 def _add_warm_up(commands: Commands) -> None:

@@ -5,39 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
 
 from companion.config.origins import DEFAULT, Shown, as_json, as_yaml, json_schema, shown_values
 from companion.config.schema import load_config, with_fence, with_radios, with_signing_key
-
-COMMANDS = "{show,schema}"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `companion config` understands."""
-    commands = parser.add_subparsers(dest="config_command", metavar=COMMANDS, required=True)
-    show = commands.add_parser(
-        "show",
-        help="every value, and whether it is a default, of a file or of a flag",
-        description="Print the configuration that a flight with these arguments would have, as "
-        "a file that can be used again, with the origin of each value behind it.",
-    )
-    for name, place, words in (
-        ("--config", "config", "companion configuration"),
-        ("--fence", "site", "as in flight"),
-        ("--signing-key", "key", "as in flight"),
-    ):
-        show.add_argument(name, dest=place, metavar="FILE", type=Path, help=words)
-    show.add_argument(
-        "--radio", metavar="RADIO", action="append", default=[], dest="radios", help="as in flight"
-    )
-    show.add_argument("--changed", action="store_true", help="only what is no default")
-    show.add_argument("--json", action="store_true", help="print a list of path, value, origin")
-    commands.add_parser(
-        "schema",
-        help="print the JSON Schema of configuration files, for editors",
-        description="Print the JSON Schema of configuration files, with what each key means.",
-    )
 
 
 def run(arguments: argparse.Namespace) -> int:

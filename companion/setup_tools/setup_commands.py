@@ -31,6 +31,7 @@ from companion.kernel import IS_COMPILED
 from companion.link.interface import LinkRole
 from companion.run import prepare
 from companion.setup_tools.autopilot_guide import guide
+from companion.setup_tools.options import AUTOPILOTS, LINK, SYSTEM
 from companion.setup_tools.site_files import (
     CONFIG,
     SERVICE_OPTIONS,
@@ -40,9 +41,6 @@ from companion.setup_tools.site_files import (
     write_files,
 )
 
-AUTOPILOTS = ("px4", "ardupilot")
-LINK = "serial:/dev/ttyAMA0:921600"
-SYSTEM = Path("/etc/companion")
 SYSTEM_UNITS = (Path("/lib/systemd/system"), Path("/usr/lib/systemd/system"))
 """Where a package has its unit; it reads `service.env` of `SYSTEM`."""
 HOMES = (Path("/home"), Path("/root"))
@@ -63,28 +61,6 @@ class Choices:
     ranging: str | None
     preset: str | None
     fence: Path | None
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `companion setup` understands."""
-    parser.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="which one flies")
-    for name, place, metavar, text in (
-        ("--connect", "link", "URL", f"link to the autopilot, for example {LINK}"),
-        ("--radio", "own_radio", "RADIO", "NAME[:KEY=VALUE,...]@URL, or none"),
-        ("--ranging", "own_ranging", "URL", "link that carries only ranging messages"),
-        ("--preset", "preset", "NAME", "what to begin with: a file, or a name in configs"),
-    ):
-        parser.add_argument(name, dest=place, metavar=metavar, help=text)
-    text = ".plan or .kml file with the fence, which is copied; or none: 150 m to each side"
-    parser.add_argument("--fence", dest="site", metavar="FILE", help=text)
-    text = f"where the configuration goes (default: {SYSTEM} for root, else ~/.config/companion)"
-    parser.add_argument("--directory", metavar="DIR", type=Path, help=text)
-    text = "write a systemd unit into DIR as well, unless a package brought one"
-    parser.add_argument("--unit-directory", metavar="DIR", type=Path, help=text)
-    parser.add_argument("--user", metavar="NAME", help="who runs the service (default: you)")
-    parser.add_argument("--no-doctor", action="store_true", help="do not look at the autopilot now")
-    parser.add_argument("--no-warm-up", action="store_true", help="do not compile now")
-    parser.add_argument("--remove", action="store_true", help="undo the setup in --directory")
 
 
 def run(arguments: argparse.Namespace, ask: Ask = input) -> int:

@@ -27,25 +27,6 @@ SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
 """How PNG, JPEG and WebP begin."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `companion tiles` understands."""
-    commands = parser.add_subparsers(dest="tiles_command", metavar="{fetch,import}", required=True)
-    archive = commands.add_parser("import", help="unpack an MBTiles or PMTiles file of pictures")
-    archive.add_argument("archive", metavar="FILE", type=Path)
-    fetch = commands.add_parser(
-        "fetch",
-        help="get the tiles about a place from a server that you name",
-        description="Get the tiles about a place from a server. You name it, so its terms of use "
-        "are yours to keep; many public servers forbid fetching ahead.",
-    )
-    fetch.add_argument("url", metavar="URL", help="with {z}, {x} and {y} in it")
-    fetch.add_argument("--around", metavar="LAT,LON", required=True, help="centre, degrees")
-    fetch.add_argument("--radius", metavar="M", type=float, default=500.0, help="default 500")
-    fetch.add_argument("--zoom", metavar="MIN-MAX", default="13-17", help="default 13-17")
-    for command in (archive, fetch):
-        command.add_argument("folder", metavar="DIR", type=Path, help="for --web-tiles DIR")
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Do it; the exit code."""
     if arguments.tiles_command == "import":
