@@ -9,18 +9,34 @@ import msgspec
 import segno
 from nicegui import ui
 
-from companion.handoff import Handoff, cot_event, geo_uri, geojson, kml, mgrs_text
+from companion.domain import TargetEstimate
+from companion.geometry.coordinates import LocalOrigin
+from companion.handoff import Handoff, cot_event, geo_uri, geojson, handoff_of, kml, mgrs_text
 
 COLOUR = "#1f4e79"
 """White text is read on it."""
 SENDER = "companion"
 
 
+class Found(msgspec.Struct, frozen=True):
+    """An emitter that was located, as the flight tells it."""
+
+    emitter: str
+    estimate: TargetEstimate
+    origin: LocalOrigin
+    unix_s: float
+
+    @property
+    def handoff(self) -> Handoff:
+        """The place on the Earth."""
+        return handoff_of(self.emitter, self.estimate, self.origin, self.unix_s)
+
+
 class HandoffButton:
     """HAND OVER, which is there once something was located."""
 
     def __init__(self) -> None:
-        self._handoffs: list[Handoff] = []
+        self._found: Any = []
         with ui.dialog() as self._dialog, ui.card().classes("handoff"):
             self._content = ui.column().classes("w-full gap-2")
             with ui.row().classes("w-full justify-end"):
@@ -32,11 +48,11 @@ class HandoffButton:
 
     def show(self, picture: Mapping[str, Any]) -> None:
         """Take in what is known now; an open dialog stays as it was."""
-        self._handoffs = msgspec.convert(picture["handoffs"], list[Handoff])
-        self._button.set_visibility(bool(self._handoffs))
+        self._found = picture.get("found", [])
+        self._button.set_visibility(bool(self._found))
 
     def _open(self) -> None:
-        handoffs = list(self._handoffs)
+        handoffs = [each.handoff for each in msgspec.convert(self._found, list[Found])]
         self._content.clear()
         with self._content:
             for handoff in handoffs:

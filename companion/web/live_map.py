@@ -33,7 +33,6 @@ from companion.domain import EstimateState
 from companion.errors import CompanionError
 from companion.guidance.commands import Severity
 from companion.guidance.events import OperatorAsked, OperatorCommand
-from companion.handoff import handoff_of
 from companion.io.files import plain
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
@@ -215,8 +214,6 @@ def _line(value: Mapping[str, object]) -> bytes:
     return json.dumps(plain(value), allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
-HANDOFF_PERIOD_S = 2.0
-"""Places on the Earth cost some milliseconds, and nobody reads them faster."""
 ROOM_S = 0.012
 """Before the next control tick; nearer to it a picture, some milliseconds, could delay it."""
 
@@ -236,8 +233,6 @@ class WebView(Collector):
         self._settings = settings
         self._time_to_go = TimeToGo()
         self._began_unix_s = began_unix_s
-        self._handoffs: list[object] = []
-        self._next_handoffs_s = 0.0
         self.process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
 
     @property
@@ -267,21 +262,27 @@ class WebView(Collector):
             "texts": list(self.texts),
             "marks": list(self.marks),
             "curve": self.take_curve(),
-            "handoffs": self._found(endpoint, now_s),
+            "found": self._found(endpoint, now_s),
         }
 
-    def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[object]:
-        """Hand-offs of what was located, as plain values, made anew now and then."""
+    def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[Sample]:
+        """What was located, and where zero is; the page makes hand-offs of it when asked to.
+
+        Places on the Earth would cost the flight some ten milliseconds each.
+        """
         origin = endpoint.session.vehicle.origin
-        if origin is None or now_s < self._next_handoffs_s:
-            return self._handoffs
-        self._next_handoffs_s = now_s + HANDOFF_PERIOD_S
+        if origin is None:
+            return []
         began_s = self._began_unix_s
         unix_s = time.time() if began_s is None else began_s + now_s
-        self._handoffs = [
-            plain(handoff_of(str(emitter.emitter_id), emitter.estimate, origin, unix_s))
+        return [
+            {
+                "emitter": str(emitter.emitter_id),
+                "estimate": emitter.estimate,
+                "origin": origin,
+                "unix_s": unix_s,
+            }
             for emitter in endpoint.session.emitters(now_s)
             if emitter.estimate is not None
             and (emitter.is_reported or emitter.estimate.state is EstimateState.LOCALISED)
         ]
-        return self._handoffs

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -169,3 +171,12 @@ def test_remove_keeps_what_somebody_changed(
     assert setup(tmp_path, "--remove") == 0
     assert "kept: " in capsys.readouterr().out
     assert list(tree(tmp_path)) == ["companion.yaml"]
+
+
+def test_a_flight_loads_nothing_of_it() -> None:
+    code = "import sys, companion.cli; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name for name in done.stdout.split() if name.startswith("companion.")}
+    assert "companion.setup_tools.options" in loaded
+    assert {name for name in loaded if "_commands" in name and "setup_tools" in name} == set()
+    assert not any(name.startswith("companion.doctor") for name in loaded)
