@@ -1,9 +1,9 @@
-"""One button for the ground team: the place as text, as a QR code and as files for their maps."""
+"""A hand-off for the ground team: the place as text, as a QR code and as files for their maps.
+
+Loaded when somebody presses the button: places on the Earth bring libraries of some size.
+"""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 import msgspec
 import segno
@@ -13,8 +13,6 @@ from companion.domain import TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.handoff import Handoff, cot_event, geo_uri, geojson, handoff_of, kml, mgrs_text
 
-COLOUR = "#1f4e79"
-"""White text is read on it."""
 SENDER = "companion"
 
 
@@ -32,40 +30,18 @@ class Found(msgspec.Struct, frozen=True):
         return handoff_of(self.emitter, self.estimate, self.origin, self.unix_s)
 
 
-class HandoffButton:
-    """HAND OVER, which is there once something was located."""
-
-    def __init__(self) -> None:
-        self._found: Any = []
-        with ui.dialog() as self._dialog, ui.card().classes("handoff"):
-            self._content = ui.column().classes("w-full gap-2")
-            with ui.row().classes("w-full justify-end"):
-                close = ui.button("Close", color=None, on_click=self._dialog.close)
-                close.props("outline no-caps").classes("press plain")
-        button = ui.button("HAND OVER", color=COLOUR, on_click=self._open)
-        self._button = button.props("id=button-handoff unelevated text-color=white")
-        self._button.classes("press").set_visibility(False)
-
-    def show(self, picture: Mapping[str, Any]) -> None:
-        """Take in what is known now; an open dialog stays as it was."""
-        self._found = picture.get("found", [])
-        self._button.set_visibility(bool(self._found))
-
-    def _open(self) -> None:
-        handoffs = [each.handoff for each in msgspec.convert(self._found, list[Found])]
-        self._content.clear()
-        with self._content:
-            for handoff in handoffs:
-                _place(handoff)
-            ui.label("Files for maps and ATAK").classes("muted")
-            with ui.row().classes("gap-2"):
-                _file("GeoJSON", "handoff.geojson", geojson(handoffs).encode())
-                _file("KML", "handoff.kml", kml(handoffs).encode())
-                for handoff in handoffs:
-                    name = f"emitter-{handoff.emitter}.cot"
-                    label = "CoT" if len(handoffs) == 1 else f"CoT {handoff.emitter}"
-                    _file(label, name, cot_event(handoff, SENDER))
-        self._dialog.open()
+def fill(found: object) -> None:
+    """Show what is known now in the dialog that is being made."""
+    handoffs = [each.handoff for each in msgspec.convert(found, list[Found])]
+    for handoff in handoffs:
+        _place(handoff)
+    ui.label("Files for maps and ATAK").classes("muted")
+    with ui.row().classes("gap-2"):
+        _file("GeoJSON", "handoff.geojson", geojson(handoffs).encode())
+        _file("KML", "handoff.kml", kml(handoffs).encode())
+        for handoff in handoffs:
+            label = "CoT" if len(handoffs) == 1 else f"CoT {handoff.emitter}"
+            _file(label, f"emitter-{handoff.emitter}.cot", cot_event(handoff, SENDER))
 
 
 def _place(handoff: Handoff) -> None:

@@ -30,11 +30,11 @@ from fastapi.responses import PlainTextResponse, Response
 from nicegui import ui
 from nicegui.element import Element
 
-from companion.web.handoff_dialog import HandoffButton
 from companion.web.panels import (
     AgeBars,
     Charts,
     EmitterList,
+    HandoffButton,
     Numbers,
     PhaseBar,
     RadioList,
