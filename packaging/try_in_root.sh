@@ -38,7 +38,7 @@ inside 'cd /tmp && companion demo --no-plot '"${DEMO_ARGS:-}"' --json /tmp/demo.
     { tail -5 "$root/tmp/demo.log"; exit 1; }
 grep LOCALISED "$root/tmp/demo.log"
 echo "localised after $(($(date +%s) - began_s)) s"
-inside 'cd /tmp && sim-link >sim.log & until grep -q listening /tmp/sim.log; do sleep 1; done; \
+inside 'cd /tmp; sim-link >sim.log & until grep -q listening /tmp/sim.log; do sleep 1; done; \
     companion doctor --connect udp:127.0.0.1:14540; kill $!'
 inside 'getent passwd companion; id -nG companion; dpkg --verify companion-guidance; dpkg --purge companion-guidance'
 if inside 'getent passwd companion' >/dev/null; then

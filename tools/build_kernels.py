@@ -107,7 +107,7 @@ def main() -> int:
             name = f"k{sum(map(len, variants.values()))}"
             table[tuple(map(kind_of, signature.args))] = name
             compiler.export(name, signature)(plain)
-    compiler.compile()
+    compile_reproducibly(compiler)
     for module in place.glob("_native.*.so"):  # names of the folders that it was compiled in
         subprocess.run(["strip", "--strip-unneeded", str(module)], check=True)
     text = f'"""Kernels compiled by tools/{Path(__file__).name}."""\n\n'
@@ -115,6 +115,16 @@ def main() -> int:
     (place / "__init__.py").write_text(text)
     print(f"{place}: {len(variants)} kernels, {sum(map(len, variants.values()))} variants")
     return 0
+
+
+def compile_reproducibly(compiler: Any) -> None:
+    """Without the names of inner functions: some have an address of this process in them."""
+    with tempfile.NamedTemporaryFile("w", suffix=".map") as exported:
+        exported.write("{ global: PyInit_*; local: *; };")
+        exported.flush()
+        flags = (f"-Wl,--version-script={exported.name}", "-Wl,--build-id=none")
+        compiler._get_extra_ldflags = lambda: flags
+        compiler.compile()
 
 
 def import_kernels() -> None:
