@@ -235,15 +235,38 @@ class NisWindow:
 
 
 def _normalised_squares(report: UpdateReport, inflation: Inflation) -> list[float]:
-    """Of each innovation over its variance, without a range that is taken for a reflection."""
+    """Of each innovation over its variance; none where the range is taken for a reflection."""
+    if _is_reflected(report):
+        return []
     squares = []
     for row, c in zip(report.modalities, inflation, strict=True):
-        if row is None:
-            continue
-        is_reflection = row is report.range and row.weight < 1.0 and row.innovation > 0.0
-        if not is_reflection:
+        if row is not None:
             squares.append(row.whitened_innovation**2 / (c / row.weight + row.prior_share))
     return squares
+
+
+def _is_reflected(report: UpdateReport) -> bool:
+    """Whether the range says that the signal came by another way; then so did its bearing."""
+    row = report.range
+    return row is not None and row.weight < 1.0 and row.innovation > 0.0
+
+
+DETOUR_S = 15.0
+"""How long a shadow may last before what is measured in it speaks against the estimate."""
+KNOWN_RAD = math.radians(5.0)
+"""An estimate that foretells a bearing this well, one standard deviation, knows better."""
+
+
+def _is_detour(report: UpdateReport, gate: Gate) -> bool:
+    """Whether the signal came around an edge: farther than it is, from somewhere else.
+
+    That is what a shadow does, and the vehicle must fly out of it to know better. A range that is
+    too long for any reflection is none of it, and what a vague estimate expects counts for nothing.
+    """
+    row = report.bearing
+    if row is None or row.noise_sigma * math.sqrt(row.prior_share) > KNOWN_RAD:
+        return False
+    return _is_reflected(report) and gate.agrees_in_range and not gate.agrees_in_bearing
 
 
 class TrackIntegrity:
@@ -263,6 +286,8 @@ class TrackIntegrity:
         """Forget what was counted for and against the estimate, because it is another one."""
         self.agreement = Agreement()
         self._contradiction = Contradiction()
+        self._detour_since_s: float | None = None
+        """Since when every measurement came on a detour; None: the newest did not."""
         self._nis = NisWindow()
         self._inflation_at_loss: Inflation | None = None
         """Shown when agreement was lost; None: it is not."""
@@ -286,10 +311,17 @@ class TrackIntegrity:
         self, measurement: RangingMeasurement, report: UpdateReport, gate: Gate, judging: Inflation
     ) -> bool:
         """Note how a measurement agrees; whether the estimate should be given up."""
+        at_s = measurement.measured_at_s
         self.contact = self.contact.after(measurement, gate)
-        self.agreement.add(measurement.measured_at_s, agrees=gate.agrees)
+        if not (self.agreement.is_proven and _is_detour(report, gate)):
+            self._detour_since_s = None
+        elif self._detour_since_s is None:
+            self._detour_since_s = at_s
+        if self._detour_since_s is not None and at_s - self._detour_since_s < DETOUR_S:
+            return False
+        self.agreement.add(at_s, agrees=gate.agrees)
         self._contradiction = self._contradiction.after(report, judging, gate)
-        is_out_of_band = self._nis.add(report, judging, measurement.measured_at_s)
+        is_out_of_band = self._nis.add(report, judging, at_s)
         if not self.agreement.is_lost:
             self._inflation_at_loss = None
         elif self._inflation_at_loss is None:
