@@ -51,6 +51,7 @@ from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 from sim_link.lab.pool import open_pool
 from sim_link.world.environment import ChannelParams
 from tools.console import OneLineParser, non_negative, positive
+from tools.walk_choice import left_out_lines
 from tools.walk_figures import walk_lines
 
 Part = Literal["lawnmower", "bound", "honesty", "walks"]
@@ -308,7 +309,10 @@ def main() -> int:
             check_writable(arguments.json)
         parts = [part for part in PARTS if part in (arguments.only or PARTS)]
         if "walks" in (arguments.only or ()):
-            print("\n".join(walk_lines(arguments.walks, arguments.placed, arguments.seed)))
+            lines = walk_lines(arguments.walks, arguments.placed, arguments.seed)
+            if arguments.leave_one_out:
+                lines += left_out_lines(arguments.walks, arguments.jobs, show_progress)
+            print("\n".join(lines))
         figures: list[Figure] = []
         if parts:
             figures = verified(parts, arguments.runs, arguments.seed, arguments.jobs, show_progress)
@@ -332,6 +336,10 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--only", choices=parts, action="append", help="may be given twice")
     parser.add_argument("--walks", type=Path, default=WALKS, metavar="DIR", help="recorded walks")
     parser.add_argument("--placed", type=non_negative, default=0, help="invented walks of a kind")
+    text = (
+        "choose Wi-Fi presets with each file left out in turn, too; half an hour of processor time"
+    )
+    parser.add_argument("--leave-one-out", action="store_true", help=text)
     parser.add_argument("--runs", type=positive, default=200, help="of every system")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
@@ -343,7 +351,7 @@ def show_progress(done: int, total: int) -> None:
     """Progress, where somebody looks."""
     if sys.stderr.isatty():
         end = "\n" if done == total else ""
-        print(f"\r{done} of {total} blocks of runs", end=end, file=sys.stderr, flush=True)
+        print(f"\r{done} of {total} pieces of work", end=end, file=sys.stderr, flush=True)
 
 
 def line(figure: Figure) -> str:

@@ -1,0 +1,128 @@
+"""How a preset's keys are chosen from recorded walks: with each file left out in turn.
+
+For every file the variant is taken that has the smallest median plus 90th percentile of the final
+errors on the *other* files of its preset; its figures on the file that was left out are those that
+a walk which nobody tuned to may expect.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from companion.estimation.tracker import TrackerParams
+from sim_link.lab.pool import open_pool
+from tools.walk_figures import (
+    TargetClaims,
+    claims_of,
+    name_of_preset,
+    pooled_lines,
+    preset_of,
+    quantile,
+    walks_in,
+)
+
+TRIED: dict[str, dict[str, tuple[float, ...]]] = {
+    "wifi_rtt": {
+        "range_offset_m": (0.8, 1.1, 1.4),
+        "range_k_long": (0.3, 0.6),
+        "place_range_sigma_m": (0.4, 0.7),
+    },
+    "wifi_aoa": {
+        "bearing_k": (0.3, 0.5, 1.0),
+        "bearing_offset_sigma_deg": (4.0, 7.0, 12.0),
+        "place_bearing_sigma_deg": (3.0, 5.0),
+    },
+}
+"""Values of `estimation.filter` by preset; every combination is tried."""
+
+NOTHING_M = 1e9
+"""Error of a target of which nothing is said."""
+
+Variant = tuple[float, ...]
+"""A value of each key, in the order of `TRIED`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One walk through one variant of its preset."""
+
+    path: Path
+    variant: Variant
+
+
+def variants_of(preset: str) -> Iterator[Variant]:
+    """Every combination of what is tried of a preset."""
+    return itertools.product(*TRIED[preset].values())
+
+
+def varied(params: TrackerParams, preset: str, variant: Variant) -> TrackerParams:
+    """A preset's estimation with other values of the keys that are tried."""
+    changed = dict(zip(TRIED[preset], variant, strict=True))
+    chosen = msgspec.structs.replace(params.filter, **changed)
+    return msgspec.structs.replace(params, filter=chosen)
+
+
+def flown(job: Job) -> list[TargetClaims]:
+    """The claims of a job."""
+    return claims_of(job.path, varied(preset_of(job.path), name_of_preset(job.path), job.variant))
+
+
+def jobs_in(folder: Path) -> list[Job]:
+    """All that must be run to choose among the variants, for presets with at least two files."""
+    paths = [path for path in walks_in(folder) if name_of_preset(path) in TRIED]
+    by_preset: dict[str, list[Path]] = {}
+    for path in paths:
+        by_preset.setdefault(name_of_preset(path), []).append(path)
+    return [
+        Job(path, variant)
+        for preset, files in by_preset.items()
+        if len(files) > 1
+        for path in files
+        for variant in variants_of(preset)
+    ]
+
+
+def score(targets: Sequence[TargetClaims]) -> float:
+    """Median plus 90th percentile of the final errors, metres."""
+    errors = [NOTHING_M if t.final is None else t.final.error_m for t in targets]
+    return quantile(errors, 0.5) + quantile(errors, 0.9)
+
+
+def left_out_lines(
+    folder: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda _, __: None
+) -> list[str]:
+    """Which variant the other files choose for each file, and the pooled figures of those."""
+    work = jobs_in(folder)
+    results: dict[Job, list[TargetClaims]] = {}
+    with open_pool(jobs=jobs) as pool:
+        for position, targets in pool.results(flown, work):
+            results[work[position]] = targets
+            progress(len(results), len(work))
+    return choices(results)
+
+
+def choices(results: Mapping[Job, list[TargetClaims]]) -> list[str]:
+    """What `left_out_lines` prints of the results of all jobs."""
+    lines: list[str] = []
+    pooled: dict[str, list[TargetClaims]] = {}
+    for left_out in dict.fromkeys(job.path for job in results):
+        preset = name_of_preset(left_out)
+        others = {j.path for j in results if name_of_preset(j.path) == preset} - {left_out}
+
+        def on_the_others(variant: Variant, others: set[Path] = others) -> float:
+            return score([t for path in others for t in results[Job(path, variant)]])
+
+        best = min(variants_of(preset), key=on_the_others)
+        values = ", ".join(
+            f"{key} {value:g}" for key, value in zip(TRIED[preset], best, strict=True)
+        )
+        lines.append(f"{left_out.stem}: the other files choose {values}")
+        pooled.setdefault(preset, []).extend(results[Job(left_out, best)])
+    for preset, targets in pooled.items():
+        lines += pooled_lines(f"{preset}, each file left out in turn", targets)
+    return lines
