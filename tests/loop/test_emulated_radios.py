@@ -30,12 +30,11 @@ from tests.loop.emulated_radio import (
 )
 from tests.loop.loop_helpers import Loop
 from tests.radio_flights import as_flown, place_name, place_of, sigmas
-from tests.radio_formats import FORMAT_OF, FORMATS, LTE_STEP_M, NR_STEP_M, Format
+from tests.radio_formats import CELLS, FORMAT_OF, FORMATS, LTE_STEP_M, NR_STEP_M, Format
 
 pytestmark = pytest.mark.slow
 
 SEED = 1
-CELLS = ("srsran_4g", "srsran", "oai")
 CELL_SEEDS = range(1, 11)
 FIGURES = os.environ.get("RADIO_FIGURES")
 """A file to which errors, R95s and times are appended, the radio's and RADIO_RANGING's."""
