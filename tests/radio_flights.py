@@ -24,9 +24,11 @@ PLACES = {
     "planar": (f"{FIELD}/beacon_planar.yaml", f"{FIELD_CONFIG}/beacon_planar.yaml"),
     "bearings": (f"{FIELD}/uwb_two_axis.yaml", f"{FIELD_CONFIG}/uwb_two_axis.yaml"),
     "lte": (f"{FIELD}/phone_cellular.yaml", "configs/radios/srsran_4g.yaml"),
+    "nr": (f"{FIELD}/phone_cellular.yaml", "configs/radios/srsran.yaml"),
+    "oai": (f"{FIELD}/phone_cellular.yaml", "configs/radios/oai.yaml"),
 }
 """Scenario and configuration; bearings: without the ranges."""
-OWN = {"srsran_4g": "lte", "oai": "lte", "srsran": "lte", "ndjson": "canonical", "uudf": "bearings"}
+OWN = {"srsran_4g": "lte", "oai": "oai", "srsran": "nr", "ndjson": "canonical", "uudf": "bearings"}
 """Formats that are not flown by what their antenna is."""
 
 IN_FLIGHT: dict[str, dict[str, object]] = {
@@ -71,15 +73,8 @@ def as_flown(format_: Format) -> Format:
 
 def place_name(format_: Format) -> str:
     """By what the radio tells."""
-    own = {
-        "srsran_4g": "lte",
-        "srsran": "lte",
-        "oai": "lte",
-        "ndjson": "canonical",
-        "uudf": "bearings",
-    }
-    if format_.name in own:
-        return own[format_.name]
+    if format_.name in OWN:
+        return OWN[format_.name]
     return format_.kind.antenna if format_.azimuth_deg is not None else "ranges"
 
 

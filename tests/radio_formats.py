@@ -18,6 +18,7 @@ LINES_PATTERN = (
     r"(?P<emitter>[0-9A-F:]{17}),(?P<range_m>[\d.]+) m, \d+ ns, (?P<quality_percent>\d+)"
 )
 LTE_STEP_M, NR_STEP_M = 78.0709, 39.0355
+CELLS = ("srsran_4g", "srsran", "oai")
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ IMPROVED_SHARE = 0.92
 WORSE_RATIO = 1.5
 """R95 that has grown by more is looked at anew: something was learnt that contradicts it."""
 MOST_SETTLED_M = 100.0
-"""What settles above this is no place."""
+"""What settles above this is no place, unless it was asked for no better (`localised_r95_m`)."""
 ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
 
 
@@ -59,7 +59,8 @@ class SettledRule:
         if estimate is None:
             return False
         r95_m = estimate.r95_m
-        if estimate.state not in ONE_PLACE or r95_m > MOST_SETTLED_M:
+        is_localised = estimate.state is EstimateState.LOCALISED
+        if estimate.state not in ONE_PLACE or (r95_m > MOST_SETTLED_M and not is_localised):
             self._mark = None
             return False
         if self._mark is None or not (

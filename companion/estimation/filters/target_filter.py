@@ -161,6 +161,8 @@ class FilterParams(Params, frozen=True, dict=True):
     """Prior standard deviation of the constant bearing offset, about zero."""
     bearing_offset_max_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 180.0
     """Hard bound of the bearing offset, to both sides."""
+    range_step_m: NonNegative = 0.0
+    """Ranges come in steps of so much, as a cell's timing advance does; 0: they do not."""
     range_scale_sigma: NonNegative = 0.0
     """Prior standard deviation of the range's scale error; 0: ranges have none."""
     range_scale_max: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.5
@@ -214,6 +216,25 @@ class FilterParams(Params, frozen=True, dict=True):
             near_target_terms=self.near_target_terms,
             antenna=MODELS[self.antenna.kind],
         )
+
+    @property
+    def step_sigma_m(self) -> float:
+        """Standard deviation of a value that is even within a step of the ranges."""
+        return self.range_step_m / math.sqrt(12.0)
+
+    @property
+    def place_sigmas(self) -> tuple[float, float]:
+        """Of a range's and a bearing's errors that stay with the place, metres and radians.
+
+        A range repeats its step's error from wherever it is within the same step.
+        """
+        range_m = math.hypot(self.place_range_sigma_m, self.step_sigma_m)
+        return range_m, math.radians(self.place_bearing_sigma_deg)
+
+    @property
+    def range_length_m(self) -> float:
+        """Over which distance a range's errors change: half a step flies out of it on average."""
+        return max(self.place_length_m, 0.5 * self.range_step_m)
 
     @property
     def prior(self) -> tuple[Vector, Vector]:
@@ -281,10 +302,13 @@ class FilterParams(Params, frozen=True, dict=True):
         return pose, z, np.array(self.seen_sigmas(m))
 
     def seen_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
-        """Standard deviations of range, bearing and elevation, as they are believed."""
-        m = measurement
+        """Standard deviations of range, bearing and elevation, as they are believed.
+
+        No range is better than its steps, whatever its radio says.
+        """
+        m, least_m = measurement, self.step_sigma_m
         believed = (
-            self.range_sigma_m,
+            max(self.range_sigma_m, least_m),
             math.radians(self.bearing_sigma_deg),
             math.radians(self.elevation_sigma_deg),
         )
@@ -299,4 +323,4 @@ class FilterParams(Params, frozen=True, dict=True):
             own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)
             for told, own in zip(reported, believed, strict=True)
         )
-        return (ranged, borne, elevated)
+        return (max(ranged, least_m), borne, elevated)

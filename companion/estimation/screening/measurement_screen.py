@@ -5,7 +5,7 @@ although there is one: a radio that is read wrongly may be read wrongly in other
 
 Frozen: a value that stands still while the vehicle moves was not measured. A radio that hangs
 repeats its last number with fresh stamps. Noise never repeats itself to the last bit, and a radio
-with coarse numbers repeats them only while the vehicle hardly moves.
+with coarse numbers repeats them only while the vehicle hardly moves beside its steps.
 
 Bearings: their scatter tells whether they are in radians. In degrees a bearing is mostly more than
 half a turn, which is rejected, or turns at random, because two degrees of noise are more than a
@@ -129,12 +129,16 @@ FROZEN_COUNT = 5
 FROZEN_S = 1.0
 FROZEN_M = 2.0
 """So many equal values in a row, over so much time and own motion, are frozen."""
+FROZEN_STEPS = 2.0
+"""Own motion in steps of the ranges, where that is more: across a step is not through it."""
 
 
 class FrozenValue:
     """Watches one value of one radio."""
 
-    def __init__(self) -> None:
+    def __init__(self, least_m: float = FROZEN_M) -> None:
+        self._least_m = least_m
+        """Own motion over which equal values are frozen ones."""
         self._value: float | None = None
         self._since_s = 0.0
         self._since_enu_m: PositionEnu = (0.0, 0.0, 0.0)
@@ -147,7 +151,7 @@ class FrozenValue:
             self._since_s, self._since_enu_m = time_s, sensor_enu_m
             return False
         self._count += 1
-        has_moved = math.dist(sensor_enu_m, self._since_enu_m) >= FROZEN_M
+        has_moved = math.dist(sensor_enu_m, self._since_enu_m) >= self._least_m
         return has_moved and self._count >= FROZEN_COUNT and time_s - self._since_s >= FROZEN_S
 
 
@@ -288,7 +292,8 @@ class MeasurementScreen:
         """The vehicle's own position jumped: nothing before it is compared with what follows."""
         self._units.forget_samples()
         self._bearings.forget_samples()
-        self._frozen_range, self._frozen_bearing = FrozenValue(), FrozenValue()
+        least_m = max(FROZEN_M, FROZEN_STEPS * self._params.range_step_m)
+        self._frozen_range, self._frozen_bearing = FrozenValue(least_m), FrozenValue()
 
     @property
     def objection(self) -> Objection | None:

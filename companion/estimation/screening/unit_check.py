@@ -14,6 +14,9 @@ believed when it is a thousand times as probable, and until metres are more prob
 
 In a smaller unit the ranges, noise included, become absurdly long or scatter by hundreds of metres,
 which no reflection does. Nothing is flown on such ranges, whatever their unit may be.
+
+Ranges in steps (`range_step_m`) hardly change over the last seconds, in whatever unit they are. The
+variance of a step is taken as left in any case, so that nothing is concluded from it.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ from companion.kernel import Matrix, Vector
 FACTORS = (1e-3, 1e-2, 1.0 / 57.29577951308232)
 """What ranges are multiplied by in the larger units that are confused with metres."""
 MAX_SPREAD_M = 100.0
-"""Between the quartiles of the ranges of the last seconds, beyond own motion."""
+"""Between the quartiles of the ranges of the last seconds, beyond own motion and a step."""
 CHANGED_RATIO = 5.0
 """Ranges that became so much shorter or longer come in another unit than before."""
 NEWEST_COUNT = 4
@@ -110,6 +113,8 @@ class UnitCheck:
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
         self._params = params
+        self._noise2_m2 = max(LEAST_NOISE_M, params.step_sigma_m) ** 2
+        """What is never explained, as a variance of the radio's own numbers."""
         angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
@@ -164,7 +169,7 @@ class UnitCheck:
             factor, log_ratio = self._likeliest(window, FACTORS, REJECT_LOG_RATIO)
             if log_ratio >= REJECT_LOG_RATIO:
                 self.factor = factor
-            self.is_wild = _is_wild(window)
+            self.is_wild = self._is_wild(window)
             self._rejected_s, self._rejected_m = now_s, middle_m
         elif self._samples[0][0] > self._rejected_s:
             self._reconsider(window, middle_m)
@@ -177,7 +182,7 @@ class UnitCheck:
             if log_ratio <= ACCEPT_LOG_RATIO:
                 self.factor = None
         if self.is_wild and middle_m < self._rejected_m / CHANGED_RATIO:
-            self.is_wild = _is_wild(window)
+            self.is_wild = self._is_wild(window)
 
     def _likeliest(
         self, window: _Window, factors: tuple[float, ...], limit: float
@@ -226,7 +231,7 @@ class UnitCheck:
     def _costs(self, tried: _Moments, factor: float, count: float) -> Vector:
         """Minus the log-likelihood of a factor at each of the places."""
         residual2 = tried.residual2(factor) / tried.count
-        cost: Vector = 0.5 * count * np.log(residual2 + LEAST_NOISE_M**2)
+        cost: Vector = 0.5 * count * np.log(residual2 + self._noise2_m2)
         cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
         if factor != 1.0:
             cost[np.sqrt(residual2) / factor > MOST_NOISE_M] = math.inf
@@ -243,14 +248,14 @@ class UnitCheck:
         cost: Vector = 0.5 * (below**2 + above**2)
         return cost
 
-
-def _is_wild(window: _Window) -> bool:
-    """Whether the quartiles of the ranges are farther apart than own motion can explain."""
-    if float(np.ptp(window.range_m)) <= MAX_SPREAD_M:
-        return False
-    low_m, high_m = np.quantile(window.range_m, [0.25, 0.75])
-    path_m = float(np.sum(np.linalg.norm(np.diff(window.sensor_enu_m, axis=0), axis=1)))
-    return float(high_m - low_m) - path_m > MAX_SPREAD_M
+    def _is_wild(self, window: _Window) -> bool:
+        """Whether the quartiles of the ranges are farther apart than own motion can explain."""
+        most_m = MAX_SPREAD_M + self._params.range_step_m
+        if float(np.ptp(window.range_m)) <= most_m:
+            return False
+        low_m, high_m = np.quantile(window.range_m, [0.25, 0.75])
+        path_m = float(np.sum(np.linalg.norm(np.diff(window.sensor_enu_m, axis=0), axis=1)))
+        return float(high_m - low_m) - path_m > most_m
 
 
 def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:

@@ -201,9 +201,7 @@ class WindowMap:
         self.prior: tuple[Matrix, Vector] = (np.diag(weights), weights * centre)
         """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
         self.size = len(weights)
-        self._is_placed = bool(
-            filter_params.place_range_sigma_m + filter_params.place_bearing_sigma_deg
-        )
+        self._is_placed = any(filter_params.place_sigmas)
         """Whether the radio is known for errors that stay with the place."""
         self._reached: tuple[Matrix, Matrix, Vector] | None = None
         """Rows, and what the radio's reach about their path says of the place."""
@@ -231,15 +229,15 @@ class WindowMap:
         p = self._p
         found: list[PlaceNoise | None] = [None, None, None]
         scores = self.scores(rows, mean)
-        believed = (p.place_range_sigma_m, math.radians(p.place_bearing_sigma_deg))
         for m in scores.measured:
             sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
-            told = believed[min(m, BEARING)] / sigma
+            told = p.place_sigmas[min(m, BEARING)] / sigma
             if told == 0.0 and scores.correlation(m) == 0.0:
                 continue
             psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
             deviation = told / math.hypot(1.0, told) or float(np.sqrt(np.nanmean(psi**2)))
-            belief = PlaceBelief(deviation, p.place_length_m, is_of_radio=told > 0.0)
+            length_m = p.range_length_m if m == RANGE else p.place_length_m
+            belief = PlaceBelief(deviation, length_m, is_of_radio=told > 0.0)
             H, slope = scores.part(m), scores.slopes[m]
             prior = self._prior(rows, None)[0]
             noise = place_noise(rows[:, :2], psi, H, slope, prior, belief)

@@ -37,6 +37,12 @@ def test_a_place_that_may_be_anywhere_never_settles() -> None:
     assert _met_at([MOST_SETTLED_M + 1.0] * 100) is None
 
 
+def test_a_wide_place_settles_where_nobody_asked_for_a_narrower_one() -> None:
+    rule = SettledRule()
+    wide = _estimate(MOST_SETTLED_M + 20.0, EstimateState.LOCALISED)
+    assert [rule.is_met(wide, t, SETTLE_S) for t in (0.0, 29.0, 30.0)] == [False, False, True]
+
+
 def test_two_places_never_settle_and_a_gap_in_between_does_no_harm() -> None:
     rule = SettledRule()
     two = _estimate(5.0, EstimateState.AMBIGUOUS)

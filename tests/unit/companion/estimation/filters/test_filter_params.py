@@ -131,6 +131,16 @@ def test_what_is_not_reported_or_not_trusted_is_as_configured() -> None:
     assert np.isnan(z[1:]).all()
 
 
+def test_no_range_is_better_than_its_steps() -> None:
+    cell = FilterParams(range_step_m=78.0, place_length_m=4.0)
+    least_m = 78.0 / math.sqrt(12.0)
+    assert cell.seen(EVERYTHING, HERE)[2].tolist() == [least_m, 0.02, 0.05]
+    assert cell.place_sigmas == pytest.approx((least_m, 0.0))
+    assert cell.range_length_m == 39.0
+    worse = FilterParams(range_step_m=78.0, range_sigma_m=30.0, use_reported_sigma=False)
+    assert worse.seen(EVERYTHING, HERE)[2][0] == 30.0
+
+
 def test_an_elevation_may_be_left_out() -> None:
     _, z, _ = FilterParams(use_elevation=False).seen(EVERYTHING, HERE)
     assert np.isnan(z[2])

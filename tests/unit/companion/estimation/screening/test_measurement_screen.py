@@ -25,8 +25,9 @@ ABSURD_BEARING = RangingMeasurement(1, 0.0, bearing_enu_rad=50.0)
 class Radio:
     """Ten measurements a second from a vehicle that flies east at 5 m/s."""
 
-    def __init__(self) -> None:
-        self.screen = MeasurementScreen(FilterParams(), AcceptanceParams())
+    def __init__(self, range_step_m: float = 0.0) -> None:
+        params = FilterParams(range_step_m=range_step_m)
+        self.screen = MeasurementScreen(params, AcceptanceParams())
         self.step = 0
         self._rng = np.random.default_rng(1)
 
@@ -82,6 +83,22 @@ def test_what_is_frozen_is_as_good_as_none(frozen: str) -> None:
     assert (has_range, has_bearing) == (frozen == "bearing", frozen == "range")
     assert reason is RejectReason.FROZEN
     assert radio.screen.objection is None
+
+
+@pytest.mark.parametrize("step_m", [39.04, 78.07])
+def test_steps_that_the_radio_is_known_for_repeat_themselves_until_two_were_flown(
+    step_m: float,
+) -> None:
+    told, untold = Radio(step_m), Radio()
+    for radio in (told, untold):
+        reasons = [
+            radio.judged(RangingMeasurement(1, radio.now_s, range_m=1.5 * step_m))[2]
+            for _ in range(600)
+        ]
+        refused_m = 0.5 * next(i for i, reason in enumerate(reasons) if reason is not None)
+        assert reasons[-1] is RejectReason.FROZEN
+        assert refused_m == pytest.approx(2.0 * step_m if radio is told else 5.0, abs=0.6)
+        assert radio.screen.objection is None
 
 
 def test_a_frozen_bearing_in_the_body_frame_is_told_although_the_vehicle_turns() -> None:

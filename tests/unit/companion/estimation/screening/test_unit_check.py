@@ -30,6 +30,7 @@ class Radio:
 
 CANONICAL = Radio(1.5, 0.9, 8.0, 1.5)
 UWB = Radio(0.05, 0.0, 0.0, 0.2)
+CELL = Radio(11.3, 0.7, 15.0, 15.0)
 NOISELESS = Radio(0.0, 0.0, 0.0, 0.0)
 Sample = tuple[float, float, PositionEnu]
 
@@ -111,6 +112,28 @@ def test_metres_are_never_condemned(track: Track, radio: Radio, height_m: float)
     for seed in range(3):
         samples = _samples(radio, track, height_m, 30.0, 10 + seed)
         assert _condemned_s(_check(), samples, 1.0) is None
+
+
+def _in_steps(radio: Radio, track: Track, step_m: float, seed: int) -> list[Sample]:
+    """What a cell makes of it, twice a second."""
+    samples = _samples(radio, track, 20.0, 60.0, seed)[::5]
+    return [(t, (r // step_m + 0.5) * step_m, place) for t, r, place in samples]
+
+
+@pytest.mark.parametrize("track", ["radial", "abeam", "orbit", "hover"])
+@pytest.mark.parametrize("step_m", [39.04, 78.07])
+def test_metres_in_steps_that_were_told_are_never_condemned(track: Track, step_m: float) -> None:
+    told = FilterParams(range_step_m=step_m, range_offset_sigma_m=0.6 * step_m)
+    for seed in range(5):
+        for radio in (CELL, NOISELESS):
+            steps = _in_steps(radio, track, step_m, seed)
+            assert _condemned_s(_check(told), steps, 1.0) is None
+
+
+def test_ranges_that_flicker_by_two_steps_are_wild_only_where_nobody_told_of_steps() -> None:
+    flicker = [(0.5 * i, 39.0 + 156.0 * (i % 2), (0.1 * i, 0.0, 20.0)) for i in range(40)]
+    assert _condemned_s(_check(FilterParams(range_step_m=78.0)), flicker, 1.0) is None
+    assert _condemned_s(_check(), flicker, 1.0) is not None
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4])

@@ -74,6 +74,21 @@ def test_votes_decide_between_the_data_and_what_is_known_of_the_offset() -> None
     assert voted_m < alone_m - 0.1
 
 
+def test_ranges_of_one_step_are_few_votes() -> None:
+    """Four hundred ranges of a walk through two or three steps."""
+    rows = walk(np.random.default_rng(3), 400, bearings=False)
+    rows[:, 3] = (rows[:, 3] // 20.0 + 0.5) * 20.0
+    rows[:, 6] = 20.0 / np.sqrt(12.0)
+    repetitions = []
+    for step_m in (0.0, 20.0):
+        window = WindowMap(params(range_offset_sigma_m=20.0, range_step_m=step_m))
+        assert window.optima(rows, [START])
+        noise = window.fields[0]
+        repetitions.append(1.0 if noise is None else noise.repetition)
+    assert repetitions[0] == 1.0
+    assert repetitions[1] > 20.0
+
+
 def test_an_offset_is_believed_to_be_where_its_prior_is() -> None:
     rows = walk(np.random.default_rng(4), count=20)
     sure = params(range_offset_m=5.0, range_offset_sigma_m=1e-3)
