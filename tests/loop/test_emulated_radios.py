@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import cache
 
 import pytest
@@ -144,8 +143,11 @@ def test_a_cell_whose_ranges_come_in_steps_promises_no_more_than_it_keeps(name: 
     format_ = as_flown(FORMAT_OF[name])
     found = []
     for seed in CELL_SEEDS:
-        with suppress(AssertionError):  # no report at the limit; counted below
+        try:
             found.append(flown(place_name(format_), format_, seed=seed)[:2])
+        except AssertionError as error:
+            if "did not hold within" not in str(error):
+                raise  # what is missing at the limit is counted below
     most_m = place_of(place_name(format_)).config.estimation.localised_r95_m
     assert len(found) >= len(CELL_SEEDS) - 1
     assert all(error_m <= r95_m <= most_m for error_m, r95_m in found), found
