@@ -16,7 +16,6 @@ PRESETS = sorted((ROOT / "configs" / "radios").glob("*.yaml"))
 ALIKE = {
     "ftm_csv": "esp32_ftm",
     "kraken_xml": "kraken",
-    "oai": "srsran",
     "pans_tlv": "pans",
 }
 """Radios that are set up as another one is."""
