@@ -60,11 +60,8 @@ def as_yaml(values: Sequence[Shown]) -> list[str]:
     open_sections: list[str] = []
     for shown in values:
         *sections, key = shown.path.split(".")
-        same = 0
-        while same < min(len(sections), len(open_sections)):
-            if sections[same] != open_sections[same]:
-                break
-            same += 1
+        pairs = zip(sections, open_sections, strict=False)
+        same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
         lines += [f"{'  ' * n}{sections[n]}:" for n in range(same, len(sections))]
         open_sections = sections
         line = f"{'  ' * len(sections)}{key}: {_flow(shown.value)}"

@@ -13,8 +13,11 @@ PRESETS = ("companion", "radios")
 
 
 def shipped_file(name: str) -> Path:
-    """A file below `configs`, wherever it is; a `ConfigError` if this installation lacks it."""
-    for folder in CONFIG_FOLDERS:
+    """A file below `configs` of the program itself; a `ConfigError` if this installation lacks it.
+
+    Never of the working directory: root installs what is found here.
+    """
+    for folder in CONFIG_FOLDERS[1:]:
         if (folder / name).is_file():
             return folder / name
     raise ConfigError(f"configs/{name}: not in this installation; install companion-guidance anew")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.server
-import json
 import logging
 import os
 import socket
@@ -422,34 +421,3 @@ def test_a_udp_radio_is_heard_line_by_line(listener: Listener) -> None:
 
     drive(listener, at(f"udp:127.0.0.1:{port}"), scene)
     sender.close()
-
-
-def test_what_a_program_prints_is_piped_into_the_companion(tmp_path: Path) -> None:
-    line = json.dumps({"emitter_id": "tag", "range": 12.5})
-    for name in ("watch", "record"):
-        arguments = {"watch": ["ndjson@stdin:"], "record": ["r.jsonl", "--radio", "ndjson@stdin:"]}
-        ended = subprocess.run(
-            [sys.executable, "-m", "companion", "radio", name, *arguments[name], "--seconds", "3"],
-            input=f"{line}\n" * 3,
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            timeout=120,
-            check=False,
-        )
-        assert ended.returncode == 0, ended.stderr
-        assert "12.50 m" in ended.stdout or name == "record"
-    assert (tmp_path / "r.jsonl").read_text().count('"kind":"bytes"') >= 1
-
-
-def test_a_broken_radio_is_named_and_the_exit_code_is_2(tmp_path: Path) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "companion", "--connect", "udp:127.0.0.1:0", "--radio", "nothing@x"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        timeout=120,
-        check=False,
-    )
-    assert ended.returncode == 2
-    assert ended.stderr.startswith("companion: ")

@@ -445,12 +445,3 @@ def test_stopping_finishes_at_once() -> None:
     assert not sim.is_finished
     sim.request_stop(0.0)
     assert sim.is_finished
-
-
-def test_a_cut_frame_on_a_stream_link_is_completed_by_the_next_chunk() -> None:
-    station = GroundStation()
-    station.run(2.5)
-    frame = station.sender.encode(local_setpoint())
-    for part in (frame[:20], frame[20:]):
-        station.sim.receive(Chunk(0, part, None, is_datagram=False), station.now_s)
-    assert station.sim.vehicle.setpoints.received == 1

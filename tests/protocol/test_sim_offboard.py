@@ -11,6 +11,7 @@ from companion.domain import FlightMode
 from companion.geometry.coordinates import LocalOrigin
 from companion.mav import dialect
 from companion.mav.dialect import Message, mavlink
+from companion.mav.endpoint import Chunk
 from sim_link.autopilot.scenario import AutopilotParams, LossAction, Scenario
 from tests.protocol.sim_helpers import (
     ACCEPTED,
@@ -380,3 +381,12 @@ def test_senseless_parameters_are_stored_and_harm_nobody_but_the_flight(value: f
     station.run(3.0)
     assert all(map(math.isfinite, station.sim.vehicle.body.position_enu_m))
     assert station.sim.parameters_text.count("\n") > 50
+
+
+def test_a_cut_frame_on_a_stream_link_is_completed_by_the_next_chunk() -> None:
+    station = GroundStation()
+    station.run(2.5)
+    frame = station.sender.encode(local_setpoint())
+    for part in (frame[:20], frame[20:]):
+        station.sim.receive(Chunk(0, part, None, is_datagram=False), station.now_s)
+    assert station.sim.vehicle.setpoints.received == 1

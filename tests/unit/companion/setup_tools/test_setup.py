@@ -180,3 +180,16 @@ def test_a_flight_loads_nothing_of_it() -> None:
     assert "companion.setup_tools.options" in loaded
     assert {name for name in loaded if "_commands" in name and "setup_tools" in name} == set()
     assert not any(name.startswith("companion.doctor") for name in loaded)
+
+
+def test_a_unit_is_never_taken_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planted = tmp_path / "configs" / "systemd" / "companion.service"
+    planted.parent.mkdir(parents=True)
+    planted.write_text("[Service]\nExecStart=/bin/false\n")
+    monkeypatch.chdir(tmp_path)
+    units = tmp_path / "units"
+    units.mkdir()
+    assert setup(tmp_path / "etc", "--connect", SERIAL, "--unit-directory", str(units)) == 0
+    assert "/bin/false" not in (units / "companion.service").read_text()
