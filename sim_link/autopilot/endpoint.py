@@ -179,7 +179,7 @@ class SimEndpoint:
         if self.links.signing is not None:
             self.links.signing.advance(now_s + self._unix_minus_local_s)
         while self._next_step <= self._last_step(now_s):
-            step_s = self.next_timer_s()
+            step_s = self._started_s + self._next_step * STEP_S
             for incident in self._schedule.take_due(step_s - self._began_s):
                 self.apply_incident(incident, step_s)
             if self._next_step <= self._last_step(now_s):  # no reboot
@@ -190,8 +190,8 @@ class SimEndpoint:
         return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)
 
     def next_timer_s(self) -> float:
-        """The time of the next physics step."""
-        return self._started_s + self._next_step * STEP_S
+        """The time of the next physics step; never before the end of a stall."""
+        return max(self._started_s + self._next_step * STEP_S, self._stalled_until_s)
 
     def take_output(self) -> list[Chunk]:
         """The frames to send, in order; taken once."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from companion.domain import FlightMode
 from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, mavlink
 from sim_link.autopilot import incidents
+from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.scenario import AutopilotParams, RcParams, Scenario
 from tests.protocol.sim_helpers import ACCEPTED, ARM, DENIED, TAKEOFF, GroundStation, local_setpoint
@@ -230,3 +232,14 @@ def test_arducopter_leaves_a_mode_without_position_alone_unless_told_otherwise(
     happen(station, incidents.EkfPoor(ratio=0.9))
     station.run(1.5)
     assert copter_mode(station) == number
+
+
+@pytest.mark.parametrize("started_s", np.random.default_rng(1).uniform(0.0, 300.0, 20))
+def test_a_stall_ends_at_any_time_on_a_clock_that_only_its_timers_move(started_s: float) -> None:
+    stalls = [incidents.AutopilotStall(start_s=1.0 + 30.1 * n, duration_s=30.0) for n in range(20)]
+    sim = SimEndpoint(Scenario(incidents=tuple(stalls)), 1, started_s)
+    before_s = -math.inf
+    while (now_s := sim.next_timer_s()) < started_s + 610.0:
+        sim.handle_timer(now_s)
+        assert now_s > before_s
+        before_s = now_s
