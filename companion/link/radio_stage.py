@@ -248,7 +248,6 @@ class RadioStage:
         """How often the line was lost."""
         self.measured = 0
         """Measurements so far."""
-        self.measured_s: float | None = None
         self.age_s: float | None = None
         """How old the last one was when it came."""
         self.refused: Counter[str] = Counter()
@@ -280,7 +279,7 @@ class RadioStage:
         found = [each for each in measured if each is not None and self._is_due(each)]
         if found:
             self.measured += len(found)
-            self.measured_s, self.age_s = now_s, now_s - found[-1].measured_at_s
+            self.age_s = now_s - found[-1].measured_at_s
             self.newest.update((measurement.emitter_id, measurement) for measurement in found)
         return found
 

@@ -165,13 +165,6 @@ def mac_of(emitter_id: int) -> str:
     return f"02:00:00:00:{emitter_id >> 8:02x}:{emitter_id & 0xFF:02x}"
 
 
-def degrees_between(angle_rad: float | None, limit_deg: float) -> float | None:
-    """In degrees where the radio can say it; None: it cannot."""
-    if angle_rad is None or abs(math.degrees(angle_rad)) > limit_deg:
-        return None
-    return math.degrees(angle_rad)
-
-
 def clamped(value: float, low: int, high: int) -> int:
     """The nearest whole number that a field holds."""
     return max(low, min(high, round(value)))
