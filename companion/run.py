@@ -1,6 +1,6 @@
 """The composition root of a flight: endpoint, shell, logs, and the periodic tasks beside them.
 
-Periodic tasks are done at the end of every wake-up, and must never end a flight. Flying comes
+Periodic tasks are done after every control tick, and must never end a flight. Flying comes
 first: a task that raises is a bug of ours, is told once and not done again. It is not retried,
 because what failed at 20 Hz fails again, and its log would fill the disk.
 """
@@ -183,7 +183,7 @@ class FlightView:
         """Take in a text for the operator."""
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Called at every wake-up of the flight."""
+        """Called after every control tick of the flight."""
 
     def close(self) -> None:
         """The flight is over."""
@@ -253,7 +253,7 @@ def fly(
 
 
 class _Flight:
-    """One run of the shell, and the periodic tasks at the end of each of its wake-ups.
+    """One run of the shell, and the periodic tasks after each of its control ticks.
 
     `state` is the beginning of the paths of what is kept from run to run.
     """
@@ -299,6 +299,7 @@ class _Flight:
         self._supervisor = Supervisor(os.environ)
         self._tasks = self._gather_tasks()
         self._hints = 0
+        self._ticks = 0
 
     def _build_endpoint(self, tunables: Tunables, links: Sequence[LinkSpec]) -> CompanionEndpoint:
         return build_endpoint(
@@ -348,6 +349,9 @@ class _Flight:
             self._supervisor.close()
 
     def _after_wakeup(self, now_s: float) -> None:
+        if self._shell.timing.fired == self._ticks:
+            return
+        self._ticks = self._shell.timing.fired
         self._hint()
         self._watch.check(now_s)
         self._vehicle_link.hear_only(self.endpoint.shield.sole_peer(now_s))

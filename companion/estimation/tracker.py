@@ -384,9 +384,13 @@ class TargetTracker:
         if self.params.adapt_inflation:
             inflation = self._noise.inflation(self._optimizer.noise)
         sigmas = [math.inf, math.radians(params.bearing_sigma_deg)]
-        for _, values, noise in self._optimizer.latest:
-            for row in (RANGE, BEARING):
-                sigmas[row] = sigmas[row] if math.isnan(values[row]) else float(noise[row])
+        missing = {RANGE, BEARING}
+        for _, values, noise in reversed(self._optimizer.latest):
+            for row in [row for row in missing if not math.isnan(values[row])]:
+                sigmas[row] = float(noise[row])
+                missing.discard(row)
+            if not missing:
+                break
         range_m, cosine_rad = (
             math.sqrt(f) * sigma for f, sigma in zip(inflation, sigmas, strict=False)
         )

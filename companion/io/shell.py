@@ -111,6 +111,8 @@ class Shell:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
         self._timer: asyncio.TimerHandle | None = None
+        self._armed_s = math.inf
+        """What the endpoint's timer was set to."""
         self._deadline: asyncio.TimerHandle | None = None
         self.timing = TimerStatistics()
         self._catching_up_until_s: float | None = None
@@ -197,10 +199,13 @@ class Shell:
         return True
 
     def _arm_timer(self) -> None:
+        next_s = self._endpoint.next_timer_s()
         if self._timer is not None:
+            if next_s == self._armed_s:
+                return
             self._timer.cancel()
             self._timer = None
-        next_s = self._endpoint.next_timer_s()
+        self._armed_s = next_s
         if self._loop is None or math.isinf(next_s):
             return
         delay_s = min(max(MIN_TIMER_S, self._clock.delay_s(next_s)), MAX_TIMER_S)

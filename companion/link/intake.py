@@ -211,13 +211,18 @@ class FloodBudget:
         self, resource: Resource, amount: int, peer: Address | None, *, is_known: bool
     ) -> bool:
         """Whether a source may use so much more of a resource, which is then used."""
-        accounts: tuple[tuple[list[int], Amounts], ...] = ((self._known, KNOWN),)
-        if not is_known:
-            own = self._account_of(peer)
-            if own is None:
+        if is_known:
+            left = KNOWN[resource] - self._known[resource] - amount
+            if left < 0:
                 self.dropped[resource] += 1
                 return False
-            accounts = ((self._unknown, UNKNOWN_PEERS), (own, ONE_UNKNOWN_PEER))
+            self._known[resource] += amount
+            return True
+        own = self._account_of(peer)
+        if own is None:
+            self.dropped[resource] += 1
+            return False
+        accounts = ((self._unknown, UNKNOWN_PEERS), (own, ONE_UNKNOWN_PEER))
         for used, allowed in accounts:
             if used[resource] + amount > allowed[resource]:
                 self.dropped[resource] += 1

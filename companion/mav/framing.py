@@ -26,6 +26,7 @@ from fastcrc import crc16
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
 CRC_LENGTH = 2
+SHORTEST = HEADER_LENGTH[MAGIC_V1] + CRC_LENGTH
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
 _MAGIC = re.compile(bytes((ord("["), MAGIC_V2, MAGIC_V1, ord("]"))))
@@ -57,6 +58,9 @@ class FrameSplitter:
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
         """The frames completed by `data`; at the end of a datagram an unfinished one is junk."""
+        if is_datagram and not self._pending and self._is_one_frame(data):
+            self.counters.good += 1
+            return [data]
         buffer = self._pending + data
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
@@ -115,13 +119,21 @@ class FrameSplitter:
                 free_from = end
         return free_from
 
+    def _is_one_frame(self, data: bytes) -> bool:
+        """Whether a datagram is one good frame and nothing else, as most are; counts nothing."""
+        if len(data) < SHORTEST or data[0] not in HEADER_LENGTH or frame_end(data, 0) != len(data):
+            return False
+        if data[0] == MAGIC_V2 and data[2] & ~INCOMPAT_SIGNED:
+            return False
+        crc_extra = self._crc_extra_by_id.get(message_id(data))
+        return crc_extra is not None and has_good_crc(data, crc_extra)
+
     def _is_valid(self, frame: bytes) -> bool:
         crc_extra = self._crc_extra_by_id.get(message_id(frame))
         if crc_extra is None:
             self.counters.unknown += 1
             return False
-        end = HEADER_LENGTH[frame[0]] + frame[1]
-        if frame_crc(frame, crc_extra) == frame[end] | frame[end + 1] << 8:
+        if has_good_crc(frame, crc_extra):
             return True
         self.counters.bad_crc += 1
         return False
@@ -161,6 +173,12 @@ def frame_crc(frame: bytes, crc_extra: int) -> int:
     """The CRC that a frame must carry, from its header and payload."""
     end = HEADER_LENGTH[frame[0]] + frame[1]
     return crc16.mcrf4xx(frame[1:end] + bytes((crc_extra,)))
+
+
+def has_good_crc(frame: bytes, crc_extra: int) -> bool:
+    """Whether a whole frame carries the CRC that it must."""
+    end = HEADER_LENGTH[frame[0]] + frame[1]
+    return frame_crc(frame, crc_extra) == frame[end] | frame[end + 1] << 8
 
 
 def without_signature(frame: bytes, crc_extra: int | None) -> bytes:

@@ -52,6 +52,11 @@ class RangingListener:
         self._track = track
         self._waiting: list[RangingMeasurement] = []
 
+    @property
+    def is_anything_waiting(self) -> bool:
+        """Whether there is anything to fuse."""
+        return bool(self._waiting)
+
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
         """Take in a measurement; it is fused at the next `fuse_due`.
 
@@ -175,6 +180,8 @@ class Measuring:
 
     def fuse_due(self, now_s: float) -> None:
         """Fuse what waited for an own position."""
+        if not self._listener.is_anything_waiting:
+            return
         with self._contained(now_s):
             own = self._context.vehicle.own_place.accuracy(now_s)
             reports = self._listener.fuse_due(now_s, own)

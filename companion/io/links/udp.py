@@ -170,15 +170,16 @@ class UdpLink(Link):
             if self._socket is None:
                 break
             try:
-                data, peer = self._socket.recvfrom(MAX_DATAGRAM)
+                data, (host, port) = self._socket.recvfrom(MAX_DATAGRAM)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError as error:  # ECONNREFUSED: an earlier datagram found nobody there
                 self.counters.receive_errors += 1
                 self._handle_refusal(error)
                 continue
-            chunks.append(Chunk(self.index, data, (str(peer[0]), int(peer[1]))))
-            self._note_peer((str(peer[0]), int(peer[1])))
+            peer = (str(host), int(port))
+            chunks.append(Chunk(self.index, data, peer))
+            self._note_peer(peer)
         self.counters.received += len(chunks)
         if chunks:
             self._received(chunks)

@@ -17,6 +17,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from pathlib import Path
 
 from companion.errors import ConfigError
@@ -28,7 +29,7 @@ from companion.io.state.checkpoints import CheckpointError, decode_memory, encod
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
 from companion.mav.framing import HEADER_LENGTH, frame_end, message_id, without_signature
-from companion.mav.signing import is_secret
+from companion.mav.signing import is_secret, is_signed
 
 _STAMP = struct.Struct(">Q")
 
@@ -53,6 +54,8 @@ def frame_for_log(frame: bytes) -> bytes | None:
     """A whole frame without its signature; None: it holds a key, and no log may have it."""
     if is_secret(frame):
         return None
+    if not is_signed(frame):
+        return frame
     return without_signature(frame, CRC_EXTRA_BY_ID.get(message_id(frame)))
 
 
@@ -131,21 +134,21 @@ class InputLog(BackgroundFile):
         super().__init__(path, max_bytes)
         self._number = 0
         self._also = also
-        self._keep(Input(InputKind.BEGIN, 0.0, data=FORMAT))
+        self._keep(InputKind.BEGIN, 0.0, data=FORMAT)
 
     def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
         """Keep a frame; its signature, if any, is left out, a SETUP_SIGNING altogether."""
         kept = frame_for_log(data)
         if kept is not None:
-            self._keep(Input(InputKind.FRAME, now_s, link, peer, kept))
+            self._keep(InputKind.FRAME, now_s, link, peer, kept)
 
     def raw(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
         """Keep bytes of a radio that does not speak MAVLink."""
-        self._keep(Input(InputKind.FRAME, now_s, link, peer, data))
+        self._keep(InputKind.FRAME, now_s, link, peer, data)
 
     def tick(self, now_s: float) -> None:
         """Keep a tick."""
-        self._keep(Input(InputKind.TICK, now_s))
+        self._keep(InputKind.TICK, now_s)
 
     def event(self, event: events.Event) -> None:
         """Keep what the process or the operator says; see `event_of`."""
@@ -159,18 +162,28 @@ class InputLog(BackgroundFile):
                 kind = InputKind.EARLIER_RUN
             case events.MemoryRecalled():
                 kind, data = InputKind.RECALL, _AGE.pack(event.age_s) + encode_memory(event.memory)
-        self._keep(Input(kind, event.time_s, data=data))
+        self._keep(kind, event.time_s, data=data)
 
-    def _keep(self, value: Input) -> None:
-        peer = b"" if value.peer is None else f"{value.peer[0]} {value.peer[1]}".encode()[:255]
-        header = _HEADER.pack(
-            self._number, value.time_s, value.kind, value.link, len(peer), len(value.data)
-        )
+    def _keep(
+        self,
+        kind: InputKind,
+        time_s: float,
+        link: int = 0,
+        peer: Address | None = None,
+        data: bytes = b"",
+    ) -> None:
+        sender = b"" if peer is None else _sender_text(peer)
+        header = _HEADER.pack(self._number, time_s, kind, link, len(sender), len(data))
         self._number = (self._number + 1) & 0xFFFFFFFF
-        record = header + peer + value.data
+        record = header + sender + data
         self.append(record)
         if self._also is not None:
-            self._also(record, value.time_s)
+            self._also(record, time_s)
+
+
+@lru_cache(maxsize=16)
+def _sender_text(peer: Address) -> bytes:
+    return f"{peer[0]} {peer[1]}".encode()[:255]
 
 
 def read_inputs(path: Path) -> Iterator[Input]:
