@@ -259,7 +259,11 @@ def request_message(message_id: int, target: Ids) -> Message:
 def _request(want: _Want, target: Ids) -> Message:
     if want.interval_s is None:
         return request_message(want.message_id, target)
-    params = (float(want.message_id), 1e6 * want.interval_s)
+    return _set_interval(want.message_id, 1e6 * want.interval_s, target)
+
+
+def _set_interval(message_id: int, interval_us: float, target: Ids) -> Message:
+    params = (float(message_id), interval_us)
     return VehicleCommand(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params).message(target)
 
 
@@ -270,6 +274,41 @@ def hears_transmitter(status: mavlink.MAVLink_sys_status_message) -> bool:
     """Whether an autopilot says that a pilot's transmitter is there, and good."""
     present = status.onboard_control_sensors_present & RC_BIT
     return bool(present and status.onboard_control_sensors_health & RC_BIT)
+
+
+STOP_AGAIN_S, STILL_COMES_S = 2.0, 1.0
+"""It is asked again after so long, if it came within the last second: what was on its way is no
+refusal."""
+OFF_US = -1.0
+"""The interval that stops a stream."""
+
+
+class StreamStopper:
+    """Asks for streams to stop that came although nobody reads them; a few times, then no more."""
+
+    def __init__(self) -> None:
+        self._heard_s: dict[int, float] = {}
+        self._asked: dict[int, tuple[int, float]] = {}
+        """How often, and when last."""
+
+    def hear(self, message_id: int, now_s: float) -> None:
+        """One that nobody reads came."""
+        self._heard_s[message_id] = now_s
+
+    def due(self, now_s: float, target: Ids) -> Message | None:
+        """The next request to send, if any."""
+        for message_id, heard_s in self._heard_s.items():
+            asks, asked_s = self._asked.get(message_id, (0, -math.inf))
+            still_comes = now_s - heard_s <= STILL_COMES_S and now_s - asked_s >= STOP_AGAIN_S
+            if asks < MOST_ASKS and still_comes:
+                self._asked[message_id] = (asks + 1, now_s)
+                return _set_interval(message_id, OFF_US, target)
+        return None
+
+    def restart(self) -> None:
+        """Ask again, because the autopilot forgot."""
+        self._heard_s.clear()
+        self._asked.clear()
 
 
 PARAMETER = b"COM_OBL_RC_ACT"
@@ -327,13 +366,16 @@ TEXTS_PER_S = 0.2
 class AutopilotQueries:
     """All of them; `fencing` says whether the autopilot's fence is wanted."""
 
-    def __init__(self, binding: AutopilotBinding, fencing: Fencing) -> None:
+    def __init__(
+        self, binding: AutopilotBinding, fencing: Fencing, *, stops_unread: bool = False
+    ) -> None:
         self.clock = ClockSync()
         self.freshness = StreamFreshness()
         self._binding = binding
         self._fencing = fencing
         self.fence = FenceDownload()
         self._streams = StreamRequester(self.freshness)
+        self.stopper = StreamStopper() if stops_unread else None
         self._px4_check = Px4FailsafeCheck()
         self._asks_mode = False
         self._stale: tuple[str, ...] = ()
@@ -358,6 +400,8 @@ class AutopilotQueries:
         request = request or self._streams.due(
             now_s, ids, binding.autopilot, is_mode_wanted=is_mode_wanted
         )
+        if request is None and self.stopper is not None:
+            request = self.stopper.due(now_s, ids)
         request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, ids) if self._asks_mode else None
         self._asks_mode = False
@@ -387,4 +431,6 @@ class AutopilotQueries:
         self.freshness.restart()
         self.clock.restart()
         self._streams.restart()
+        if self.stopper is not None:
+            self.stopper.restart()
         self.fence.restart()

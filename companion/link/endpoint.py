@@ -92,7 +92,9 @@ class CompanionEndpoint:
         self.outlet = Outlet(
             [(role, intake.codec) for role, intake in links], self.binding, journal
         )
-        self._queries = AutopilotQueries(self.binding, session.fencing)
+        self._queries = AutopilotQueries(
+            self.binding, session.fencing, stops_unread=params.link.stop_unread_streams
+        )
         self._health = LinkHealth(params.link)
         self.executor = SessionExecutor(
             session, params.vehicle, self.binding, self.outlet, self._queries, self._health, journal

@@ -19,7 +19,7 @@ from companion.link.quality import LinkHealth
 from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
-from companion.mav.framing import sender_of, sequence_of
+from companion.mav.framing import message_id, sender_of, sequence_of
 
 TEXTS_PER_S, TEXT_BURST = 10, 30
 """Texts of the autopilot that go to the log."""
@@ -85,6 +85,8 @@ class SessionExecutor:
     def note_unread(self, frame: bytes, peer: Address | None, now_s: float) -> None:
         """Take in that there was a frame which nobody reads."""
         if self.binding.hear(sender_of(frame), peer, now_s):
+            if self._queries.stopper is not None:
+                self._queries.stopper.hear(message_id(frame), now_s)
             self._health.sequence.take(sequence_of(frame), now_s)
 
     def receive(self, message: Message, now_s: float) -> None:

@@ -61,6 +61,9 @@ class LinkParams(Params, frozen=True):
     unsigned_ranging: bool = False
     """With a key: whether ranging links may bring unsigned frames, of a radio that cannot sign."""
 
+    stop_unread_streams: bool = False
+    """Whether the autopilot is asked to stop, on this link, what it sends unasked and nothing here
+    reads; only for a link that nobody else listens on. It lasts until the autopilot restarts."""
     gcs_icon: bool = False
     """Whether ground stations on `--gcs` links get the estimate as an ADSB_VEHICLE, an icon."""
 

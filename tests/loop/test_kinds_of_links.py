@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
+from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
+from companion.link.inbound import UNREAD
+from companion.link.interface import LinkParams
+from companion.mav.framing import message_id
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.protocols.addressing import LinkMode, LinkSetup
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
+from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO, run_until, said
 
+STOPPING = msgspec.structs.replace(AUTO, link=LinkParams(stop_unread_streams=True))
 LINKS: tuple[LinkMode, ...] = ("station", "narrow")
 
 
@@ -31,3 +38,25 @@ def test_a_search_ends_on_every_kind_of_link(mode: LinkMode) -> None:
     truth = flight.scenario.emitter.position_enu_m
     assert math.dist(result.estimate.position_enu_m[:2], truth) < 5.0
     assert not said(notes, "hold: own position is stale")
+
+
+class UnreadFrames(Observer):
+    """Counts what the autopilot sends although nobody reads it."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def vehicle_sent(self, frame: Frame) -> None:
+        self.count += message_id(frame.data) in UNREAD
+
+
+@pytest.mark.parametrize(("config", "least", "most"), [(AUTO, 1500, 2500), (STOPPING, 0, 0)])
+def test_what_nobody_reads_stops_only_where_that_is_wanted(
+    config: CompanionConfig, least: int, most: int
+) -> None:
+    flight = Flight(config, Scenario(), 1, MemoryJournal())
+    flight.run(5.0)
+    unread = UnreadFrames()
+    flight.observers.append(unread)
+    flight.run(10.0)
+    assert least <= unread.count <= most

@@ -5,11 +5,13 @@ import pytest
 from companion.domain import Autopilot
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
 from companion.link.autopilot_queries import (
+    MOST_ASKS,
     ONE_SHOT,
     ONLY_FROM,
     STREAM_INTERVAL_S,
     StreamFreshness,
     StreamRequester,
+    StreamStopper,
 )
 from companion.link.outbound import CommandMessage, RequestClient, arm
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
@@ -17,6 +19,7 @@ from tests.unit.companion.link.wire import heartbeat, local_position
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED, DENIED, IN_PROGRESS = 0, 2, 5
+HIGHRES_IMU, ODOMETRY = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, mavlink.MAVLINK_MSG_ID_ODOMETRY
 POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 TICK_S = 0.05
 
@@ -266,3 +269,40 @@ def test_who_does_not_know_the_question_is_asked_seldom() -> None:
     asking.wait(112.0)
     late = [at for at in heartbeats_asked(asking) if at > 13.0]
     assert len(late) == pytest.approx(20, abs=1)
+
+
+# Streams that nobody reads
+
+
+def stops(stopper: StreamStopper, seconds: float) -> list[int]:
+    """What is asked to stop, while all of it goes on."""
+    asked = []
+    for tick in range(round(seconds / TICK_S)):
+        for number in [HIGHRES_IMU, ODOMETRY]:
+            stopper.hear(number, tick * TICK_S)
+        request = stopper.due(tick * TICK_S, (1, 1))
+        if isinstance(request, CommandMessage):
+            assert (request.command, request.param2) == (511, -1.0)
+            asked.append(int(request.param1))
+    return asked
+
+
+def test_each_stream_that_nobody_reads_is_asked_to_stop() -> None:
+    assert set(stops(StreamStopper(), 1.0)) == {HIGHRES_IMU, ODOMETRY}
+
+
+def test_a_stream_that_does_not_stop_is_asked_a_few_times_only() -> None:
+    assert len(stops(StreamStopper(), 100.0)) == 2 * MOST_ASKS
+
+
+def test_a_restarted_autopilot_is_asked_again() -> None:
+    stopper = StreamStopper()
+    stops(stopper, 100.0)
+    stopper.restart()
+    assert set(stops(stopper, 1.0)) == {HIGHRES_IMU, ODOMETRY}
+
+
+def test_a_stream_that_stopped_is_not_asked_for_again() -> None:
+    stopper = StreamStopper()
+    stops(stopper, 1.0)
+    assert stopper.due(50.0, (1, 1)) is None
