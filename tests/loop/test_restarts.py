@@ -56,6 +56,7 @@ def engage_again(loop: Loop) -> None:
     loop.choose(FlightMode.OFFBOARD)
 
 
+@pytest.mark.slow
 def test_an_estimate_survives_a_kill_and_is_localised_long_before_a_cold_one() -> None:
     took_s = {}
     for is_kept in (True, False):

@@ -37,7 +37,7 @@ def fed(
     return tracker
 
 
-@pytest.mark.parametrize("count", [5, 60, 700])
+@pytest.mark.parametrize("count", [5, 60, pytest.param(700, marks=pytest.mark.slow)])
 def test_after_a_jump_it_is_as_if_it_had_always_been_there(count: int) -> None:
     """With 700 of them some are in the window no more."""
     believed = TrackerParams(filter=params(target_height_sigma_m=5.0))

@@ -386,7 +386,7 @@ def _far_away(tracker: TargetTracker, places: Iterable[PositionEnu], emitter: Po
     return restarts
 
 
-@pytest.mark.parametrize("has_window", [True, False])
+@pytest.mark.parametrize("has_window", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_an_emitter_that_was_carried_away_is_found_where_it_is_now(has_window: bool) -> None:
     """The window forgets what it saw before the contradictions began."""
     tracker = TargetTracker(TrackerParams(window=WindowParams(enabled=has_window)))
