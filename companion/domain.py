@@ -112,6 +112,8 @@ R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
 """R95 of a circular normal distribution with a sigma of 1."""
 UNTOLD_SIGMA_M = 3.0
 """What an own place counts as whose accuracy nobody tells: one frequency, not all of the sky."""
+OPTIMISM, CORRECTED_M = 1.5, 0.5
+"""By how much receivers without corrections err more than they tell; better ones have them."""
 HEIGHT_RATIO = 2.0
 """Satellites tell heights 1.5 to 2 times worse than places."""
 
@@ -138,6 +140,16 @@ class OwnAccuracy:
             max(self.vertical_m, other.vertical_m),
             self.is_told and other.is_told,
         )
+
+    @property
+    def counted_m(self) -> float:
+        """What the horizontal one is taken for, per axis.
+
+        Receivers know nothing of their reflections and tell too little, those with corrections
+        apart, which are better than this.
+        """
+        is_optimistic = self.is_told and self.horizontal_m >= CORRECTED_M
+        return self.horizontal_m * (OPTIMISM if is_optimistic else 1.0)
 
     @property
     def words(self) -> str:
@@ -201,14 +213,14 @@ class TargetEstimate:
         if not self.settled_r95_m <= self.r95_m:
             object.__setattr__(self, "settled_r95_m", self.r95_m)
         if not self.absolute_r95_m >= self.r95_m:  # NaN is no better than either
-            radius_m = math.hypot(self.r95_m, R95_OF_SIGMA * self.own.horizontal_m)
+            radius_m = math.hypot(self.r95_m, R95_OF_SIGMA * self.own.counted_m)
             object.__setattr__(self, "absolute_r95_m", radius_m)
 
     @property
     def absolute_covariance_m2(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """`covariance_m2` with the own place's error in it."""
         (a, b), (c, d) = self.covariance_m2
-        own_m2 = self.own.horizontal_m**2
+        own_m2 = self.own.counted_m**2
         return ((a + own_m2, b), (c, d + own_m2))
 
     @property

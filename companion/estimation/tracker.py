@@ -60,9 +60,8 @@ from companion.estimation.window.window_map import WindowParams
 
 UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
 """What is not known of the ground's height and of a radio's stamps where nothing is configured."""
-OPTIMISM, CORRECTED_M = 1.5, 0.5
-"""Receivers know nothing of their reflections, and tell too little, those with corrections apart,
-which are better than this."""
+FIX_CHANGE = 2.0
+"""By how much the accuracy that is told changes when the fix becomes another one."""
 
 
 class TrackerParams(Params, frozen=True):
@@ -128,6 +127,8 @@ class TargetTracker:
         self.own: OwnAccuracy | None = None
         """How well the vehicle knew its own place, at the worst while this was measured: satellites
         err by the same for minutes, so a time of a worse fix is not made good by a better one."""
+        self._best_own_m = math.inf
+        """How well at the best: satellites of another fix err by something else."""
         self.integrity = TrackIntegrity()
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
@@ -181,7 +182,7 @@ class TargetTracker:
             return report
         self.accepted += 1
         self.last_accepted_s = now_s
-        self.own = own if self.own in (None, own) else self.own.or_worse(own)
+        self._rate_own(own)
         if report.update is not None and self._learner is not None:
             self._learn(report.update, self._learner)
         if self.hypotheses and self._optimizer.is_due(self.accepted):
@@ -192,6 +193,11 @@ class TargetTracker:
             mean = self.hypotheses[0].state.mean
             self.watch.look(self._optimizer.map, mean, estimate.r95_m, at_s)
         return report
+
+    def _rate_own(self, own: OwnAccuracy | None) -> None:
+        self.own = own if self.own in (None, own) else self.own.or_worse(own)
+        if own is not None and own.is_told:
+            self._best_own_m = min(self._best_own_m, own.horizontal_m)
 
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Fuse what was let through, as far as the hypotheses can explain it."""
@@ -286,9 +292,10 @@ class TargetTracker:
             return SharedSigmas()  # the paper's world, in which places and heights are known
         lag_s = params.stamp_lag_sigma_s
         lag_s = (UNTOLD_LAG_S if self.antenna is not None else 0.0) if lag_s is None else lag_s
-        optimism = 1.0 if own.horizontal_m < CORRECTED_M or not own.is_told else OPTIMISM
         height_m = UNTOLD_HEIGHT_M if self.antenna is not None else 0.0
-        return SharedSigmas(optimism * own.horizontal_m, height_m, lag_s)
+        has_jumped = own.is_told and self._best_own_m * FIX_CHANGE <= own.horizontal_m
+        jump_m = own.counted_m if has_jumped else 0.0
+        return SharedSigmas(own.counted_m, height_m, lag_s, jump_m)
 
     def reject(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that is not fused, or that the caller could not even offer."""
@@ -300,7 +307,7 @@ class TargetTracker:
         self._forget_place()
         self._screen.clear()
         self.last_accepted_s = None
-        self.own = None
+        self.own, self._best_own_m = None, math.inf
 
     def _forget_place(self) -> None:
         self.hypotheses, self._shared = (), NO_ERRORS

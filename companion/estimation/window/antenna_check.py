@@ -15,8 +15,10 @@ with u the whitened residuals; ranges add their robust loss. An antenna is taken
 the difference of the costs is `DECIDED`, and more than `DECIDED_SIGMAS` of what the noise that was
 drawn makes of it, the repetition of neighbours counted: from each of the others. Until then the
 planar array is believed, which promises the least. An angle beyond a right one refutes a line at
-once. Bearings that are good right above prove an azimuth for good, shadows and reflections only
-spoil them: so an azimuth is given up when more speaks against it than ever did for it.
+once. It is shown only where an azimuth's errors grow with the steepness: those around an edge are
+as large from aside. Bearings that are good right above prove an azimuth for good, shadows and
+reflections only spoil them: so an azimuth is given up when more speaks against it than ever did for
+it.
 
 Source: Q. H. Vuong, Econometrica 57 (1989), for models that need not be true.
 """
@@ -31,7 +33,7 @@ import numpy as np
 
 from companion.estimation.antenna import AntennaKind
 from companion.estimation.filters.target_filter import FilterParams, Inflation
-from companion.estimation.measurement_model import BEARING, RANGE
+from companion.estimation.measurement_model import BEARING, RANGE, target_height_m
 from companion.estimation.window.map_kernels import (
     AXES,
     VALUES,
@@ -49,6 +51,12 @@ DECIDED = math.log(1000.0)
 DECIDED_SIGMAS = 3.0
 EVERY = 4
 """An antenna that was found is looked at again at each of so many solutions."""
+
+STEEP_RAD = math.radians(45.0)
+MIN_STEEP = 8
+"""Bearings from above, and from aside, before errors can be seen to grow."""
+WORSE_SHARE = 0.6
+"""Of pairs of both in which the steeper one is farther off."""
 
 Candidate = Literal["azimuth", "planar", "line"]
 CANDIDATES: tuple[Candidate, ...] = ("planar", "azimuth", "line")
@@ -127,6 +135,8 @@ class AntennaCheck:
         best = min(found, key=lambda kind: found[kind].cost)
         others = [found[kind] for kind in found if kind != best]
         is_shown = bool(others) and all(is_decided(other, found[best]) for other in others)
+        if best == "planar" and "azimuth" in found:
+            is_shown &= is_worse_from_above(found["azimuth"])
         gain = min((other.cost for other in others), default=0.0) - found[best].cost
         if best != self.taken:
             if not is_shown or gain < self._azimuth_gain + DECIDED:
@@ -164,7 +174,10 @@ class AntennaCheck:
         # an angle is off by no more than half a turn, however vague
         costs = np.log(spread_rad) + off / scale + np.log1p(-np.exp(-math.pi / spread_rad))
         ranging_cost = float(np.sum(psi * (u[RANGE] - 0.5 * psi)))
-        return Explained(ranging_cost + float(costs.sum()), spread_rad, off / scale)
+        away = rows[is_borne, :2] - solution[0][:2]
+        rise_m = rows[is_borne, 2] - target_height_m(solution[0], params.model)
+        rise_rad = np.arctan2(np.abs(rise_m), np.hypot(away[:, 0], away[:, 1]))
+        return Explained(ranging_cost + float(costs.sum()), spread_rad, off / scale, rise_rad)
 
 
 class Explained(NamedTuple):
@@ -175,6 +188,19 @@ class Explained(NamedTuple):
     """(m,) how far off each bearing is expected to be."""
     error: Vector
     """(m,) how far off it is, in that unit."""
+    rise_rad: Vector
+    """(m,) how steep the emitter lies below."""
+
+
+def is_worse_from_above(azimuth: Explained) -> bool:
+    """Whether an azimuth's errors grow with the steepness, by rank: not so around an edge."""
+    off_rad = azimuth.error * azimuth.spread_rad
+    is_steep = azimuth.rise_rad > STEEP_RAD
+    steep, level = off_rad[is_steep], off_rad[~is_steep]
+    if min(len(steep), len(level)) < MIN_STEEP:
+        return False
+    share = float(np.mean(steep[:, None] > level[None, :]))  # a half by chance (Mann and Whitney)
+    return share > WORSE_SHARE
 
 
 def is_decided(before: Explained, better: Explained) -> bool:

@@ -45,6 +45,8 @@ class SharedSigmas(NamedTuple):
     """Of the height between vehicle and target, where the state has none."""
     lag_s: float = 0.0
     """Of what the radio's stamps are late."""
+    jump_m: float = 0.0
+    """Of the own place, per axis, while its fix was another one."""
 
 
 class SharedErrors(NamedTuple):
@@ -88,6 +90,7 @@ def shared_errors(
     wander = np.zeros((2, 2))
     if sigmas.own_m > 0.0 and len(times_s):
         wander = sigmas.own_m**2 * _wander(times_s, A_inverse, weighted, place)
+    wander = wander + sigmas.jump_m**2 * np.eye(2)
     return SharedErrors(lasting, wander)
 
 

@@ -132,11 +132,15 @@ CITY = OwnAccuracy(6.0, 9.0, is_told=True)
 @pytest.mark.parametrize("own", [UNTOLD, RTK, CITY])
 def test_the_absolute_radius_has_the_own_place_in_it(own: OwnAccuracy) -> None:
     told = _told(_hypothesis(), own=own)
-    expected_m = math.hypot(0.5, own.horizontal_m) * R95_OF_EQUAL_AXES
+    expected_m = math.hypot(0.5, own.counted_m) * R95_OF_EQUAL_AXES
     assert told.absolute_r95_m == pytest.approx(expected_m)
-    grown = (0.25 + own.horizontal_m**2) * np.eye(2)
+    grown = (0.25 + own.counted_m**2) * np.eye(2)
     np.testing.assert_allclose(told.absolute_covariance_m2, grown)
     assert told.own == own
+
+
+def test_a_receiver_without_corrections_counts_half_as_much_again() -> None:
+    assert (CITY.counted_m, RTK.counted_m, UNTOLD.counted_m) == (9.0, 0.02, 3.0)
 
 
 @pytest.mark.parametrize("own", [RTK, CITY])

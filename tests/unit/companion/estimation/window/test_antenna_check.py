@@ -95,6 +95,23 @@ def test_reflections_do_not_make_an_azimuth_of_a_planar_array() -> None:
     assert check.taken == "planar"
 
 
+def test_bearings_around_an_edge_are_not_called_worthless_from_above() -> None:
+    rng = np.random.default_rng(48)
+    places = legs(far_m=40.0, near_m=-40.0)
+    rows = printed("azimuth", places, rng)
+    edge = TARGET[:2] + np.array([-16.0, 0.0])
+    to_target_m = np.hypot(*(places[:, :2] - TARGET[:2]).T)
+    for i in np.flatnonzero((to_target_m > 14.0) & (to_target_m < 45.0)):
+        to = edge - places[i, :2]
+        yaw = math.atan2(rows[i, 11], rows[i, 10])
+        off = math.atan2(to[1], to[0]) + SIGMA_RAD * rng.normal()
+        rows[i, 4] = math.remainder(yaw - off, math.tau)
+        rows[i, 3] += np.hypot(*to) + np.hypot(*(edge - TARGET[:2])) - to_target_m[i]
+    check = AntennaCheck(with_antenna(PARAMS, "planar"))
+    check.look(rows, TARGET, NO_INFLATION)
+    assert not check.is_shown
+
+
 def test_an_azimuth_is_given_up_when_more_speaks_against_it_than_spoke_for_it() -> None:
     check = looked("azimuth", 4, legs())
     rows = printed("planar", legs(count=240), np.random.default_rng(5))

@@ -95,3 +95,9 @@ def test_nothing_shared_is_no_error() -> None:
     shared = _shared(rows, times_s, SharedSigmas())
     assert not shared.lasting.any()
     assert not shared.wander.any()
+
+
+def test_a_fix_that_was_another_one_counts_its_whole_error_however_short_the_search() -> None:
+    rows, times_s = _passes((0.3, 1.7))
+    wander = _shared(rows, times_s, SharedSigmas(jump_m=0.3)).wander
+    assert np.diag(wander) == pytest.approx([0.09, 0.09])
