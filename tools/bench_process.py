@@ -33,8 +33,10 @@ from tools.console import OneLineParser, positive
 ROOT = Path(__file__).resolve().parents[1]
 SETTLING_S = 15.0
 """From the start of the client to the first look; the companion has taken off by then."""
-CLIENTS = ("native", "numba", "plain", "mavsdk", "pymavlink")
-"""The companion with its kernels compiled ahead, by numba, or not at all; and who listens only."""
+CLIENTS = ("native", "quiet", "numba", "plain", "mavsdk", "pymavlink")
+"""The companion with its kernels compiled ahead, the same where streams that it does not read stop,
+with kernels by numba, or not at all; and who listens only."""
+AHEAD = ("native", "quiet")
 LISTENERS = ("mavsdk", "pymavlink")
 WITHOUT_NUMBA = """
 import sys
@@ -71,7 +73,7 @@ def main() -> int:
         return 0
     print(f"{'client':10} {'memory':>8} {'processor':>10}")
     uses = []
-    clients = CLIENTS if options.kernels else CLIENTS[1:]
+    clients = [name for name in CLIENTS if options.kernels or name not in AHEAD]
     for client in options.only or clients:
         use = measure(client, options.seconds, options.kernels)
         uses.append(use)
@@ -103,6 +105,7 @@ def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
         "mission: {engage: auto, stop_confirm_s: 1000.0}",  # flies on for as long as it is watched
         f"log: {{directory: {folder / 'flights'}}}",
         f"process: {{state_directory: {folder / 'state'}}}",
+        f"link: {{stop_unread_streams: {str(client == 'quiet').lower()}}}",
     )
     config.write_text("\n".join(lines))
     program: tuple[str, ...] = (str(Path(sys.executable).with_name("companion")),)
@@ -116,7 +119,7 @@ def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
 
 def environment_of(client: str, kernels: Path | None) -> dict[str, str]:
     """Where it finds which kernels."""
-    path = f"{kernels.resolve()}:{ROOT}" if client == "native" and kernels else str(ROOT)
+    path = f"{kernels.resolve()}:{ROOT}" if client in AHEAD and kernels else str(ROOT)
     return {**os.environ, "PYTHONPATH": path}
 
 

@@ -58,6 +58,7 @@ class FreeSpace:
         self._edges: tuple[Segment, ...] = tuple(
             e for border in self.borders for e in edges(border)
         )
+        self._boxed = tuple((edge, _box(edge)) for edge in self._edges)
 
     def allows(self, point: Point) -> bool:
         """Whether a point is on the allowed side of every border, by the margin; never on one."""
@@ -73,7 +74,19 @@ class FreeSpace:
         if any(contains(polygon, start) for polygon in self.keep_out_enu_m):
             return False
         reach_m = max(self.margin_m - GRAZE_M, GRAZE_M)
-        return not any(are_within(reach_m, start, end, *edge) for edge in self._edges)
+        return not any(
+            are_within(reach_m, start, end, *edge) for edge in self._near(start, end, reach_m)
+        )
+
+    def _near(self, start: Point, end: Point, reach_m: float) -> list[Segment]:
+        """Edges whose box is not farther from a leg's than that: few, in all that is flown."""
+        west, east = min(start[0], end[0]) - reach_m, max(start[0], end[0]) + reach_m
+        south, north = min(start[1], end[1]) - reach_m, max(start[1], end[1]) + reach_m
+        return [
+            edge
+            for edge, (west_m, east_m, south_m, north_m) in self._boxed
+            if not (west > east_m or east < west_m or south > north_m or north < south_m)
+        ]
 
     def pieces(self, start: Point, end: Point) -> Iterator[Segment]:
         """What is free of a straight leg, as legs in its direction, the first one first."""
@@ -196,6 +209,12 @@ def between(a: Point, b: Point, share: float) -> Point:
     if share == 1.0:
         return b
     return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
+
+
+def _box(edge: Segment) -> tuple[float, float, float, float]:
+    """West, east, south and north of an edge."""
+    (e0, n0), (e1, n1) = edge
+    return min(e0, e1), max(e0, e1), min(n0, n1), max(n0, n1)
 
 
 def moved_left(start: Point, end: Point, by_m: float) -> Segment:

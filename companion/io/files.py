@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
+from functools import partial
 from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
@@ -40,6 +41,16 @@ def plain(value: object) -> object:
     if hasattr(value, "tolist"):  # numpy's scalars and arrays, without importing numpy
         return plain(value.tolist())
     return str(value)
+
+
+def json_line(value: object) -> bytes:
+    """`plain(value)` as JSON in one line of ASCII, without the line's end."""
+    write = partial(json.dumps, allow_nan=False, separators=(",", ":"))
+    try:
+        text = write(value, default=plain)  # most is plain already, down to every number
+    except (ValueError, TypeError):
+        text = write(plain(value))
+    return text.encode("ascii")
 
 
 def read_file(path: Path) -> bytes:

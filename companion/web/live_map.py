@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import errno
 import ipaddress
-import json
 import logging
 import os
 import socket
@@ -33,7 +32,7 @@ from companion.domain import EstimateState
 from companion.errors import CompanionError
 from companion.guidance.commands import Severity
 from companion.guidance.events import OperatorAsked, OperatorCommand
-from companion.io.files import plain
+from companion.io.files import json_line
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
 from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
@@ -211,7 +210,7 @@ def announced_url(settings: WebSettings) -> str:
 
 
 def _line(value: Mapping[str, object]) -> bytes:
-    return json.dumps(plain(value), allow_nan=False, separators=(",", ":")).encode() + b"\n"
+    return json_line(value) + b"\n"
 
 
 ROOM_S = 0.012

@@ -24,7 +24,7 @@ from companion.errors import ConfigError
 from companion.guidance import events
 from companion.guidance.commands import Severity
 from companion.io.background_files import BackgroundFile
-from companion.io.files import plain, read_file
+from companion.io.files import json_line, read_file
 from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
@@ -249,8 +249,7 @@ class EventLog(BackgroundFile):
 
     def write(self, record: Mapping[str, object]) -> None:
         """Record one event; NaN and infinity become null, control characters are escaped."""
-        line = json.dumps(plain(record), allow_nan=False, separators=(",", ":"))
-        self.append(line.encode("ascii") + b"\n")
+        self.append(json_line(record) + b"\n")
 
 
 def event_lines(path: Path) -> list[dict[str, object]]:

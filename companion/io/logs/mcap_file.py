@@ -25,7 +25,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
-from companion.io.files import plain
+from companion.io.files import json_line
 from companion.io.logs.log_files import frame_for_log
 from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterThread
 
@@ -211,7 +211,7 @@ class McapLog(WriterThread[Message]):
         return max(0, self._started_ns + round(now_s * 1e9))
 
     def _put_json(self, channel: str, value: Mapping[str, object], now_s: float) -> None:
-        self._put(channel, json.dumps(plain(value), allow_nan=False).encode(), now_s)
+        self._put(channel, json_line(value), now_s)
 
     def _put(self, channel: str, data: bytes, now_s: float) -> None:
         stamp_ns = self._stamp_ns(now_s)

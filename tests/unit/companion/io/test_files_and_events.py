@@ -13,6 +13,7 @@ from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.files import (
     delete_old_flights,
+    json_line,
     new_flight_directory,
     plain,
     write_json_atomic,
@@ -44,7 +45,7 @@ class Fix:
 )
 def test_anything_becomes_valid_json(value: object, expected: object) -> None:
     assert plain(value) == expected
-    json.dumps(plain(value), allow_nan=False)
+    assert json.loads(json_line({"is": value, "at": 0.5})) == {"is": expected, "at": 0.5}
 
 
 def test_events_are_one_json_object_per_line(tmp_path: Path) -> None:
