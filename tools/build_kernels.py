@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import hashlib
 import importlib
 import os
 import subprocess
@@ -111,10 +112,16 @@ def main() -> int:
     for module in place.glob("_native.*.so"):  # names of the folders that it was compiled in
         subprocess.run(["strip", "--strip-unneeded", str(module)], check=True)
     text = f'"""Kernels compiled by tools/{Path(__file__).name}."""\n\n'
-    text += f"DIGEST = {sources_digest()!r}\nVARIANTS = {variants!r}\n"
+    text += f"DIGEST = {sources_digest()!r}\nTOOL = {digest_of_tool()!r}\n"
+    text += f"VARIANTS = {variants!r}\n"
     (place / "__init__.py").write_text(text)
     print(f"{place}: {len(variants)} kernels, {sum(map(len, variants.values()))} variants")
     return 0
+
+
+def digest_of_tool() -> str:
+    """A short name for the text of this file: what another one compiled is compiled anew."""
+    return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
 
 
 def compile_reproducibly(compiler: Any) -> None:

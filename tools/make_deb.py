@@ -120,19 +120,22 @@ def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -
 
 
 def kernels_for(version: str, own: Path) -> Path | None:
-    """The package of compiled kernels for a Python, made if it is not of these sources."""
+    """The package of compiled kernels for a Python, made if it is not of these sources and tool."""
     is_this = sys.version.startswith(f"{version}.")
     program = sys.executable if is_this else other_python(version)
     kernels = ROOT / f"build/kernels/{version}/companion_kernels"
-    described = kernels / "__init__.py"
-    if described.exists() and sources_digest() in described.read_text():
+    described, tool = kernels / "__init__.py", ROOT / "tools/build_kernels.py"
+    states = (sources_digest(), hashlib.sha256(tool.read_bytes()).hexdigest()[:16])
+    if described.exists() and all(state in described.read_text() for state in states):
         return kernels
     if program is None:
         return None
     shutil.rmtree(kernels, ignore_errors=True)
     if not is_this:
         program = environment_for(program, version, own)
-    command = (program, "-W", "ignore", str(ROOT / "tools/build_kernels.py"), str(kernels.parent))
+    # objects are named and sorted by their addresses, too: those must be the same each time
+    fixed_addresses = ("setarch", "--addr-no-randomize") if shutil.which("setarch") else ()
+    command = (*fixed_addresses, program, "-W", "ignore", str(tool), str(kernels.parent))
     fixed = {"PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0"}
     subprocess.run(command, check=True, env={**os.environ, **fixed})
     return kernels

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
 import os
 import shutil
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
 from companion import __version__
+from companion.kernel import sources_digest
 from tools import make_deb
 
 needs_dpkg = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="dpkg-deb is not here")
@@ -68,6 +71,32 @@ def test_bash_completes(tree: Path, words: str, expected: str) -> None:
     )
     done = subprocess.run(["bash", "-c", asked], capture_output=True, text=True, check=True)
     assert expected in done.stdout.split()
+
+
+def described_kernels(root: Path, sources: str, tool: str) -> Path:
+    """Kernels as tools/build_kernels.py leaves them, of such sources and such a tool."""
+    place = root / f"build/kernels/{sys.version_info.major}.{sys.version_info.minor}"
+    kernels = place / "companion_kernels"
+    kernels.mkdir(parents=True)
+    (kernels / "__init__.py").write_text(f"DIGEST = {sources!r}\nTOOL = {tool!r}\n")
+    return kernels
+
+
+@pytest.mark.parametrize(("sources", "tool"), [("", "x"), ("x", ""), ("", "")])
+def test_kernels_of_other_sources_or_by_another_tool_are_compiled_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: str, tool: str
+) -> None:
+    (tmp_path / "tools").mkdir()
+    text = b"the tool"
+    (tmp_path / "tools/build_kernels.py").write_bytes(text)
+    its_digest = hashlib.sha256(text).hexdigest()[:16]
+    kernels = described_kernels(tmp_path, sources or sources_digest(), tool or its_digest)
+    compiled: list[str] = []
+    monkeypatch.setattr(make_deb, "ROOT", tmp_path)
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: compiled.append(command[-1]))
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    assert make_deb.kernels_for(version, tmp_path) == kernels
+    assert compiled == ([str(kernels.parent)] if sources or tool else [])
 
 
 def test_scripts_and_headers_of_wheels_are_left_out(tmp_path: Path) -> None:
