@@ -1,5 +1,6 @@
 #!/bin/sh
-# Tries the Debian package in a root of its own: install, doctor, demo, purge.
+# Tries the Debian package in a root of its own: install, demo, setup by flags and its undoing, doctor,
+# purge.
 #
 #   sudo packaging/try_in_root.sh ROOT PACKAGE.deb
 #
@@ -38,9 +39,20 @@ inside 'cd /tmp && companion demo --no-plot '"${DEMO_ARGS:-}"' --json /tmp/demo.
     { tail -5 "$root/tmp/demo.log"; exit 1; }
 grep LOCALISED "$root/tmp/demo.log"
 echo "localised after $(($(date +%s) - began_s)) s"
-inside 'cd /tmp; sim-link >sim.log & until grep -q listening /tmp/sim.log; do sleep 1; done; \
-    companion doctor --connect udp:127.0.0.1:14540; kill $!'
-inside 'getent passwd companion; id -nG companion; dpkg --verify companion-guidance; dpkg --purge companion-guidance'
+link=udp:127.0.0.1:14540
+inside "set -e; cd /tmp; sim-link >sim.log & until grep -q listening /tmp/sim.log; do sleep 1; done
+    companion setup --autopilot px4 --connect $link --radio none --preset wifi_rtt --fence none
+    grep -x 'COMPANION_OPTIONS=--connect $link' /etc/companion/service.env
+    companion config show --changed --config /etc/companion/companion.yaml >/dev/null
+    companion doctor --connect $link --config /etc/companion/companion.yaml
+    companion setup --remove"
+changed=$(inside 'dpkg --verify companion-guidance')
+if [ -n "$changed" ]; then
+    echo "the setup was removed, but the package is not as it was: $changed" >&2
+    exit 1
+fi
+echo "set up, examined, and the setup undone: the package is as it was"
+inside 'getent passwd companion; id -nG companion; dpkg --purge companion-guidance'
 if inside 'getent passwd companion' >/dev/null; then
     echo "purged, but the user companion is still there" >&2
     exit 1

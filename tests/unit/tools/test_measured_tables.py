@@ -1,0 +1,23 @@
+"""Figures in the pages are those that were measured."""
+
+from __future__ import annotations
+
+import pytest
+
+from tools.measured_tables import TABLES, Table, process_rows
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+def test_a_page_has_the_figures_of_its_json(table: Table) -> None:
+    text = table.page.read_text(encoding="utf-8")
+    assert table.written(text) == text, "run tools/measured_tables.py"
+
+
+def test_a_page_without_marks_is_told() -> None:
+    with pytest.raises(ValueError, match="has no `<!-- measured: process -->`"):
+        TABLES[0].written("# Install\n")
+
+
+def test_a_use_is_a_row() -> None:
+    use = {"client": "pymavlink", "resident_mb": 53.6, "processor_pct": 3.14}
+    assert process_rows([use])[-1] == "| pymavlink, listening | 54 MB | 3.1 % |"
