@@ -6,7 +6,6 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,7 +37,7 @@ def commands_like(*beginnings: str) -> list[str]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Iterator[Path]:
+def folder(tmp_path: Path) -> Path:
     """A folder with what a checkout has for reading, and nothing to write into but itself."""
     for name in ("configs", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
