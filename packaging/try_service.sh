@@ -1,8 +1,6 @@
 #!/bin/sh
 # Tries the service of the Debian package under systemd, in a container of its own: start, crash,
-# hang, full disk, a radio that is unplugged, a wall clock that is set, bad options, too many crashes.
-# The radio is a pseudo terminal that ends; the clock is moved for the service alone, by a library of
-# a few lines before the C library's (needs cc), because a container has the clock of its host.
+# hang, full disk, bad options, too many crashes.
 #
 #   sudo packaging/try_service.sh ROOT PACKAGE.deb
 #
@@ -87,58 +85,6 @@ until_is ActiveState active 1
 echo "disk full: flies on; $(inside journalctl --unit companion --no-pager --output cat --grep 'log entries lost' | tail -1)"
 inside systemctl stop companion
 inside umount /var/lib/companion
-
-# Until the journal has said something so often: until_said TEXT COUNT SECONDS.
-until_said() {
-    for _ in $(seq "$3"); do
-        said=$(inside journalctl --unit companion --no-pager --output cat --grep "$1" | grep -c .) || true
-        [ "$said" -ge "$2" ] && return
-        sleep 1
-    done
-    echo "the journal does not say \`$1\`" >&2
-    inside journalctl --unit companion --no-pager --lines 20 >&2
-    exit 1
-}
-
-plug_in() {
-    inside systemctl reset-failed radio 2>/dev/null || true
-    inside systemd-run --quiet --unit radio sim-link radio --follow tcp:127.0.0.1:14030 --as nlink_aoa --to pty:/run/uwb
-    inside sh -c 'until [ -e /run/uwb ]; do sleep 0.1; done; chmod 666 /run/uwb'
-}
-
-inside systemctl stop sim
-inside systemd-run --quiet --unit sim sim-link --send-to 127.0.0.1:14540 --link tcpin:127.0.0.1:14030
-plug_in
-echo 'COMPANION_OPTIONS=--connect udp:127.0.0.1:14540 --radio nlink@serial:/run/uwb:921600' >"$root/etc/companion/service.env"
-start
-sleep 5
-inside systemctl stop radio
-until_said 'radio nlink: silent' 1 20
-plug_in
-until_said 'radio nlink: is heard again' 1 20
-[ "$(property NRestarts)" = 0 ] && until_is ActiveState active 1
-echo "radio unplugged: told, and heard again once it was back; no restart"
-inside systemctl stop companion radio
-
-echo 'COMPANION_OPTIONS=--connect udp:127.0.0.1:14540' >"$root/etc/companion/service.env"
-cc -O2 -shared -fPIC -o "$root/opt/companion/moved_clock.so" "$(dirname "$0")/moved_clock.c" -ldl
-mkdir -p "$root/etc/systemd/system/companion.service.d"
-printf '[Service]\nEnvironment=LD_PRELOAD=/opt/companion/moved_clock.so\n' \
-    >"$root/etc/systemd/system/companion.service.d/clock.conf"
-inside systemctl daemon-reload
-start
-sleep 5
-echo -86400 >"$root/var/lib/companion/moved_clock"
-sleep 10
-until_is ActiveState active 1
-[ "$(property NRestarts)" = 0 ]
-inside systemctl kill --signal KILL companion
-until_is NRestarts 1 20
-until_is ActiveState active 60
-echo "clock set back by a day: flew on; killed then, it started again and $(inside journalctl --unit companion --no-pager --output cat --grep 'checkpoint|restarted|resum' | tail -1)"
-inside systemctl stop companion
-rm -r "$root/etc/systemd/system/companion.service.d" "$root/opt/companion/moved_clock.so"
-inside systemctl daemon-reload
 
 echo 'COMPANION_OPTIONS=--connect nonsense:1' >"$root/etc/companion/service.env"
 inside systemctl reset-failed companion 2>/dev/null || true
