@@ -11,6 +11,8 @@ FAULTS_ARGS ?=
 ifdef PYTHON
 export PYTHON
 endif
+# The tests start hundreds of processes: each would compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo    fly the simulated search and watch it (DEMO_ARGS='$(DEMO_ARGS)')"
