@@ -100,7 +100,7 @@ def open_journal(
     root = Path(config.log.directory)
     directory = new_flight_directory(root, started_unix_s)
     if config.log.keep_flights is not None:
-        deleted = delete_old_flights(root, config.log.keep_flights)
+        deleted = delete_old_flights(root, config.log.keep_flights, directory)
         if deleted:
             log.info("log.keep_flights: deleted %d older flights", len(deleted))
     facts = FlightFacts(

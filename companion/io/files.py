@@ -128,12 +128,16 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
             return directory
 
 
-def delete_old_flights(root: Path, keep: int) -> list[Path]:
-    """Delete all but the newest `keep` folders that `new_flight_directory` named; what went."""
+def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
+    """Delete all but the newest `keep` folders that `new_flight_directory` named; what went.
+
+    The `present` flight is the newest, also where its name is not: a clock may have been set back.
+    """
     named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
-    by_age = sorted(named, key=lambda pair: (pair[0]["time"], int(pair[0]["number"] or 1)))
+    others = [(m["time"], int(m["number"] or 1), p) for m, p in named if p != present]
+    oldest = sorted(others)[: max(0, len(others) + 1 - keep)]
     deleted = []
-    for _, directory in by_age[: max(0, len(by_age) - keep)]:
+    for *_, directory in oldest:
         if directory.is_symlink() or not directory.is_dir():
             continue
         shutil.rmtree(directory, ignore_errors=True)

@@ -110,7 +110,16 @@ def test_only_flights_beyond_the_newest_are_deleted(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / "flight.tlog").write_text("x")
     (tmp_path / "2020-01-01T00-00-00Z").write_text("a file")
-    deleted = delete_old_flights(tmp_path, 2)
+    present = tmp_path / names[-1]
+    deleted = delete_old_flights(tmp_path, 2, present)
     assert sorted(path.name for path in deleted) == names[:2]
-    assert delete_old_flights(tmp_path, 2) == []
+    assert delete_old_flights(tmp_path, 2, present) == []
     assert {*names[2:], "notes", "2020-01-01T00-00-00Z"} < set(os.listdir(tmp_path))
+
+
+def test_a_clock_that_was_set_back_never_costs_the_present_flight(tmp_path: Path) -> None:
+    earlier = [new_flight_directory(tmp_path, 1_795_229_400.0 + n) for n in range(2)]
+    present = new_flight_directory(tmp_path, 0.0)
+    assert delete_old_flights(tmp_path, 2, present) == earlier[:1]
+    assert delete_old_flights(tmp_path, 1, present) == earlier[1:]
+    assert present.is_dir()
