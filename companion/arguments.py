@@ -129,7 +129,7 @@ def _add_flight(parser: Options) -> None:
     _switch(parser, "--insecure", text)
     _switch(parser, "--fresh", "resume nothing of an earlier run that did not end in order")
     _switch(parser, "--once", "end after the target is reported")
-    _switch(parser, "--quiet", "only warnings and errors")
+    _switch(parser, "--quiet", "only notices, warnings and errors")
 
 
 def _add_web(web: Options) -> None:

@@ -23,6 +23,7 @@ from companion.config.schema import (
 from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import radio_links
 from companion.io.files import check_writable, write_json_atomic
+from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
 from companion.io.logs.radio_recording import is_radio_recording
 from companion.io.shell import Clock
@@ -108,7 +109,7 @@ def _set_up_logging(*, quiet: bool, stream: io.TextIOBase | None = None) -> None
     handler = ConsoleHandler(sys.stderr if stream is None else stream)
     handler.setFormatter(logging.Formatter("%(message)s"))
     logger.handlers = [handler]
-    logger.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger.setLevel(NOTICE if quiet else logging.INFO)
     logger.propagate = False
 
 

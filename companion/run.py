@@ -100,8 +100,7 @@ def open_journal(
     root = Path(config.log.directory)
     directory = new_flight_directory(root, started_unix_s)
     if config.log.keep_flights is not None:
-        deleted = delete_old_flights(root, config.log.keep_flights, directory)
-        if deleted:
+        if deleted := delete_old_flights(root, config.log.keep_flights, directory):
             log.info("log.keep_flights: deleted %d older flights", len(deleted))
     facts = FlightFacts(
         started_unix_s=started_unix_s,

@@ -20,7 +20,7 @@ MODULES = {
 }
 AT_ONCE = ("companion config", "companion radio list", "companion-conformance --list")
 FAST = "sim-link mission run configs/missions/canonical.yaml --speed"
-"""Faster than real time and with real processes: with kernels in plain Python not every machine can."""
+"""With real processes and faster than real time: kernels in plain Python are too slow for it."""
 FLOWN = ("companion demo --no-plot", "companion replay tests/data", FAST)
 """Commands that take a while."""
 SERIAL = "/dev/ttyAMA0"

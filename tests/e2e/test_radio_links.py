@@ -150,6 +150,27 @@ def test_a_serial_port_that_is_not_there_is_refused_at_the_start(listener: Liste
         drive(listener, at("/dev/ttyNOWHERE"), scene)
 
 
+def test_a_service_waits_for_a_port_that_is_plugged_in_later(
+    listener: Listener, said: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At boot a device is often late, and after a crash a radio may be pulled out just now."""
+    monkeypatch.setenv("NOTIFY_SOCKET", "/run/systemd/notify")
+    name = tmp_path / "radio"
+
+    async def scene(shell: Shell) -> None:
+        await until(lambda: listener.ticks > 5)
+        assert shell.links[0].is_open
+        port = open_pty(name)
+        await until(lambda: len(said) == 2)
+        os.write(port, b"2.5\n")
+        await until(lambda: listener.ranges_m == [2.5])
+        os.close(port)
+
+    drive(listener, at(str(name)), scene)
+    assert said[0].startswith(f"serial {name}: not there yet (")
+    assert said[1] == f"serial {name}: connected"
+
+
 class Page(http.server.BaseHTTPRequestHandler):
     """Answers with a number that counts up, or as it is told."""
 

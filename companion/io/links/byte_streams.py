@@ -17,6 +17,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import fcntl
+import logging
 import os
 import select
 import socket
@@ -32,7 +33,7 @@ from typing import Protocol
 import serial
 
 from companion.errors import LinkError
-from companion.io.links.link import MAX_READS, Link, Received, SendQueue, logger
+from companion.io.links.link import MAX_READS, NOTICE, Link, Received, SendQueue, logger
 from companion.io.links.udp import resolve
 from companion.mav.endpoint import Chunk
 
@@ -206,7 +207,7 @@ class StreamLink(Link):
             self._stream = None
 
     def _use_stream(self, handle: Handle, fd: int) -> None:
-        logger.info("%s: connected", self.name)
+        logger.log(NOTICE if self.counters.reconnects else logging.INFO, "%s: connected", self.name)
         rate = self._bytes_per_s
         self._stream = ByteStream(handle, fd, self._take, self._forget, rate)
         if self.greeting:
@@ -318,11 +319,13 @@ class SerialLink(ReopeningLink):
         self._bytes_per_s = baud / BITS_PER_BYTE
 
     async def open(self) -> None:
-        """Open the port; a loss later is mended, a port that is not there at the start is not."""
+        """Open the port; one that is missing at the start is waited for by a service alone."""
         try:
             self._use_stream(*await self._connect())
         except (OSError, ValueError, termios.error) as error:
-            raise LinkError(f"{self.name}: {self._problem(error)}") from error
+            if "NOTIFY_SOCKET" not in os.environ or Path(self._device).exists():
+                raise LinkError(f"{self.name}: {self._problem(error)}") from error
+            self._start()
 
     def _problem(self, error: Exception) -> str:
         path = Path(self._device)

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from companion.mav.endpoint import Address, Chunk
 
 logger = logging.getLogger("companion.io")
+NOTICE = logging.INFO + 5
+"""What is news although nothing is wrong: `--quiet` shows it, too."""
 
 Received = Callable[[list[Chunk]], None]
 """Called once per wake-up of a link with all that it read."""
@@ -59,6 +61,7 @@ class Link(ABC):
         self.tells_loss = False
         """Whether an empty piece of a stream says that its other end is gone."""
         self._received = received
+        self._is_lost = False
 
     @abstractmethod
     async def open(self) -> None:
@@ -69,9 +72,10 @@ class Link(ABC):
         """Whether it listens, is connected, or tries to be; not whether anybody is there."""
         return True
 
-    @abstractmethod
     def send(self, chunk: Chunk) -> None:
-        """Send now or count why not; never raises and never waits."""
+        """Send now or count why not; never raises and never waits. Here nobody hears it."""
+        del chunk
+        self.counters.dropped += 1
 
     def hear_only(self, peer: Address | None) -> None:
         """Let the system drop what others than `peer` send, if it can; None: hear everybody."""
@@ -80,6 +84,13 @@ class Link(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release everything; a second call does nothing."""
+
+    def _note_back(self) -> None:
+        """What was lost, if anything was, is there again."""
+        if self._is_lost:
+            self._is_lost = False
+            self.counters.reconnects += 1
+            logger.log(NOTICE, "%s: is there again", self.name)
 
 
 def bound_address(bound: socket.socket | None) -> Address:

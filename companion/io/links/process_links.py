@@ -53,7 +53,6 @@ class ExecLink(Link):
         self._pause_s = BACKOFF_MIN_S
         self._has_said = False
         self._started_s = 0.0
-        self._is_lost = False
         self._complaint = ""
         self._is_closed = False
 
@@ -69,11 +68,6 @@ class ExecLink(Link):
             if shutil.which(program) is None:
                 raise LinkError(f"{self.name}: there is no program `{program}`")
         self._start()
-
-    def send(self, chunk: Chunk) -> None:
-        """Nobody hears it."""
-        del chunk
-        self.counters.dropped += 1
 
     def close(self) -> None:
         """End it, and run it no more."""
@@ -119,10 +113,7 @@ class ExecLink(Link):
 
     def _note_steady(self) -> None:
         self._pause_s = BACKOFF_MIN_S
-        if self._is_lost:
-            self._is_lost = False
-            self.counters.reconnects += 1
-            logger.info("%s: is there again", self.name)
+        self._note_back()
 
     def _complain(self, pieces: list[bytes]) -> None:
         lines = b"".join(pieces)[-4096:].decode(errors="replace").split("\n")

@@ -80,12 +80,11 @@ def _transport(setup: RadioSetup, url: str) -> Transport:
         return parse_transport(f"serial:{url}", baud)
     head = url.partition(":")[0].lower()
     if head not in ("udp", "udpin", "udpout", "tcp", "tcpin", "tcpout", "serial", "pty"):
+        host = url if ":" in url or not detail else f"{url}:{detail}"
         if usual in ("http", "https"):
-            host = url if ":" in url or not detail else f"{url}:{detail}"
             address, make, _ = _page(setup, f"{usual}://{host}")
             return OwnLine(address, make)
         if usual in ("udp", "tcp"):
-            host = url if ":" in url or not detail else f"{url}:{detail}"
             return parse_transport(f"{usual}:{host}")
     try:
         return parse_transport(url, baud)

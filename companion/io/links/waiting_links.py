@@ -47,7 +47,6 @@ class WaitingLink(Link):
         self._stop = threading.Event()
         self._room = threading.Semaphore(1)
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._is_lost = False
 
     @property
     def is_open(self) -> bool:
@@ -59,11 +58,6 @@ class WaitingLink(Link):
         self._check()
         self._loop = asyncio.get_running_loop()
         threading.Thread(target=self._work, name=self.name, daemon=True).start()
-
-    def send(self, chunk: Chunk) -> None:
-        """Nobody hears it."""
-        del chunk
-        self.counters.dropped += 1
 
     def close(self) -> None:
         """Stop; the thread follows when it no longer waits."""
@@ -104,12 +98,6 @@ class WaitingLink(Link):
         logger.warning("%s: lost (%s); trying on", self.name, reason)
         if self.tells_loss:
             self._hand_over(b"")
-
-    def _note_back(self) -> None:
-        if self._is_lost:
-            self._is_lost = False
-            self.counters.reconnects += 1
-            logger.info("%s: is there again", self.name)
 
 
 class HttpPollLink(WaitingLink):

@@ -14,6 +14,7 @@ from companion.guidance.messages import radius_fields
 from companion.handoff import HandoffFiles
 from companion.io.background_files import BackgroundReplacer
 from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
+from companion.io.links.link import NOTICE
 from companion.io.logs.log_files import EventLog, InputLog, TlogWriter
 from companion.io.logs.mcap_file import McapLog
 from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterHealth
@@ -21,7 +22,11 @@ from companion.link.interface import InputRecorder
 
 log = logging.getLogger("companion.flight")
 
-LEVELS = {Severity.ERROR: logging.ERROR, Severity.WARNING: logging.WARNING}
+LEVELS = {
+    Severity.ERROR: logging.ERROR,
+    Severity.WARNING: logging.WARNING,
+    Severity.NOTICE: NOTICE,
+}
 EVENTS_SHARE = 0.1
 INPUTS_SHARE = 0.45
 """Of a flight's cap; the tlog takes the rest, which is as much."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import pytest
 
-from companion.cli import EXIT_BAD_INPUT, main
+from companion.cli import EXIT_BAD_INPUT, _set_up_logging, main
+from companion.guidance.commands import Severity
+from companion.io.logs.flight_recorder import BlackBox
 
 OPEN = "udp:0.0.0.0:14999"
 
@@ -23,6 +26,17 @@ def key_file(folder: Path, mode: int = 0o600, text: str = "0123456789abcdef" * 4
     path.write_text(text)
     path.chmod(mode)
     return path
+
+
+def test_quiet_shows_what_takes_a_warning_back(capsys: pytest.CaptureFixture[str]) -> None:
+    """A service's journal that says a radio is silent must say, too, that it is heard again."""
+    _set_up_logging(quiet=True)
+    said = [(Severity.WARNING, "silent"), (Severity.NOTICE, "heard"), (Severity.INFO, "searching")]
+    for number, (severity, text) in enumerate(said):
+        BlackBox().text(severity, text, float(number))
+    logging.getLogger("companion").handlers[0].close()
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["    0.0 s  silent", "    1.0 s  heard"]
 
 
 @pytest.mark.parametrize(
