@@ -59,7 +59,7 @@ dist: venv-dev
 	$(BIN)/twine check --strict dist/*
 
 parts: dist
-	PYTHONPATH=. $(BIN)/python tools/list_parts.py
+	PYTHONPATH=. $(BIN)/python tools/list_parts.py $(PARTS_ARGS)
 
 deb: dist
 	$(BIN)/python tools/make_deb.py $(DEB_ARGS)

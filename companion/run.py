@@ -99,9 +99,9 @@ def open_journal(
     """
     root = Path(config.log.directory)
     directory = new_flight_directory(root, started_unix_s)
-    if config.log.keep_flights is not None:
-        if deleted := delete_old_flights(root, config.log.keep_flights, directory):
-            log.info("log.keep_flights: deleted %d older flights", len(deleted))
+    keep = config.log.keep_flights
+    if keep is not None and (deleted := delete_old_flights(root, keep, directory)):
+        log.info("log.keep_flights: deleted %d older flights", len(deleted))
     facts = FlightFacts(
         started_unix_s=started_unix_s,
         links=len(links),

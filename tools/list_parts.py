@@ -1,11 +1,11 @@
 """What a release is made of: a CycloneDX list of parts, their licences, and known weaknesses.
 
-    make dist && .venv/bin/python tools/list_parts.py
+    make dist && .venv/bin/python tools/list_parts.py [--vulnerability-service osv]
 
 Installs the wheels of dist/ with the pinned versions of packaging/constraints.txt into an
 environment of their own, as the Debian package has them, and writes what is installed there to
 dist/companion-guidance.cdx.json and dist/LICENCES.txt. Exit code 1 if pip-audit knows a weakness,
-or cannot ask.
+or cannot ask. Options are those of pip-audit.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +40,16 @@ def main() -> int:
     LICENCES.write_text("\n".join(lines) + "\n")
     print(f"{PARTS}: {len(parts)} parts\n{LICENCES}")
     (place,) = ENVIRONMENT.glob("lib/python3.*/site-packages")
-    return audit(beside / "pip-audit", place)
+    return audit(beside / "pip-audit", place, sys.argv[1:])
 
 
-def audit(program: Path, place: Path) -> int:
+def audit(program: Path, place: Path, options: Sequence[str] = ()) -> int:
     """Print what is known of the parts of others; 1 if that is anything, or could not be asked."""
     command = [str(program), "--path", str(place), "--progress-spinner=off", "--format=json"]
-    asked = subprocess.run(command, check=False, capture_output=True, text=True)
+    asked = subprocess.run([*command, *options], check=False, capture_output=True, text=True)
+    if not asked.stdout:
+        print(f"not looked up: {(asked.stderr.splitlines() or ['pip-audit says nothing'])[-1]}")
+        return 1
     parts = json.loads(asked.stdout)["dependencies"]
     others = [part for part in parts if not part["name"].startswith("companion-")]
     unknown = [part["name"] for part in others if "skip_reason" in part]

@@ -69,6 +69,16 @@ def understand(words: list[str]) -> None:
             assert program in OF_OTHERS, f"`{program}`: whose is it?"
 
 
+@pytest.mark.parametrize(("page", "commands"), [("index", 2), ("px4", 6)])
+def test_a_newcomer_needs_two_commands_to_the_demo_and_six_to_a_flight_on_px4(
+    page: str, commands: int
+) -> None:
+    text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
+    (_, first), *_ = SHELL.findall(text)
+    assert len(first.splitlines()) == commands
+    assert first.startswith("make venv-demo"), "from a checkout, and nothing else"
+
+
 @pytest.mark.parametrize(
     "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
 )
