@@ -1,11 +1,14 @@
 #!/bin/sh
 # Tries the service of the Debian package under systemd, in a container of its own: start, crash,
-# hang, full disk, bad options, too many crashes.
+# hang, too many crashes, full disk, a radio that is late and then unplugged, a wall clock that is set
+# back, bad options.
 #
 #   sudo packaging/try_service.sh ROOT PACKAGE.deb
 #
-# ROOT is as for try_in_root.sh; it needs systemd-nspawn (Debian: systemd-container). The container
-# has a network of its own with nothing but itself. The package is purged at the end.
+# ROOT is as for try_in_root.sh; it needs systemd-nspawn (Debian: systemd-container) and cc. The
+# container has a network of its own with nothing but itself. It has the devices and the clock of its
+# host: so the radio's serial port is a pseudo terminal that goes away, and the clock is moved for the
+# service alone, by moved_clock.c. The package is purged at the end.
 set -eu
 
 root=${1:?usage: try_service.sh ROOT PACKAGE.deb} package=${2:?usage: try_service.sh ROOT PACKAGE.deb}
@@ -21,7 +24,7 @@ end() {
     kill -TERM "$container" 2>/dev/null || true
     wait "$container" || true
     chroot "$root" dpkg --purge companion-guidance >/dev/null
-    rm -f "$log"
+    rm -rf "$log" "$root/etc/systemd/system/companion.service.d" "$root/etc/deaf.yaml"
 }
 trap end EXIT
 
@@ -85,6 +88,72 @@ until_is ActiveState active 1
 echo "disk full: flies on; $(inside journalctl --unit companion --no-pager --output cat --grep 'log entries lost' | tail -1)"
 inside systemctl stop companion
 inside umount /var/lib/companion
+
+# What the journal says from now on: await TEXT SECONDS.
+listen() {
+    sleep 1
+    began_s=$(date +%s)
+}
+await() {
+    for _ in $(seq "$2"); do
+        inside journalctl --unit companion --no-pager --output cat --since "@$began_s" | grep -q "$1" && return
+        sleep 1
+    done
+    echo "the journal does not say \`$1\`" >&2
+    inside journalctl --unit companion --no-pager --lines 20 >&2
+    exit 1
+}
+
+plug_in() {
+    inside systemd-run --quiet --unit radio --property User=companion --property RuntimeDirectory=uwb \
+        sim-link radio --follow tcp:127.0.0.1:14030 --as nlink_aoa --to pty:/run/uwb/port
+}
+
+inside systemctl stop sim
+echo 'payload: {max_range_m: 0.001}' >"$root/etc/deaf.yaml"
+inside systemd-run --quiet --unit sim sim-link --scenario /etc/deaf.yaml \
+    --send-to 127.0.0.1:14540 --link tcpin:127.0.0.1:14030
+echo 'COMPANION_OPTIONS=--connect udp:127.0.0.1:14540 --radio nlink@serial:/run/uwb/port:921600' \
+    >"$root/etc/companion/service.env"
+listen
+start
+await 'radio nlink: silent' 20
+plug_in
+await 'radio nlink: is heard again' 40
+echo 'radio late: the service waits for it'
+listen
+inside systemctl stop radio
+await 'radio nlink: silent' 20
+inside systemctl kill --signal KILL companion
+until_is NRestarts 1 20
+until_is ActiveState active 60
+listen
+plug_in
+await 'radio nlink: is heard again' 40
+[ "$(property NRestarts)" = 1 ]
+echo 'radio unplugged: told; killed then, it started again without it; plugged in: heard again'
+inside systemctl stop companion radio
+
+echo 'COMPANION_OPTIONS=--connect udp:127.0.0.1:14540' >"$root/etc/companion/service.env"
+cc -O2 -shared -fPIC -o "$root/opt/companion/moved_clock.so" "$(dirname "$0")/moved_clock.c"
+mkdir -p "$root/etc/systemd/system/companion.service.d"
+variables='LD_PRELOAD=/opt/companion/moved_clock.so MOVED_CLOCK=/run/moved_clock'
+printf '[Service]\nEnvironment=%s\n' "$variables" >"$root/etc/systemd/system/companion.service.d/clock.conf"
+inside systemctl daemon-reload
+inside sh -c 'rm -rf /var/lib/companion/*; echo 86400 >/run/moved_clock'
+start
+sleep 5
+inside sh -c 'echo 0 >/run/moved_clock'
+sleep 10
+until_is ActiveState active 1
+[ "$(property NRestarts)" = 0 ]
+listen
+inside systemctl kill --signal KILL companion
+until_is NRestarts 1 20
+await 'resumed after [0-9]* s in' 60
+[ "$(inside ls /var/lib/companion/flights | wc -l)" = 2 ]
+echo 'clock set back by a day: flew on; killed then, it knew how long it had been away'
+inside systemctl stop companion
 
 echo 'COMPANION_OPTIONS=--connect nonsense:1' >"$root/etc/companion/service.env"
 inside systemctl reset-failed companion 2>/dev/null || true
