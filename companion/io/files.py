@@ -136,14 +136,10 @@ def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
     named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
     others = [(m["time"], int(m["number"] or 1), p) for m, p in named if p != present]
     oldest = sorted(others)[: max(0, len(others) + 1 - keep)]
-    deleted = []
     for *_, directory in oldest:
-        if directory.is_symlink() or not directory.is_dir():
-            continue
-        shutil.rmtree(directory, ignore_errors=True)
-        if not directory.exists():
-            deleted.append(directory)
-    return deleted
+        if directory.is_dir() and not directory.is_symlink():
+            shutil.rmtree(directory, ignore_errors=True)
+    return [directory for *_, directory in oldest if not os.path.lexists(directory)]
 
 
 def _sync_directory(directory: Path) -> None:

@@ -102,7 +102,8 @@ class WebProcess:
 
     def __init__(self, settings: WebSettings, scene: Mapping[str, object]) -> None:
         if find_spec("nicegui") is None:
-            raise CompanionError("--web needs the extra web: pip install 'companion-guidance[web]'")
+            pip = f"python3 -m pip --python {sys.executable} install 'companion-guidance[web]'"
+            raise CompanionError(f"--web needs the extra web: {pip}")
         listener = listening_socket(settings)
         first = {"fd": listener.fileno(), "settings": settings, "scene": scene}
         self._child = subprocess.Popen(

@@ -20,8 +20,8 @@ TARGETS = set(
     re.findall(r"^([a-z-]+)(?: [a-z-]+)*:", (ROOT / "Makefile").read_text(), re.MULTILINE)
 )
 TARGETS |= {"venv-demo", "venv-dev"}
-OF_OTHERS = {".", "apt", "systemctl", "debootstrap", "packaging/try_in_root.sh"} | set(
-    ("mavproxy.py", "sim_vehicle.py", "commander", "mode", "arm", "pip", "pipx", "echo", "pytest")
+OF_OTHERS = {"pytest", ".", "apt", "systemctl", "debootstrap", "packaging/try_in_root.sh"} | set(
+    ("mavproxy.py", "sim_vehicle.py", "commander", "mode", "arm", "pip", "pipx", "python3", "echo")
 )
 """Programs that this project does not have; their commands are read, and never run, by a test."""
 PX4S_TARGET = "px4_sitl"
