@@ -57,12 +57,9 @@ class BackgroundFile(WriterThread[bytes]):
         super().__init__(f"write {path.name}", MAX_QUEUED, GATHER_S)
         self.bytes_kept = self._bytes
 
-    def append(self, item: bytes) -> bool:
-        """Queue a record; the first that is lost to a slow disk is reported."""
-        is_queued = super().append(item)
-        if not is_queued and self.overflowed == 1 and not self._is_closed:
-            logger.warning("%s: the disk is too slow, records are lost", self.path)
-        return is_queued
+    def note_overflow(self) -> None:
+        """Report a disk that is too slow."""
+        logger.warning("%s: the disk is too slow, records are lost", self.path)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
         """Write what is queued, for so long at most, and close."""

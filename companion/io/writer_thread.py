@@ -59,6 +59,9 @@ class WriterThread(Generic[T]):
     def end(self) -> None:
         """Called last on the thread."""
 
+    def note_overflow(self) -> None:
+        """The first item is lost to a full queue."""
+
     @property
     def dropped(self) -> int:
         """Items lost so far, to a full queue or a failed write."""
@@ -82,6 +85,8 @@ class WriterThread(Generic[T]):
             self._queue.put(item)
             return True
         self.overflowed += 1
+        if self.overflowed == 1 and not self._is_closed:
+            self.note_overflow()
         return False
 
     def finish(self) -> None:
@@ -117,10 +122,7 @@ class WriterThread(Generic[T]):
             self._is_ending.wait(self._gather_s)
         while item is not None:
             batch.append(item)
-            if len(batch) == MAX_BATCH:
+            if len(batch) == MAX_BATCH or self._queue.empty():
                 return batch, False
-            try:
-                item = self._queue.get_nowait()
-            except queue.Empty:
-                return batch, False
+            item = self._queue.get()
         return batch, True

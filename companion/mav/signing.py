@@ -254,6 +254,9 @@ def setup_from(
     return SigningSetup(SigningKey(secret), min(timestamp, MAX_HEARD))
 
 
+_SETUP_SIGNING = int(mavlink.MAVLINK_MSG_ID_SETUP_SIGNING).to_bytes(3, "little")
+
+
 def is_signed(frame: bytes) -> bool:
     """Whether a frame carries a signature, right or wrong."""
     return frame[0] == MAGIC_V2 and bool(frame[2] & INCOMPAT_SIGNED)
@@ -261,4 +264,4 @@ def is_signed(frame: bytes) -> bool:
 
 def is_secret(frame: bytes) -> bool:
     """Whether a frame carries a key: never broadcast, forwarded or written to a log."""
-    return message_id(frame) == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
+    return frame[7:10] == _SETUP_SIGNING and frame[0] == MAGIC_V2  # no id of version 1 is as high

@@ -69,7 +69,7 @@ def _peak_mb() -> float:
 
 
 RECORD_PERIOD_S = 10.0
-LOOK_PERIOD_S = 0.1
+LOOK_PERIOD_S = 0.5
 SILENT_DISK_S = 2.0
 MISSED_TICKS = 10
 """Within a period, before it is reported."""
@@ -107,14 +107,14 @@ class ProcessDiagnostics:
         self._late_total_s = 0.0
 
     def run(self, now_s: float) -> None:
-        """Record and report what is due; a wake-up soon after another has nothing new."""
-        if now_s / self._speed < self._next_look_s:
+        """Record and report what is due."""
+        wall_s = now_s / self._speed
+        if wall_s >= self._next_look_s:
+            self._next_look_s = wall_s + LOOK_PERIOD_S
+            self._check_disk(now_s)
+        if wall_s < self._next_s:
             return
-        self._next_look_s = now_s / self._speed + LOOK_PERIOD_S
-        self._check_disk(now_s)
-        if now_s / self._speed < self._next_s:
-            return
-        self._next_s = now_s / self._speed + RECORD_PERIOD_S
+        self._next_s = wall_s + RECORD_PERIOD_S
         self._check_losses(now_s)
         self._check_punctuality(now_s)
         self._journal.record("process", self._record(), now_s)

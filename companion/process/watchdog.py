@@ -109,6 +109,8 @@ class Watchdog:
         if not self._is_ready:
             self._is_ready = True
             self._supervisor.say(READY)
+        if wall_s < min(self._next_feed_s, self._next_status_s):
+            return
         missing = self.missing()
         if wall_s >= self._next_feed_s and missing is None:
             timeout_s = self._supervisor.watchdog_s or STATUS_PERIOD_S

@@ -170,14 +170,13 @@ class UdpLink(Link):
             if self._socket is None:
                 break
             try:
-                data, (host, port) = self._socket.recvfrom(MAX_DATAGRAM)
+                data, peer = self._socket.recvfrom(MAX_DATAGRAM)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError as error:  # ECONNREFUSED: an earlier datagram found nobody there
                 self.counters.receive_errors += 1
                 self._handle_refusal(error)
                 continue
-            peer = (str(host), int(port))
             chunks.append(Chunk(self.index, data, peer))
             self._note_peer(peer)
         self.counters.received += len(chunks)
