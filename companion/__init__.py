@@ -1,3 +1,3 @@
 """A companion-computer application that localises a radio emitter from a UAV."""
 
-__version__ = "0.2.0"
+__version__ = "1.0.0rc1"

@@ -20,6 +20,7 @@ import argparse
 import gzip
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -42,7 +43,11 @@ PYTHONS = ("3.11", "3.13")
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("2_28", "2_27", "2_26", "2_17", "2_12", "2_5")
 """Of the wheels that are taken: Debian 12 has 2.36."""
-EXTRAS = ("companion-guidance[mcap]", "companion-sim-link", "rich")
+EXTRAS = (
+    f"companion-guidance[mcap]=={__version__}",
+    f"companion-sim-link=={__version__}",
+    "rich",
+)
 COMMANDS = {
     "companion": "companion.entry",
     "sim-link": "sim_link.cli",
@@ -82,6 +87,11 @@ def native_architecture() -> str:
     """As dpkg calls it."""
     machine = os.uname().machine
     return next((name for name, known in MACHINES.items() if known == machine), "amd64")
+
+
+def debian_version(version: str) -> str:
+    """As dpkg orders it: a candidate comes before its release."""
+    return re.sub(r"(?<=\d)(a|b|rc)(?=\d+$)", r"~\1", version)
 
 
 def last_commit_s() -> str:
@@ -155,7 +165,7 @@ def environment_for(program: str, version: str, own: Path) -> str:
     python = str(place / "bin/python")
     subprocess.run([program, "-m", "venv", "--clear", str(place)], check=True)
     files = (f"--find-links={own}", f"--constraint={PACKAGING / 'constraints.txt'}")
-    wanted = ("companion-guidance", "numba", "setuptools")
+    wanted = (f"companion-guidance=={__version__}", "numba", "setuptools")
     pip = (python, "-m", "pip", "install", "--quiet", *files, *wanted)
     subprocess.run(pip, check=True)
     return python
@@ -238,7 +248,7 @@ def write_control(tree: Path, architecture: str) -> None:
     place.mkdir()
     control = (PACKAGING / "debian/control").read_text()
     for name, value in (
-        ("VERSION", __version__),
+        ("VERSION", debian_version(__version__)),
         ("ARCHITECTURE", architecture),
         ("SIZE_KB", size_kb),
     ):
@@ -263,7 +273,7 @@ def build(tree: Path, output: Path, architecture: str) -> Path:
             is_run = path.is_dir() or path.stat().st_mode & 0o100
             path.chmod(0o755 if is_run else 0o644)
     output.mkdir(parents=True, exist_ok=True)
-    package = output / f"companion-guidance_{__version__}_{architecture}.deb"
+    package = output / f"companion-guidance_{debian_version(__version__)}_{architecture}.deb"
     command = ["dpkg-deb", "--root-owner-group", "-Zxz", "--build", str(tree), str(package)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return package

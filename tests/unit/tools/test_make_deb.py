@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import itertools
 import os
 import shutil
 import subprocess
@@ -109,6 +110,15 @@ def test_scripts_and_headers_of_wheels_are_left_out(tmp_path: Path) -> None:
 
 
 @needs_dpkg
+def test_dpkg_orders_candidates_before_their_release() -> None:
+    order = ["0.2.0", "1.0.0a1", "1.0.0rc1", "1.0.0rc2", "1.0.0", "1.0.1rc1"]
+    debian = [make_deb.debian_version(version) for version in order]
+    assert debian[2] == "1.0.0~rc1"
+    for earlier, later in itertools.pairwise(debian):
+        subprocess.run(["dpkg", "--compare-versions", earlier, "lt", later], check=True)
+
+
+@needs_dpkg
 def test_two_builds_are_the_same_bytes(tree: Path, tmp_path: Path) -> None:
     first = make_deb.build(tree, tmp_path / "first", "amd64").read_bytes()
     for path in tree.rglob("*"):
@@ -125,7 +135,7 @@ def test_dpkg_reads_what_the_package_says_of_itself(tree: Path, tmp_path: Path) 
     said = subprocess.run(fields, capture_output=True, text=True, check=True).stdout
     assert said.splitlines() == [
         "Package: companion-guidance",
-        f"Version: {__version__}",
+        f"Version: {make_deb.debian_version(__version__)}",
         "Architecture: amd64",
     ]
     listed = subprocess.run(
