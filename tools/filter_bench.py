@@ -266,7 +266,7 @@ def stepped_often(
     """The sum of the easts that so many first steps of the window end at."""
     total = 0.0
     for _ in range(steps):
-        moved, _ = map_step(
+        moved, _, _ = map_step(
             rows,
             start,
             DAMPING_START,

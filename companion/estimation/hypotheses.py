@@ -196,8 +196,9 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
 def _distance2(a: FilterState, b: FilterState) -> float:
     """Squared Mahalanobis distance of two positions under the smaller of the covariances' sum."""
     difference = a.mean[:2] - b.mean[:2]
-    spread = a.covariance[:2, :2] + b.covariance[:2, :2]
-    return float(difference @ np.linalg.solve(spread, difference))
+    (ee, en), (_, nn) = (a.covariance[:2, :2] + b.covariance[:2, :2]).tolist()
+    e, n = difference.tolist()
+    return float((nn * e * e - 2.0 * en * e * n + ee * n * n) / (ee * nn - en * en))
 
 
 JUMP_SIGMA_M = 0.2

@@ -12,6 +12,7 @@ counts in both radii, and not in the one that the search waits for.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -21,7 +22,7 @@ from companion.domain import EstimateState, TargetEstimate
 from companion.estimation.hypotheses import Hypothesis, probabilities
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET, RangingModel
 from companion.estimation.window.shared_errors import NO_ERRORS, SharedErrors
-from companion.kernel import Matrix, Vector
+from companion.kernel import Matrix, Vector, frozen, kernel
 
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 """Turn between neighbours on a spiral that covers a disc evenly."""
@@ -140,22 +141,38 @@ def r95_of_covariance_m(covariance_m2: Matrix) -> float:
     with q the inverse variance in that direction. Its logarithm is convex in R^2 / 2, so Newton's
     method from below climbs to the root without a step too far.
     """
-    low, high = (float(v) for v in np.linalg.eigvalsh(covariance_m2))
+    (a, b), (_, c) = covariance_m2.tolist()
+    middle, away = 0.5 * (a + c), math.hypot(0.5 * (a - c), b)
+    high = middle + away
     if high <= 0.0:
         return 0.0
-    ratio = max(low / high, MIN_AXIS_RATIO)
+    return _radius_m(max((middle - away) / high, MIN_AXIS_RATIO), high)
+
+
+@kernel
+def _radius_m(ratio: float, high: float) -> float:
+    """R95 of an ellipse whose variances are `high`, m^2, and `ratio` times that."""
     q = _COS2 + _SIN2 / ratio
     share = 1.0 / q
     share /= share.sum()
     half_square = R95_START
     for _ in range(R95_MAX_STEPS):
         outside = share * np.exp(-half_square * q)
-        total = float(outside.sum())
-        step = (math.log(total) - LOG_OUTSIDE) * total / float(outside @ q)
+        total = outside.sum()
+        step = (math.log(total) - LOG_OUTSIDE) * total / (outside * q).sum()
         half_square += step
         if step < R95_TOLERANCE:
             break
     return math.sqrt(2.0 * half_square * high)
+
+
+@functools.cache
+def _spiral(count: int) -> Matrix:
+    """So many equally probable points of a standard normal, (2, count)."""
+    order = np.arange(count)
+    radii = np.sqrt(-2.0 * np.log1p(-(order + 0.5) / count))
+    turn_rad = GOLDEN_ANGLE_RAD * order
+    return frozen(radii * np.stack([np.cos(turn_rad), np.sin(turn_rad)]))
 
 
 def r95_of_mixture_m(
@@ -166,9 +183,7 @@ def r95_of_mixture_m(
     Components are (probability, mean (2,), covariance (2, 2)), probabilities summing to 1; each
     counts as `2 * rings**2` equally probable points along a spiral, so that no two share a radius.
     """
-    order = np.arange(2 * rings**2)
-    radii = np.sqrt(-2.0 * np.log1p(-(order + 0.5) / order.size))
-    normal = radii * np.stack([np.cos(GOLDEN_ANGLE_RAD * order), np.sin(GOLDEN_ANGLE_RAD * order)])
+    normal = _spiral(2 * rings**2)
     distances, weights = [], []
     for probability, mean, covariance in components:
         values, vectors = np.linalg.eigh(covariance)

@@ -155,9 +155,10 @@ def windows(name: str, params: FilterParams) -> Results:
         A, descent, _ = normal_equations(rows, start, sigmas, thresholds, *prior)
         yield f"{name} {seed} normal matrix", A
         yield f"{name} {seed} descent", descent
-        moved, damping = map_step(rows, start, 1e-3, thresholds, bounds, *prior)
+        moved, damping, gain = map_step(rows, start, 1e-3, thresholds, bounds, *prior)
         yield f"{name} {seed} step", moved
         yield f"{name} {seed} damping", damping
+        yield f"{name} {seed} gain", gain
         mean, cost = map_minimum(rows, start, thresholds, bounds, *prior)
         yield f"{name} {seed} minimum", mean
         yield f"{name} {seed} least cost", cost

@@ -75,6 +75,8 @@ class RecursiveFilter:
         self._kernel = kernel
         self._walk = params.process_noise_m_per_sqrt_s
         self._beliefs = (params.thresholds, params.bounds, params.model, *options)
+        self._seen: tuple[object, object, tuple[Vector, ...]] = (None, None, ())
+        """What was last measured, and from where, as the kernel takes it: for all hypotheses."""
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
         """The state at `time_s`; the covariance grows by the random walk, if any."""
@@ -102,13 +104,13 @@ class RecursiveFilter:
         which makes the filter a little more careful than it had to be.)
         """
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
-        pose, z, sigma = self.params.seen(measurement, sensor_enu_m)
+        if self._seen[0] is not measurement or self._seen[1] is not sensor_enu_m:
+            pose, z, sigma = self.params.seen(measurement, sensor_enu_m)
+            self._seen = measurement, sensor_enu_m, (np.array(pose), z, sigma)
         mean, P, rows, is_sane = self._kernel(
             state.mean,
             state.covariance,
-            np.array(pose),
-            z,
-            sigma,
+            *self._seen[2],
             self._walk**2 * late_s,
             np.array(inflation),
             *self._beliefs,

@@ -28,7 +28,7 @@ import numpy as np
 from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
-from companion.estimation.window.map_kernels import SEQUENCE, hold_at_bounds
+from companion.estimation.window.map_kernels import SEQUENCE, Row, hold_at_bounds, row_vector
 from companion.estimation.window.sandwich import (
     Scores,
     correlated_variability,
@@ -36,7 +36,7 @@ from companion.estimation.window.sandwich import (
     curvature,
     pooled_variability,
 )
-from companion.estimation.window.window_map import Row, WindowMap, row_vector
+from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
 SPANS_S = (10.0, 20.0, 40.0)
@@ -264,16 +264,20 @@ class _Walk:
         u, psi = scores.u.reshape(-1), scores.psi.reshape(-1)
         weight = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
         A = (scores.H.T * weight) @ scores.H + self._information
-        return A, scores.H.T @ psi + self._pull - self._information @ state
+        return A, self._descent(scores, state)
+
+    def _descent(self, scores: Scores, state: Vector) -> Vector:
+        descent: Vector = scores.H.T @ scores.psi.reshape(-1) + self._pull
+        return descent - self._information @ state
 
     def may_begin(self, still: Vector) -> bool:
         """Whether a first step away from lying still, with white noise, is worth the second fit."""
         scores = self.scores(still)
-        A = curvature(scores) + self._information
-        A_inverse = np.asarray(np.linalg.inv(A))
+        A_inverse = np.asarray(np.linalg.inv(curvature(scores) + self._information))
         pooled = pooled_variability(scores, A_inverse, np.ones(3)) + self._information
-        velocity = (A_inverse @ self._system(scores, still)[1])[-2:]
-        covariance = covariance_of(A, pooled)[-2:, -2:]
+        last = A_inverse[-2:]
+        velocity = last @ self._descent(scores, still)
+        covariance = last @ pooled @ last.T
         return float(velocity @ np.linalg.solve(covariance, velocity)) >= WORTH_A_LOOK
 
     def covariance(self, state: Vector) -> tuple[Matrix, float]:

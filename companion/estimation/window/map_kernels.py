@@ -15,9 +15,11 @@ import math
 
 import numpy as np
 
+from companion.estimation.filters.target_filter import Pose
 from companion.estimation.measurement_model import (
     AZIMUTH,
     COSINES,
+    FIRST_AXIS,
     MIN_SINE2,
     PLANAR,
     RangingModel,
@@ -34,12 +36,24 @@ COLUMNS, ARRAY_COLUMNS = 10, 16
 
 MAX_ITERATIONS = 25
 STEP_TOLERANCE_M = 1e-4
+GAIN_TOLERANCE = 1e-6
+"""Of the cost: what is left after a free step that gains less is within thousandths of a sigma."""
 DAMPING_START = 1e-3
 DAMPING_MAX = 1e8
 MIN_CURVATURE_RATIO = 1e-3
 """Steps along the axis that says least are damped as if it said this share of the other one."""
 MIN_DISTANCE_M = 0.05
 """Views from nearer than this are taken from this far, so that an angle keeps a meaning."""
+
+
+Row = tuple[Pose, Vector, Vector]
+"""Where a measurement was made, its values (3,), NaN where not measured, and their sigmas (3,)."""
+
+
+def row_vector(row: Row, last: float) -> Vector:
+    """A row of `map_kernels`, (10,) or (16,); `last` stands where the sequence number does."""
+    pose, z, sigma = row
+    return np.array([*pose[:FIRST_AXIS], *z, *sigma, last, *pose[FIRST_AXIS:]])
 
 
 @kernel
@@ -110,9 +124,15 @@ def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
 
 
 @kernel
-def has_elevation(rows: Matrix) -> bool:
-    """Whether any row has one: most radios measure none, and then nothing is spent on it."""
-    return bool(np.isfinite(rows[:, 5]).any())
+def has_any(rows: Matrix, modality: int) -> bool:
+    """Whether any row has it: most radios do not measure all, and nothing is spent on the rest."""
+    return bool(np.isfinite(rows[:, 3 + modality]).any())
+
+
+@kernel
+def modalities_of(rows: Matrix) -> int:
+    """How many modalities there are, up to the last one that any row has."""
+    return 3 if has_any(rows, 2) else 2 if has_any(rows, 1) else 1
 
 
 @kernel
@@ -128,10 +148,11 @@ def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingMode
     if model.antenna != AZIMUTH:
         fill_array_residuals(u, rows, mean, sigmas, model)
         return u
-    turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
-    turn = (turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)) / sigmas[1]
-    u[1] = np.where(np.isnan(turn), 0.0, turn)
-    if has_elevation(rows):
+    if has_any(rows, 1):
+        turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
+        turn = (turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)) / sigmas[1]
+        u[1] = np.where(np.isnan(turn), 0.0, turn)
+    if has_any(rows, 2):
         rise = (rows[:, 5] - np.arctan2(du, np.sqrt(ground2))) / sigmas[2]
         u[2] = np.where(np.isnan(rise), 0.0, rise)
     return u
@@ -204,17 +225,18 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
     if model.antenna != AZIMUTH:
         modalities = 3
         fill_array_partials(H, rows, mean, model)
-    else:
+    elif has_any(rows, 1):
         by_bearing[:, 0] = -dn / ground2
         by_bearing[:, 1] = de / ground2
         by_bearing[:, 3] = 1.0
-    if model.antenna == AZIMUTH and has_elevation(rows):
+    if model.antenna == AZIMUTH and has_any(rows, 2):
         modalities = 3
         down = -du / (slant * slant * ground)
         by_elevation[:, 0] = de * down
         by_elevation[:, 1] = dn * down
     elif model.antenna == AZIMUTH:
         by_elevation[:] = 0.0
+        modalities = modalities_of(rows)
     for modality in range(modalities):
         part = H[modality * n : (modality + 1) * n]
         share = np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
@@ -251,7 +273,7 @@ def map_cost(
     model: RangingModel,
 ) -> float:
     """The objective at `mean`: robust losses and prior."""
-    u = row_residuals(rows, mean, sigmas, model)
+    u = row_residuals(rows, mean, sigmas, model)[: modalities_of(rows)]
     psi = clipped(u, thresholds)
     losses = psi * (u - 0.5 * psi)
     weigh_votes(losses, model)
@@ -266,8 +288,10 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
     A density that is as wide as the own position's error makes it, is as much lower; with noise
     that is inflated by c, -c log p = loss + c log sigma. `sigmas` are (3, n) at the place.
     """
-    wider = np.log(sigmas[1] / rows[:, 7])
-    total = model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider))
+    total = 0.0
+    if has_any(rows, 1):
+        wider = np.log(sigmas[1] / rows[:, 7])
+        total += model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider))
     if model.antenna == COSINES:
         wider = np.log(sigmas[2] / rows[:, 8])
         total += model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 5]), 0.0, wider))
@@ -285,7 +309,7 @@ def normal_equations(
     model: RangingModel,
 ) -> tuple[Matrix, Vector, float]:
     """The re-weighted Gauss-Newton system at `mean`: matrix (k, k), descent (k,), and the cost."""
-    measured = 3 if has_elevation(rows) else 2
+    measured = modalities_of(rows)
     u = row_residuals(rows, mean, sigmas, model)[:measured]
     psi = clipped(u, thresholds)
     H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
@@ -328,8 +352,8 @@ def map_step(
     information: Matrix,
     pull: Vector,
     model: RangingModel,
-) -> tuple[Vector, float]:
-    """One damped step that lowers the cost, and the next damping.
+) -> tuple[Vector, float, float]:
+    """One damped step that lowers the cost, the next damping, and by how much.
 
     Where no step lowers it, the mean comes back as it was.
     """
@@ -342,10 +366,11 @@ def map_step(
     while damping < DAMPING_MAX:
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
-        if map_cost(rows, moved, sigmas, thresholds, information, pull, model) < cost:
-            return moved, max(damping / 4.0, 1e-9)
+        lower = map_cost(rows, moved, sigmas, thresholds, information, pull, model)
+        if lower < cost:
+            return moved, max(damping / 4.0, 1e-9), cost - lower
         damping *= 8.0
-    return mean, damping
+    return mean, damping, 0.0
 
 
 @kernel
@@ -366,10 +391,13 @@ def map_minimum(
     mean = np.minimum(np.maximum(start, bounds[0]), bounds[1])
     damping = DAMPING_START
     for _ in range(MAX_ITERATIONS):
-        moved, damping = map_step(rows, mean, damping, thresholds, bounds, information, pull, model)
+        moved, damping, gain = map_step(
+            rows, mean, damping, thresholds, bounds, information, pull, model
+        )
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
         mean = moved
-        if step_m < STEP_TOLERANCE_M:
+        is_level = gain < GAIN_TOLERANCE and damping < DAMPING_START
+        if is_level or step_m < STEP_TOLERANCE_M:
             break
     sigmas = row_sigmas(rows, mean, model)
     return mean, map_cost(rows, mean, sigmas, thresholds, information, pull, model)

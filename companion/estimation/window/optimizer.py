@@ -3,17 +3,6 @@
 Every optimum replaces the hypotheses near it, because it holds all that they have seen, and is not
 linearised where they stood at the time. A prior of older evidence that the window contradicts was
 expanded about a wrong place, and is forgotten.
-
-How much more probable one optimum is than another. The difference of their costs is a
-log-likelihood ratio if the noise is what the loss believes. It is divided by the inflation, because
-inflated noise says that much less. And it depends on the very noise that was drawn: a residual e
-more changes it by (psi_rival - psi_best) e, so that the sum of these products (with its long-run
-variance, because residuals repeat each other) tells how easily the difference came about by chance.
-With z the difference over that deviation, the odds are no better than Phi(z) / Phi(-z). The more
-careful of the two counts.
-
-Source: Q. H. Vuong, Econometrica 57 (1989), tests two models by the scatter of their likelihood
-ratio; here only the part of the scatter that noise makes counts, because the rest is geometry.
 """
 
 from __future__ import annotations
@@ -39,15 +28,16 @@ from companion.estimation.window.map_kernels import (
     SEQUENCE,
     SIGMAS,
     VALUES,
+    Row,
+    row_vector,
 )
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
-    CRITICAL_RATIO,
-    Fields,
     Observability,
-    long_run_variance,
+    Optimum,
     mirrored,
     observability_of,
+    weigh_optima,
 )
 from companion.estimation.window.shared_errors import (
     NO_ERRORS,
@@ -58,73 +48,13 @@ from companion.estimation.window.shared_errors import (
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     MIN_MEASUREMENTS,
+    Minima,
     OlderEvidence,
-    Optimum,
-    Row,
     WindowMap,
     WindowParams,
-    row_vector,
 )
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
-
-IMPROBABLE_LOG_RATIO = math.log(1e-4)
-"""An optimum this much less probable than the best one is dropped."""
-
-
-def weigh_optima(
-    optima: Sequence[Optimum], fields: Fields = ALL_WHITE
-) -> list[tuple[float, Optimum]]:
-    """Log-weights of the optima, best first, without the improbable ones.
-
-    Only the inflation of the best one counts: a wrong place makes its residuals systematic. Nor
-    does volume, or the vaguest would win.
-    """
-    if not optima:
-        return []
-    best = min(optima, key=lambda optimum: optimum.cost)
-    logs = [(log_ratio(optimum, best, fields), optimum) for optimum in optima]
-    return [(log, optimum) for log, optimum in logs if log > IMPROBABLE_LOG_RATIO]
-
-
-def log_ratio(rival: Optimum, best: Optimum, fields: Fields = ALL_WHITE) -> float:
-    """Log of how probable `rival` is beside `best`, at most 0."""
-    if rival is best:
-        return 0.0
-    by_noise = (rival.cost - best.cost) / best.inflation
-    scatter = scatter_of(rival.psi, best.psi, fields)
-    if scatter <= 0.0:
-        return -by_noise
-    z = (rival.cost - best.cost) / math.sqrt(scatter)
-    by_chance = math.log(math.erfc(-z / math.sqrt(2.0))) - log_erfc(z / math.sqrt(2.0))
-    return -min(by_noise, by_chance)
-
-
-def scatter_of(rival: Matrix, best: Matrix, fields: Fields) -> float:
-    """By how much the noise that was drawn moves the difference of two costs, as a variance.
-
-    From influences (3, n) of the rival and of the best; where errors stay with the place, `fields`
-    tell how much they vary together.
-    """
-    if fields == ALL_WHITE:
-        sensitivity = np.sum((rival - best) * best, axis=0)
-        return float(CRITICAL_RATIO**2 * long_run_variance(sensitivity[:, None])[0, 0])
-    scatter = 0.0
-    for index, field in enumerate(fields):
-        away = (rival[index] - best[index])[:, None]
-        if field is None:
-            scatter += float(np.sum((away[:, 0] * best[index]) ** 2))
-        else:
-            scatter += float(field.variance(away)[0, 0]) / field.repetition**2
-    return scatter
-
-
-def log_erfc(x: float) -> float:
-    """log(erfc(x)) without underflow."""
-    if x < 20.0:
-        return math.log(math.erfc(x))
-    return -x * x - math.log(x * math.sqrt(math.pi))
-
 
 SECTORS = 16
 """Directions that the target is seen from, for thinning."""
@@ -335,14 +265,12 @@ class WindowOptimizer:
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
         self.map.expect(inflation)
-        rows, starts = self.rows, self._starts(hypotheses, fresh_starts)
-        optima = self.map.optima(rows, starts, self._older, is_white=is_white)
-        if optima and not self._older.is_empty and self._is_contradicted(optima[0]):
+        kept, starts = min(len(hypotheses), MAX_STARTS_KEPT), self._starts(hypotheses, fresh_starts)
+        minima = self.map.minima(self.rows, starts, self._older)
+        if minima and not self._older.is_empty and self._is_contradicted(minima[0][1]):
             self._older = OlderEvidence.none(self.map.size)
-            starts.append(optima[0].mean)
-            optima = self.map.optima(rows, starts, is_white=is_white)
-        if optima:
-            optima = self._trimmed(optima, starts, is_white=is_white)
+            minima = self.map.minima(self.rows, [*starts, minima[0][1]], self._older)
+        optima = self._optima(minima, starts[:kept], is_white=is_white)
         if not optima:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
@@ -397,23 +325,23 @@ class WindowOptimizer:
             self._turn += 1
         return starts
 
-    def _trimmed(
-        self, optima: list[Optimum], starts: Sequence[Vector], *, is_white: bool
-    ) -> list[Optimum]:
+    def _optima(self, minima: Minima, starts: Sequence[Vector], *, is_white: bool) -> list[Optimum]:
         """The optima without gross errors, if any: not even a linear loss outvotes many."""
-        rows = self.map.without_gross(self.rows, optima[0])
-        if rows is None:
-            return optima
-        starts = [*starts, *(optimum.mean for optimum in optima)]
-        return self.map.optima(rows, starts, self._older, is_white=is_white) or optima
+        kept = self.map.without_gross(self.rows, minima[0][1]) if minima else None
+        if kept is not None:
+            starts = [*(mean for _, mean in minima), *starts]
+            optima = self.map.optima(kept, starts, self._older, is_white=is_white)
+            if optima:
+                return optima
+        return self.map.judged(self.rows, minima, self._older, is_white=is_white)
 
-    def _is_contradicted(self, best: Optimum) -> bool:
+    def _is_contradicted(self, best: Vector) -> bool:
         """Whether the window, if full enough to know, leads elsewhere than with older evidence."""
         if len(self.window.rows) < CONTRADICTING_SHARE * self._params.size:
             return False
-        alone = self.map.optima(self.rows, [best.mean])
+        alone = self.map.optima(self.rows, [best])
         if not alone:
             return False
-        difference = alone[0].mean[:2] - best.mean[:2]
+        difference = alone[0].mean[:2] - best[:2]
         spread = alone[0].covariance[:2, :2]
         return float(difference @ np.linalg.solve(spread, difference)) > CONTRADICTED_DISTANCE2

@@ -141,6 +141,8 @@ def stretches_of(places: Matrix, least_m: float) -> tuple[Indices, Vector]:
             step_m = math.dist(point, begin)
             if step_m >= least_m:
                 ways_m.append(ways_m[-1] + step_m)
+                if len(ways_m) > MOST_CELLS:
+                    break
                 begin = point
             index[i] = len(ways_m) - 1
         if len(ways_m) <= MOST_CELLS:

@@ -17,20 +17,30 @@ is 1 on the quadratic part of the loss and 0 on the saturated ones. Only non-sat
 from diverse directions make it positive definite; the paper calls that bilateral information. A
 track along a line sees a target and its mirror image alike where only ranges are measured.
 
-Paper: section IV-D, Lemma B.1, Propositions B.1 and B.2. Source: P. J. Huber, Robust Statistics
+Rivals. How much more probable one optimum is than another: the difference of their costs is a
+log-likelihood ratio if the noise is what the loss believes. It is divided by the inflation, because
+inflated noise says that much less. And it depends on the very noise that was drawn: a residual e
+more changes it by (psi_rival - psi_best) e, so that the sum of these products (with its long-run
+variance, because residuals repeat each other) tells how easily the difference came about by chance.
+With z the difference over that deviation, the odds are no better than Phi(z) / Phi(-z). The more
+careful of the two counts.
+
+Paper: section IV-D, Lemma B.1, Propositions B.1 and B.2. Sources: P. J. Huber, Robust Statistics
 (1981), chapter 6; for the critical value N. M. Kiefer and T. J. Vogelsang, Econometric Theory 21
-(2005).
+(2005). Q. H. Vuong, Econometrica 57 (1989), tests two models by the scatter of their likelihood
+ratio; here only the part of the scatter that noise makes counts, because the rest is geometry.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from companion.estimation.filters.target_filter import Inflation
 from companion.estimation.window.place_noise import PlaceNoise
 from companion.kernel import Matrix, Vector
 
@@ -248,11 +258,12 @@ def covariance_of(A: Matrix, B: Matrix) -> Matrix:
 def long_run_variance(scores: Vector) -> Matrix:
     """Sum of the scores' autocovariances with Bartlett weights, (k, k), positive semi-definite."""
     n = len(scores)
-    bandwidth = max(1, int(BANDWIDTH * n))
-    total: Matrix = scores.T @ scores
-    for lag in range(1, bandwidth + 1):
-        product = scores[lag:].T @ scores[:-lag]
-        total = total + (1.0 - lag / (bandwidth + 1.0)) * (product + product.T)
+    width = max(1, int(BANDWIDTH * n)) + 1
+    # these weights are those of the squares of all sums over so many neighbours
+    sums = np.concatenate([np.zeros((1, scores.shape[1])), np.cumsum(scores, axis=0)])
+    end = np.arange(1, n + width)
+    moving = sums[np.minimum(end, n)] - sums[np.maximum(end - width, 0)]
+    total: Matrix = moving.T @ moving / width
     return total
 
 
@@ -265,17 +276,23 @@ STRETCHES = tuple(1.5**i for i in range(1, 9))
 Cost = Callable[[Vector], float]
 
 
-def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) -> Matrix:
-    """The covariance, wider along its longest axis where the cost is flatter than its curvature."""
+def stretch_covariance(
+    covariance: Matrix, A: Matrix, mean: Vector, cost: Cost, profiled: Cost | None = None
+) -> Matrix:
+    """The covariance, wider along its longest axis where the cost is flatter than its curvature.
+
+    `profiled` is the cost with the other states solved again, asked only where `cost`, which is
+    never less, rises enough.
+    """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
     if sigma_m == 0.0:
         return covariance
     axis: Vector = covariance[:, :2] @ vectors[:, 1] / sigma_m
     promised = 0.5 * EDGE_SIGMAS**2 * float(axis @ A @ axis)
-    least = cost(mean)
+    wanted = MIN_RISE_SHARE * promised + cost(mean)
     stretch = max(
-        _stretch(mean, side * EDGE_SIGMAS * axis, MIN_RISE_SHARE * promised + least, cost)
+        _stretch(mean, side * EDGE_SIGMAS * axis, wanted, (cost, profiled or cost))
         for side in (-1.0, 1.0)
     )
     if stretch == 1.0:
@@ -284,10 +301,10 @@ def stretch_covariance(covariance: Matrix, A: Matrix, mean: Vector, cost: Cost) 
     return wider
 
 
-def _stretch(mean: Vector, edge: Vector, wanted: float, cost: Cost) -> float:
-    """How often `edge` must be laid off until the cost reaches `wanted`."""
+def _stretch(mean: Vector, edge: Vector, wanted: float, costs: tuple[Cost, ...]) -> float:
+    """How often `edge` must be laid off until all costs reach `wanted`."""
     for stretch in (1.0, *STRETCHES):
-        if cost(mean + stretch * edge) >= wanted:
+        if all(cost(mean + stretch * edge) >= wanted for cost in costs):
             return stretch
     return STRETCHES[-1]
 
@@ -350,3 +367,84 @@ def mirrored(mean: Vector, places: Matrix) -> Vector:
     image = np.array(mean)
     image[:2] = centre + 2.0 * direction * float(direction @ away) - away
     return image
+
+
+IMPROBABLE_LOG_RATIO = math.log(1e-4)
+"""An optimum this much less probable than the best one is dropped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """A local minimum of the objective."""
+
+    mean: Vector
+    cost: float
+    covariance: Matrix
+    """(n, n), with the sandwich in it, and the correlation if asked for."""
+    inflation: float
+    """How much less the measurements say than white thermal noise would."""
+    psi: Matrix
+    """(3, n) influences of the measurements."""
+    noise: Inflation
+    """The same for one range, bearing or elevation at its mean weight, without correlation."""
+
+
+def weigh_optima(
+    optima: Sequence[Optimum], fields: Fields = ALL_WHITE
+) -> list[tuple[float, Optimum]]:
+    """Log-weights of the optima, best first, without the improbable ones.
+
+    Only the inflation of the best one counts: a wrong place makes its residuals systematic. Nor
+    does volume, or the vaguest would win.
+    """
+    if not optima:
+        return []
+    best = min(optima, key=lambda optimum: optimum.cost)
+    logs = [(log_ratio(each, best, fields), each) for each in optima]
+    return [(log, optimum) for log, optimum in logs if log > IMPROBABLE_LOG_RATIO]
+
+
+def log_ratio(rival: Optimum, best: Optimum, fields: Fields = ALL_WHITE) -> float:
+    """Log of how probable `rival` is beside `best`, at most 0."""
+    return 0.0 if rival is best else _log_ratio(rival.cost, rival.psi, best, fields)
+
+
+def is_improbable(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> bool:
+    """Whether a rival of this cost and these influences (3, n) is to be dropped."""
+    return _log_ratio(cost, psi, best, fields) <= IMPROBABLE_LOG_RATIO
+
+
+def _log_ratio(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> float:
+    by_noise = (cost - best.cost) / best.inflation
+    scatter = scatter_of(psi, best.psi, fields)
+    if scatter <= 0.0:
+        return -by_noise
+    z = (cost - best.cost) / math.sqrt(scatter)
+    by_chance = math.log(math.erfc(-z / math.sqrt(2.0))) - log_erfc(z / math.sqrt(2.0))
+    return -min(by_noise, by_chance)
+
+
+def scatter_of(rival: Matrix, best: Matrix, fields: Fields) -> float:
+    """By how much the noise that was drawn moves the difference of two costs, as a variance.
+
+    From influences (3, n) of the rival and of the best; where errors stay with the place, `fields`
+    tell how much they vary together.
+    """
+    if fields == ALL_WHITE:
+        sensitivity = np.sum((rival - best) * best, axis=0)
+        return float(CRITICAL_RATIO**2 * long_run_variance(sensitivity[:, None])[0, 0])
+    scatter = 0.0
+    for index, field in enumerate(fields):
+        away = (rival[index] - best[index])[:, None]
+        if field is None:
+            scatter += float(np.sum((away[:, 0] * best[index]) ** 2))
+        else:
+            scatter += float(field.variance(away)[0, 0]) / field.repetition**2
+    return scatter
+
+
+def log_erfc(x: float) -> float:
+    """log(erfc(x)) without underflow."""
+    if x < 20.0:
+        return math.log(math.erfc(x))
+    return -x * x - math.log(x * math.sqrt(math.pi))

@@ -40,13 +40,12 @@ import numpy as np
 import numpy.ma  # the first np.median would load it: 30 ms that a flight must not wait
 
 from companion.domain import Params
-from companion.estimation.filters.target_filter import FilterParams, Inflation, Pose
+from companion.estimation.filters.target_filter import FilterParams, Inflation
 from companion.estimation.measurement_model import (
     BEARING,
     BEARING_OFFSET,
     COSINES,
     ELEVATION,
-    FIRST_AXIS,
     MODALITIES,
     RANGE,
     RANGE_OFFSET,
@@ -68,10 +67,12 @@ from companion.estimation.window.place_noise import PlaceBelief, PlaceNoise, pla
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
     Fields,
+    Optimum,
     Scores,
     correlated_variability,
     covariance_of,
     curvature,
+    is_improbable,
     placed_variability,
     pooled_variability,
     shares_of,
@@ -122,16 +123,6 @@ class OlderEvidence:
         )
 
 
-Row = tuple[Pose, Vector, Vector]
-"""Where a measurement was made, its values (3,), NaN where not measured, and their sigmas (3,)."""
-
-
-def row_vector(row: Row, last: float) -> Vector:
-    """A row of `map_kernels`, (10,) or (16,); `last` stands where the sequence number does."""
-    pose, z, sigma = row
-    return np.array([*pose[:FIRST_AXIS], *z, *sigma, last, *pose[FIRST_AXIS:]])
-
-
 MIN_MEASUREMENTS = 12
 MAX_POSITION_SIGMA_M = 200.0
 """An optimum vaguer than this is no place."""
@@ -151,6 +142,9 @@ NEWS = 0.2
 SAME_PLACE_M = 0.3
 """Optima nearer than this are one."""
 
+Minima = list[tuple[float, Vector]]
+"""Costs and states (k,) of places, the least first."""
+
 
 class WindowParams(Params, frozen=True):
     """The window and how often it is solved."""
@@ -161,22 +155,6 @@ class WindowParams(Params, frozen=True):
     every: Annotated[int, msgspec.Meta(ge=1)] = 25
     starts: Annotated[int, msgspec.Meta(ge=1, le=64)] = 12
     """Directions of the fresh starts around the path."""
-
-
-@dataclass(frozen=True, slots=True)
-class Optimum:
-    """A local minimum of the objective."""
-
-    mean: Vector
-    cost: float
-    covariance: Matrix
-    """(n, n), with the sandwich in it, and the correlation if asked for."""
-    inflation: float
-    """How much less the measurements say than white thermal noise would."""
-    psi: Matrix
-    """(3, n) influences of the measurements."""
-    noise: Inflation
-    """The same for one range, bearing or elevation at its mean weight, without correlation."""
 
 
 class WindowMap:
@@ -256,18 +234,30 @@ class WindowMap:
         *,
         is_white: bool = False,
     ) -> list[Optimum]:
-        """The distinct minima reached from states (k,), best first, `older` evidence counted in."""
-        found = self._minima(rows, starts, older)
-        if found and self._count(self._fields_of(rows, found[0][1])):
-            found = self._minima(rows, [mean for _, mean in found], older)
-        optima = (self._optimum(rows, mean, cost, older, is_white) for cost, mean in found)
-        return [optimum for optimum in optima if optimum is not None]
+        """What `judged` makes of the minima reached from states (k,)."""
+        return self.judged(rows, self.minima(rows, starts, older), older, is_white=is_white)
 
-    def _minima(
-        self, rows: Matrix, starts: Iterable[Vector], older: OlderEvidence | None
-    ) -> list[tuple[float, Vector]]:
-        """Costs and states of the distinct minima, the least first."""
-        found: list[tuple[float, Vector]] = []
+    def judged(
+        self, rows: Matrix, minima: Minima, older: OlderEvidence | None, *, is_white: bool
+    ) -> list[Optimum]:
+        """The minima that name a place, best first, without those improbable beside the best one.
+
+        Solved again where errors are seen to stay with the place otherwise than was believed.
+        """
+        if minima and self._count(self._fields_of(rows, minima[0][1])):
+            minima = self.minima(rows, [mean for _, mean in minima], older)
+        optima: list[Optimum] = []
+        for cost, mean in minima:
+            scores = self.scores(rows, mean)
+            if optima and is_improbable(cost, scores.psi, optima[0], self.fields):
+                continue
+            optimum = self._optimum(rows, mean, cost, scores, older, is_white)
+            optima += [] if optimum is None else [optimum]
+        return optima
+
+    def minima(self, rows: Matrix, starts: Iterable[Vector], older: OlderEvidence | None) -> Minima:
+        """The distinct minima reached from states (k,), best first, `older` evidence counted in."""
+        found: Minima = []
         for start in starts:
             solution = self.solve(rows, start, older)
             if solution is None:
@@ -321,13 +311,17 @@ class WindowMap:
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
         return Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
 
-    def without_gross(self, rows: Matrix, optimum: Optimum) -> Matrix | None:
-        """The rows, NaN for gross errors; None: there are none, or they are more than a half."""
-        u = self.scores(rows, optimum.mean).u
+    def without_gross(self, rows: Matrix, mean: Vector) -> Matrix | None:
+        """The rows, NaN for errors that are gross for a target at `mean` (k,).
+
+        None: there are none, or they are more than a half.
+        """
+        scores = self.scores(rows, mean)
+        u = scores.u
         is_short = u[RANGE] < -GROSS_SIGMAS
         is_off = np.zeros(len(rows), dtype=bool)
         for row in self._directions:
-            noise = min(optimum.noise[row], MAX_BEARING_NOISE)
+            noise = min(max(1.0, scores.inflation(row, len(mean))), MAX_BEARING_NOISE)
             is_off |= np.abs(u[row]) > GROSS_SIGMAS * math.sqrt(noise)
         count = int(np.sum(is_short | is_off))
         if not 0 < count <= len(rows) // 2:
@@ -370,8 +364,7 @@ class WindowMap:
             stiff = older
         stiff = replace(stiff, information=stiff.information + held, pull=stiff.pull + held @ at)
         solution = self.solve(rows, at, stiff)
-        place = at if solution is None else solution[0]
-        return min(self._cost(rows, place, older), self._cost(rows, at, older))
+        return self._cost(rows, at if solution is None else solution[0], older)
 
     def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
         information, pull = self._prior(rows, older)
@@ -396,7 +389,13 @@ class WindowMap:
         return information + self._reached[1], pull + self._reached[2]
 
     def _optimum(
-        self, rows: Matrix, mean: Vector, cost: float, older: OlderEvidence | None, is_white: bool
+        self,
+        rows: Matrix,
+        mean: Vector,
+        cost: float,
+        scores: Scores,
+        older: OlderEvidence | None,
+        is_white: bool,
     ) -> Optimum | None:
         """The optimum with its covariance, or None where the measurements name no place.
 
@@ -404,12 +403,12 @@ class WindowMap:
         certain, unless residuals are known to be white: where a short window seems to say that
         correlation makes an estimate better, it is chance.
         """
-        scores = self.scores(rows, mean)
         try:
             covariance, A, B = self._sandwich(rows, scores, older, is_white)
             inflation = max(1.0, float(np.trace(B @ np.linalg.inv(A))) / len(mean))
             spread_m2 = float(np.trace(covariance[:2, :2]))
-            for _ in range(MAX_BENDS):
+            has_directions = any(scores.counts[row] for row in self._directions)
+            for _ in range(MAX_BENDS if has_directions else 0):
                 bent = self.scores(rows, mean, spread_m2)
                 covariance, A, _ = self._sandwich(rows, bent, older, is_white)
                 before_m2, spread_m2 = spread_m2, float(np.trace(covariance[:2, :2]))
@@ -417,10 +416,10 @@ class WindowMap:
                     break
         except np.linalg.LinAlgError:
             return None
-        cost_at = partial(self._cost, rows, older=older)
+        cost_at, profiled = partial(self._cost, rows, older=older), None
         if self.fields != ALL_WHITE:
-            cost_at = partial(self._profiled_cost, rows, mean, older=older)
-        covariance = stretch_covariance(covariance, A, mean, cost_at)
+            profiled = partial(self._profiled_cost, rows, mean, older=older)
+        covariance = stretch_covariance(covariance, A, mean, cost_at, profiled)
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
         noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))

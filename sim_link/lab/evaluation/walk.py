@@ -234,7 +234,7 @@ def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) ->
     mean: Vector = np.minimum(np.maximum(start, bounds[0]), bounds[1])
     damping = DAMPING_START
     for _ in range(MAX_ITERATIONS):
-        moved, damping = map_step(rows, mean, damping, limits, bounds, information, pull, model)
+        moved, damping, _ = map_step(rows, mean, damping, limits, bounds, information, pull, model)
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
         if math.hypot(moved[0] - known[0], moved[1] - known[1]) < SAME_PLACE_M:
             return known

@@ -36,7 +36,7 @@ def test_a_direction_with_either_cosine_grossly_off_goes_whole(modality: int) ->
     rows, solver = _rows(), WindowMap(PARAMS)
     rows[GROSS, VALUES + modality] += 0.8
     optimum = solver.optima(rows, [MEAN], is_white=True)[0]
-    kept = solver.without_gross(rows, optimum)
+    kept = solver.without_gross(rows, optimum.mean)
     assert kept is not None
     assert np.isnan(kept[GROSS, VALUES : VALUES + 3]).tolist() == [False, True, True]
     assert np.isnan(kept).sum() == 2

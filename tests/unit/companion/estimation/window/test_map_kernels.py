@@ -63,7 +63,7 @@ class Problem:
 
     def step(self, mean: Vector, damping: float) -> tuple[Vector, float]:
         prior = (self.information, self.pull, self.model)
-        moved, after = map_step(self.rows, mean, damping, self.thresholds, self.bounds, *prior)
+        moved, after, _ = map_step(self.rows, mean, damping, self.thresholds, self.bounds, *prior)
         return moved, after
 
     def minimum(self, start: Vector) -> tuple[Vector, float]:

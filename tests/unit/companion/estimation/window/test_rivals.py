@@ -7,13 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.window.optimizer import (
+from companion.estimation.window.sandwich import (
     IMPROBABLE_LOG_RATIO,
+    Optimum,
     log_erfc,
     log_ratio,
     weigh_optima,
 )
-from companion.estimation.window.window_map import Optimum, WindowMap
+from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import START, params, reflected, walk
 
