@@ -274,11 +274,17 @@ class _Walk:
         """Whether a first step away from lying still, with white noise, is worth the second fit."""
         scores = self.scores(still)
         A_inverse = np.asarray(np.linalg.inv(curvature(scores) + self._information))
-        pooled = pooled_variability(scores, A_inverse, np.ones(3)) + self._information
         last = A_inverse[-2:]
         velocity = last @ self._descent(scores, still)
-        covariance = last @ pooled @ last.T
-        return float(velocity @ np.linalg.solve(covariance, velocity)) >= WORTH_A_LOOK
+
+        def is_worth(variability: Matrix) -> bool:
+            covariance = last @ (variability + self._information) @ last.T
+            return float(velocity @ np.linalg.solve(covariance, velocity)) >= WORTH_A_LOOK
+
+        # what is nearly always enough to say no takes half the time
+        if not is_worth(least_variability(scores)):
+            return False
+        return is_worth(pooled_variability(scores, A_inverse, np.ones(3)))
 
     def covariance(self, state: Vector) -> tuple[Matrix, float]:
         """Of the state, (k + 2, k + 2), and how much less is measured than thermal noise says."""
@@ -290,3 +296,11 @@ class _Walk:
         inflation = max(1.0, float(np.trace(pooled @ A_inverse)) / len(state))
         pairs = [covariance_of(A, B) for B in (pooled, correlated)]
         return max(pairs, key=lambda pair: float(np.trace(pair[-2:, -2:]))), inflation
+
+
+def least_variability(scores: Scores) -> Matrix:
+    """What `pooled_variability` never is below, (k, k)."""
+    k = scores.H.shape[1]
+    parts = [(scores.moment(m, k), scores.part(m)) for m in scores.measured]
+    B: Matrix = sum((moment * (H.T @ H) for moment, H in parts), np.zeros((k, k)))
+    return B

@@ -406,15 +406,11 @@ def weigh_optima(
 
 def log_ratio(rival: Optimum, best: Optimum, fields: Fields = ALL_WHITE) -> float:
     """Log of how probable `rival` is beside `best`, at most 0."""
-    return 0.0 if rival is best else _log_ratio(rival.cost, rival.psi, best, fields)
+    return 0.0 if rival is best else log_ratio_of(rival.cost, rival.psi, best, fields)
 
 
-def is_improbable(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> bool:
-    """Whether a rival of this cost and these influences (3, n) is to be dropped."""
-    return _log_ratio(cost, psi, best, fields) <= IMPROBABLE_LOG_RATIO
-
-
-def _log_ratio(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> float:
+def log_ratio_of(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> float:
+    """The same of a rival that only its cost and its influences (3, n) are known of."""
     by_noise = (cost - best.cost) / best.inflation
     scatter = scatter_of(psi, best.psi, fields)
     if scatter <= 0.0:

@@ -66,13 +66,14 @@ from companion.estimation.window.map_kernels import (
 from companion.estimation.window.place_noise import PlaceBelief, PlaceNoise, place_noise
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
+    IMPROBABLE_LOG_RATIO,
     Fields,
     Optimum,
     Scores,
     correlated_variability,
     covariance_of,
     curvature,
-    is_improbable,
+    log_ratio_of,
     placed_variability,
     pooled_variability,
     shares_of,
@@ -249,7 +250,8 @@ class WindowMap:
         optima: list[Optimum] = []
         for cost, mean in minima:
             scores = self.scores(rows, mean)
-            if optima and is_improbable(cost, scores.psi, optima[0], self.fields):
+            best = optima[0] if optima else None
+            if best and log_ratio_of(cost, scores.psi, best, self.fields) <= IMPROBABLE_LOG_RATIO:
                 continue
             optimum = self._optimum(rows, mean, cost, scores, older, is_white)
             optima += [] if optimum is None else [optimum]
