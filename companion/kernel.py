@@ -44,10 +44,12 @@ def sources_digest() -> str:
     return digest.hexdigest()[:16]
 
 
+IS_SWITCHED_OFF = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+"""Whether kernels are to run as plain Python; then nothing that compiles is loaded either."""
+
+
 def _load_native() -> Any:
     """The package of kernels compiled ahead; None: none, or of other sources."""
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        return None
     with contextlib.suppress(ImportError):
         package = importlib.import_module("companion_kernels")
         if sources_digest() == getattr(package, "DIGEST", None):
@@ -55,9 +57,9 @@ def _load_native() -> Any:
     return None
 
 
-_native: Any = _load_native()
+_native: Any = None if IS_SWITCHED_OFF else _load_native()
 numba: Any = None  # typed by nobody to the same effect in every version
-if _native is None:
+if _native is None and not IS_SWITCHED_OFF:
     with contextlib.suppress(ImportError):
         numba = importlib.import_module("numba")
 
@@ -103,8 +105,6 @@ IS_NATIVE: bool = _native is not None
 """Whether kernels were compiled before they were installed."""
 IS_COMPILED: bool = IS_NATIVE or (numba is not None and not numba.config.DISABLE_JIT)
 """Whether kernels are compiled; with numba the first call of each takes up to seconds."""
-
-
 KERNELS: list[Any] = []
 """Those that numba compiles."""
 

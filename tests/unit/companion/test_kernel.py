@@ -77,3 +77,9 @@ def test_kernels_of_other_sources_are_left_alone(
     monkeypatch.setitem(sys.modules, "companion_kernels._native", code)
     expected = (code, TABLE) if digest == sources_digest() else None
     assert module._load_native() == expected
+
+
+@pytest.mark.skipif(not module.IS_SWITCHED_OFF, reason="these tests run compiled")
+def test_nothing_that_compiles_is_loaded_where_it_is_switched_off() -> None:
+    assert module.numba is None
+    assert not module.IS_COMPILED

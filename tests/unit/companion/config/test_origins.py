@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-import jsonschema
 import pytest
 import yaml
 
@@ -74,13 +75,21 @@ def test_a_file_that_is_wrong_is_refused(capsys: pytest.CaptureFixture[str], sit
 
 
 @pytest.fixture
-def schema(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+def jsonschema() -> ModuleType:
+    """Not loaded where tests are only collected: it takes two seconds of every worker."""
+    return importlib.import_module("jsonschema")
+
+
+@pytest.fixture
+def schema(capsys: pytest.CaptureFixture[str], jsonschema: ModuleType) -> dict[str, Any]:
     value: dict[str, Any] = json.loads(printed(capsys, "schema"))
     jsonschema.Draft202012Validator.check_schema(value)
     return value
 
 
-def test_every_preset_is_valid_by_the_schema(schema: dict[str, Any]) -> None:
+def test_every_preset_is_valid_by_the_schema(
+    schema: dict[str, Any], jsonschema: ModuleType
+) -> None:
     for preset in PRESETS:
         jsonschema.validate(yaml.safe_load(preset.read_text()), schema)
 
@@ -95,7 +104,9 @@ def test_every_preset_is_valid_by_the_schema(schema: dict[str, Any]) -> None:
         "schema_version: 99",
     ],
 )
-def test_what_a_flight_refuses_the_schema_refuses(schema: dict[str, Any], text: str) -> None:
+def test_what_a_flight_refuses_the_schema_refuses(
+    schema: dict[str, Any], jsonschema: ModuleType, text: str
+) -> None:
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(yaml.safe_load(text), schema)
 
