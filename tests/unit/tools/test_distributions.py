@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from companion import __version__
+from tools.make_deb import debian_version
 
 ROOT = Path(__file__).resolve().parents[3]
 FLIGHT, LABORATORY = "companion-guidance", "companion-sim-link"
@@ -53,3 +54,11 @@ def test_both_have_one_licence() -> None:
 def test_the_changelog_tells_of_this_version_first() -> None:
     headings = re.findall(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert headings[0] == __version__
+
+
+def test_pages_name_the_files_of_this_version() -> None:
+    text = (ROOT / "docs/install.md").read_text() + (ROOT / "docs/versions.md").read_text()
+    wheels = set(re.findall(r"companion_\w+-([^-]+)-py3", text))
+    packages = set(re.findall(r"companion-guidance_([^_]+)_amd64", text))
+    assert (wheels, packages) == ({__version__}, {debian_version(__version__)})
+    assert f"now {__version__} |" in text
