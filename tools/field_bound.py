@@ -87,10 +87,11 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
             columns.append((np.array(seen) - values) / STEP if len(seen) == len(values) else None)
         if any(column is None for column in columns):
             continue
+        # an azimuth errs by 1 / flat of an angle in space, which is what noise and bends are
         flat = math.hypot(u[0], u[1]) if antenna.kind == "planar" else 1.0
         for row in range(len(values)):
-            partials.append([*(float(c[row]) for c in columns if c is not None), 0.0])
-            sigmas.append(sigma_rad / max(flat, 1e-3))
+            partials.append([*(flat * float(c[row]) for c in columns if c is not None), 0.0])
+            sigmas.append(sigma_rad)
             about.append((time_s, *place, 1.0 + row))
     return np.array(partials), np.array(sigmas), np.array(about)
 
