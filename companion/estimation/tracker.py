@@ -63,6 +63,10 @@ UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
 FIX_CHANGE = 2.0
 """By how much the accuracy that is told changes when the fix becomes another one."""
 
+CONTRADICTED, CONTRADICTING = 16.0, 60
+"""Directions that scatter by so much more than told (in variance), of so many measurements, are not
+those of the antenna, mount and field of view that are configured: no reflections do that."""
+
 
 class TrackerParams(Params, frozen=True):
     """Everything about the estimate of one target."""
@@ -379,6 +383,20 @@ class TargetTracker:
             return 0.0
         mean = self.hypotheses[0].state.mean
         return abs(sensor_up_m - target_height_m(mean, self._filter.params.model))
+
+    @property
+    def antenna_shown(self) -> str | None:
+        """What directions show of the antenna that is not told, or `contradicted` of one that is.
+
+        None: nothing worth telling.
+        """
+        if self.antenna is not None:
+            return self.antenna.shown
+        noise, is_array = self._optimizer.noise, self._filter.params.model.antenna != AZIMUTH
+        if not is_array or noise is None or len(self.hypotheses) != 1:
+            return None
+        is_known = len(self._optimizer.window.rows) >= CONTRADICTING
+        return "contradicted" if is_known and max(noise[BEARING:]) > CONTRADICTED else None
 
     @property
     def array_sigmas(self) -> tuple[float, float] | None:

@@ -18,7 +18,6 @@ from companion.domain import TargetEstimate, Waypoint
 from companion.estimation.integrity.target_motion import TargetMotion
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
-from companion.estimation.window.antenna_check import AntennaCheck
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
@@ -251,22 +250,23 @@ class MotionMessages:
 
 ANTENNA_TEXTS: dict[str, str] = {
     "planar": "bearings are worthless from above: planar antenna? Set estimation.filter.antenna",
+    "reflected": "bearings are worthless from above: shadowed, or planar antenna?",
+    "contradicted": "directions contradict the antenna as it is told: check its kind and mount_deg",
     "line": "bearings fit a line of antennas, no azimuth: set estimation.filter.antenna",
 }
 
 
 class AntennaMessages:
-    """What was told of the antenna that nobody told us of."""
+    """What was told of the antenna, each once."""
 
     def __init__(self) -> None:
-        self._told: str | None = None
+        self._told: set[str] = set()
 
-    def messages_for(self, check: AntennaCheck | None) -> list[Command]:
-        """What is news, mostly nothing, of what the bearings show."""
-        shown = check.taken if check is not None and check.is_shown else None
-        if shown is None or shown == self._told:
+    def messages_for(self, shown: str | None) -> list[Command]:
+        """What is news, mostly nothing, of what the directions show."""
+        if shown is None or shown in self._told:
             return []
-        self._told = shown
+        self._told.add(shown)
         commands: list[Command] = [Record("antenna", {"kind": shown})]
         if shown in ANTENNA_TEXTS:
             commands.append(Announce(Severity.WARNING, ANTENNA_TEXTS[shown]))

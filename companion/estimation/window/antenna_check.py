@@ -97,6 +97,8 @@ class AntennaCheck:
         self.taken: Candidate = "planar"
         self.is_shown = False
         """Whether the bearings show that they are no azimuth, or an azimuth."""
+        self.is_reflected = False
+        """Whether what stands in the way may have spoilt them as well."""
         self._azimuth_gain = 0.0
         """By how much an azimuth that is taken was better than the next, at the most."""
         self._solutions = 0
@@ -105,6 +107,13 @@ class AntennaCheck:
     def params(self) -> FilterParams:
         """What is believed with the antenna that is taken."""
         return self._params[self.taken]
+
+    @property
+    def shown(self) -> str | None:
+        """What the bearings show, in a word; None: nothing yet."""
+        if not self.is_shown:
+            return None
+        return "reflected" if self.is_reflected else self.taken
 
     def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> bool:
         """Compare the candidates on the rows (n, 16), from `mean` (k,); whether another is taken.
@@ -137,6 +146,7 @@ class AntennaCheck:
         is_shown = bool(others) and all(is_decided(other, found[best]) for other in others)
         if best == "planar" and "azimuth" in found:
             is_shown &= is_worse_from_above(found["azimuth"])
+        self.is_reflected = best == "planar" and is_reflected(found[best])
         gain = min((other.cost for other in others), default=0.0) - found[best].cost
         if best != self.taken:
             if not is_shown or gain < self._azimuth_gain + DECIDED:
@@ -177,7 +187,8 @@ class AntennaCheck:
         away = rows[is_borne, :2] - solution[0][:2]
         rise_m = rows[is_borne, 2] - target_height_m(solution[0], params.model)
         rise_rad = np.arctan2(np.abs(rise_m), np.hypot(away[:, 0], away[:, 1]))
-        return Explained(ranging_cost + float(costs.sum()), spread_rad, off / scale, rise_rad)
+        cost = ranging_cost + float(costs.sum())
+        return Explained(cost, spread_rad, off / scale, rise_rad, u[RANGE][is_borne])
 
 
 class Explained(NamedTuple):
@@ -190,6 +201,8 @@ class Explained(NamedTuple):
     """(m,) how far off it is, in that unit."""
     rise_rad: Vector
     """(m,) how steep the emitter lies below."""
+    excess: Vector
+    """(m,) by how much the range beside it is too long, in its standard deviations."""
 
 
 def is_worse_from_above(azimuth: Explained) -> bool:
@@ -201,6 +214,18 @@ def is_worse_from_above(azimuth: Explained) -> bool:
         return False
     share = float(np.mean(steep[:, None] > level[None, :]))  # a half by chance (Mann and Whitney)
     return share > WORSE_SHARE
+
+
+def is_reflected(planar: Explained) -> bool:
+    """Whether bearings that even a planar array would not err by came with ranges too long.
+
+    The noise of an array knows nothing of the range's; what stands in the way spoils both.
+    """
+    is_worse = planar.error > np.median(planar.error)
+    worse, better = planar.excess[is_worse], planar.excess[~is_worse]
+    share = float(np.mean(worse[:, None] > better[None, :]))
+    scatter = math.sqrt((len(planar.error) + 1) / (12.0 * len(worse) * len(better)))
+    return share > 0.5 + DECIDED_SIGMAS * scatter
 
 
 def is_decided(before: Explained, better: Explained) -> bool:

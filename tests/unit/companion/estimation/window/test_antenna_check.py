@@ -95,21 +95,54 @@ def test_reflections_do_not_make_an_azimuth_of_a_planar_array() -> None:
     assert check.taken == "planar"
 
 
-def test_bearings_around_an_edge_are_not_called_worthless_from_above() -> None:
-    rng = np.random.default_rng(48)
+def around_an_edge(seed: int, edge_m: float, shadow_m: tuple[float, float]) -> Matrix:
+    """Rows of an azimuth, reflected at an edge west of the emitter where that is so far off."""
+    rng = np.random.default_rng(seed)
     places = legs(far_m=40.0, near_m=-40.0)
     rows = printed("azimuth", places, rng)
-    edge = TARGET[:2] + np.array([-16.0, 0.0])
+    edge = TARGET[:2] + np.array([-edge_m, 0.0])
     to_target_m = np.hypot(*(places[:, :2] - TARGET[:2]).T)
-    for i in np.flatnonzero((to_target_m > 14.0) & (to_target_m < 45.0)):
+    nearest_m, farthest_m = shadow_m
+    for i in np.flatnonzero((to_target_m > nearest_m) & (to_target_m < farthest_m)):
         to = edge - places[i, :2]
         yaw = math.atan2(rows[i, 11], rows[i, 10])
         off = math.atan2(to[1], to[0]) + SIGMA_RAD * rng.normal()
         rows[i, 4] = math.remainder(yaw - off, math.tau)
         rows[i, 3] += np.hypot(*to) + np.hypot(*(edge - TARGET[:2])) - to_target_m[i]
+    return rows
+
+
+def test_bearings_around_an_edge_are_not_called_worthless_from_above() -> None:
+    check = AntennaCheck(with_antenna(PARAMS, "planar"))
+    check.look(around_an_edge(48, 16.0, (14.0, 45.0)), TARGET, NO_INFLATION)
+    assert not check.is_shown
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bad_bearings_from_above_with_long_ranges_may_be_a_shadow(seed: int) -> None:
+    """Nothing in the bearings alone tells it from a planar array."""
+    check = AntennaCheck(with_antenna(PARAMS, "planar"))
+    check.look(around_an_edge(seed, 8.0, (0.0, 12.0)), TARGET, NO_INFLATION)
+    assert check.taken == "planar"
+    assert check.is_reflected
+
+
+@pytest.mark.parametrize("spoilt", ["nothing", "height", "ranges"])
+@pytest.mark.parametrize("seed", range(12, 16))
+def test_ranges_that_have_nothing_to_do_with_the_bearings_are_no_shadow(
+    seed: int, spoilt: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    rows = printed("planar", legs(), rng)
+    level_m = np.hypot(*(rows[:, :2] - TARGET[:2]).T)
+    if spoilt == "height":  # which is wrong by 3 m, as the ranges from right above are
+        rows[:, 3] += np.hypot(level_m, HEIGHT_M + 3.0) - np.hypot(level_m, HEIGHT_M)
+    if spoilt == "ranges":
+        rows[:, 3] += rng.exponential(4.0, len(rows)) * (rng.random(len(rows)) < 0.6)
     check = AntennaCheck(with_antenna(PARAMS, "planar"))
     check.look(rows, TARGET, NO_INFLATION)
-    assert not check.is_shown
+    assert check.taken == "planar"
+    assert not check.is_reflected
 
 
 def test_an_azimuth_is_given_up_when_more_speaks_against_it_than_spoke_for_it() -> None:
