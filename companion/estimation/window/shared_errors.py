@@ -1,4 +1,4 @@
-"""Errors that a window's measurements share: no residual shows them, and no number of them helps.
+"""Errors that a window's measurements share, and that no number of them averages out.
 
 Theory of operation. A displacement d of what is seen moves a measurement by its partial p times d,
 and so the M-estimate by A^-1 sum s H^T p d, with H the whitened partials, s the slope of each
@@ -12,11 +12,13 @@ that counts, it adds up to
     W = sum_ij G_i C(t_i, t_j) G_j^T,    C(s, t) = sigma^2 (rho(s - t) - rho(s) - rho(t) + 1)
 
 with G_i = A^-1 H_i^T H_i,place and rho(t) = exp(-|t| / tau), times counted from now. A height that
-is not in the state, and a radio that stamps late by an unknown time, add a dyad each.
+is not in the state, and stamps that are late by an unknown time, do show in residuals, as far as
+the views differ: they count by what these leave of them.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +26,12 @@ import numpy as np
 from companion.domain import UNTOLD, OwnAccuracy
 from companion.estimation.measurement_model import EAST, NORTH, RangingModel
 from companion.estimation.window.map_kernels import row_residuals, row_sigmas
-from companion.estimation.window.sandwich import Scores, curvature
+from companion.estimation.window.sandwich import (
+    Scores,
+    correlated_variability,
+    curvature,
+    pooled_variability,
+)
 from companion.kernel import Matrix, Vector
 
 TIME_CONSTANT_S = 150.0
@@ -32,6 +39,8 @@ TIME_CONSTANT_S = 150.0
 BINS = 48
 """The window is cut into as many times."""
 HEIGHT_STEP_M = 0.5
+LEAST_TOLD = 1e-9
+"""Of a variance, so that it can be divided by where nothing is told."""
 LONGEST_GAP_S = 2.0
 """Between rows farther apart than this no velocity is known."""
 
@@ -76,33 +85,46 @@ def shared_errors(
 
     `prior` is the state's information beside them, (k, k). A `LinAlgError` where no place is named.
     """
-    A_inverse = np.asarray(np.linalg.inv(curvature(scores) + prior)[:2], dtype=np.float64)
-    weighted = _weighted(scores)
-    lasting = np.zeros((2, 2))
-    if model.height_index < 0 and sigmas.height_m > 0.0:
-        by_height = _height_partials(rows, mean, scores, model)
-        lasting += _dyad(A_inverse @ (weighted.T @ by_height) * sigmas.height_m)
+    A_inverse = np.asarray(np.linalg.inv(curvature(scores) + prior), dtype=np.float64)
     place: Matrix = scores.H[:, EAST : NORTH + 1]
+    considered = []
+    if model.height_index < 0 and sigmas.height_m > 0.0:
+        considered.append(sigmas.height_m * _height_partials(rows, mean, scores, model))
     if sigmas.lag_s > 0.0:
         velocity = np.tile(_velocities(rows, times_s), (3, 1))
-        by_lag = np.sum(place * velocity, axis=1)
-        lasting += _dyad(A_inverse @ (weighted.T @ by_lag) * sigmas.lag_s)
+        considered.append(sigmas.lag_s * np.sum(place * velocity, axis=1))
+    lasting = np.zeros((2, 2))
+    if considered:
+        lasting = _considered(np.stack(considered, axis=1), scores, A_inverse, prior)
     wander = np.zeros((2, 2))
     if sigmas.own_m > 0.0 and len(times_s):
-        wander = sigmas.own_m**2 * _wander(times_s, A_inverse, weighted, place)
+        wander = sigmas.own_m**2 * _wander(times_s, A_inverse[:2], scores, place)
     wander = wander + sigmas.jump_m**2 * np.eye(2)
     return SharedErrors(lasting, wander)
 
 
-def _dyad(shift_m: Vector) -> Matrix:
-    return np.outer(shift_m, shift_m)
+def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matrix) -> Matrix:
+    """What parameters with these whitened partials (3 n, j), each by its sigma, make of the place.
 
-
-def _weighted(scores: Scores) -> Matrix:
-    """Whitened partials (3 n, k), times the slope of each modality."""
-    n = scores.u.shape[1]
-    weighted: Matrix = np.repeat(np.array(scores.slopes), n)[:, None] * scores.H
-    return weighted
+    One Newton step finds them, and the sandwich of both how well: by as much as the residuals then
+    speak about them, each counts by what it comes to and not by what it may be.
+    """
+    k, j = len(prior), partials.shape[1]
+    both = replace(scores, H=np.hstack([scores.H, partials]))
+    A = curvature(both)
+    A_wide = np.zeros((k + j, k + j))
+    A_wide[:k, :k], A_wide[k:, k:] = A_inverse, np.eye(j)
+    shift = A_inverse @ A[:k, k:]
+    alone = np.hstack([-shift.T, np.eye(j)])  # of a score, what the state does not explain
+    told = alone @ A[:, k:]
+    fixed = alone[:, :k] @ prior @ alone[:, :k].T
+    white = pooled_variability(both, A_wide, scores.repetition)
+    B = max(white, correlated_variability(both), key=lambda each: np.trace(alone @ each @ alone.T))
+    weight = told @ np.linalg.inv(alone @ B @ alone.T + fixed + LEAST_TOLD * np.eye(j))
+    V = np.linalg.inv(weight @ told + np.eye(j))
+    found = V @ weight @ (partials.T @ scores.psi.reshape(-1))
+    counted: Matrix = shift[:2] @ (V + np.outer(found, found)) @ shift[:2].T
+    return counted
 
 
 def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingModel) -> Vector:
@@ -130,7 +152,7 @@ def _velocities(rows: Matrix, times_s: Vector) -> Matrix:
     return velocities
 
 
-def _wander(times_s: Vector, A_inverse: Matrix, weighted: Matrix, place: Matrix) -> Matrix:
+def _wander(times_s: Vector, A_inverse: Matrix, scores: Scores, place: Matrix) -> Matrix:
     """W / sigma^2, (2, 2)."""
     n, now_s = len(times_s), float(times_s.max())
     span_s = max(now_s - float(times_s.min()), 1e-6)
@@ -139,7 +161,7 @@ def _wander(times_s: Vector, A_inverse: Matrix, weighted: Matrix, place: Matrix)
     kept = np.exp(-middles_s / TIME_CONSTANT_S)
     apart = np.exp(-np.abs(middles_s[:, None] - middles_s[None]) / TIME_CONSTANT_S)
     C = apart - kept[:, None] - kept[None] + 1.0
-    shift = weighted @ A_inverse.T  # (3 n, 2)
+    shift = np.repeat(scores.slopes, n)[:, None] * (scores.H @ A_inverse.T)  # (3 n, 2)
     total = np.zeros((2, 2))
     for axis in range(2):
         each = (shift * place[:, axis : axis + 1]).reshape(3, n, 2).sum(axis=0)

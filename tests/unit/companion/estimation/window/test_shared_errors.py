@@ -101,3 +101,37 @@ def test_a_fix_that_was_another_one_counts_its_whole_error_however_short_the_sea
     rows, times_s = _passes((0.3, 1.7))
     wander = _shared(rows, times_s, SharedSigmas(jump_m=0.3)).wander
     assert np.diag(wander) == pytest.approx([0.09, 0.09])
+
+
+def _drawn(seed: int, height_m: float, sigma_m: float) -> tuple[float, float]:
+    """Squared error of the place, and what is counted, of ranges that pass on one side of it."""
+    rng = np.random.default_rng(seed)
+    rows, times_s = _passes((0.3, 1.7))
+    rows[:, :2] += (8.0, 5.0)
+    east, north = (np.array(TARGET) - rows[:, :2]).T
+    rows[:, 3] = np.sqrt(east**2 + north**2 + (HEIGHT_M - height_m) ** 2)
+    rows[:, 3] += sigma_m * rng.standard_normal(len(rows))
+    rows[:, 4], rows[:, 6] = np.nan, sigma_m
+    params = FilterParams()
+    window_map = WindowMap(params)
+    solution = window_map.solve(rows, np.array([*TARGET, 0.0, 0.0]))
+    assert solution is not None
+    mean = solution[0]
+    scores, prior = window_map.scores(rows, mean), window_map.prior[0]
+    sigmas = SharedSigmas(height_m=3.0)
+    counted = shared_errors(rows, times_s, mean, scores, prior, params.model, sigmas).lasting
+    return math.dist(mean[:2], TARGET) ** 2, float(np.trace(counted))
+
+
+@pytest.mark.parametrize("height_m", [1.0, 2.0])
+def test_a_height_that_residuals_tell_counts_by_what_it_is(height_m: float) -> None:
+    """Not by what it may be: level ground needs no doubt of 3 m once ranges have shown it."""
+    error_m2, counted_m2 = np.mean([_drawn(seed, height_m, 0.1) for seed in range(8)], axis=0)
+    assert counted_m2 == pytest.approx(error_m2, rel=0.5)
+
+
+def test_a_height_that_noise_hides_counts_by_what_it_may_be() -> None:
+    shown, hidden = (
+        np.mean([_drawn(seed, 0.0, sigma_m)[1] for seed in range(8)]) for sigma_m in (0.1, 4.0)
+    )
+    assert hidden > 50.0 * shown
