@@ -51,7 +51,7 @@ from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
 from sim_link.lab.pool import open_pool
 from sim_link.world.environment import ChannelParams
 from tools.console import OneLineParser, non_negative, positive
-from tools.walk_choice import left_out_lines
+from tools.walk_choice import left_out_lines, mixture_lines
 from tools.walk_figures import walk_lines
 
 Part = Literal["lawnmower", "bound", "honesty", "walks"]
@@ -312,6 +312,8 @@ def main() -> int:
             lines = walk_lines(arguments.walks, arguments.placed, arguments.seed)
             if arguments.leave_one_out:
                 lines += left_out_lines(arguments.walks, arguments.jobs, show_progress)
+            if arguments.mixture:
+                lines += mixture_lines(arguments.walks, arguments.jobs, show_progress)
             print("\n".join(lines))
         figures: list[Figure] = []
         if parts:
@@ -340,6 +342,8 @@ def parsed() -> argparse.Namespace:
         "choose Wi-Fi presets with each file left out in turn, too; half an hour of processor time"
     )
     parser.add_argument("--leave-one-out", action="store_true", help=text)
+    text = "walks also with the noise of each target learnt by EM"
+    parser.add_argument("--mixture", action="store_true", help=text)
     parser.add_argument("--runs", type=positive, default=200, help="of every system")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")

@@ -2,7 +2,8 @@
 
 For every file the variant is taken that has the smallest median plus 90th percentile of the final
 errors on the *other* files of its preset; its figures on the file that was left out are those that
-a walk which nobody tuned to may expect.
+a walk which nobody tuned to may expect. In the same way the present loss is judged beside one that
+learns a mixture of line of sight and reflections on each target.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import msgspec
 
+from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.tracker import TrackerParams
 from sim_link.lab.pool import open_pool
 from tools.walk_figures import (
@@ -125,4 +127,60 @@ def choices(results: Mapping[Job, list[TargetClaims]]) -> list[str]:
         pooled.setdefault(preset, []).extend(results[Job(left_out, best)])
     for preset, targets in pooled.items():
         lines += pooled_lines(f"{preset}, each file left out in turn", targets)
+    return lines
+
+
+LEARNT: dict[str, AdaptationParams | None] = {
+    "loss as shipped": None,
+    "mixture learnt": AdaptationParams(),
+    "mixture with its offset": AdaptationParams(estimate_offset=True),
+}
+"""What is learnt of each target's noise by EM."""
+
+
+@dataclass(frozen=True, slots=True)
+class LearningJob:
+    """One walk, with what is learnt of its noise."""
+
+    path: Path
+    learnt: str
+
+
+def learning(job: LearningJob) -> list[TargetClaims]:
+    """The claims of a job."""
+    params = msgspec.structs.replace(preset_of(job.path), adaptation=LEARNT[job.learnt])
+    return claims_of(job.path, params)
+
+
+def mixture_lines(
+    folder: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda _, __: None
+) -> list[str]:
+    """The pooled figures of every preset by what is learnt, and which the other files choose."""
+    work = [LearningJob(path, learnt) for path in walks_in(folder) for learnt in LEARNT]
+    results: dict[LearningJob, list[TargetClaims]] = {}
+    with open_pool(jobs=jobs) as pool:
+        for position, targets in pool.results(learning, work):
+            results[work[position]] = targets
+            progress(len(results), len(work))
+    return mixture_choices(results)
+
+
+def mixture_choices(results: Mapping[LearningJob, list[TargetClaims]]) -> list[str]:
+    """What `mixture_lines` prints of the results of all jobs."""
+    files: dict[str, list[Path]] = {}
+    for path in dict.fromkeys(job.path for job in results):
+        files.setdefault(name_of_preset(path), []).append(path)
+
+    def on(paths: Sequence[Path], learnt: str) -> list[TargetClaims]:
+        return [target for path in paths for target in results[LearningJob(path, learnt)]]
+
+    lines: list[str] = []
+    for preset, paths in files.items():
+        for learnt in LEARNT:
+            lines += pooled_lines(f"{preset}, {learnt}", on(paths, learnt))
+        for left_out in paths if len(paths) > 1 else ():
+            others = [path for path in paths if path != left_out]
+            scores = {score(on(others, learnt)): learnt for learnt in reversed(LEARNT)}
+            best = scores[min(scores)]
+            lines.append(f"{left_out.stem}: the other files choose: {best}")
     return lines

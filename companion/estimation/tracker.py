@@ -208,9 +208,8 @@ class TargetTracker:
         params = self._filter.params
         row = self._optimizer.kept_as.seen(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
-        is_as_kept = params is self._optimizer.kept_as
-        believed = row if is_as_kept else params.seen(measurement, sensor_enu_m)
-        self.watch.add(measurement.measured_at_s, believed)
+        seen = row if params is self._optimizer.kept_as else params.seen(measurement, sensor_enu_m)
+        self.watch.add(measurement.measured_at_s, seen)
         is_white = self._noise.is_white
         if not self.hypotheses:
             self._optimizer.add(row, (), is_white=is_white, time_s=measurement.measured_at_s)
