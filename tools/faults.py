@@ -16,6 +16,7 @@ from pathlib import Path
 
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, and no minute of compiling
 
+from companion import __version__
 from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import write_json_atomic
@@ -55,7 +56,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.replay is not None:
             return replay(trial_named(arguments.replay))
         trials = trials_of(arguments.campaign, arguments.seed, arguments.only)
-        facts = {"campaign": arguments.campaign, "seed": arguments.seed}
+        facts = {
+            "version": __version__,
+            "campaign": arguments.campaign,
+            "seed": arguments.seed,
+        }
         return campaign(trials, arguments, facts)
     except CompanionError as error:
         parser.error(str(error))

@@ -28,6 +28,49 @@ CLIENTS = {
 }
 """Of tools/bench_process.py, in words."""
 
+CAMPAIGN_PARTS = {
+    "missions": (
+        "{missions:,} missions, {mission_hours:.1f} h of flight",
+        "{fence_breaches} breaches; nearest to a border {closest_approach_m:.2f} m",
+    ),
+    "override": ("{overrides:,} take-overs", "{override_late_frames} frames later than a tick"),
+    "gaps": (
+        "{hours_10_pct:g} h at each of 10, 30 and 50 % loss",
+        "longest gap {max_gap_s_10_pct:.2f}, {max_gap_s_30_pct:.2f} and {max_gap_s_50_pct:.2f} s",
+    ),
+    "reaction": (
+        "{cuts:,} cuts",
+        "hold at most {hold_after_stale_s:.2f} s after the last position, link lost at most "
+        "{link_lost_s:.2f} s after the last frame",
+    ),
+    "kill": (
+        "{kills:,} kills, {damaged_checkpoints:,} damaged checkpoints",
+        "what of it was believed, or engaged, is a finding",
+    ),
+    "stop": (
+        "{stops:,} stops, {stops_in_control:,} of them in control",
+        "hold at most {stop_hold_s:.2f} s later, exit at most {stop_exit_s:.2f} s later",
+    ),
+    "signal": (
+        "{signals:,} signals to real processes",
+        "hold confirmed after at most {signal_hold_s:.2f} s, gone after {signal_exit_s:.2f} s",
+    ),
+    "forged": (
+        "{attack_frames:,} forged, replayed and unsigned frames",
+        "what differs from the peaceful twin is a finding; slowest frame "
+        "{attack_slowest_frame_s:.4f} s",
+    ),
+    "fuzz": (
+        "{fuzz_frames:,} random frames",
+        "slowest frame {fuzz_slowest_frame_s:.4f} s, {fuzz_growth_mb:.0f} MB more",
+    ),
+    "soak": (
+        "{soak_hours:g} h of flight with a real journal",
+        "memory grows by {soak_slope_mb_per_h:.3f} MB/h, log of {soak_log_bytes:,} bytes",
+    ),
+}
+"""Of tools/faults.py, in words: what was flown, and its figures."""
+
 
 def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:
     """What `tools/bench_process.py --json` has, as a table."""
@@ -36,6 +79,27 @@ def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:
         f"| {CLIENTS[use['client']]} | {use['resident_mb']:.0f} MB | {use['processor_pct']:.1f} % |"
         for use in uses
     ]
+
+
+def campaign_rows(runs: list[Mapping[str, Any]]) -> list[str]:
+    """What `tools/faults.py --json` has of several runs, as a table: a row for each part."""
+    lines = ["| what | result | findings | command |", "|---|---|---|---|"]
+    for run in runs:
+        for part, (what, result) in CAMPAIGN_PARTS.items():
+            try:
+                told = f"| {what} | {result} |".format_map(run)
+            except KeyError:
+                continue  # this run was without that part
+            found = sum(each["trial"].startswith(f"{part}:") for each in run["findings"])
+            command = f"--campaign {run['campaign']} --only {part} --seed {run['seed']}"
+            lines.append(f"{told} {found or 'none'} | `{command}` |")
+    return lines
+
+
+def earlier_rows(records: list[Mapping[str, str]]) -> list[str]:
+    """What was noted down of earlier builds, as a table; the commit is where it was."""
+    lines = ["| what | result | command | noted in |", "|---|---|---|---|"]
+    return lines + ["| {what} | {result} | `{command}` | {commit} |".format_map(r) for r in records]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +125,12 @@ class Table:
         return marked.sub(lambda _: f"{begin}\n\n{rows}\n\n{end}", text)
 
 
-TABLES = (Table("process", ROOT / "docs/install.md", process_rows),)
+RELIABILITY = ROOT / "docs/reliability.md"
+TABLES = (
+    Table("process", ROOT / "docs/install.md", process_rows),
+    Table("campaign", RELIABILITY, campaign_rows),
+    Table("earlier", RELIABILITY, earlier_rows),
+)
 
 
 def main() -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tools.measured_tables import TABLES, Table, process_rows
+from tools.measured_tables import TABLES, Table, campaign_rows, process_rows
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
@@ -21,3 +21,12 @@ def test_a_page_without_marks_is_told() -> None:
 def test_a_use_is_a_row() -> None:
     use = {"client": "pymavlink", "resident_mb": 53.6, "processor_pct": 3.14}
     assert process_rows([use])[-1] == "| pymavlink, listening | 54 MB | 3.1 % |"
+
+
+def test_a_campaign_has_a_row_for_each_part_that_was_flown_with_what_was_found() -> None:
+    findings = [{"trial": "stop:7", "what": "late"}, {"trial": "kill:3", "what": "engaged"}]
+    run = {"campaign": "ci", "seed": 9, "stops": 1200, "stops_in_control": 30, "findings": findings}
+    (row,) = campaign_rows([{**run, "stop_hold_s": 0.05, "stop_exit_s": 0.1}])[2:]
+    parts = row.strip("| ").split(" | ")
+    assert parts[0] == "1,200 stops, 30 of them in control"
+    assert parts[2:] == ["1", "`--campaign ci --only stop --seed 9`"]
