@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -10,7 +11,13 @@ import pytest
 from companion.cli import main
 from companion.config.presets import CONFIG_FOLDERS
 from companion.config.schema import CompanionConfig
-from companion.demo.runner import _demo_config, busy_hint, scenario_named
+from companion.demo.runner import (
+    DemoResult,
+    _demo_config,
+    busy_hint,
+    scenario_named,
+)
+from companion.domain import OwnAccuracy
 from companion.errors import ConfigError
 
 BLOCK = [[30.0, 30.0], [45.0, 30.0], [45.0, 60.0], [30.0, 60.0]]
@@ -83,6 +90,21 @@ def test_a_mode_that_a_busy_computer_lost_comes_with_what_to_do(
     said = busy_hint(speed, late_s)
     assert said.startswith(hint)
     assert said.endswith("try --speed 1" if hint else "")
+
+
+def test_the_end_says_both_radii_and_whose_error_the_absolute_one_has() -> None:
+    own = OwnAccuracy(0.02, 0.04, is_told=True)
+    estimate = SimpleNamespace(
+        position_enu_m=(52.0, 41.0), r95_m=0.33, absolute_r95_m=0.34, own=own, time_s=41.8
+    )
+    endpoint: Any = SimpleNamespace(
+        session=SimpleNamespace(result=SimpleNamespace(estimate=estimate), estimate=None)
+    )
+    watch: Any = SimpleNamespace(ended="localised", wall_s=44.8, time_s=41.8, worst_gap_s=0.0)
+    report = {"emitter": {"enu_m": [52.0, 41.5, 0.0]}, "distance_m": 153.0}
+    options: Any = SimpleNamespace(speed=4.0)
+    said = DemoResult(options, watch, endpoint, report).summary
+    assert "R95 0.33 m, absolute 0.34 m (own place 0.02 m), error against the truth 0.50 m" in said
 
 
 def test_without_the_simulator_it_says_what_to_install(
