@@ -65,6 +65,7 @@ def test_finds_the_emitter_over_a_lossy_slow_link_too() -> None:
     assert loop.error_m <= 1.5
 
 
+@pytest.mark.slow
 def test_a_launch_survives_a_take_off_whose_answer_was_lost() -> None:
     """The repeated take-off is refused, because the vehicle climbs already."""
     loop = Loop(scenario=COPTER, seed=2, faults=LinkFaults(loss=0.3, delay_s=0.25))
@@ -142,6 +143,7 @@ def test_a_companion_that_dies_leaves_the_vehicle_at_its_last_target() -> None:
     assert math.dist(loop.sim.vehicle.body.position_enu_m, target) < 1.0
 
 
+@pytest.mark.slow
 def test_a_heartbeat_that_somebody_stopped_is_asked_for_and_a_pilots_mode_is_seen() -> None:
     loop = flying()
     stop = mavlink.MAVLink_command_long_message(

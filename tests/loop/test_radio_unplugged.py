@@ -35,6 +35,7 @@ class Unplugged(EmulatedRadio):
         return printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kraken", pytest.param("iw_ftm", marks=pytest.mark.slow)])
 def test_it_is_held_for_while_it_is_gone_and_flown_on_by_itself(name: str) -> None:
     format_ = as_flown(FORMAT_OF[name])

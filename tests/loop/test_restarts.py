@@ -113,6 +113,7 @@ def test_a_companion_killed_in_control_never_engages_by_itself(
         assert drift_m < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "at_s", [pytest.param(3.0, marks=slow), 8.0, *(pytest.param(s, marks=slow) for s in (20, 30))]
 )
@@ -171,6 +172,7 @@ def test_a_yield_survives_a_kill() -> None:
     assert loop.companion.session.authority.phase is Phase.STANDBY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "config",
     [
@@ -188,6 +190,7 @@ def test_another_fence_or_mission_is_no_place_for_an_old_estimate(config: Compan
     assert not loop.said("estimate resumed")
 
 
+@pytest.mark.slow
 def test_a_memory_that_is_too_old_is_none() -> None:
     loop = Loop(MANUAL)
     Checkpointing(loop.flight, max_age_s=10.0)
@@ -198,6 +201,7 @@ def test_a_memory_that_is_too_old_is_none() -> None:
     assert not loop.said("resumed after")
 
 
+@pytest.mark.slow
 def test_a_mission_that_was_stopped_in_the_air_can_be_taken_up_again() -> None:
     loop, checkpointing = in_control()
     loop.run(5.0)

@@ -61,6 +61,7 @@ def _distance_m(loop: Loop) -> float:
     return math.dist(place, EMITTER.position_enu_m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "search",
     [
@@ -140,6 +141,7 @@ def test_crossings_in_three_dimensions_find_the_emitter() -> None:
     assert min(up for s, up in zip(loop.setpoints, ups, strict=True) if s.time_s > 40.0) < 17.0
 
 
+@pytest.mark.slow
 def test_an_emitter_in_a_keep_out_is_found_from_around_it() -> None:
     scenario = Scenario(emitter=EmitterParams(position_enu_m=(38.0, 30.0)))
     mission = SessionParams(engage="auto", stop_radius_m=2.0)

@@ -271,6 +271,7 @@ def test_every_decision_of_a_flight_is_the_planner_objects(
     assert reasons - {WaypointReason.HOLD}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", KINDS)
 def test_every_decision_of_a_flight_is_the_studys(planner: PlannerName) -> None:
     """By its pilot and by its kernel, each with a memory of its own, from the same estimates."""

@@ -40,6 +40,7 @@ def test_plain_kernels_need_none(monkeypatch: pytest.MonkeyPatch) -> None:
     assert planner.requests == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["azimuth", "planar", "line", "two_axis"])
 def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_for(
     monkeypatch: pytest.MonkeyPatch, kind: AntennaKind

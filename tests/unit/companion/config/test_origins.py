@@ -90,8 +90,9 @@ def schema(capsys: pytest.CaptureFixture[str], jsonschema: ModuleType) -> dict[s
 def test_every_preset_is_valid_by_the_schema(
     schema: dict[str, Any], jsonschema: ModuleType
 ) -> None:
+    validator = jsonschema.Draft202012Validator(schema)
     for preset in PRESETS:
-        jsonschema.validate(yaml.safe_load(preset.read_text()), schema)
+        validator.validate(yaml.load(preset.read_text(), yaml.CSafeLoader))
 
 
 @pytest.mark.parametrize(

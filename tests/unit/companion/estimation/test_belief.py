@@ -84,6 +84,7 @@ def test_two_mirror_images_come_back_as_two() -> None:
     assert estimate.state is EstimateState.AMBIGUOUS
 
 
+@pytest.mark.slow
 def test_a_belief_that_was_wrong_is_given_up() -> None:
     rows = walk(np.random.default_rng(4), 400)
     belief = belief_after(rows[:150])

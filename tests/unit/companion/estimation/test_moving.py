@@ -37,6 +37,7 @@ def fed(
     return tracker
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [5, 60, pytest.param(700, marks=pytest.mark.slow)])
 def test_after_a_jump_it_is_as_if_it_had_always_been_there(count: int) -> None:
     """With 700 of them some are in the window no more."""

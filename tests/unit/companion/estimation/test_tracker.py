@@ -119,6 +119,7 @@ def test_an_estimate_that_contradicts_its_measurements_starts_anew(turned_rad: f
     assert estimate_of(tracker).state is EstimateState.DIVERGED
 
 
+@pytest.mark.slow
 def test_a_few_contradictions_are_forgiven() -> None:
     tracker = TargetTracker(TrackerParams())
     fly_around(tracker, (0.0, 0.0), range(120))
@@ -127,6 +128,7 @@ def test_a_few_contradictions_are_forgiven() -> None:
         assert fly_around(tracker, (0.0, 0.0), range(start + 9, start + 30)) == 0
 
 
+@pytest.mark.slow
 def test_well_specified_noise_never_restarts_it() -> None:
     tracker = TargetTracker(TrackerParams())
     assert fly_around(tracker, (10.0, -5.0), range(600)) == 0

@@ -106,6 +106,7 @@ def test_an_attitude_that_is_missing_is_counted_and_r95_is_wider(
     assert estimate.absolute_r95_m > undisturbed.absolute_r95_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mounted_deg", [(0.0, 0.0, 0.0), (0.0, -90.0, 90.0), (0.0, -50.0, 0.0)])
 def test_a_mount_that_contradicts_the_measurements_is_not_believed(
     mounted_deg: tuple[float, float, float], undisturbed: TargetEstimate

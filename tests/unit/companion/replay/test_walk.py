@@ -85,6 +85,7 @@ def test_truth_columns_are_optional(tmp_path: Path) -> None:
     assert result.estimate.position_enu_m == pytest.approx((4.0, 3.0), abs=0.2)
 
 
+@pytest.mark.slow
 def test_bearings_alone_and_ranges_alone_are_legal(tmp_path: Path) -> None:
     for column in ("range_m", "bearing_rad"):
         rows = [{k: v for k, v in row.items() if k != column} for row in circle()]

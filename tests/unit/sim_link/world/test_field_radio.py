@@ -119,6 +119,7 @@ def test_a_hundred_ranges_from_one_spot_are_one_opinion() -> None:
     assert np.std(new) > 4.0
 
 
+@pytest.mark.slow
 def test_the_excess_forgets_itself_over_its_correlation_length() -> None:
     always = with_(OBSTRUCTED, p_nlos=1.0)
     found = excesses_m(always, 1.0, 40_000)

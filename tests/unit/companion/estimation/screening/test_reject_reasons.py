@@ -227,6 +227,7 @@ def test_range_and_bearing_of_one_moment_are_no_duplicates_of_each_other() -> No
     assert again.reject_reason is RejectReason.DUPLICATE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bound", [None, 0, 7])
 def test_one_emitter_is_bound_and_all_others_are_ignored_and_counted(bound: int | None) -> None:
     """Also 0, which is an id like any other; and the first one heard stays the one."""

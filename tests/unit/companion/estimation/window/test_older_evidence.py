@@ -103,6 +103,7 @@ def test_a_small_window_with_its_past_is_nearly_as_good_as_all_of_it(
     assert np.sqrt(np.trace(alone.covariance[:2, :2])) > 1.4 * sigma_m
 
 
+@pytest.mark.slow
 def test_over_many_walks_it_is_as_accurate_and_as_honest_as_all_of_it() -> None:
     errors: dict[str, list[float]] = {"all": [], "window": [], "alone": []}
     covered = 0

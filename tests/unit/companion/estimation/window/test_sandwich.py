@@ -207,11 +207,13 @@ def test_with_well_specified_noise_it_holds_what_it_says(
     assert 0.91 <= _coverage(p, kind, is_white=is_white) <= 0.985
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.3, 0.9])
 def test_under_reflections_it_holds_at_least_what_it_says(share: float) -> None:
     assert _coverage(params(range_k_long=1.0), {"share": share}, is_white=True) >= 0.93
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rho",
     [pytest.param(0.5, marks=pytest.mark.slow), 0.8, pytest.param(0.95, marks=pytest.mark.slow)],

@@ -139,6 +139,7 @@ def test_order_of_arrival_is_kept_and_the_waiting_ones_stay(flight: Flight) -> N
     assert flight.refusals == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backwards", [False, True])
 def test_the_oldest_gives_way_when_too_many_wait(flight: Flight, backwards: bool) -> None:
     times_s = [10.0 + step * 1e-3 for step in range(MAX_WAITING + 1)]
@@ -254,6 +255,7 @@ def test_a_body_bearing_in_degrees_is_refused(flight: Flight) -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("copies", [2, 5])
 def test_every_measurement_several_times_gives_the_same_estimate_byte_by_byte(
     copies: int,
