@@ -41,7 +41,7 @@ from companion.estimation.window.map_kernels import (
     row_residuals,
     row_sigmas,
 )
-from companion.estimation.window.sandwich import CRITICAL_RATIO, long_run_variance
+from companion.estimation.window.sandwich import long_run_variance
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
@@ -238,5 +238,5 @@ def is_decided(before: Explained, better: Explained) -> bool:
     if gain < DECIDED:
         return False
     noise = (better.spread_rad / before.spread_rad - 1.0) * (better.error - 1.0)
-    scatter2 = float(long_run_variance(noise[:, None])[0, 0])  # of few: too small by itself
-    return gain > DECIDED_SIGMAS * CRITICAL_RATIO * math.sqrt(max(scatter2, 0.0))
+    scatter2 = float(long_run_variance(noise[:, None])[0, 0])
+    return gain > DECIDED_SIGMAS * math.sqrt(max(scatter2, 0.0))
