@@ -18,7 +18,7 @@ from companion.estimation.tracker import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.replay.walk_replay import TargetResult, read_walk, replay_walk
 
-RADIOS = ["AP1", "AP6", "AP8"]
+RADIOS = ["AP1", "AP2", "AP5", "AP6", "AP7", "AP8"]
 ROOT = Path(__file__).parents[4]
 MALL = ROOT / "tests/data/rtt_mall_w9_p1.csv"
 WIFI = ROOT / "configs/companion/wifi_rtt.yaml"
@@ -29,26 +29,21 @@ def errors_m(results: list[TargetResult]) -> list[float]:
 
 
 @pytest.mark.slow
-def test_recorded_wifi_walk_is_localised_within_its_claimed_radius_by_the_window(
-    tmp_path: Path,
-) -> None:
-    """Half of the radios that were recorded there; all six are one `companion replay` away."""
-    walk = tmp_path / "walk.csv"
-    with MALL.open(newline="") as file:
-        write_walk(walk, [row for row in csv.DictReader(file) if row["target_id"] in RADIOS])
+def test_recorded_wifi_walk_is_localised_within_its_claimed_radius_by_the_window() -> None:
+    """All six radios that were recorded there."""
     params = load_config(WIFI).estimation
-    results = replay_walk(walk, params)
+    results = replay_walk(MALL, params)
     assert [r.target_id for r in results] == RADIOS
-    assert sum(r.rows for r in results) == 3928
+    assert sum(r.rows for r in results) == 7872
     assert float(np.median(errors_m(results))) <= 0.8
-    assert max(errors_m(results)) <= 2.1
+    assert max(errors_m(results)) <= 1.1
     covered = [
         r.error_m is not None and r.estimate is not None and r.error_m <= r.estimate.r95_m
         for r in results
     ]
     assert all(covered)
     without = TrackerParams(filter=params.filter, window=WindowParams(enabled=False))
-    alone = errors_m(replay_walk(walk, without))
+    alone = errors_m(replay_walk(MALL, without))
     assert float(np.median(errors_m(results))) < 0.7 * float(np.median(alone))
 
 
