@@ -9,9 +9,10 @@ learns a mixture of line of sight and reflections on each target.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -41,6 +42,8 @@ TRIED: dict[str, dict[str, tuple[float, ...]]] = {
     },
 }
 """Values of `estimation.filter` by preset; every combination is tried."""
+
+AnyJob = TypeVar("AnyJob")
 
 NOTHING_M = 1e9
 """Error of a target of which nothing is said."""
@@ -74,16 +77,20 @@ def flown(job: Job) -> list[TargetClaims]:
     return claims_of(job.path, varied(preset_of(job.path), name_of_preset(job.path), job.variant))
 
 
+def by_preset(paths: Iterable[Path]) -> dict[str, list[Path]]:
+    """The walks of each preset."""
+    files: dict[str, list[Path]] = {}
+    for path in paths:
+        files.setdefault(name_of_preset(path), []).append(path)
+    return files
+
+
 def jobs_in(folder: Path) -> list[Job]:
     """All that must be run to choose among the variants, for presets with at least two files."""
-    paths = [path for path in walks_in(folder) if name_of_preset(path) in TRIED]
-    by_preset: dict[str, list[Path]] = {}
-    for path in paths:
-        by_preset.setdefault(name_of_preset(path), []).append(path)
     return [
         Job(path, variant)
-        for preset, files in by_preset.items()
-        if len(files) > 1
+        for preset, files in by_preset(walks_in(folder)).items()
+        if preset in TRIED and len(files) > 1
         for path in files
         for variant in variants_of(preset)
     ]
@@ -95,17 +102,26 @@ def score(targets: Sequence[TargetClaims]) -> float:
     return quantile(errors, 0.5) + quantile(errors, 0.9)
 
 
+def results_of(
+    run: Callable[[AnyJob], list[TargetClaims]],
+    work: Sequence[AnyJob],
+    jobs: int,
+    progress: Callable[[int, int], None],
+) -> dict[AnyJob, list[TargetClaims]]:
+    """The claims of every job, by so many processes."""
+    results: dict[AnyJob, list[TargetClaims]] = {}
+    with open_pool(jobs=jobs) as pool:
+        for position, targets in pool.results(run, work):
+            results[work[position]] = targets
+            progress(len(results), len(work))
+    return results
+
+
 def left_out_lines(
     folder: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda _, __: None
 ) -> list[str]:
     """Which variant the other files choose for each file, and the pooled figures of those."""
-    work = jobs_in(folder)
-    results: dict[Job, list[TargetClaims]] = {}
-    with open_pool(jobs=jobs) as pool:
-        for position, targets in pool.results(flown, work):
-            results[work[position]] = targets
-            progress(len(results), len(work))
-    return choices(results)
+    return choices(results_of(flown, jobs_in(folder), jobs, progress))
 
 
 def choices(results: Mapping[Job, list[TargetClaims]]) -> list[str]:
@@ -157,19 +173,12 @@ def mixture_lines(
 ) -> list[str]:
     """The pooled figures of every preset by what is learnt, and which the other files choose."""
     work = [LearningJob(path, learnt) for path in walks_in(folder) for learnt in LEARNT]
-    results: dict[LearningJob, list[TargetClaims]] = {}
-    with open_pool(jobs=jobs) as pool:
-        for position, targets in pool.results(learning, work):
-            results[work[position]] = targets
-            progress(len(results), len(work))
-    return mixture_choices(results)
+    return mixture_choices(results_of(learning, work, jobs, progress))
 
 
 def mixture_choices(results: Mapping[LearningJob, list[TargetClaims]]) -> list[str]:
     """What `mixture_lines` prints of the results of all jobs."""
-    files: dict[str, list[Path]] = {}
-    for path in dict.fromkeys(job.path for job in results):
-        files.setdefault(name_of_preset(path), []).append(path)
+    files = by_preset(dict.fromkeys(job.path for job in results))
 
     def on(paths: Sequence[Path], learnt: str) -> list[TargetClaims]:
         return [target for path in paths for target in results[LearningJob(path, learnt)]]

@@ -222,6 +222,8 @@ def is_reflected(planar: Explained) -> bool:
     The noise of an array knows nothing of the range's; what stands in the way spoils both.
     """
     is_worse = planar.error > np.median(planar.error)
+    if not is_worse.any():
+        return False
     worse, better = planar.excess[is_worse], planar.excess[~is_worse]
     share = float(np.mean(worse[:, None] > better[None, :]))
     scatter = math.sqrt((len(planar.error) + 1) / (12.0 * len(worse) * len(better)))

@@ -10,7 +10,13 @@ import pytest
 from companion.estimation.antenna import AntennaKind
 from companion.estimation.filters.target_filter import NO_INFLATION, FilterParams
 from companion.estimation.measurement_model import AZIMUTH, COSINES, PLANAR, predicted
-from companion.estimation.window.antenna_check import AntennaCheck, rows_as, with_antenna
+from companion.estimation.window.antenna_check import (
+    AntennaCheck,
+    Explained,
+    is_reflected,
+    rows_as,
+    with_antenna,
+)
 from companion.estimation.window.map_kernels import ARRAY_COLUMNS, row_residuals
 from companion.kernel import Matrix
 from companion.kernel import Vector as Array
@@ -143,6 +149,11 @@ def test_ranges_that_have_nothing_to_do_with_the_bearings_are_no_shadow(
     check.look(rows, TARGET, NO_INFLATION)
     assert check.taken == "planar"
     assert not check.is_reflected
+
+
+def test_bearings_that_are_all_as_good_as_each_other_are_no_shadow() -> None:
+    none = np.zeros(30)
+    assert not is_reflected(Explained(0.0, none, none, none, none))
 
 
 def test_an_azimuth_is_given_up_when_more_speaks_against_it_than_spoke_for_it() -> None:
