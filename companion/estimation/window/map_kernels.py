@@ -221,22 +221,19 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
     if model.height_index >= 0:
         by_range[:, model.height_index] = factor * du / slant
         by_elevation[:, model.height_index] = ground / (slant * slant)
-    modalities = 2
+    modalities = modalities_of(rows) if model.antenna == AZIMUTH else 3
     if model.antenna != AZIMUTH:
-        modalities = 3
         fill_array_partials(H, rows, mean, model)
     elif has_any(rows, 1):
         by_bearing[:, 0] = -dn / ground2
         by_bearing[:, 1] = de / ground2
         by_bearing[:, 3] = 1.0
-    if model.antenna == AZIMUTH and has_any(rows, 2):
-        modalities = 3
+    if model.antenna == AZIMUTH and modalities == 3:
         down = -du / (slant * slant * ground)
         by_elevation[:, 0] = de * down
         by_elevation[:, 1] = dn * down
     elif model.antenna == AZIMUTH:
         by_elevation[:] = 0.0
-        modalities = modalities_of(rows)
     for modality in range(modalities):
         part = H[modality * n : (modality + 1) * n]
         share = np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
