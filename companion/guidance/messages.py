@@ -250,7 +250,6 @@ class MotionMessages:
 
 ANTENNA_TEXTS: dict[str, str] = {
     "planar": "bearings are worthless from above: planar antenna? Set estimation.filter.antenna",
-    "reflected": "bearings are worthless from above: shadowed, or planar antenna?",
     "contradicted": "directions contradict the antenna as it is told: check its kind and mount_deg",
     "line": "bearings fit a line of antennas, no azimuth: set estimation.filter.antenna",
 }

@@ -69,6 +69,7 @@ def test_the_emitter_behind_the_block_is_found() -> None:
     assert statistics.median(f.error_m for f in flights) <= 0.3
     assert max(f.error_m for f in flights) <= 1.0
     assert [f.seed for f in flights if f.error_m > f.r95_m] == []
+    assert max(f.r95_m for f in flights) <= 1.0  # what came around an edge hid no antenna
     assert [f.seed for f in flights if f.restarts] == []  # a right one is flown on, out of a shadow
     assert min(f.hidden_share for f in flights) > 0.05  # it was not for nothing
     assert max(f.depth_m for f in flights) < 0.0

@@ -15,10 +15,11 @@ with u the whitened residuals; ranges add their robust loss. An antenna is taken
 the difference of the costs is `DECIDED`, and more than `DECIDED_SIGMAS` of what the noise that was
 drawn makes of it, the repetition of neighbours counted: from each of the others. Until then the
 planar array is believed, which promises the least. An angle beyond a right one refutes a line at
-once. It is shown only where an azimuth's errors grow with the steepness: those around an edge are
-as large from aside. Bearings that are good right above prove an azimuth for good, shadows and
-reflections only spoil them: so an azimuth is given up when more speaks against it than ever did for
-it.
+once. A bearing beside a range that is too long came by reflection or around an edge, and tells of
+no antenna. A planar array is shown only where an azimuth's errors grow with the steepness: those
+around an edge are as large from aside. Bearings that are good right above prove an azimuth for
+good, shadows and reflections only spoil them: so an azimuth is given up when more speaks against it
+than ever did for it.
 
 Source: Q. H. Vuong, Econometrica 57 (1989), for models that need not be true.
 """
@@ -26,6 +27,7 @@ Source: Q. H. Vuong, Econometrica 57 (1989), for models that need not be true.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -51,6 +53,9 @@ DECIDED = math.log(1000.0)
 DECIDED_SIGMAS = 3.0
 EVERY = 4
 """An antenna that was found is looked at again at each of so many solutions."""
+
+LONG_SIGMAS = 2.0
+"""A range too long by so much came by reflection or around an edge, and so did its bearing."""
 
 STEEP_RAD = math.radians(45.0)
 MIN_STEEP = 8
@@ -97,8 +102,6 @@ class AntennaCheck:
         self.taken: Candidate = "planar"
         self.is_shown = False
         """Whether the bearings show that they are no azimuth, or an azimuth."""
-        self.is_reflected = False
-        """Whether what stands in the way may have spoilt them as well."""
         self._azimuth_gain = 0.0
         """By how much an azimuth that is taken was better than the next, at the most."""
         self._solutions = 0
@@ -111,9 +114,7 @@ class AntennaCheck:
     @property
     def shown(self) -> str | None:
         """What the bearings show, in a word; None: nothing yet."""
-        if not self.is_shown:
-            return None
-        return "reflected" if self.is_reflected else self.taken
+        return self.taken if self.is_shown else None
 
     def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> bool:
         """Compare the candidates on the rows (n, 16), from `mean` (k,); whether another is taken.
@@ -129,15 +130,20 @@ class AntennaCheck:
             self._take("planar", is_shown=False)
         is_due = not self.is_shown or self._solutions % EVERY == 0
         if is_due and np.count_nonzero(is_borne) >= MIN_BEARINGS:
-            found: dict[Candidate, Explained] = {}
-            for kind in CANDIDATES:
-                if kind != "line" or not is_no_line:
-                    explained = self._explained(kind, rows, mean, inflation)
-                    if explained is not None:
-                        found[kind] = explained
+            kinds = [kind for kind in CANDIDATES if kind != "line" or not is_no_line]
+            found = self._explanations(kinds, rows, mean, inflation)
+            direct = without_long(rows, list(found.values()))
+            if direct is not None:
+                found = self._explanations(kinds, direct, mean, inflation)
             if self.taken in found:
                 self._judge(found)
         return self.taken != before
+
+    def _explanations(
+        self, kinds: Sequence[Candidate], rows: Matrix, mean: Vector, inflation: Inflation
+    ) -> dict[Candidate, Explained]:
+        found = {kind: self._explained(kind, rows, mean, inflation) for kind in kinds}
+        return {kind: each for kind, each in found.items() if each is not None}
 
     def _judge(self, found: dict[Candidate, Explained]) -> None:
         """Take the best, if it is better than each of the others beyond doubt."""
@@ -146,7 +152,6 @@ class AntennaCheck:
         is_shown = bool(others) and all(is_decided(other, found[best]) for other in others)
         if best == "planar" and "azimuth" in found:
             is_shown &= is_worse_from_above(found["azimuth"])
-        self.is_reflected = best == "planar" and is_reflected(found[best])
         gain = min((other.cost for other in others), default=0.0) - found[best].cost
         if best != self.taken:
             if not is_shown or gain < self._azimuth_gain + DECIDED:
@@ -205,6 +210,20 @@ class Explained(NamedTuple):
     """(m,) by how much the range beside it is too long, in its standard deviations."""
 
 
+def without_long(rows: Matrix, found: Sequence[Explained]) -> Matrix | None:
+    """The rows (n, 16) without bearings beside a range too long for the place of any antenna.
+
+    None: there are none, or too few others to tell antennas apart.
+    """
+    is_long = np.any([each.excess > LONG_SIGMAS for each in found], axis=0)
+    if not is_long.any() or np.count_nonzero(~is_long) < MIN_BEARINGS:
+        return None
+    direct = np.array(rows)
+    bearings: Vector = direct[:, VALUES + BEARING]
+    bearings[np.flatnonzero(~np.isnan(bearings))[is_long]] = np.nan
+    return direct
+
+
 def is_worse_from_above(azimuth: Explained) -> bool:
     """Whether an azimuth's errors grow with the steepness, by rank: not so around an edge."""
     off_rad = azimuth.error * azimuth.spread_rad
@@ -214,20 +233,6 @@ def is_worse_from_above(azimuth: Explained) -> bool:
         return False
     share = float(np.mean(steep[:, None] > level[None, :]))  # a half by chance (Mann and Whitney)
     return share > WORSE_SHARE
-
-
-def is_reflected(planar: Explained) -> bool:
-    """Whether bearings that even a planar array would not err by came with ranges too long.
-
-    The noise of an array knows nothing of the range's; what stands in the way spoils both.
-    """
-    is_worse = planar.error > np.median(planar.error)
-    if not is_worse.any():
-        return False
-    worse, better = planar.excess[is_worse], planar.excess[~is_worse]
-    share = float(np.mean(worse[:, None] > better[None, :]))
-    scatter = math.sqrt((len(planar.error) + 1) / (12.0 * len(worse) * len(better)))
-    return share > 0.5 + DECIDED_SIGMAS * scatter
 
 
 def is_decided(before: Explained, better: Explained) -> bool:

@@ -8,7 +8,7 @@ from companion.guidance.messages import ANTENNA_TEXTS, AntennaMessages
 
 def test_each_cause_is_told_once_and_an_azimuth_is_no_news() -> None:
     messages = AntennaMessages()
-    shown = (None, "azimuth", "planar", "reflected", "planar", None, "contradicted", "reflected")
+    shown = (None, "azimuth", "planar", "line", "planar", None, "contradicted", "line")
     commands = [command for each in shown for command in messages.messages_for(each)]
     texts = [command.text for command in commands if isinstance(command, Announce)]
-    assert texts == [ANTENNA_TEXTS[each] for each in ("planar", "reflected", "contradicted")]
+    assert texts == [ANTENNA_TEXTS[each] for each in ("planar", "line", "contradicted")]
