@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import msgspec
 
 from companion.domain import (
+    OPTIMISM,
     UNTOLD,
     OwnAccuracy,
     Params,
@@ -297,7 +298,8 @@ class TargetTracker:
             return SharedSigmas()  # the paper's world, in which places and heights are known
         lag_s = params.stamp_lag_sigma_s
         lag_s = (UNTOLD_LAG_S if self.antenna is not None else 0.0) if lag_s is None else lag_s
-        height_m = UNTOLD_HEIGHT_M if self.antenna is not None else 0.0
+        own_height_m = OPTIMISM * own.vertical_m if own.is_told else 0.0
+        height_m = math.hypot(UNTOLD_HEIGHT_M, own_height_m) if self.antenna is not None else 0.0
         has_jumped = own.is_told and self._best_own_m * FIX_CHANGE <= own.horizontal_m
         jump_m = own.counted_m if has_jumped else 0.0
         return SharedSigmas(own.counted_m, height_m, lag_s, jump_m)

@@ -47,9 +47,9 @@ from companion.estimation.window.sandwich import long_run_variance
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
-MIN_BEARINGS = 24
-DECIDED = math.log(1000.0)
-"""Odds between two antennas, their noise taken for white."""
+MIN_BEARINGS = 40
+DECIDED = 4.0 * math.log(1000.0)
+"""Odds between two antennas, each error said by at least four neighbours."""
 DECIDED_SIGMAS = 3.0
 EVERY = 4
 """An antenna that was found is looked at again at each of so many solutions."""

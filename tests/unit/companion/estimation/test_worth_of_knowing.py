@@ -19,7 +19,7 @@ from companion.domain import (
     RangingMeasurement,
     TargetEstimate,
 )
-from companion.estimation.antenna import AntennaParams, antenna_axes_enu, seen_in_enu
+from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
@@ -51,10 +51,14 @@ def search(
     mounted_deg: tuple[float, float, float] = DOWN,
     lost_from_s: float = math.inf,
     before: OwnAccuracy = RTK,
+    kind: AntennaKind = "two_axis",
 ) -> tuple[TargetTracker, TargetEstimate]:
     antenna = AntennaParams(kind="two_axis", mount_deg=DOWN)
     believed = FilterParams(
-        antenna=antenna, range_sigma_m=0.5, bearing_sigma_deg=3.0, bearing_offset_max_deg=15.0
+        antenna=AntennaParams(kind=kind, mount_deg=DOWN),
+        range_sigma_m=0.5,
+        bearing_sigma_deg=3.0,
+        bearing_offset_max_deg=15.0,
     )
     tracker, rng = TargetTracker(TrackerParams(filter=believed)), np.random.default_rng(5)
     for index in range(len(LEGS) * PER_LEG):
@@ -134,3 +138,10 @@ def test_an_accuracy_of_nothing_counts_as_one_that_nobody_told(undisturbed: Targ
     assert undisturbed.absolute_r95_m < poor.absolute_r95_m
     assert untold.absolute_r95_m > 2.4 * LOST.horizontal_m
     assert untold.r95_m > undisturbed.r95_m
+
+
+def test_a_receiver_that_knows_its_height_badly_widens_r95_where_no_antenna_is_told() -> None:
+    _, level = search(before=OwnAccuracy(1.0, 0.0, is_told=True), kind="auto")
+    _, poor = search(before=OwnAccuracy(1.0, 6.0, is_told=True), kind="auto")
+    assert poor.r95_m > level.r95_m
+    assert poor.position_enu_m == level.position_enu_m
