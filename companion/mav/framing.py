@@ -58,7 +58,7 @@ class FrameSplitter:
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
         """The frames completed by `data`; at the end of a datagram an unfinished one is junk."""
-        if is_datagram and not self._pending and self._is_one_frame(data):
+        if not self._pending and self._is_one_frame(data):
             self.counters.good += 1
             return [data]
         buffer = self._pending + data
@@ -120,7 +120,7 @@ class FrameSplitter:
         return free_from
 
     def _is_one_frame(self, data: bytes) -> bool:
-        """Whether a datagram is one good frame and nothing else, as most are; counts nothing."""
+        """Whether it is one good frame and nothing else, as most datagrams are; counts nothing."""
         if len(data) < SHORTEST or data[0] not in HEADER_LENGTH or frame_end(data, 0) != len(data):
             return False
         if data[0] == MAGIC_V2 and data[2] & ~INCOMPAT_SIGNED:
