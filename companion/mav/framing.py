@@ -26,7 +26,6 @@ from fastcrc import crc16
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
 CRC_LENGTH = 2
-SHORTEST = HEADER_LENGTH[MAGIC_V1] + CRC_LENGTH
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
 _MAGIC = re.compile(bytes((ord("["), MAGIC_V2, MAGIC_V1, ord("]"))))
@@ -58,9 +57,6 @@ class FrameSplitter:
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
         """The frames completed by `data`; at the end of a datagram an unfinished one is junk."""
-        if not self._pending and self._is_one_frame(data):
-            self.counters.good += 1
-            return [data]
         buffer = self._pending + data
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
@@ -118,15 +114,6 @@ class FrameSplitter:
                 self._unknown.append(buffer[start:end])
                 free_from = end
         return free_from
-
-    def _is_one_frame(self, data: bytes) -> bool:
-        """Whether it is one good frame and nothing else, as most datagrams are; counts nothing."""
-        if len(data) < SHORTEST or data[0] not in HEADER_LENGTH or frame_end(data, 0) != len(data):
-            return False
-        if data[0] == MAGIC_V2 and data[2] & ~INCOMPAT_SIGNED:
-            return False
-        crc_extra = self._crc_extra_by_id.get(message_id(data))
-        return crc_extra is not None and has_good_crc(data, crc_extra)
 
     def _is_valid(self, frame: bytes) -> bool:
         crc_extra = self._crc_extra_by_id.get(message_id(frame))
