@@ -89,8 +89,7 @@ class Gate(NamedTuple):
             measurement = replace(measurement, range_m=None)
         if not self.passes_bearing:
             measurement = measurement.without_direction()
-        has_any = measurement.range_m is not None or measurement.has_direction
-        return measurement if has_any else None
+        return measurement if measurement.range_m is not None or measurement.has_direction else None
 
 
 OPEN = Gate()
