@@ -119,8 +119,9 @@ class RecursiveFilter:
             mean.setflags(write=False)
             P.setflags(write=False)
             state = FilterState(state.time_s, mean, P)
-        ranged, borne, elevated = (ModalityReport.of_row(row[:-1]) for row in rows)
-        nis = sum(share for share in rows[:, -1].tolist() if not math.isnan(share))
+        told = rows.tolist()
+        ranged, borne, elevated = (ModalityReport.of_row(row[:-1]) for row in told)
+        nis = sum(row[-1] for row in told if not math.isnan(row[-1]))
         return UpdateReport(state, ranged, borne, elevated, nis, is_sane)
 
 

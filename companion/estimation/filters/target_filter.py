@@ -69,10 +69,9 @@ class ModalityReport:
     """H P H^T / R: how much of the innovation is the state's own uncertainty."""
 
     @classmethod
-    def of_row(cls, row: Vector) -> ModalityReport | None:
-        """A row (6,) of what the update kernels report; None if nothing was measured."""
-        innovation, *rest = row.tolist()
-        return None if math.isnan(innovation) else cls(innovation, *rest)
+    def of_row(cls, row: list[float]) -> ModalityReport | None:
+        """A row of six numbers of what the update kernels report; None if nothing was measured."""
+        return None if math.isnan(row[0]) else cls(*row)
 
 
 @dataclass(frozen=True, slots=True)
