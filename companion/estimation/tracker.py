@@ -54,7 +54,7 @@ from companion.estimation.screening.measurement_screen import (
     RejectReason,
 )
 from companion.estimation.target_estimate import estimate_of
-from companion.estimation.window.antenna_check import AntennaCheck
+from companion.estimation.window.antenna_check import AntennaCheck, ToldAntennaWatch
 from companion.estimation.window.optimizer import WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, SharedSigmas
 from companion.estimation.window.window_map import WindowParams
@@ -63,10 +63,6 @@ UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
 """What is not known of the ground's height and of a radio's stamps where nothing is configured."""
 FIX_CHANGE = 2.0
 """By how much the accuracy that is told changes when the fix becomes another one."""
-
-CONTRADICTED, CONTRADICTING = 16.0, 60
-"""Directions that scatter by so much more than told (in variance), of so many measurements, are not
-those of the antenna, mount and field of view that are configured: no reflections do that."""
 
 
 class TrackerParams(Params, frozen=True):
@@ -138,6 +134,7 @@ class TargetTracker:
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
         """What the bearings show of an antenna that is not told; None: it is told."""
+        self._told_antenna = ToldAntennaWatch()
         self._screen = MeasurementScreen(params.filter, params.acceptance)
         believed = params.believed
         # noise that is learnt on the run is that of an azimuth
@@ -288,6 +285,11 @@ class TargetTracker:
             fresh_starts=fresh_starts,
         )
         self._shared = self._optimizer.shared(self.hypotheses[0], self._shared_sigmas)
+        is_told_array = self.antenna is None and self._filter.params.model.antenna != AZIMUTH
+        if is_told_array and len(self.hypotheses) == 1:
+            state, optimizer = self.hypotheses[0].state, self._optimizer
+            scores = optimizer.map.scores(optimizer.rows, state.mean)
+            self._told_antenna.look(scores, state.time_s)
 
     @property
     def _shared_sigmas(self) -> SharedSigmas:
@@ -320,6 +322,7 @@ class TargetTracker:
         self._noise = InnovationNoise.starting(self.params.initial_inflation)
         self.integrity.forget()
         self.watch.clear()
+        self._told_antenna = ToldAntennaWatch()
         self._optimizer.clear()
 
     def move(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
@@ -392,11 +395,7 @@ class TargetTracker:
         """
         if self.antenna is not None:
             return self.antenna.shown
-        noise, is_array = self._optimizer.noise, self._filter.params.model.antenna != AZIMUTH
-        if not is_array or noise is None or len(self.hypotheses) != 1:
-            return None
-        is_known = len(self._optimizer.window.rows) >= CONTRADICTING
-        return "contradicted" if is_known and max(noise[BEARING:]) > CONTRADICTED else None
+        return "contradicted" if self._told_antenna.is_contradicted else None
 
     @property
     def array_sigmas(self) -> tuple[float, float] | None:

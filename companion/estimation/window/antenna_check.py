@@ -35,7 +35,7 @@ import numpy as np
 
 from companion.estimation.antenna import AntennaKind
 from companion.estimation.filters.target_filter import FilterParams, Inflation
-from companion.estimation.measurement_model import BEARING, RANGE, target_height_m
+from companion.estimation.measurement_model import BEARING, ELEVATION, RANGE, target_height_m
 from companion.estimation.window.map_kernels import (
     AXES,
     VALUES,
@@ -43,7 +43,7 @@ from companion.estimation.window.map_kernels import (
     row_residuals,
     row_sigmas,
 )
-from companion.estimation.window.sandwich import long_run_variance
+from companion.estimation.window.sandwich import Scores, long_run_variance
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
@@ -62,6 +62,11 @@ MIN_STEEP = 8
 """Bearings from above, and from aside, before errors can be seen to grow."""
 WORSE_SHARE = 0.6
 """Of pairs of both in which the steeper one is farther off."""
+
+CONTRADICTED, CALM = 4.0, 2.0
+"""Standard deviations that half of the directions are off by, at least; and where that is over."""
+MIN_CONTRADICTING = 40
+CONTRADICTED_FOR_S = 10.0
 
 Candidate = Literal["azimuth", "planar", "line"]
 CANDIDATES: tuple[Candidate, ...] = ("planar", "azimuth", "line")
@@ -194,6 +199,28 @@ class AntennaCheck:
         rise_rad = np.arctan2(np.abs(rise_m), np.hypot(away[:, 0], away[:, 1]))
         cost = ranging_cost + float(costs.sum())
         return Explained(cost, spread_rad, off / scale, rise_rad, u[RANGE][is_borne])
+
+
+class ToldAntennaWatch:
+    """Whether directions contradict the antenna, mount and field of view that are told.
+
+    Most of them, not the noise of all: reflections are gross, but fewer than a half. And for long,
+    because early on the place itself is wrong.
+    """
+
+    def __init__(self) -> None:
+        self.is_contradicted = False
+        self._since_s = math.inf
+
+    def look(self, scores: Scores, time_s: float) -> None:
+        """Take in the directions as they are seen from the place that is believed in."""
+        directions = [scores.u[row][scores.is_measured[row]] for row in (BEARING, ELEVATION)]
+        off = [float(np.median(np.abs(u))) for u in directions if len(u) >= MIN_CONTRADICTING]
+        if max(off, default=0.0) > CONTRADICTED:
+            self._since_s = min(self._since_s, time_s)
+            self.is_contradicted = time_s - self._since_s >= CONTRADICTED_FOR_S
+        elif max(off, default=0.0) < CALM:
+            self._since_s, self.is_contradicted = math.inf, False
 
 
 class Explained(NamedTuple):

@@ -50,12 +50,8 @@ class RangingListener:
         self._takes_tilt = self._antenna.kind != "azimuth"
         self._lag_s = emitters.stamp_lag_s
         self._track = track
-        self._waiting: list[RangingMeasurement] = []
-
-    @property
-    def is_anything_waiting(self) -> bool:
-        """Whether there is anything to fuse."""
-        return bool(self._waiting)
+        self.waiting: list[RangingMeasurement] = []
+        """What is not fused yet."""
 
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
         """Take in a measurement; it is fused at the next `fuse_due`.
@@ -66,13 +62,13 @@ class RangingListener:
             measured_at_s = measurement.measured_at_s - self._lag_s
             measurement = replace(measurement, measured_at_s=measured_at_s)
         identity = identity_of(measurement)
-        if any(identity_of(waiting) == identity for waiting in self._waiting):
+        if any(identity_of(waiting) == identity for waiting in self.waiting):
             return [self._emitters.current.reject(RejectReason.DUPLICATE)]
-        self._waiting.append(measurement)
-        if len(self._waiting) <= MAX_WAITING:
+        self.waiting.append(measurement)
+        if len(self.waiting) <= MAX_WAITING:
             return []
-        oldest = min(range(len(self._waiting)), key=lambda i: self._waiting[i].measured_at_s)
-        del self._waiting[oldest]
+        oldest = min(range(len(self.waiting)), key=lambda i: self.waiting[i].measured_at_s)
+        del self.waiting[oldest]
         return [self._emitters.current.reject(RejectReason.TOO_MANY)]
 
     def fuse_due(self, now_s: float, own: OwnAccuracy | None = None) -> list[FusionReport]:
@@ -83,13 +79,13 @@ class RangingListener:
         latest = self._track.latest
         due: list[RangingMeasurement] = []
         waiting: list[RangingMeasurement] = []
-        for measurement in self._waiting:
+        for measurement in self.waiting:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
             if is_covered and self._takes_tilt and measurement.bearing_body_rad is not None:
                 is_covered = self._has_attitude(measurement)
             is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
             (waiting if is_recent and not is_covered else due).append(measurement)
-        self._waiting = waiting  # first, so that one that makes a filter fail is not tried again
+        self.waiting = waiting  # first, so that one that makes a filter fail is not tried again
         return [self._fuse(measurement, now_s, own) for measurement in due]
 
     def _has_attitude(self, measurement: RangingMeasurement) -> bool:
@@ -180,7 +176,7 @@ class Measuring:
 
     def fuse_due(self, now_s: float) -> None:
         """Fuse what waited for an own position."""
-        if not self._listener.is_anything_waiting:
+        if not self._listener.waiting:
             return
         with self._contained(now_s):
             own = self._context.vehicle.own_place.accuracy(now_s)

@@ -12,10 +12,12 @@ from companion.estimation.filters.target_filter import NO_INFLATION, FilterParam
 from companion.estimation.measurement_model import AZIMUTH, COSINES, PLANAR, predicted
 from companion.estimation.window.antenna_check import (
     AntennaCheck,
+    ToldAntennaWatch,
     rows_as,
     with_antenna,
 )
 from companion.estimation.window.map_kernels import ARRAY_COLUMNS, row_residuals
+from companion.estimation.window.sandwich import Scores
 from companion.kernel import Matrix
 from companion.kernel import Vector as Array
 
@@ -211,3 +213,30 @@ def test_rows_in_another_form_are_what_that_antenna_predicts(kind: AntennaKind, 
     other = rows_as(rows, kind)
     u = row_residuals(other, TARGET, np.ones((3, len(rows))), params.model)
     np.testing.assert_allclose(u[1], 0.0, atol=1e-9)
+
+
+def seen(*off_sigmas: float, count: int = 100) -> Scores:
+    """Directions along one axis that are off by so many standard deviations, by turns."""
+    u, is_measured = np.zeros((3, count)), np.zeros((3, count), dtype=bool)
+    u[1], is_measured[1] = np.resize(off_sigmas, count), True
+    return Scores(u, u, np.zeros((3 * count, 4)), is_measured)
+
+
+def test_a_told_antenna_is_contradicted_by_most_directions_for_long() -> None:
+    watch = ToldAntennaWatch()
+    for time_s, is_contradicted in ((20.0, False), (25.0, False), (30.0, True)):
+        watch.look(seen(-6.0, 5.0, 0.0), time_s)
+        assert watch.is_contradicted == is_contradicted
+    watch.look(seen(3.0), 31.0)
+    assert watch.is_contradicted  # as long as they are not what they should be
+    watch.look(seen(1.0), 32.0)
+    watch.look(seen(-6.0), 45.0)
+    assert not watch.is_contradicted
+
+
+@pytest.mark.parametrize("told", [seen(100.0, 1.0, -1.0), seen(6.0, count=39)])
+def test_gross_errors_of_some_and_few_directions_contradict_no_antenna(told: Scores) -> None:
+    watch = ToldAntennaWatch()
+    for time_s in (0.0, 20.0, 40.0):
+        watch.look(told, time_s)
+    assert not watch.is_contradicted
