@@ -48,8 +48,8 @@ from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
 MIN_BEARINGS = 40
-DECIDED = 4.0 * math.log(1000.0)
-"""Odds between two antennas, each error said by at least four neighbours."""
+DECIDED, DECIDED_ALONE = math.log(1000.0), 4.0 * math.log(1000.0)
+"""Odds between two antennas; and without ranges, where bearings find each a place that suits it."""
 DECIDED_SIGMAS = 3.0
 EVERY = 4
 """An antenna that was found is looked at again at each of so many solutions."""
@@ -141,7 +141,8 @@ class AntennaCheck:
             if direct is not None:
                 found = self._explanations(kinds, direct, mean, inflation)
             if self.taken in found:
-                self._judge(found)
+                has_ranges = not np.isnan(rows[:, VALUES + RANGE]).all()
+                self._judge(found, DECIDED if has_ranges else DECIDED_ALONE)
         return self.taken != before
 
     def _explanations(
@@ -150,16 +151,16 @@ class AntennaCheck:
         found = {kind: self._explained(kind, rows, mean, inflation) for kind in kinds}
         return {kind: each for kind, each in found.items() if each is not None}
 
-    def _judge(self, found: dict[Candidate, Explained]) -> None:
+    def _judge(self, found: dict[Candidate, Explained], decided: float) -> None:
         """Take the best, if it is better than each of the others beyond doubt."""
         best = min(found, key=lambda kind: found[kind].cost)
         others = [found[kind] for kind in found if kind != best]
-        is_shown = bool(others) and all(is_decided(other, found[best]) for other in others)
+        is_shown = bool(others) and all(is_decided(each, found[best], decided) for each in others)
         if best == "planar" and "azimuth" in found:
             is_shown &= is_worse_from_above(found["azimuth"])
         gain = min((other.cost for other in others), default=0.0) - found[best].cost
         if best != self.taken:
-            if not is_shown or gain < self._azimuth_gain + DECIDED:
+            if not is_shown or gain < self._azimuth_gain + decided:
                 self.is_shown = self._azimuth_gain > 0.0
                 return
             self._take(best, is_shown=True)
@@ -262,14 +263,14 @@ def is_worse_from_above(azimuth: Explained) -> bool:
     return share > WORSE_SHARE
 
 
-def is_decided(before: Explained, better: Explained) -> bool:
-    """Whether the second is better beyond doubt, and not by the very noise that was drawn.
+def is_decided(before: Explained, better: Explained, decided: float) -> bool:
+    """Whether the second is better by these log odds, and not by the very noise that was drawn.
 
     Where it is true, an error that is larger by d raises the difference by (ratio - 1) d, with the
     ratio of what is expected of both: the rest of the difference is geometry.
     """
     gain = before.cost - better.cost
-    if gain < DECIDED:
+    if gain < decided:
         return False
     noise = (better.spread_rad / before.spread_rad - 1.0) * (better.error - 1.0)
     scatter2 = float(long_run_variance(noise[:, None])[0, 0])
