@@ -115,8 +115,9 @@ def fill_array_sigmas(sigmas: Matrix, rows: Matrix, mean: Vector, model: Ranging
 def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     """Standard deviations of every measurement at `mean`, (3, n), own position included.
 
-    They are those of thermal noise, 1 of angles that no row has. Where bearings are worse, the own
-    position is so much smaller a part: or else it would excuse any of a target near the vehicle.
+    They are those of thermal noise. Where bearings are worse than that, the own position is so much
+    smaller a part of them: or else it would excuse any bearing of a target near the vehicle. Of
+    angles that no row has they are 1.
     """
     own2 = model.own_sigma_m * model.own_sigma_m
     sigmas = np.ones((3, rows.shape[0]))
@@ -204,9 +205,10 @@ def fill_array_partials(H: Matrix, rows: Matrix, mean: Vector, model: RangingMod
 @kernel
 def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
     """Whitened partials of every measurement by the state, (3 n, k), modality by modality."""
+    H = np.zeros((3 * rows.shape[0], mean.size))
     measured = measured_partials(rows, mean, sigmas, model)
-    rest = np.zeros((3 * rows.shape[0] - measured.shape[0], mean.size))
-    return np.concatenate((measured, rest))
+    H[: measured.shape[0]] = measured
+    return H
 
 
 @kernel
