@@ -89,7 +89,8 @@ class Gate(NamedTuple):
             measurement = replace(measurement, range_m=None)
         if not self.passes_bearing:
             measurement = measurement.without_direction()
-        return measurement if measurement.range_m is not None or measurement.has_direction else None
+        has_any = measurement.range_m is not None or measurement.has_direction
+        return measurement if has_any else None
 
 
 OPEN = Gate()

@@ -190,7 +190,8 @@ class TargetTracker:
         if self.hypotheses and self._optimizer.is_due(self.accepted):
             self.optimize()
         at_s = measurement.measured_at_s
-        if self.watch.is_due(at_s) and (estimate := self.estimate(at_s)) is not None:
+        estimate = self.estimate(at_s) if self.watch.is_due(at_s) else None
+        if estimate is not None:
             mean = self.hypotheses[0].state.mean
             self.watch.look(self._optimizer.map, mean, estimate.r95_m, at_s)
         return report

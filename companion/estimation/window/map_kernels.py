@@ -57,18 +57,6 @@ def row_vector(row: Row, last: float) -> Vector:
 
 
 @kernel
-def has_any(rows: Matrix, modality: int) -> bool:
-    """Whether any row has it: most radios do not measure all, and nothing is spent on the rest."""
-    return bool(np.isfinite(rows[:, 3 + modality]).any())
-
-
-@kernel
-def modalities_of(rows: Matrix) -> int:
-    """How many modalities there are, up to the last one that any row has."""
-    return 3 if has_any(rows, 2) else 2 if has_any(rows, 1) else 1
-
-
-@kernel
 def row_cosines(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     """What the arrays see of a target at `mean`: cosines along both axes, and the slant, (3, n)."""
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
@@ -98,17 +86,20 @@ def view_distance2(rows: Matrix, mean: Vector, model: RangingModel) -> Vector:
 
 
 @kernel
-def fill_array_sigmas(sigmas: Matrix, rows: Matrix, mean: Vector, model: RangingModel) -> None:
-    """The last two rows of the standard deviations, (3, n), of an antenna array."""
+def array_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+    """Standard deviations as `row_sigmas` has them, (3, n), of an antenna array."""
     own2 = model.own_sigma_m * model.own_sigma_m
     seen = row_cosines(rows, mean, model)
     share2 = own2 / model.bearing_inflation / (seen[2] * seen[2])
+    sigmas = np.empty((3, rows.shape[0]))
+    sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
     sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + share2)
     sigmas[2] = np.sqrt(rows[:, 8] * rows[:, 8] + share2)
     if model.antenna == PLANAR:
         sine2 = np.maximum(seen[0] * seen[0] + seen[1] * seen[1], MIN_SINE2)
         spread2 = rows[:, 7] * rows[:, 7] / sine2
         sigmas[1] = np.sqrt(spread2 * (1.0 + spread2) + share2 / sine2)
+    return sigmas
 
 
 @kernel
@@ -116,23 +107,32 @@ def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     """Standard deviations of every measurement at `mean`, (3, n), own position included.
 
     They are those of thermal noise. Where bearings are worse than that, the own position is so much
-    smaller a part of them: or else it would excuse any bearing of a target near the vehicle. Of
-    angles that no row has they are 1.
+    smaller a part of them: or else it would excuse any bearing of a target near the vehicle.
     """
-    own2 = model.own_sigma_m * model.own_sigma_m
-    sigmas = np.ones((3, rows.shape[0]))
-    sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
-    if modalities_of(rows) == 1:
-        return sigmas
     if model.antenna != AZIMUTH:
-        fill_array_sigmas(sigmas, rows, mean, model)
-        return sigmas
+        return array_sigmas(rows, mean, model)
+    own2 = model.own_sigma_m * model.own_sigma_m
+    floor2 = MIN_DISTANCE_M * MIN_DISTANCE_M
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
-    ground2 = np.maximum(de * de + dn * dn, MIN_DISTANCE_M * MIN_DISTANCE_M)
+    ground2 = np.maximum(de * de + dn * dn, floor2)
+    sigmas = np.empty((3, rows.shape[0]))
+    sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
     sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + own2 / (model.bearing_inflation * ground2))
     sigmas[2] = np.sqrt(rows[:, 8] * rows[:, 8] + own2 / (ground2 + du * du))
     return sigmas
+
+
+@kernel
+def has_any(rows: Matrix, modality: int) -> bool:
+    """Whether any row has it: most radios do not measure all, and nothing is spent on the rest."""
+    return bool(np.isfinite(rows[:, 3 + modality]).any())
+
+
+@kernel
+def modalities_of(rows: Matrix) -> int:
+    """How many modalities there are, up to the last one that any row has."""
+    return 3 if has_any(rows, 2) else 2 if has_any(rows, 1) else 1
 
 
 @kernel
@@ -145,15 +145,14 @@ def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingMode
     slant = np.sqrt(ground2 + du * du)
     short = (rows[:, 3] - range_factor(mean, model) * slant - mean[2]) / sigmas[0]
     u[0] = np.where(np.isnan(short), 0.0, short)
-    modalities = modalities_of(rows)
-    if model.antenna != AZIMUTH and modalities > 1:
+    if model.antenna != AZIMUTH:
         fill_array_residuals(u, rows, mean, sigmas, model)
         return u
     if has_any(rows, 1):
         turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
         turn = (turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)) / sigmas[1]
         u[1] = np.where(np.isnan(turn), 0.0, turn)
-    if modalities == 3:
+    if has_any(rows, 2):
         rise = (rows[:, 5] - np.arctan2(du, np.sqrt(ground2))) / sigmas[2]
         u[2] = np.where(np.isnan(rise), 0.0, rise)
     return u
@@ -205,23 +204,14 @@ def fill_array_partials(H: Matrix, rows: Matrix, mean: Vector, model: RangingMod
 @kernel
 def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
     """Whitened partials of every measurement by the state, (3 n, k), modality by modality."""
-    H = np.zeros((3 * rows.shape[0], mean.size))
-    measured = measured_partials(rows, mean, sigmas, model)
-    H[: measured.shape[0]] = measured
-    return H
-
-
-@kernel
-def measured_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
-    """The same without what lies behind the last modality that any row has."""
-    n, modalities = rows.shape[0], modalities_of(rows)
-    is_array = model.antenna != AZIMUTH and modalities > 1
+    n = rows.shape[0]
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
     ground2 = np.maximum(de * de + dn * dn, MIN_DISTANCE_M * MIN_DISTANCE_M)
     slant = np.sqrt(ground2 + du * du)
+    ground = np.sqrt(ground2)
     factor = range_factor(mean, model)
-    H = np.zeros(((3 if is_array else modalities) * n, mean.size))
+    H = np.zeros((3 * n, mean.size))
     by_range, by_bearing, by_elevation = H[:n], H[n : 2 * n], H[2 * n :]
     by_range[:, 0] = factor * de / slant
     by_range[:, 1] = factor * dn / slant
@@ -230,24 +220,25 @@ def measured_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: Ranging
         by_range[:, model.scale_index] = slant
     if model.height_index >= 0:
         by_range[:, model.height_index] = factor * du / slant
-    if is_array:
+        by_elevation[:, model.height_index] = ground / (slant * slant)
+    modalities = modalities_of(rows) if model.antenna == AZIMUTH else 3
+    if model.antenna != AZIMUTH:
         fill_array_partials(H, rows, mean, model)
     elif has_any(rows, 1):
         by_bearing[:, 0] = -dn / ground2
         by_bearing[:, 1] = de / ground2
         by_bearing[:, 3] = 1.0
-    if not is_array and modalities == 3:
-        ground = np.sqrt(ground2)
+    if model.antenna == AZIMUTH and modalities == 3:
         down = -du / (slant * slant * ground)
         by_elevation[:, 0] = de * down
         by_elevation[:, 1] = dn * down
-        if model.height_index >= 0:
-            by_elevation[:, model.height_index] = ground / (slant * slant)
+    elif model.antenna == AZIMUTH:
+        by_elevation[:] = 0.0
     for modality in range(modalities):
         part = H[modality * n : (modality + 1) * n]
         share = np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
         part *= share.reshape(-1, 1)
-    return H[: modalities * n]
+    return H
 
 
 @kernel
@@ -318,7 +309,7 @@ def normal_equations(
     measured = modalities_of(rows)
     u = row_residuals(rows, mean, sigmas, model)[:measured]
     psi = clipped(u, thresholds)
-    H = measured_partials(rows, mean, sigmas, model)
+    H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
     is_quadratic = u == psi
     weight = np.where(is_quadratic, 1.0, psi / np.where(is_quadratic, 1.0, u))
     losses = psi * (u - 0.5 * psi)

@@ -229,7 +229,10 @@ class WindowOptimizer:
         While there are several hypotheses there is no place to expand it about, and where residuals
         repeat each other its neighbours have said the same: then it is let go.
         """
-        place = hypotheses[0].place_enu_m if hypotheses else (row[0][0], row[0][1])
+        place: Point = (row[0][0], row[0][1])
+        if hypotheses:
+            mean = hypotheses[0].state.mean
+            place = (float(mean[0]), float(mean[1]))
         dropped = self.window.add(row, place, time_s)
         if len(dropped) and len(hypotheses) == 1 and is_white:
             mean, params = hypotheses[0].state.mean, self._filter_params

@@ -92,10 +92,7 @@ def place_noise(
     cell = np.full(len(psi), -1)
     cell[seen] = index
     count = np.bincount(index).astype(float)
-    values = np.column_stack([psi[seen], places[seen], slope * partials[seen]])
-    mean = np.zeros((len(count), values.shape[1]))
-    np.add.at(mean, index, values)
-    mean /= count[:, None]
+    mean = _means(np.column_stack([psi[seen], places[seen], slope * partials[seen]]), index, count)
     y, centres, X = mean[:, 0], mean[:, 1:3], mean[:, 3:]
     scatter = float(np.sum((psi[seen] - y[index]) ** 2))
     degrees = len(index) - len(count)
@@ -151,6 +148,13 @@ def stretches_of(places: Matrix, least_m: float) -> tuple[Indices, Vector]:
         if len(ways_m) <= MOST_CELLS:
             return np.array(index), np.array(ways_m)
         least_m *= 1.5
+
+
+def _means(values: Matrix, index: Indices, count: Vector) -> Matrix:
+    sums = np.zeros((len(count), values.shape[1]))
+    np.add.at(sums, index, values)
+    means: Matrix = sums / count[:, None]
+    return means
 
 
 def _log_likelihoods(V: Matrix, y: Vector, X: Matrix, prior: Matrix) -> Vector:

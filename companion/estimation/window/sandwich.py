@@ -274,16 +274,15 @@ MIN_RISE_SHARE = 0.5
 STRETCHES = tuple(1.5**i for i in range(1, 9))
 
 Cost = Callable[[Vector], float]
-Rises = Callable[[Vector, float], bool]
 
 
 def stretch_covariance(
-    covariance: Matrix, A: Matrix, mean: Vector, cost: Cost, rises: Rises | None = None
+    covariance: Matrix, A: Matrix, mean: Vector, cost: Cost, profiled: Cost | None = None
 ) -> Matrix:
     """The covariance, wider along its longest axis where the cost is flatter than its curvature.
 
-    `rises` is whether it is as much with the other states solved again, asked only where `cost`,
-    which is never less, rises enough.
+    `profiled` is the cost with the other states solved again, asked only where `cost`, which is
+    never less, rises enough.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
@@ -293,7 +292,8 @@ def stretch_covariance(
     promised = 0.5 * EDGE_SIGMAS**2 * float(axis @ A @ axis)
     wanted = MIN_RISE_SHARE * promised + cost(mean)
     stretch = max(
-        _stretch(mean, side * EDGE_SIGMAS * axis, wanted, cost, rises) for side in (-1.0, 1.0)
+        _stretch(mean, side * EDGE_SIGMAS * axis, wanted, (cost, profiled or cost))
+        for side in (-1.0, 1.0)
     )
     if stretch == 1.0:
         return covariance
@@ -301,11 +301,10 @@ def stretch_covariance(
     return wider
 
 
-def _stretch(mean: Vector, edge: Vector, wanted: float, cost: Cost, rises: Rises | None) -> float:
-    """How often `edge` must be laid off until the cost reaches `wanted`, solved again, too."""
+def _stretch(mean: Vector, edge: Vector, wanted: float, costs: tuple[Cost, ...]) -> float:
+    """How often `edge` must be laid off until all costs reach `wanted`."""
     for stretch in (1.0, *STRETCHES):
-        at = mean + stretch * edge
-        if cost(at) >= wanted and (rises is None or rises(at, wanted)):
+        if all(cost(mean + stretch * edge) >= wanted for cost in costs):
             return stretch
     return STRETCHES[-1]
 

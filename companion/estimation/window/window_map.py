@@ -29,7 +29,6 @@ side, and a thousand from one place say little more than a hundred.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -53,14 +52,11 @@ from companion.estimation.measurement_model import (
     RangingModel,
 )
 from companion.estimation.window.map_kernels import (
-    DAMPING_START,
-    MAX_ITERATIONS,
     SIGMAS,
     VALUES,
     clipped,
     map_cost,
     map_minimum,
-    map_step,
     normaliser,
     row_partials,
     row_residuals,
@@ -142,8 +138,6 @@ MAX_BENDS, BENT_RATIO = 6, 1.1
 last one is that in which its variance grows by no more than this factor."""
 STIFFNESS = 1e6
 """Of the prior that holds a place in one direction, 1/m^2."""
-DECIDED_SHARE = 1e-3
-"""A step that gains less of what a profile has to spare does not decide any more."""
 NEWS = 0.2
 """Votes that changed by less than this share lead to the same place."""
 SAME_PLACE_M = 0.3
@@ -280,10 +274,18 @@ class WindowMap:
         self, rows: Matrix, start: Vector, older: OlderEvidence | None = None
     ) -> tuple[Vector, float] | None:
         """The minimum that a start leads to, with its cost; None if it leads nowhere."""
-        beliefs = (self._thresholds, self.bounds, *self._prior(rows, older), self._model)
+        information, pull = self._prior(rows, older)
         try:
             with np.errstate(all="ignore"):
-                mean, cost = map_minimum(rows, np.array(start, dtype=np.float64), *beliefs)
+                mean, cost = map_minimum(
+                    rows,
+                    np.array(start, dtype=np.float64),
+                    self._thresholds,
+                    self.bounds,
+                    information,
+                    pull,
+                    self._model,
+                )
         except np.linalg.LinAlgError:
             return None
         is_finite = np.isfinite(mean).all() and math.isfinite(cost)
@@ -302,9 +304,10 @@ class WindowMap:
             sigmas = row_sigmas(rows, mean, self._model)
             if spread_m2 > 0.0:
                 bend = spread_m2 / view_distance2(rows, mean, self._model)
-                bend2 = bend**2 / self._model.bearing_inflation
                 for row in self._directions:
-                    sigmas[row] = np.sqrt(sigmas[row] ** 2 + bend2)
+                    sigmas[row] = np.sqrt(
+                        sigmas[row] ** 2 + bend**2 / self._model.bearing_inflation
+                    )
             u = row_residuals(rows, mean, sigmas, self._model)
             H = row_partials(rows, mean, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
@@ -346,29 +349,24 @@ class WindowMap:
         start[1] = north + distance_m * math.sin(direction_rad)
         return start
 
-    def _rises(
-        self, rows: Matrix, optimum: Vector, older: OlderEvidence | None, at: Vector, wanted: float
-    ) -> bool:
-        """Whether it costs `wanted` to be as far from an optimum as `at`, in that direction.
+    def _profiled_cost(
+        self, rows: Matrix, optimum: Vector, at: Vector, older: OlderEvidence | None
+    ) -> float:
+        """The least cost where the place is as far from an optimum as `at`, in that direction.
 
-        What lies across, and the other states, are solved again, as far as decides it: a place held
-        by a stiff prior in one direction alone.
+        What lies across, and the other states, are solved again: a place held by a stiff prior in
+        one direction alone.
         """
+        away = at[:2] - optimum[:2]
         axis = np.zeros(self.size)
-        axis[:2] = (at - optimum)[:2] / max(math.dist(at[:2], optimum[:2]), 1e-9)
+        axis[:2] = away / max(float(np.hypot(*away)), 1e-9)
+        stiff = OlderEvidence.none(self.size)
         held = STIFFNESS * np.outer(axis, axis)
-        information, pull = self._prior(rows, older)
-        beliefs = (self._thresholds, self.bounds, information + held, pull + held @ at, self._model)
-        mean, damping = np.clip(at, *self.bounds), DAMPING_START
-        spare = self._cost(rows, mean, older) - wanted
-        with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
-            for _ in range(MAX_ITERATIONS):
-                mean, damping, gain = map_step(rows, mean, damping, *beliefs)
-                spare -= gain
-                is_free = damping < DAMPING_START or gain == 0.0
-                if spare < 0.0 or (is_free and gain < DECIDED_SHARE * spare):
-                    break
-        return self._cost(rows, mean, older) >= wanted
+        if older is not None:
+            stiff = older
+        stiff = replace(stiff, information=stiff.information + held, pull=stiff.pull + held @ at)
+        solution = self.solve(rows, at, stiff)
+        return self._cost(rows, at if solution is None else solution[0], older)
 
     def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
         information, pull = self._prior(rows, older)
@@ -420,9 +418,10 @@ class WindowMap:
                     break
         except np.linalg.LinAlgError:
             return None
-        cost_at = partial(self._cost, rows, older=older)
-        rises = None if self.fields == ALL_WHITE else partial(self._rises, rows, mean, older)
-        covariance = stretch_covariance(covariance, A, mean, cost_at, rises)
+        cost_at, profiled = partial(self._cost, rows, older=older), None
+        if self.fields != ALL_WHITE:
+            profiled = partial(self._profiled_cost, rows, mean, older=older)
+        covariance = stretch_covariance(covariance, A, mean, cost_at, profiled)
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
         noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))
