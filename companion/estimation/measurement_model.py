@@ -213,17 +213,21 @@ def variances(
     own2 = model.own_sigma_m * model.own_sigma_m
     if model.antenna != AZIMUTH:
         return array_variances(P, mean, sensor_enu_m, sigma, model)
-    R = sigma * sigma
-    R[0] += own2
-    R[1] += own2 / ground2
-    R[2] += own2 / slant2
+    ranged, borne, elevated = float(sigma[0]), float(sigma[1]), float(sigma[2])
+    ranged = ranged * ranged + own2
+    borne = borne * borne + own2 / ground2
+    elevated = elevated * elevated + own2 / slant2
     if model.near_target_terms:
-        trace = float(P[0, 0] + P[1, 1])
-        R[1] += (trace / ground2) ** 2
+        trace = float(P[0, 0]) + float(P[1, 1])
+        bend = trace / ground2
+        borne += bend * bend
         if model.height_index >= 0:
             trace += float(P[model.height_index, model.height_index])
-        R[0] += trace * trace / (4.0 * slant2)
-        R[2] += (trace / slant2 * (1.0 + 0.5 * abs(du) / math.sqrt(ground2))) ** 2
+        ranged += trace * trace / (4.0 * slant2)
+        bend = trace / slant2 * (1.0 + 0.5 * abs(du) / math.sqrt(ground2))
+        elevated += bend * bend
+    R = np.empty(3)
+    R[0], R[1], R[2] = ranged, borne, elevated
     return R
 
 

@@ -32,6 +32,7 @@ Paper: eqs. (6) to (10), Propositions A.1 to A.4, used recursively.
 from __future__ import annotations
 
 import math
+from operator import mul
 
 import numpy as np
 
@@ -152,13 +153,15 @@ def is_positive_definite(mean: Vector, P: Matrix) -> bool:
     """Whether mean and covariance are finite, and the covariance positive definite for certain."""
     if not math.isfinite(float(mean.sum() + P.sum())):
         return False
-    certain = P.copy()
-    for index in range(mean.size):
-        certain[index, index] *= 1.0 - DEFINITE_MARGIN
-    try:
-        np.linalg.cholesky(certain)
-    except np.linalg.LinAlgError:
-        return False
+    factor: list[list[float]] = []
+    for i, row in enumerate(P.tolist()):
+        own: list[float] = []
+        for j, upper in enumerate(factor):
+            own.append((row[j] - sum(map(mul, own, upper))) / upper[j])
+        left = row[i] - sum(map(mul, own, own)) - DEFINITE_MARGIN * row[i]
+        if not left > 0.0:
+            return False
+        factor.append([*own, math.sqrt(left)])
     return True
 
 
@@ -246,17 +249,25 @@ def robust_update(
     report = np.full((3, 7), np.nan)
     new_mean, new_P = mean, P
     for row in range(3):
-        if math.isnan(y[row]):
+        innovation, by_state = float(y[row]), H[row]
+        if math.isnan(innovation):
             continue
-        variance = float(R[row]) + lateness_variance(H[row], late_m2, model)
+        variance = float(R[row])
+        if late_m2 > 0.0:
+            variance += lateness_variance(by_state, late_m2, model)
         noise_sigma = math.sqrt(variance)
-        u = float(y[row]) / noise_sigma
-        weight = asymmetric_huber_weight(u, thresholds[row, 0], thresholds[row, 1])
-        remaining = y[row] - np.dot(H[row], new_mean - mean)
-        effective = inflation[row] * variance / weight
-        K, updated, S = joseph_row(new_P, H[row], effective)
-        prior_share, nis = (S - effective) / variance, remaining * remaining / S
-        report[row] = np.array((y[row], S, noise_sigma, u, weight, prior_share, nis))
+        u = innovation / noise_sigma
+        weight = asymmetric_huber_weight(u, float(thresholds[row, 0]), float(thresholds[row, 1]))
+        remaining = innovation - float(np.dot(by_state, new_mean - mean))
+        effective = float(inflation[row]) * variance / weight
+        K, updated, S = joseph_row(new_P, by_state, effective)
+        report[row, 0] = innovation
+        report[row, 1] = S
+        report[row, 2] = noise_sigma
+        report[row, 3] = u
+        report[row, 4] = weight
+        report[row, 5] = (S - effective) / variance
+        report[row, 6] = remaining * remaining / S
         new_mean, new_P = new_mean + K * remaining, updated
     new_mean = settled(new_mean, new_P, bounds)
     if is_positive_definite(new_mean, new_P):
