@@ -6,7 +6,10 @@ A cell is a radio with a configuration and a planner. Definitions:
     coverage, absolute_coverage
                           of those that reported: share with the truth inside of R95; 0.95 is honest
     beyond_3_r95          of those: share whose error is more than three times R95, both relative
-    error_m ... time_s    medians over those; r95_over_error is the quotient of the two medians
+    error_m ... absolute_r95_m
+                          medians over those; r95_over_error is the quotient of the two medians
+    time_s                median over all flights, who did not report after all others; none where
+                          that is half of them
     cut_error_m           median of the last estimates of those that did not report
 
 Relative is about the place in the vehicle's own frame, absolute about that on the Earth. Intervals
@@ -78,7 +81,12 @@ def _figures(flights: Sequence[FlightRow]) -> list[tuple[str, str, str, str]]:
         ("r95_over_error", _text(r95_m / error_m if error_m else math.nan), "", ""),
         ("absolute_error_m", _text(_middle(e for e, _ in earth)), "", ""),
         ("absolute_r95_m", _text(_middle(r for _, r in earth)), "", ""),
-        ("time_s", _text(_middle(f.time_s for f in found)), "", ""),
+        (
+            "time_s",
+            _text(_middle(f.time_s if f.is_reported else math.inf for f in flights)),
+            "",
+            "",
+        ),
         ("cut_error_m", _text(_middle(lost)), "", ""),
     ]
 
@@ -93,7 +101,7 @@ def _share(count: int, of: int) -> tuple[str, str]:
 
 
 def _text(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.3g}"
+    return f"{value:.3g}" if math.isfinite(value) else ""
 
 
 COLUMNS: tuple[tuple[str, Callable[[dict[str, str], dict[str, str]], str]], ...] = (
