@@ -26,6 +26,12 @@ leaves, once the target is known to within the largest overshoot and if a pass t
 much again by the way. An azimuth about the vertical is as good at any height: it is the paper's,
 and crosses as above.
 
+On the straight way to a target from afar a range says nothing across it, and an array's directions
+no more than their offsets let them. Where there are ranges and an array, the approach is a
+logarithmic spiral: always `BEND_RAD` to the side, as far as the antenna sees, until the place is as
+well known as the shortest overshoot asks for, or near. It turns the line of sight by tan(bend) per
+halving of the distance times log 2, and is 1 / cos(bend) as long as the straight way.
+
 Paper: section V-A and Appendix C, with the crossing distance made real; "Limitations and Scope" for
 the separation plane in 3-D; Algorithm 1 for reactive crossing. Deviation from that: the next point
 and the leg to it are kept in free space.
@@ -78,6 +84,12 @@ TURN_SHARE = 0.25
 DESCENT_GAIN = 1.5
 """A lower pass must tell this much more by the way: it takes time, and time to climb again."""
 LEAST_DESCENT_M = 1.0
+BEND_RAD = math.radians(55.0)
+"""Between the approach and the line of sight."""
+VIEW_MARGIN_RAD = math.radians(5.0)
+"""A vehicle in wind does not look quite where it flies."""
+BENT_BEYOND = 1.5
+"""The approach is bent while the target is farther than so many overshoots."""
 HEIGHT_SIGMAS = 2.0
 """A target whose height is estimated may be higher by this much."""
 
@@ -153,6 +165,9 @@ class LatchedCrossing:
             over_m = self._reach_m(request, sight, before, sigmas_m)
             early_m = min(0.5 * sight.turn_m, TURN_SHARE * over_m)
             rule = rule._replace(arrival_radius_m=max(early_m, rule.arrival_radius_m))
+            bent = self._bent_approach(request, sight, over_m) if before.crossings <= 0 else None
+            if bent is not None and sigmas_m > rule.overshoot_min_m:
+                return Plan(bent, None)
         behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
         is_at_height = self._is_at_height(request, memory)
         verdict = latch_verdict(before, vehicle, target, behind_m, is_at_height, rule)
@@ -184,6 +199,28 @@ class LatchedCrossing:
         most_m = self.params.overshoot_max_m
         leg = _leg(request, sight, latch.direction, latch.descent_m)
         return max(best_reach_m(leg, self.params.overshoot_min_m, most_m), min(sigmas_m, most_m))
+
+    def _bent_approach(self, request: PlanRequest, sight: Sight, over_m: float) -> Waypoint | None:
+        """To the side of a far target; None: it is near, or told by no ranges, or no leg is clear.
+
+        The point is where the line of sight would be at right angles to the leg, so that it is
+        never reached.
+        """
+        assert request.estimate is not None
+        assert request.sigmas is not None
+        vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
+        distance_m = math.dist(vehicle, target)
+        bend_rad = min(BEND_RAD, sight.antenna.half_view_rad - VIEW_MARGIN_RAD)
+        is_told_by_ranges = math.isfinite(request.sigmas[0]) and sight.antenna.rows > 0
+        if distance_m <= BENT_BEYOND * over_m or bend_rad <= 0.0 or not is_told_by_ranges:
+            return None
+        aside = _far_point(
+            vehicle, turned(direction(vehicle, target), bend_rad), distance_m * math.cos(bend_rad)
+        )
+        offset_m = altitude_offset_m(0, self.params.altitude_swing_m)
+        detail = "approach from the side, for ranges to tell the place"
+        bent = Waypoint(aside, WaypointReason.APPROACH, detail, offset_m)
+        return bent if route_to(request, bent) == bent else None
 
     def _descent_m(
         self, request: PlanRequest, sight: Sight, before: Latch, over_m: float, sigmas_m: float

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
-from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams, Sight
-from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD, Latch
+from companion.planning.crossing import BEND_RAD, LatchedCrossing, LatchedCrossingParams, Sight
+from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD, Latch, direction
 from companion.planning.planner import Plan, PlanRequest
 from companion.planning.views import Antenna, best_reach_m, leg_over
 
@@ -383,6 +383,54 @@ def test_a_lower_pass_is_given_up_when_the_target_is_lost_again() -> None:
     first = planner.plan(_seen(), None)
     lost = _target((40.0, 0.0), ((400.0, 0.0), (0.0, 400.0)))
     assert planner.plan(_seen(estimate=lost), first.memory).waypoint.descent_m == 0.0
+
+
+FAR: dict[str, Any] = {"vehicle_enu_m": (-60.0, 0.0), "estimate": _target()}
+RANGED = (0.3, 0.05)
+
+
+def test_a_far_target_is_approached_in_a_spiral_that_turns_the_line_of_sight() -> None:
+    """tan(bend) log(distance / distance then); each leg a metre, as setpoints move on."""
+    planner, place = _sighted(), (-60.0, 0.0)
+    for _ in range(40):
+        plan = planner.plan(_seen(**FAR | {"vehicle_enu_m": place}, sigmas=RANGED), None)
+        assert plan.waypoint.reason is WaypointReason.APPROACH
+        assert plan.memory is None
+        ahead = direction(place, plan.waypoint.position_enu_m)
+        place = (place[0] + ahead[0], place[1] + ahead[1])
+    seen_rad = math.atan2(-place[1], -place[0])
+    turned_rad = math.tan(BEND_RAD) * math.log(60.0 / math.hypot(*place))
+    assert math.hypot(*place) == pytest.approx(60.0 - 40.0 * math.cos(BEND_RAD), abs=0.5)
+    assert abs(seen_rad) == pytest.approx(turned_rad, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"vehicle_enu_m": (-12.0, 0.0)},  # near: it is crossed
+        {"estimate": _target(covariance_m2=SURE)},
+        {"sigmas": (math.inf, 0.05)},  # directions alone
+        {"fence_enu_m": ((-70.0, -4.0), (70.0, -4.0), (70.0, 4.0), (-70.0, 4.0))},  # no room
+    ],
+)
+def test_otherwise_it_is_straight(changes: dict[str, Any]) -> None:
+    plan = _sighted().plan(_seen(**{**FAR, "sigmas": RANGED, **changes}), None)
+    assert _latch(plan).estimate_enu_m == (0.0, 0.0)
+    assert plan.waypoint.position_enu_m[1] == pytest.approx(0.0)
+
+
+def test_a_spiral_keeps_the_target_in_view() -> None:
+    narrow = LEVEL._replace(half_view_rad=math.radians(35.0))
+    plan = _sighted(narrow).plan(_seen(**FAR, sigmas=RANGED), None)
+    east, north = direction((-60.0, 0.0), plan.waypoint.position_enu_m)
+    assert abs(math.degrees(math.atan2(north, east))) == pytest.approx(30.0)
+
+
+def test_after_the_first_crossing_nothing_is_bent() -> None:
+    flown = _latch(_sighted().plan(_seen(**FAR | {"sigmas": (math.inf, 0.05)}), None))
+    request = _seen(**FAR, sigmas=RANGED)
+    assert _sighted().plan(request, flown._replace(crossings=1)).memory is not None
+    assert _sighted().plan(request, flown).memory is None
 
 
 def test_descend_and_swing_are_two_wishes_for_one_height() -> None:
