@@ -45,7 +45,7 @@ LEAST_SPAN_S = 8.0
 """Less than this tells nothing."""
 MIN_COUNT, MAX_COUNT = 20, 512
 """Fewer measurements tell nothing; more are not kept."""
-EVERY_S, EVERY_COUNT = 1.0, 3
+EVERY_S, EVERY_COUNT = 1.0, 5
 """At least so much time and so many measurements are between two looks: fewer say nothing new."""
 NEAR = 3.0
 """A place is asked for while R95 is at most so many times what counts as localised."""
