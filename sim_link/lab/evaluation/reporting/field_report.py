@@ -144,7 +144,8 @@ def _percent(share: str, ends: str = "") -> str:
         return ""
     low, _, high = ends.partition("..")
     span = f" ({100.0 * float(low):.0f} to {100.0 * float(high):.0f})" if ends else ""
-    return f"{100.0 * float(share):.0f} %{span}"
+    percent = 100.0 * float(share)
+    return f"{percent:.{1 if 0.0 < percent < 1.0 else 0}f} %{span}"
 
 
 def drawing_of(rows: Sequence[FlightRow]) -> Drawing:

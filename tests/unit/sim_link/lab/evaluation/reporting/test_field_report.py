@@ -96,6 +96,11 @@ def test_a_page_has_a_table_for_each_radio() -> None:
     assert lines[2].count("|") == lines[3].count("|") == lines[4].count("|")
 
 
+def test_one_of_many_is_not_rounded_to_none() -> None:
+    rows = [row(seed, 7.0 if seed == 1 else 1.0) for seed in range(200)]
+    assert "| 0.5 % |" in markdown_of(summary_of(rows))
+
+
 @pytest.mark.slow
 def test_files_of_flights(tmp_path: Path) -> None:
     write_flights(Study(table="field", title="In the field"), FLOWN, 1, tmp_path)
