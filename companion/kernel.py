@@ -60,6 +60,7 @@ def _load_native() -> Any:
 _native: Any = None if IS_SWITCHED_OFF else _load_native()
 numba: Any = None  # typed by nobody to the same effect in every version
 if _native is None and not IS_SWITCHED_OFF:
+    os.environ.setdefault("NUMBA_OPT", "1")  # as fast as with its 3, compiled in half the time
     with contextlib.suppress(ImportError):
         numba = importlib.import_module("numba")
 

@@ -168,6 +168,9 @@ def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_
 
 def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
     """Their probabilities, summing to 1, in order."""
+    hypotheses = tuple(hypotheses)
+    if len(hypotheses) == 1:
+        return np.ones(1)
     logs = np.array([h.log_weight for h in hypotheses])
     weights: Vector = np.exp(logs - logs.max())
     normalised: Vector = weights / weights.sum()

@@ -35,6 +35,7 @@ R95_START = 0.5 * 1.9**2
 R95_TOLERANCE = 1e-12
 R95_MAX_STEPS = 20
 
+_BOTH_AXES = np.eye(2)
 _PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
 _COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
 
@@ -70,7 +71,7 @@ def estimate_of(
     mean, P = best.state.mean, best.state.covariance
     height, scale = model.height_index, model.scale_index
     (a, b), (_, c) = covariances[0].tolist()
-    on_earth = [covariance + own.counted_m**2 * np.eye(2) for covariance in covariances]
+    on_earth = [covariance + own.counted_m**2 * _BOTH_AXES for covariance in covariances]
     return TargetEstimate(
         time_s=now_s,
         state=state,
@@ -109,7 +110,7 @@ def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix
     least = hypothesis.least_covariance_m2
     if least is not None and least[0, 0] + least[1, 1] > covariance[0, 0] + covariance[1, 1]:
         covariance = least
-    total: Matrix = covariance + own_sigma_m * own_sigma_m * np.eye(2)
+    total: Matrix = covariance + own_sigma_m * own_sigma_m * _BOTH_AXES
     return total
 
 

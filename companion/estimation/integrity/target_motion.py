@@ -47,6 +47,8 @@ MIN_COUNT, MAX_COUNT = 20, 512
 """Fewer measurements tell nothing; more are not kept."""
 EVERY_S, EVERY_COUNT = 1.0, 5
 """At least so much time and so many measurements are between two looks: fewer say nothing new."""
+CALM_EVERY_COUNT = 10
+"""The same while nothing speaks for a walk."""
 NEAR = 3.0
 """A place is asked for while R95 is at most so many times what counts as localised."""
 SIGNIFICANT = 60.0
@@ -91,8 +93,8 @@ class MotionWatch:
         self._near_m = NEAR * localised_r95_m
         self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
         self._due_s = -math.inf
-        self._unseen = EVERY_COUNT
-        """Measurements since the last look."""
+        self._left = 0
+        """Measurements until the next look."""
         self._was_near = False
         """Whether the target's place was known once."""
         self._reset()
@@ -118,7 +120,7 @@ class MotionWatch:
         """Take in a measurement."""
         if self._is_wanted:
             self._rows.append(row_vector(row, time_s))
-            self._unseen += 1
+            self._left -= 1
 
     def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
         """Move all along with the vehicle's navigation, which jumped; see `hypotheses`."""
@@ -129,14 +131,14 @@ class MotionWatch:
     def is_due(self, now_s: float) -> bool:
         """Whether it is time to look again."""
         is_time = not now_s < self._due_s <= now_s + EVERY_S
-        return bool(self._rows) and self._unseen >= EVERY_COUNT and is_time
+        return bool(self._rows) and self._left <= 0 and is_time
 
     def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> None:
         """Look whether the target walks, where it matters: not of one that may be anywhere.
 
         One whose place was known, and is lost, may have walked on.
         """
-        self._due_s, self._unseen = now_s + EVERY_S, 0
+        self._due_s, self._left = now_s + EVERY_S, EVERY_COUNT
         is_near = r95_m <= self._near_m
         self._was_near = self._was_near or is_near
         if self.suspected is None and not self._was_near:
@@ -150,6 +152,7 @@ class MotionWatch:
             self._is_seen = self._is_seen or self._significant >= IN_A_ROW
             return
         is_calm = found is None or found.significance < CALM
+        self._left = CALM_EVERY_COUNT if is_calm else EVERY_COUNT
         self._calm = self._calm + 1 if is_calm else 0
         self._significant = 0
         if not self._is_seen or self._calm >= CALM_COUNT:

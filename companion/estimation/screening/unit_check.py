@@ -86,8 +86,10 @@ class _Moments:
         )
         self._product: Vector = self._distance_about_m @ self._range_about_m
 
-    def residual2(self, factor: float | Vector) -> Vector:
-        """Sum of squares that a factor on the distances leaves at each of the places, (places,).
+    def residual2(self, factor: Matrix) -> Matrix:
+        """Sum of squares that factors on the distances leave at each of the places.
+
+        Factors of all places are (n, 1), of each place (places,), and so is what comes back.
 
         Rounding of the sums is a millionth of `LEAST_NOISE_M` squared where ranges spread by up to
         `MAX_SPREAD_M`; wider ones are not flown on anyhow.
@@ -191,9 +193,9 @@ class UnitCheck:
         places = self._around_m + window.sensor_enu_m[:, :2].mean(axis=0)
         tried = _Moments(window.range_m, self._distances_m(places, window.sensor_enu_m))
         count = tried.independent
-        costs = [float(self._costs(tried, each, count).min()) for each in factors]
+        *by_factor, in_metres = self._costs(tried, (*factors, 1.0), count)
+        costs = [float(each.min()) for each in by_factor]
         best = int(np.argmin(costs))
-        in_metres = self._costs(tried, 1.0, count)
         log_ratio = float(in_metres.min()) - costs[best]
         if log_ratio < limit:
             return factors[best], log_ratio
@@ -201,7 +203,7 @@ class UnitCheck:
         starts = places[np.argsort(in_metres)[:REFINED]]
         distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
         refined = _Moments(window.range_m, distances_m)
-        best_in_metres = float(self._costs(refined, 1.0, count).min())
+        best_in_metres = float(self._costs(refined, (1.0,), count).min())
         return factors[best], min(log_ratio, best_in_metres - costs[best])
 
     def _distances_m(self, places_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
@@ -228,16 +230,17 @@ class UnitCheck:
                 place += step * min(1.0, limit_m / max(float(np.hypot(*step)), 1e-9))
         return refined
 
-    def _costs(self, tried: _Moments, factor: float, count: float) -> Vector:
-        """Minus the log-likelihood of a factor at each of the places."""
+    def _costs(self, tried: _Moments, factors: tuple[float, ...], count: float) -> Matrix:
+        """Minus the log-likelihood of each factor at each of the places, (factors, places)."""
+        factor = np.array(factors)[:, None]
         residual2 = tried.residual2(factor) / tried.count
-        cost: Vector = 0.5 * count * np.log(residual2 + self._noise2_m2)
+        cost: Matrix = 0.5 * count * np.log(residual2 + self._noise2_m2)
         cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
-        if factor != 1.0:
-            cost[np.sqrt(residual2) / factor > MOST_NOISE_M] = math.inf
+        is_too_noisy = np.sqrt(residual2) / factor > MOST_NOISE_M
+        cost[is_too_noisy & (factor != 1.0)] = math.inf
         return cost
 
-    def _offset_cost(self, offset_m: Vector) -> Vector:
+    def _offset_cost(self, offset_m: Matrix) -> Matrix:
         """Minus the log-prior of range offsets, reflections included."""
         p = self._params
         low_m = 0.0 if p.range_offset_min_m is None else min(p.range_offset_min_m, 0.0)
@@ -245,7 +248,7 @@ class UnitCheck:
         sigma_m = p.range_offset_sigma_m if p.range_offset_min_m is None else p.range_sigma_m
         below = np.minimum(offset_m - low_m, 0.0) / sigma_m
         above = np.maximum(offset_m - high_m - FREE_EXCESS_M, 0.0) / p.range_offset_sigma_m
-        cost: Vector = 0.5 * (below**2 + above**2)
+        cost: Matrix = 0.5 * (below**2 + above**2)
         return cost
 
     def _is_wild(self, window: _Window) -> bool:

@@ -98,7 +98,7 @@ class Scores:
             for part, n in zip(quadratic, self.counts, strict=True)
         )
 
-    @property
+    @cached_property
     def measured(self) -> list[int]:
         """The modalities of which there is any measurement: the others' rows are zero."""
         return [modality for modality, n in enumerate(self.counts) if n]
@@ -173,10 +173,15 @@ class Scores:
         fitted = self.H.shape[1] / len(psi)  # the fit took that much of it away
         return float(min(rho + fitted * (1.0 + rho), MAX_CORRELATION))
 
-    @property
+    @cached_property
+    def correlations(self) -> tuple[float, ...]:
+        """Lag-1 `correlation` of each modality, (3,)."""
+        return tuple(self.correlation(modality) for modality in range(3))
+
+    @cached_property
     def repetition(self) -> Vector:
         """(1 + rho) / (1 - rho) of each modality, (3,): what a first-order process repeats."""
-        rho = np.array([self.correlation(modality) for modality in range(3)])
+        rho = np.array(self.correlations)
         return np.asarray((1.0 + rho) / (1.0 - rho))
 
 

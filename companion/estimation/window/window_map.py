@@ -184,6 +184,8 @@ class WindowMap:
         """Whether the radio is known for errors that stay with the place."""
         self._reached: tuple[Matrix, Matrix, Vector] | None = None
         """Rows, and what the radio's reach about their path says of the place."""
+        self._linearised: tuple[Matrix, Vector, RangingModel, Scores] | None = None
+        """Rows, the mean and the model of the last scores without a spread."""
         self.fields: Fields = ALL_WHITE
         """What the last solution found of errors that stay with the place."""
 
@@ -211,7 +213,7 @@ class WindowMap:
         for m in scores.measured:
             sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
             told = p.place_sigmas[min(m, BEARING)] / sigma
-            if told == 0.0 and scores.correlation(m) == 0.0:
+            if told == 0.0 and scores.correlations[m] == 0.0:
                 continue
             psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
             deviation = told / math.hypot(1.0, told) or float(np.sqrt(np.nanmean(psi**2)))
@@ -300,6 +302,9 @@ class WindowMap:
         `spread_m2` is the trace of the position's covariance: nearer to the target than that is
         wide a bearing is no linear function of it, and says as much less.
         """
+        last = self._linearised if spread_m2 == 0.0 else None
+        if last is not None and last[0] is rows and last[1] is mean and last[2] == self._model:
+            return last[3]
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
             if spread_m2 > 0.0:
@@ -311,7 +316,10 @@ class WindowMap:
             u = row_residuals(rows, mean, sigmas, self._model)
             H = row_partials(rows, mean, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
-        return Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
+        scores = Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
+        if spread_m2 == 0.0:
+            self._linearised = rows, mean, self._model, scores
+        return scores
 
     def without_gross(self, rows: Matrix, mean: Vector) -> Matrix | None:
         """The rows, NaN for errors that are gross for a target at `mean` (k,).

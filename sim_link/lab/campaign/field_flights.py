@@ -78,7 +78,9 @@ def flights_of(
         scenario = load_scenario(folder / "scenarios" / "field" / f"{radio}.yaml")
         preset = load_config(folder / "companion" / "field" / f"{radio}.yaml")
         for told in grid.configs:
-            base = preset if told == "told" else CompanionConfig()
+            # who does not know the radio knows as well whether to wait for it or to search
+            not_told = change(CompanionConfig(), planner=preset.planner)
+            base = preset if told == "told" else not_told
             for planner in grid.planners:
                 if told in configs and planner in planners:
                     config = _flown_with(base, planner, scenario.start_enu_m, grid.ring_m[1])

@@ -9,7 +9,7 @@ import pytest
 
 from companion.estimation.integrity.target_motion import (
     CALM_COUNT,
-    EVERY_COUNT,
+    CALM_EVERY_COUNT,
     EVERY_S,
     IN_A_ROW,
     SIGNIFICANT,
@@ -190,7 +190,8 @@ def test_looks_are_a_second_and_some_measurements_apart_and_time_may_go_back() -
     assert watch.is_due(100.0)
     watch.look(MAP, truth(), 2.0, 100.0)
     assert not watch.is_due(100.0 + EVERY_S)
-    for _ in range(EVERY_COUNT):
+    for _ in range(CALM_EVERY_COUNT):
+        assert not watch.is_due(100.0 + EVERY_S)
         watch.add(0.0, row)
     assert not watch.is_due(100.0 + 0.9 * EVERY_S)
     assert watch.is_due(100.0 + EVERY_S)
