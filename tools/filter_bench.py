@@ -33,7 +33,13 @@ from filterpy.kalman import ExtendedKalmanFilter
 from companion.domain import RangingMeasurement
 from companion.estimation.filters.robust_update import robust_update
 from companion.estimation.filters.target_filter import FilterState
-from companion.estimation.window.map_kernels import COLUMNS, DAMPING_START, map_minimum, map_step
+from companion.estimation.window.map_kernels import (
+    COLUMNS,
+    DAMPING_START,
+    map_minimum,
+    map_step,
+    measured_offs,
+)
 from companion.kernel import Matrix, Vector, kernel
 from sim_link.lab.evaluation.case import (
     CHANNEL,
@@ -266,9 +272,10 @@ def stepped_often(
     """The sum of the easts that so many first steps of the window end at."""
     total = 0.0
     for _ in range(steps):
-        moved, _, _ = map_step(
+        moved, _, _, _ = map_step(
             rows,
             start,
+            measured_offs(rows, start, belief.model),
             DAMPING_START,
             belief.thresholds,
             belief.bounds,

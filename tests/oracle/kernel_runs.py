@@ -30,6 +30,7 @@ from companion.estimation.window.map_kernels import (
     map_cost,
     map_minimum,
     map_step,
+    measured_offs,
     normal_equations,
     row_partials,
     row_residuals,
@@ -145,17 +146,17 @@ def windows(name: str, params: FilterParams) -> Results:
         information = np.diag(1.0 / params.prior[1] ** 2)
         pull = 0.1 * np.diag(information)
         sigmas = row_sigmas(rows, start, model)
-        u = row_residuals(rows, start, sigmas, model)
+        u, offs = row_residuals(rows, start, sigmas, model), measured_offs(rows, start, model)
         yield f"{name} {seed} sigmas", sigmas
         yield f"{name} {seed} residuals", u
         yield f"{name} {seed} influences", clipped(u, thresholds)
         yield f"{name} {seed} partials", row_partials(rows, start, sigmas, model)
         prior = (information, pull, model)
         yield f"{name} {seed} cost", map_cost(rows, start, sigmas, thresholds, *prior)
-        A, descent, _ = normal_equations(rows, start, sigmas, thresholds, *prior)
+        A, descent, _ = normal_equations(rows, start, offs, sigmas, thresholds, *prior)
         yield f"{name} {seed} normal matrix", A
         yield f"{name} {seed} descent", descent
-        moved, damping, gain = map_step(rows, start, 1e-3, thresholds, bounds, *prior)
+        moved, _, damping, gain = map_step(rows, start, offs, 1e-3, thresholds, bounds, *prior)
         yield f"{name} {seed} step", moved
         yield f"{name} {seed} damping", damping
         yield f"{name} {seed} gain", gain

@@ -43,7 +43,8 @@ NEWEST_COUNT = 4
 """So many must say so."""
 WINDOW_S = 3.0
 MIN_COUNT, MAX_COUNT = 12, 48
-EVERY = 4
+EVERY = 8
+"""Ranges between two judgements; one of another size is judged as soon as there are enough."""
 REJECT_LOG_RATIO = math.log(1000.0)
 ACCEPT_LOG_RATIO = -3.0
 REFINED, REFINEMENTS = 4, 5
@@ -160,6 +161,7 @@ class UnitCheck:
         if max(newest) < middle_m / CHANGED_RATIO or min(newest) > middle_m * CHANGED_RATIO:
             for _ in before:
                 self._samples.popleft()
+            self._since = EVERY
 
     def _judge(self, now_s: float) -> None:
         raw_m = [range_m for _, range_m, _ in self._samples]

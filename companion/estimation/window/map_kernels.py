@@ -136,42 +136,55 @@ def modalities_of(rows: Matrix) -> int:
 
 
 @kernel
-def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
-    """Whitened residuals of every measurement, (3, n), zero where nothing was measured."""
+def row_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+    """How far every measurement is off what is expected at `mean`, (3, n); NaN: not measured.
+
+    Not whitened: m, rad, or of a direction cosine.
+    """
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
     ground2 = de * de + dn * dn
-    u = np.zeros((3, rows.shape[0]))
-    slant = np.sqrt(ground2 + du * du)
-    short = (rows[:, 3] - range_factor(mean, model) * slant - mean[2]) / sigmas[0]
-    u[0] = np.where(np.isnan(short), 0.0, short)
+    offs = np.full((3, rows.shape[0]), np.nan)
+    offs[0] = rows[:, 3] - range_factor(mean, model) * np.sqrt(ground2 + du * du) - mean[2]
     if model.antenna != AZIMUTH:
-        fill_array_residuals(u, rows, mean, sigmas, model)
-        return u
+        fill_array_offs(offs, rows, mean, model)
+        return offs
     if has_any(rows, 1):
         turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
-        turn = (turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)) / sigmas[1]
-        u[1] = np.where(np.isnan(turn), 0.0, turn)
+        offs[1] = turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)
     if has_any(rows, 2):
-        rise = (rows[:, 5] - np.arctan2(du, np.sqrt(ground2))) / sigmas[2]
-        u[2] = np.where(np.isnan(rise), 0.0, rise)
-    return u
+        offs[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
+    return offs
 
 
 @kernel
-def fill_array_residuals(
-    u: Matrix, rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
-) -> None:
-    """The last two rows of the whitened residuals, (3, n), of an antenna array."""
+def fill_array_offs(offs: Matrix, rows: Matrix, mean: Vector, model: RangingModel) -> None:
+    """The last two rows of `row_offs`, (3, n), of an antenna array."""
     seen = row_cosines(rows, mean, model)
     off = rows[:, 4] - seen[0]
     if model.antenna == PLANAR:
         off = rows[:, 4] - np.arctan2(seen[1], seen[0])
         off = off - 2.0 * math.pi * np.floor(off / (2.0 * math.pi) + 0.5)
-    off = off / sigmas[1]
-    u[1] = np.where(np.isnan(off), 0.0, off)
-    rise = (rows[:, 5] - seen[1]) / sigmas[2]
-    u[2] = np.where(np.isnan(rise), 0.0, rise)
+    offs[1] = off
+    offs[2] = rows[:, 5] - seen[1]
+
+
+@kernel
+def measured_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+    """`row_offs` of the modalities that there are, (m, n)."""
+    return row_offs(rows, mean, model)[: modalities_of(rows)]
+
+
+@kernel
+def whitened(offs: Matrix, sigmas: Matrix) -> Matrix:
+    """Offs, (m, n), in standard deviations (3, n), zero where nothing was measured."""
+    return np.where(np.isnan(offs), 0.0, offs / sigmas[: offs.shape[0]])
+
+
+@kernel
+def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
+    """Whitened residuals of every measurement, (3, n), zero where nothing was measured."""
+    return whitened(row_offs(rows, mean, model), sigmas)
 
 
 @kernel
@@ -232,7 +245,7 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
         down = -du / (slant * slant * ground)
         by_elevation[:, 0] = de * down
         by_elevation[:, 1] = dn * down
-    elif model.antenna == AZIMUTH:
+    elif model.antenna == AZIMUTH and model.height_index >= 0:
         by_elevation[:] = 0.0
     for modality in range(modalities):
         part = H[modality * n : (modality + 1) * n]
@@ -270,7 +283,22 @@ def map_cost(
     model: RangingModel,
 ) -> float:
     """The objective at `mean`: robust losses and prior."""
-    u = row_residuals(rows, mean, sigmas, model)[: modalities_of(rows)]
+    offs = measured_offs(rows, mean, model)
+    return offs_cost(offs, mean, sigmas, thresholds, information, pull, model)
+
+
+@kernel
+def offs_cost(
+    offs: Matrix,
+    mean: Vector,
+    sigmas: Matrix,
+    thresholds: Matrix,
+    information: Matrix,
+    pull: Vector,
+    model: RangingModel,
+) -> float:
+    """The objective at `mean`, where measurements are off by `offs`, (m, n)."""
+    u = whitened(offs, sigmas)
     psi = clipped(u, thresholds)
     losses = psi * (u - 0.5 * psi)
     weigh_votes(losses, model)
@@ -299,19 +327,23 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
 def normal_equations(
     rows: Matrix,
     mean: Vector,
+    offs: Matrix,
     sigmas: Matrix,
     thresholds: Matrix,
     information: Matrix,
     pull: Vector,
     model: RangingModel,
 ) -> tuple[Matrix, Vector, float]:
-    """The re-weighted Gauss-Newton system at `mean`: matrix (k, k), descent (k,), and the cost."""
-    measured = modalities_of(rows)
-    u = row_residuals(rows, mean, sigmas, model)[:measured]
+    """The re-weighted Gauss-Newton system at `mean`: matrix (k, k), descent (k,), and the cost.
+
+    Measurements are off by `offs` there, (m, n).
+    """
+    measured = offs.shape[0]
+    u = whitened(offs, sigmas)
     psi = clipped(u, thresholds)
     H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
-    is_quadratic = u == psi
-    weight = np.where(is_quadratic, 1.0, psi / np.where(is_quadratic, 1.0, u))
+    clear = (u == psi) * 1.0  # a product with it compiles to half of what np.where takes
+    weight = (psi * (1.0 - clear) + clear) / (u * (1.0 - clear) + clear)
     losses = psi * (u - 0.5 * psi)
     weigh_votes(weight, model)
     weigh_votes(losses, model)
@@ -343,19 +375,23 @@ def hold_at_bounds(A: Matrix, descent: Vector, mean: Vector, bounds: Matrix) -> 
 def map_step(
     rows: Matrix,
     mean: Vector,
+    offs: Matrix,
     damping: float,
     thresholds: Matrix,
     bounds: Matrix,
     information: Matrix,
     pull: Vector,
     model: RangingModel,
-) -> tuple[Vector, float, float]:
-    """One damped step that lowers the cost, the next damping, and by how much.
+) -> tuple[Vector, Matrix, float, float]:
+    """One damped step that lowers the cost, with the offs there, the next damping, and by how much.
 
-    Where no step lowers it, the mean comes back as it was.
+    The `offs` are those of the modalities that there are, (m, n), at `mean`: `measured_offs`. Where
+    no step lowers the cost, the mean comes back as it was.
     """
     sigmas = row_sigmas(rows, mean, model)
-    A, descent, cost = normal_equations(rows, mean, sigmas, thresholds, information, pull, model)
+    A, descent, cost = normal_equations(
+        rows, mean, offs, sigmas, thresholds, information, pull, model
+    )
     hold_at_bounds(A, descent, mean, bounds)
     scale = np.diag(np.diag(A) + 1e-9)
     floor = MIN_CURVATURE_RATIO * max(A[0, 0], A[1, 1])  # across a straight track there is none
@@ -363,11 +399,12 @@ def map_step(
     while damping < DAMPING_MAX:
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
-        lower = map_cost(rows, moved, sigmas, thresholds, information, pull, model)
+        after = row_offs(rows, moved, model)[: offs.shape[0]]
+        lower = offs_cost(after, moved, sigmas, thresholds, information, pull, model)
         if lower < cost:
-            return moved, max(damping / 4.0, 1e-9), cost - lower
+            return moved, after, max(damping / 4.0, 1e-9), cost - lower
         damping *= 8.0
-    return mean, damping, 0.0
+    return mean, offs, damping, 0.0
 
 
 @kernel
@@ -386,10 +423,10 @@ def map_minimum(
     `thresholds` (3, 2) are long and short of each modality, `bounds` (2, k).
     """
     mean = np.minimum(np.maximum(start, bounds[0]), bounds[1])
-    damping = DAMPING_START
+    damping, offs = DAMPING_START, measured_offs(rows, mean, model)
     for _ in range(MAX_ITERATIONS):
-        moved, damping, gain = map_step(
-            rows, mean, damping, thresholds, bounds, information, pull, model
+        moved, offs, damping, gain = map_step(
+            rows, mean, offs, damping, thresholds, bounds, information, pull, model
         )
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
         mean = moved
@@ -397,4 +434,4 @@ def map_minimum(
         if is_level or step_m < STEP_TOLERANCE_M:
             break
     sigmas = row_sigmas(rows, mean, model)
-    return mean, map_cost(rows, mean, sigmas, thresholds, information, pull, model)
+    return mean, offs_cost(offs, mean, sigmas, thresholds, information, pull, model)

@@ -129,9 +129,10 @@ def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matr
 
 def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingModel) -> Vector:
     """Whitened partials by the target's height, (3 n,), 0 where nothing was measured."""
-    sigmas = row_sigmas(rows, mean, model)
+    at = np.array(mean)  # as in `WindowMap.scores`
+    sigmas = row_sigmas(rows, at, model)
     low, high = (
-        row_residuals(rows, mean, sigmas, model._replace(height_m=model.height_m + step))
+        row_residuals(rows, at, sigmas, model._replace(height_m=model.height_m + step))
         for step in (-HEIGHT_STEP_M, HEIGHT_STEP_M)
     )
     partials = np.where(scores.is_measured, (low - high) / (2.0 * HEIGHT_STEP_M), 0.0)

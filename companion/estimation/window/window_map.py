@@ -112,10 +112,11 @@ class OlderEvidence:
         self, rows: Matrix, mean: Vector, thresholds: Matrix, model: RangingModel
     ) -> OlderEvidence:
         """With the measurements `rows` (m, 10), expanded about `mean` (k,)."""
-        sigmas = row_sigmas(rows, mean, model)
-        u = row_residuals(rows, mean, sigmas, model)
+        at = np.array(mean)  # as in `WindowMap.scores`
+        sigmas = row_sigmas(rows, at, model)
+        u = row_residuals(rows, at, sigmas, model)
         psi = clipped(u, thresholds)
-        H = row_partials(rows, mean, sigmas, model)
+        H = row_partials(rows, at, sigmas, model)
         influence = psi.reshape(-1)
         A = H.T @ ((u == psi).reshape(-1, 1) * H)
         B = H.T @ ((influence**2)[:, None] * H)
@@ -306,15 +307,16 @@ class WindowMap:
         if last is not None and last[0] is rows and last[1] is mean and last[2] == self._model:
             return last[3]
         with np.errstate(all="ignore"):
-            sigmas = row_sigmas(rows, mean, self._model)
+            at = np.array(mean)  # a copy that may be written to: kernels are compiled for these
+            sigmas = row_sigmas(rows, at, self._model)
             if spread_m2 > 0.0:
-                bend = spread_m2 / view_distance2(rows, mean, self._model)
+                bend = spread_m2 / view_distance2(rows, at, self._model)
                 for row in self._directions:
                     sigmas[row] = np.sqrt(
                         sigmas[row] ** 2 + bend**2 / self._model.bearing_inflation
                     )
-            u = row_residuals(rows, mean, sigmas, self._model)
-            H = row_partials(rows, mean, sigmas, self._model)
+            u = row_residuals(rows, at, sigmas, self._model)
+            H = row_partials(rows, at, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
         scores = Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
         if spread_m2 == 0.0:

@@ -45,6 +45,7 @@ from companion.estimation.window.map_kernels import (
     DAMPING_START,
     MAX_ITERATIONS,
     map_step,
+    measured_offs,
     normal_equations,
     row_sigmas,
 )
@@ -232,9 +233,11 @@ def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) ->
     information, pull = belief.information, belief.pull
     tolerance_m = EARLY_TOLERANCE_M if rows.shape[0] < EARLY_COUNT else LATE_TOLERANCE_M
     mean: Vector = np.minimum(np.maximum(start, bounds[0]), bounds[1])
-    damping = DAMPING_START
+    damping, offs = DAMPING_START, measured_offs(rows, mean, model)
     for _ in range(MAX_ITERATIONS):
-        moved, damping, _ = map_step(rows, mean, damping, limits, bounds, information, pull, model)
+        moved, offs, damping, _ = map_step(
+            rows, mean, offs, damping, limits, bounds, information, pull, model
+        )
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
         if math.hypot(moved[0] - known[0], moved[1] - known[1]) < SAME_PLACE_M:
             return known
@@ -265,8 +268,9 @@ def solved(rows: Matrix, mean: Vector, turn: int, belief: WalkFilter) -> tuple[V
 def curvature_at(rows: Matrix, mean: Vector, belief: WalkFilter) -> tuple[Matrix, float]:
     """Curvature (4, 4) and cost of the objective at `mean`."""
     sigmas = row_sigmas(rows, mean, belief.model)
+    offs = measured_offs(rows, mean, belief.model)
     curvature, _, cost = normal_equations(
-        rows, mean, sigmas, belief.thresholds, belief.information, belief.pull, belief.model
+        rows, mean, offs, sigmas, belief.thresholds, belief.information, belief.pull, belief.model
     )
     return curvature, cost
 

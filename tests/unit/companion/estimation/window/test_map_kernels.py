@@ -14,6 +14,7 @@ from companion.estimation.window.map_kernels import (
     map_cost,
     map_minimum,
     map_step,
+    measured_offs,
     normal_equations,
     row_residuals,
     row_sigmas,
@@ -50,6 +51,10 @@ class Problem:
         found: Matrix = row_sigmas(self.rows, mean, self.model)
         return found
 
+    def offs(self, mean: Vector) -> Matrix:
+        found: Matrix = measured_offs(self.rows, mean, self.model)
+        return found
+
     def cost(self, mean: Vector) -> float:
         prior = (self.information, self.pull, self.model)
         return float(map_cost(self.rows, mean, self.sigmas(mean), self.thresholds, *prior))
@@ -57,13 +62,16 @@ class Problem:
     def system(self, mean: Vector) -> tuple[Matrix, Vector]:
         prior = (self.information, self.pull, self.model)
         A, descent, _ = normal_equations(
-            self.rows, mean, self.sigmas(mean), self.thresholds, *prior
+            self.rows, mean, self.offs(mean), self.sigmas(mean), self.thresholds, *prior
         )
         return A, descent
 
     def step(self, mean: Vector, damping: float) -> tuple[Vector, float]:
         prior = (self.information, self.pull, self.model)
-        moved, after, _ = map_step(self.rows, mean, damping, self.thresholds, self.bounds, *prior)
+        moved, offs, after, _ = map_step(
+            self.rows, mean, self.offs(mean), damping, self.thresholds, self.bounds, *prior
+        )
+        np.testing.assert_array_equal(offs, self.offs(moved))
         return moved, after
 
     def minimum(self, start: Vector) -> tuple[Vector, float]:

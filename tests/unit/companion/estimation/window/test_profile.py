@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.estimation.window.map_kernels import map_cost, map_minimum, normal_equations
+from companion.estimation.window.map_kernels import (
+    map_cost,
+    map_minimum,
+    measured_offs,
+    normal_equations,
+)
 from companion.estimation.window.sandwich import (
     MIN_RISE_SHARE,
     STRETCHES,
@@ -87,7 +92,8 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     known = np.diag([0.0, 0.0, 1e6, 1e8])
     prior = (known, np.zeros(4), p.model)
     mean, _ = map_minimum(rows, np.array([3.0, 60.0, 0.0, 0.0]), p.thresholds, p.bounds, *prior)
-    curvature, _, _ = normal_equations(rows, mean, sigmas, p.thresholds, *prior)
+    offs = measured_offs(rows, mean, p.model)
+    curvature, _, _ = normal_equations(rows, mean, offs, sigmas, p.thresholds, *prior)
     covariance = np.asarray(np.linalg.inv(curvature))
     wider = stretch_covariance(
         covariance,
