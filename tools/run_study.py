@@ -40,7 +40,6 @@ from sim_link.lab.evaluation.study_run import (
     cost_of,
     planned,
     results_of,
-    warm_up,
     work_of,
 )
 from sim_link.lab.pool import WorkerLostError, open_pool
@@ -109,8 +108,6 @@ def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -
         say(f"{len(work)} blocks of runs, {len(kept)} of them done before")
         left = {key: task for key, task in work.items() if key not in kept}
         if left:
-            say("getting the compiled kernels ready")
-            warm_up(left, pool)
             with shown(sum(map(cost_of, left.values())), sys.stderr) as on_done:
                 carried_out(left, pool, store, on_done)
         return written(studies, work, store, arguments.seed, out)

@@ -1,4 +1,4 @@
-"""Carries out studies: warm-up of the kernels, blocks of runs, and the store that keeps them.
+"""Carries out studies: kernels, blocks of runs, and the store that keeps them.
 
 Blocks are done once, the longest first, and kept in a folder: a run that was killed goes on where
 it was. A block's key names all that it follows from, sources included, so that blocks of other
@@ -8,78 +8,21 @@ studies may lie in the same folder.
 from __future__ import annotations
 
 import hashlib
-import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_bytes_atomic
 from companion.kernel import IS_COMPILED
-from companion.planning.crossing_kernels import NO_LATCH
-from sim_link.lab.evaluation import campaign, filterpy_ekf, walk
-from sim_link.lab.evaluation import case as cases
+from sim_link.lab.evaluation import campaign, filterpy_ekf
 from sim_link.lab.evaluation.campaign import RunSeries
-from sim_link.lab.evaluation.case import Case
 from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Cell, CellResult, Study, StudyResult, cells_of
-from sim_link.lab.evaluation.systems import FilterName, System, belief_of, steering_of
+from sim_link.lab.evaluation.systems import FilterName
 from sim_link.lab.pool import Pool, sources_digest
-from sim_link.world.environment import NO_MEMORY
-
-STEPS = 12
-"""Enough of a run to call everything once."""
-
-
-def warm_up(work: Work, pool: Pool) -> None:
-    """Call every kernel once that some work needs, so that the pool's processes find them compiled.
-
-    The first time after a change of the sources this takes the better part of a minute.
-    """
-    if not IS_COMPILED:
-        return
-    kinds: dict[tuple[bool, bool], tuple[Case, System]] = {}
-    for task in work.values():
-        short = msgspec.structs.replace(task.case, steps=STEPS)
-        kind = (task.system.is_compiled, bool(task.case.obstacles))
-        kinds.setdefault(kind, (short, task.system))
-    walked = [pair for (is_compiled, _), pair in kinds.items() if is_compiled]
-    callees = [partial(part, *walked[0]) for part in (_warm_filters, _warm_window) if walked]
-    runs = [partial(campaign.tally_of, RunSeries(*pair, 0, 1)) for pair in kinds.values()]
-    stages: tuple[Sequence[Callable[[], object]], ...] = (callees, runs)
-    for stage in stages:
-        for _ in pool.results(operator.call, stage):
-            pass
-
-
-def _warm_filters(case: Case, system: System) -> None:
-    belief = belief_of(case, system)
-    mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
-    for iterations in (0, 1):
-        split = belief._replace(iterations=iterations)
-        walk.updated(mean, covariance, np.zeros(3), _views(1)[0], split)
-
-
-def _warm_window(case: Case, system: System) -> None:
-    belief, steering = belief_of(case, system), steering_of(case, system)
-    mean, covariance = walk.first_fix(0.0, 0.0, 20.0, 0.0, belief)
-    rows = walk.history_of(STEPS, belief)
-    rows[:, :2], rows[:, 2], rows[:, 3:6] = cases.track_of(case), 0.0, _views(STEPS)
-    walk.solved(rows, mean, 1, belief)
-    walk.next_place(np.zeros(3), mean, covariance, 0.0, NO_LATCH, belief, steering)
-    draws, truth, _ = cases.run_inputs(case, 0)
-    cases.measured_in(draws[0], 0.0, 0.0, truth, cases.scene_of(case), NO_MEMORY)
-
-
-def _views(count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    views = np.full((count, 3), np.nan)
-    views[:, 0], views[:, 1] = 20.0, np.linspace(0.0, 1.0, count)
-    return views
-
 
 FOLDER_NAME = "blocks"
 
@@ -116,9 +59,9 @@ class Store:
 Work = Mapping[str, RunSeries]
 """What studies come to, by key, each once: blocks of runs and checks of the EKF."""
 
-COST_MS: dict[FilterName, float] = {"admm": 2.5, "map": 24.0, "tracker": 150.0, "filterpy": 100.0}
+COST_MS: dict[FilterName, float] = {"admm": 3.0, "map": 7.5, "tracker": 50.0, "filterpy": 120.0}
 """Roughly, of a run of 500 steps; what is not named takes USUAL_COST_MS."""
-USUAL_COST_MS = 1.6
+USUAL_COST_MS = 1.7
 USUAL_STEPS = 500
 
 
@@ -154,18 +97,44 @@ def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
 
 
 def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
-    """Do all of it, keep it, and tell the cost of every task that is done."""
+    """Do all of it, keep it, and tell the cost of every task that is done.
+
+    Runs of compiled kernels wait until one process has compiled them, which takes a minute after a
+    change of the sources; the others do those that need none meanwhile.
+    """
     pending = sorted(work.items(), key=lambda item: -cost_of(item[1]))
-    for position, result in pool.results(_perform, [task for _, task in pending]):
-        key, task = pending[position]
-        store.keep(key, result)
-        on_done(cost_of(task))
+    compiled = [item for item in pending if item[1].system.is_compiled]
+    others = [item for item in pending if not item[1].system.is_compiled]
+    for items, first in ((others, first_runs(task for _, task in compiled)), (compiled, ())):
+        for position, result in pool.results(_perform, [first, *((task,) for _, task in items)]):
+            if position > 0:
+                key, task = items[position - 1]
+                store.keep(key, result)
+                on_done(cost_of(task))
 
 
-def _perform(task: RunSeries) -> bytes:
-    if isinstance(task, EkfCheck):
-        return msgspec.json.encode(filterpy_ekf.largest_difference_m(task))
-    return campaign.tally_of(task).packed()
+STEPS = 12
+"""Enough of a run to call everything once."""
+
+
+def first_runs(tasks: Iterable[RunSeries]) -> tuple[RunSeries, ...]:
+    """Short runs that call every kernel which some tasks need; none where nothing is compiled."""
+    kinds: dict[bool, RunSeries] = {}
+    for task in tasks if IS_COMPILED else ():
+        short = msgspec.structs.replace(task.case, steps=STEPS)
+        kinds.setdefault(bool(task.case.obstacles), RunSeries(short, task.system, 0, 1))
+    return tuple(kinds.values())
+
+
+def _perform(tasks: tuple[RunSeries, ...]) -> bytes:
+    """What the last one comes to."""
+    result = b""
+    for task in tasks:
+        if isinstance(task, EkfCheck):
+            result = msgspec.json.encode(filterpy_ekf.largest_difference_m(task))
+        else:
+            result = campaign.tally_of(task).packed()
+    return result
 
 
 def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list[StudyResult]:

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from companion.errors import CompanionError
+from companion.kernel import IS_COMPILED
 from sim_link.lab.evaluation.campaign import RunSeries
 from sim_link.lab.evaluation.filterpy_ekf import EkfCheck
 from sim_link.lab.evaluation.study import Study
 from sim_link.lab.evaluation.study_run import (
     FOLDER_NAME,
+    STEPS,
     PlannedStudy,
     Store,
     carried_out,
@@ -50,14 +52,16 @@ class _Recorder(Pool):
     def __init__(self, gives_up_after: int | None = None) -> None:
         super().__init__()
         self.asked: list[RunSeries] = []
+        self.asked_first: list[tuple[RunSeries, ...]] = []
         self._left = gives_up_after
 
     def results(
         self, work: Callable[[Any], Any], items: Sequence[Any]
     ) -> Generator[tuple[int, Any], None, None]:
-        self.asked += items
+        self.asked_first.append(items[0])
+        self.asked += [task for (task,) in items[1:]]
         for position, result in super().results(work, items):
-            if self._left is not None:
+            if self._left is not None and position > 0:
                 self._left -= 1
                 if self._left < 0:
                     raise CompanionError("gone")
@@ -125,6 +129,18 @@ def test_what_was_kept_is_not_done_again(tmp_path: Path) -> None:
     results_of(studies, SEED, store)
     assert len(first.asked) == len(work) == 4
     assert second.asked == first.asked[3:]
+
+
+def test_kernels_are_compiled_while_runs_that_need_none_are_done(tmp_path: Path) -> None:
+    work, recorder = work_of(_planned("huber/passive", "tracker/passive"), SEED), _Recorder()
+    carried_out(work, recorder, Store(tmp_path / FOLDER_NAME), _done)
+    compiled = [task.system.is_compiled for task in recorder.asked]
+    assert compiled == sorted(compiled)
+    assert {False, True} == set(compiled)
+    beside, nothing = recorder.asked_first
+    assert [task.system.filter for task in beside] == (["huber"] if IS_COMPILED else [])
+    assert all((task.runs, task.case.steps) == (1, STEPS) for task in beside)
+    assert nothing == ()
 
 
 def test_the_longest_come_first_and_progress_adds_up(tmp_path: Path) -> None:
