@@ -215,6 +215,12 @@ def fill_array_partials(H: Matrix, rows: Matrix, mean: Vector, model: RangingMod
 
 
 @kernel
+def whitener(rows: Matrix, sigmas: Matrix, modality: int) -> Vector:
+    """What whitens the partials of a modality, (n,), zero where nothing was measured."""
+    return np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
+
+
+@kernel
 def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
     """Whitened partials of every measurement by the state, (3 n, k), modality by modality."""
     n = rows.shape[0]
@@ -222,35 +228,34 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
     du = target_height_m(mean, model) - rows[:, 2]
     ground2 = np.maximum(de * de + dn * dn, MIN_DISTANCE_M * MIN_DISTANCE_M)
     slant = np.sqrt(ground2 + du * du)
-    ground = np.sqrt(ground2)
     factor = range_factor(mean, model)
     H = np.zeros((3 * n, mean.size))
     by_range, by_bearing, by_elevation = H[:n], H[n : 2 * n], H[2 * n :]
-    by_range[:, 0] = factor * de / slant
-    by_range[:, 1] = factor * dn / slant
-    by_range[:, 2] = 1.0
+    white = whitener(rows, sigmas, 0)
+    by_range[:, 0] = factor * de / slant * white
+    by_range[:, 1] = factor * dn / slant * white
+    by_range[:, 2] = white
     if model.scale_index >= 0:
-        by_range[:, model.scale_index] = slant
+        by_range[:, model.scale_index] = slant * white
     if model.height_index >= 0:
-        by_range[:, model.height_index] = factor * du / slant
-        by_elevation[:, model.height_index] = ground / (slant * slant)
-    modalities = modalities_of(rows) if model.antenna == AZIMUTH else 3
+        by_range[:, model.height_index] = factor * du / slant * white
     if model.antenna != AZIMUTH:
         fill_array_partials(H, rows, mean, model)
-    elif has_any(rows, 1):
-        by_bearing[:, 0] = -dn / ground2
-        by_bearing[:, 1] = de / ground2
-        by_bearing[:, 3] = 1.0
-    if model.antenna == AZIMUTH and modalities == 3:
+        by_bearing *= whitener(rows, sigmas, 1).reshape(-1, 1)
+        by_elevation *= whitener(rows, sigmas, 2).reshape(-1, 1)
+        return H
+    if has_any(rows, 1):
+        white = whitener(rows, sigmas, 1)
+        by_bearing[:, 0] = -dn / ground2 * white
+        by_bearing[:, 1] = de / ground2 * white
+        by_bearing[:, 3] = white
+    if has_any(rows, 2):
+        white, ground = whitener(rows, sigmas, 2), np.sqrt(ground2)
         down = -du / (slant * slant * ground)
-        by_elevation[:, 0] = de * down
-        by_elevation[:, 1] = dn * down
-    elif model.antenna == AZIMUTH and model.height_index >= 0:
-        by_elevation[:] = 0.0
-    for modality in range(modalities):
-        part = H[modality * n : (modality + 1) * n]
-        share = np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
-        part *= share.reshape(-1, 1)
+        by_elevation[:, 0] = de * down * white
+        by_elevation[:, 1] = dn * down * white
+        if model.height_index >= 0:
+            by_elevation[:, model.height_index] = ground / (slant * slant) * white
     return H
 
 
