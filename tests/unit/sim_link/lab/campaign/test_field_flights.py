@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.config.schema import CompanionConfig
 from companion.errors import ConfigError
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import Scenario
@@ -35,6 +36,17 @@ def test_only_what_is_named_is_flown() -> None:
     assert {f.config.planner.kind for f in flights} == {"latched_crossing", "lawnmower"}
     with pytest.raises(ConfigError, match=r"--only phone: .*did you mean `phone_ftm`"):
         flights_of(GRID, CONFIGS, 2, 1, ["phone"])
+
+
+def test_who_does_not_know_the_radio_knows_how_to_search() -> None:
+    grid = msgspec.structs.replace(GRID, cut_s={"rubble": 240.0})
+    flights = flights_of(grid, CONFIGS, 1, 1, ["latched_crossing"])
+    told, not_told = (flight.config for flight in flights)
+    assert (flights[0].told, flights[1].told) == ("told", "not_told")
+    assert not_told.planner == told.planner
+    assert not_told.planner.search == "expanding_square"
+    assert not_told.estimation == CompanionConfig().estimation
+    assert not_told.mission.stop_radius_m == CompanionConfig().mission.stop_radius_m
 
 
 def test_the_same_seed_is_the_same_world_for_everybody() -> None:
