@@ -279,21 +279,6 @@ def weigh_votes(terms: Matrix, model: RangingModel) -> None:
 
 @kernel
 def map_cost(
-    rows: Matrix,
-    mean: Vector,
-    sigmas: Matrix,
-    thresholds: Matrix,
-    information: Matrix,
-    pull: Vector,
-    model: RangingModel,
-) -> float:
-    """The objective at `mean`: robust losses and prior."""
-    offs = measured_offs(rows, mean, model)
-    return offs_cost(offs, mean, sigmas, thresholds, information, pull, model)
-
-
-@kernel
-def offs_cost(
     offs: Matrix,
     mean: Vector,
     sigmas: Matrix,
@@ -405,7 +390,7 @@ def map_step(
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
         after = row_offs(rows, moved, model)[: offs.shape[0]]
-        lower = offs_cost(after, moved, sigmas, thresholds, information, pull, model)
+        lower = map_cost(after, moved, sigmas, thresholds, information, pull, model)
         if lower < cost:
             return moved, after, max(damping / 4.0, 1e-9), cost - lower
         damping *= 8.0
@@ -439,4 +424,4 @@ def map_minimum(
         if is_level or step_m < STEP_TOLERANCE_M:
             break
     sigmas = row_sigmas(rows, mean, model)
-    return mean, offs_cost(offs, mean, sigmas, thresholds, information, pull, model)
+    return mean, map_cost(offs, mean, sigmas, thresholds, information, pull, model)

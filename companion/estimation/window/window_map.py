@@ -57,6 +57,7 @@ from companion.estimation.window.map_kernels import (
     clipped,
     map_cost,
     map_minimum,
+    measured_offs,
     normaliser,
     row_partials,
     row_residuals,
@@ -382,7 +383,8 @@ class WindowMap:
         information, pull = self._prior(rows, older)
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
-            cost = map_cost(rows, mean, sigmas, self._thresholds, information, pull, self._model)
+            offs = measured_offs(rows, mean, self._model)
+            cost = map_cost(offs, mean, sigmas, self._thresholds, information, pull, self._model)
             return float(cost) + normaliser(rows, sigmas, self._model)
 
     def _prior(self, rows: Matrix, older: OlderEvidence | None) -> tuple[Matrix, Vector]:

@@ -57,7 +57,7 @@ class Problem:
 
     def cost(self, mean: Vector) -> float:
         prior = (self.information, self.pull, self.model)
-        return float(map_cost(self.rows, mean, self.sigmas(mean), self.thresholds, *prior))
+        return float(map_cost(self.offs(mean), mean, self.sigmas(mean), self.thresholds, *prior))
 
     def system(self, mean: Vector) -> tuple[Matrix, Vector]:
         prior = (self.information, self.pull, self.model)

@@ -99,7 +99,7 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
         covariance,
         curvature,
         mean,
-        lambda x: float(map_cost(rows, x, sigmas, p.thresholds, *prior)),
+        lambda x: float(map_cost(measured_offs(rows, x, p.model), x, sigmas, p.thresholds, *prior)),
     )
     assert wider[1, 1] > 1.3**2 * covariance[1, 1]
     assert wider[0, 0] < 1.3**2 * covariance[0, 0]

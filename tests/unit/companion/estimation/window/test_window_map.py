@@ -9,7 +9,7 @@ import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.target_estimate import r95_of_covariance_m
-from companion.estimation.window.map_kernels import map_cost, row_sigmas
+from companion.estimation.window.map_kernels import map_cost, measured_offs, row_sigmas
 from companion.estimation.window.sandwich import mirrored, shares_of, weigh_optima
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
@@ -59,8 +59,8 @@ def test_solution_is_a_minimum_of_the_objective() -> None:
     priors = np.diag([0.0, 0.0, 1.0 / 5.0**2, 1.0 / math.radians(5.0) ** 2])
 
     def objective(x: Vector) -> float:
-        sigmas = row_sigmas(rows, x, p.model)
-        return float(map_cost(rows, x, sigmas, p.thresholds, priors, np.zeros(4), p.model))
+        sigmas, offs = row_sigmas(rows, x, p.model), measured_offs(rows, x, p.model)
+        return float(map_cost(offs, x, sigmas, p.thresholds, priors, np.zeros(4), p.model))
 
     assert cost == pytest.approx(objective(mean))
     for direction in np.concatenate([np.eye(4), -np.eye(4)]):
