@@ -61,6 +61,9 @@ from companion.estimation.window.window_map import WindowParams
 
 UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
 """What is not known of the ground's height and of a radio's stamps where nothing is configured."""
+BETWEEN_WALLS = 2.0
+"""By how much receivers without corrections err more there than they tell: nobody told where it is
+flown, where nothing is configured."""
 FIX_CHANGE = 2.0
 """By how much the accuracy that is told changes when the fix becomes another one."""
 
@@ -304,7 +307,10 @@ class TargetTracker:
         height_m = math.hypot(UNTOLD_HEIGHT_M, own_height_m) if self.antenna is not None else 0.0
         has_jumped = own.is_told and self._best_own_m * FIX_CHANGE <= own.horizontal_m
         jump_m = own.counted_m if has_jumped else 0.0
-        return SharedSigmas(own.counted_m, height_m, lag_s, jump_m)
+        own_m = own.counted_m
+        if self.antenna is not None and own_m > own.horizontal_m:
+            own_m = BETWEEN_WALLS * own.horizontal_m
+        return SharedSigmas(own_m, height_m, lag_s, jump_m)
 
     def reject(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that is not fused, or that the caller could not even offer."""
