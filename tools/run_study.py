@@ -108,6 +108,7 @@ def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -
         say(f"{len(work)} blocks of runs, {len(kept)} of them done before")
         left = {key: task for key, task in work.items() if key not in kept}
         if left:
+            say("kernels that were not compiled before take a minute or two first")
             with shown(sum(map(cost_of, left.values())), sys.stderr) as on_done:
                 carried_out(left, pool, store, on_done)
         return written(studies, work, store, arguments.seed, out)

@@ -187,7 +187,7 @@ class WindowMap:
         self._reached: tuple[Matrix, Matrix, Vector] | None = None
         """Rows, and what the radio's reach about their path says of the place."""
         self._linearised: tuple[Matrix, Vector, RangingModel, Scores] | None = None
-        """Rows, the mean and the model of the last scores without a spread."""
+        """Rows, the mean and the model of the last scores without a spread, kept as they were."""
         self.fields: Fields = ALL_WHITE
         """What the last solution found of errors that stay with the place."""
 
