@@ -1,11 +1,10 @@
-"""The house stays learnable: few thick rooms, each name for one thing."""
+"""Modules and folders stay small enough to read; a public class has one home."""
 
 from __future__ import annotations
 
 import ast
 from collections import Counter
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -13,7 +12,6 @@ ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("companion", "sim_link")
 PYTHONS_OWN = {"__init__.py", "__main__.py"}
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-MOST_MODULES, MOST_LINES = 382, 76_060
 MOST_LINES_OF_A_MODULE = 500
 MOST_FILES_OF_A_FOLDER = 15
 MOST_OF_ONE_NAME = 3
@@ -21,16 +19,6 @@ MOST_OF_ONE_NAME = 3
 
 def lines_of(path: Path) -> int:
     return path.read_text(encoding="utf-8").count("\n")
-
-
-def test_the_product_is_no_larger_than_it_must_be() -> None:
-    assert len(MODULES) <= MOST_MODULES
-    assert sum(map(lines_of, MODULES)) <= MOST_LINES
-
-
-def test_modules_are_rooms_and_not_fragments() -> None:
-    lines = [lines_of(path) for path in MODULES]
-    assert 130 <= median(lines) <= 250
 
 
 @pytest.mark.parametrize("package", PACKAGES)
