@@ -42,7 +42,7 @@ from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
-from companion.guidance.messages import FindingMessages, Rarely
+from companion.guidance.messages import FindingMessages, Rarely, StateMessages
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner
@@ -127,6 +127,8 @@ class SessionContext:
         self.containment = Containment()
         self.passing = PassingHold()
         self.estimate: TargetEstimate | None = None
+        self.states = StateMessages()
+        """Of the estimate, as announced."""
         self.reports: dict[int | None, ReportResult] = {}
         """What was reported of each emitter, the newest last."""
         self.launch: Launch | None = None
@@ -237,6 +239,12 @@ class SessionContext:
     def believe(self, estimate: TargetEstimate | None) -> None:
         """The filter of the current emitter has another estimate."""
         self.estimate = estimate
+
+    def shown_estimate(self, now_s: float) -> TargetEstimate | None:
+        """Return the estimate for people, whose state does not flicker; see `StateMessages`."""
+        if self.estimate is None:
+            return None
+        return self.states.shown(self.estimate, now_s, self.params.ranging_timeout_s)
 
     def plan_now(self, now_s: float) -> None:
         """Renew the plan; without one, after an error, the vehicle will stay."""

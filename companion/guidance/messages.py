@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Hashable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
-from companion.domain import TargetEstimate, Waypoint
+from companion.domain import EstimateState, TargetEstimate, Waypoint
 from companion.estimation.integrity.target_motion import TargetMotion
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
@@ -179,6 +179,50 @@ class FindingMessages:
         self._told, self._told_verdict, self._seen_s = reason, verdict, now_s
         self._told_s[reason] = now_s
         return True
+
+
+CAUTION = (
+    EstimateState.SEARCHING,
+    EstimateState.LOCALISED,
+    EstimateState.AMBIGUOUS,
+    EstimateState.DIVERGED,
+)
+"""The order of the announced states: a later one replaces an earlier one at once."""
+
+
+class StateMessages:
+    """The announced state of the estimate, with hysteresis.
+
+    A second place whose probability is near the threshold comes and goes with every measurement.
+    So a state that asks for more caution is announced at once, and one that asks for less when the
+    other has not been seen for `settle_s`. The estimate itself, and whatever is decided by it,
+    keeps the state of the moment.
+    """
+
+    def __init__(self) -> None:
+        self._announced: EstimateState | None = None
+        self._seen_s = -math.inf
+
+    def begin(self, estimate: TargetEstimate | None) -> None:
+        """Begin with an estimate that the operator knows, or with none."""
+        self._announced = None if estimate is None else estimate.state
+        self._seen_s = -math.inf if estimate is None else estimate.time_s
+
+    def shown(self, estimate: TargetEstimate, now_s: float, settle_s: float) -> TargetEstimate:
+        """Return the estimate with the state to announce and to show."""
+        announced = self._announced
+        if announced is None or now_s - self._seen_s >= settle_s:
+            return estimate
+        is_calmer = CAUTION.index(estimate.state) < CAUTION.index(announced)
+        return replace(estimate, state=announced) if is_calmer else estimate
+
+    def is_due(self, estimate: TargetEstimate, now_s: float, settle_s: float) -> bool:
+        """Return whether to announce the state of a new estimate; if so, it counts as announced."""
+        state = self.shown(estimate, now_s, settle_s).state
+        is_new = state is not self._announced
+        if state is estimate.state:
+            self._announced, self._seen_s = state, now_s
+        return is_new
 
 
 SAID_EVERY_S = 30.0

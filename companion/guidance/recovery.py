@@ -119,6 +119,7 @@ class Recollection:
     def _tell_resumed(self, belief: Belief, now_s: float) -> None:
         context, estimate = self._context, self._context.tracker.estimate(now_s)
         context.believe(estimate)
+        context.states.begin(estimate)
         if estimate is None:
             return
         context.record(

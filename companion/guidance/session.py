@@ -10,7 +10,7 @@ The status is a snapshot of the session for views and logs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
@@ -58,7 +58,7 @@ class GuidanceStatus:
     height_m: float | None
     distance_m: float
     estimate: TargetEstimate | None
-    """Of the emitter that is looked for now."""
+    """Of the emitter that is looked for now, with the state that was announced."""
     emitters: tuple[EmitterStatus, ...]
     """All that were heard or listed."""
     waypoint: Waypoint | None
@@ -243,6 +243,7 @@ class GuidanceSession:
     def status(self, now_s: float) -> GuidanceStatus:
         """A snapshot for views and logs."""
         context, vehicle, steering = self.context, self.vehicle, self.steering
+        shown = context.shown_estimate(now_s)
         return GuidanceStatus(
             time_s=now_s,
             phase=context.phase,
@@ -253,8 +254,11 @@ class GuidanceSession:
             vehicle_enu_m=vehicle.position_enu_m,
             height_m=vehicle.height_m,
             distance_m=vehicle.distance_m,
-            estimate=context.estimate,
-            emitters=self.emitters(now_s),
+            estimate=shown,
+            emitters=tuple(
+                replace(each, estimate=shown) if each.is_current else each
+                for each in self.emitters(now_s)
+            ),
             waypoint=context.flight_plan.waypoint,
             setpoint_enu_m=steering.setpoint_enu_m,
             guard=tuple(reason.value for reason in steering.reasons),

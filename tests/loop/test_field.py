@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
-from companion.config.schema import PlannerConfig
+from companion.config.schema import PlannerConfig, load_config
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TrackerParams
@@ -20,7 +22,8 @@ from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import EmitterParams, FieldChannelParams
 from tests.loop.loop_helpers import AUTO, Loop
 
-FIELD = sorted((Path(__file__).parents[2] / "configs" / "scenarios" / "field").glob("*.yaml"))
+CONFIGS = Path(__file__).parents[2] / "configs"
+FIELD = sorted((CONFIGS / "scenarios" / "field").glob("*.yaml"))
 CLEAR = FieldChannelParams(
     range_offset_m=0.0, bearing_offset_deg=0.0, p_nlos=0.0, range_sigma_m=0.5, bearing_sigma_deg=1.0
 )
@@ -51,6 +54,29 @@ def test_the_search_goes_on_safely_whatever_the_radio_says(path: Path) -> None:
     assert loop.phase in (Phase.NORMAL, Phase.DEGRADED, Phase.HOLD, Phase.FINISHED)
     heights = [place[2] for place in loop.true_positions[-500:]]
     assert min(heights) > 3.0
+
+
+def test_a_second_place_that_flickers_is_announced_once() -> None:
+    path = CONFIGS / "scenarios" / "field" / "phone_cellular.yaml"
+    config = load_config(CONFIGS / "companion" / "field" / "phone_cellular.yaml")
+    mission = msgspec.structs.replace(config.mission, engage="auto")
+    config = msgspec.structs.replace(config, mission=mission)
+    loop = Loop(config=config, scenario=load_scenario(path), seed=2)
+    shown = []
+    for _ in range(70):
+        loop.run(0.5)
+        estimate = loop.companion.session.status(loop.now_s).estimate
+        shown.append(None if estimate is None else estimate.state.value)
+    states = [fields["state"] for _, kind, fields in loop.notes.records if kind == "estimate"]
+    assert changes(states).count("ambiguous") >= 3
+    announced = [text.partition(":")[0] for _, text in loop.notes.texts]
+    assert [word for word in announced if word in states] == ["searching", "ambiguous"]
+    assert changes(shown) == [None, "searching", "ambiguous"]
+
+
+def changes(states: list[Any]) -> list[Any]:
+    """Each state once for every time it began."""
+    return [state for state, _ in groupby(states)]
 
 
 @pytest.mark.slow

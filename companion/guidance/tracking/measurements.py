@@ -132,6 +132,7 @@ class EmitterScheduler:
             return
         self._followed = tracker
         context.believe(tracker.estimate(now_s))
+        context.states.begin(context.estimate)
         context.flight_plan.forget()
         self._inputs.note_switch(tracker.integrity.contact.agreeing_since_gap(now_s))
         if context.phase in FLYING:
@@ -219,10 +220,12 @@ class Measuring:
         if tracker.emitter_id is not None:
             context.send(*self._motions.messages_for(tracker.emitter_id, tracker.watch.motion))
         context.send(*self._antennas.messages_for(tracker.antenna_shown))
-        before, estimate = context.estimate, tracker.estimate(now_s)
+        estimate = tracker.estimate(now_s)
         if estimate is None:
             return
-        if before is None or estimate.state is not before.state:
+        if context.estimate is None:
+            context.states.begin(None)
+        if context.states.is_due(estimate, now_s, context.params.ranging_timeout_s):
             context.announce(Severity.INFO, f"{estimate.state.value}: {radii_of(estimate)}")
         context.believe(estimate)
         context.send(estimate_record(report, estimate))
