@@ -19,6 +19,17 @@ class Severity(Enum):
     INFO = 6
 
 
+class Topic(Enum):
+    """A subject whose texts are states: a newer one replaces the one before."""
+
+    READINESS = "readiness"
+    """Waiting for what, or ready to be given control."""
+    PLAN = "plan"
+    """Flying the plan, slower, or holding, and why."""
+    CONTACT = "contact"
+    """Searching by a pattern, or flying to the target."""
+
+
 @dataclass(frozen=True, slots=True)
 class SendHeartbeat:
     """Our own HEARTBEAT; it comes from the control tick, so it stops when the tick stops."""
@@ -61,10 +72,14 @@ class WithdrawRequest:
 
 @dataclass(frozen=True, slots=True)
 class Announce:
-    """A text for the operator: log and STATUSTEXT."""
+    """A text for the operator: log and STATUSTEXT; how often one passes is up to the link."""
 
     severity: Severity
     text: str
+    topic: Topic | None = None
+    """None: an occurrence by itself."""
+    must_pass: bool = False
+    """Control begins or ends, or something was found or granted: never withheld."""
 
 
 @dataclass(frozen=True, slots=True)

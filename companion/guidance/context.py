@@ -36,6 +36,7 @@ from companion.guidance.commands import (
     ReportResult,
     SetMode,
     Severity,
+    Topic,
     WithdrawRequest,
 )
 from companion.guidance.flight.fencing import Fencing
@@ -140,6 +141,8 @@ class SessionContext:
         self._is_stopping = False
         self._finding_messages = FindingMessages()
         self._commands: list[Command] = []
+        self._is_control_change = False
+        """Control began or ended since commands were taken last."""
 
     @property
     def phase(self) -> Phase:
@@ -159,6 +162,7 @@ class SessionContext:
     def take_commands(self) -> list[Command]:
         """What was collected; the next call begins with nothing."""
         commands, self._commands = self._commands, []
+        self._is_control_change = False
         return commands
 
     def enter(self, trigger: Trigger, now_s: float) -> bool:
@@ -167,6 +171,8 @@ class SessionContext:
         if left is None:
             return False
         self.record("phase", old=left.value, new=self.phase.value, trigger=trigger.value)
+        if (left in IN_CONTROL) is not (self.phase in IN_CONTROL):
+            self._is_control_change = True
         if self.phase in OUT_OF_CONTROL:
             self.withdraw()
         if self.phase not in IN_CONTROL:
@@ -210,13 +216,14 @@ class SessionContext:
         """Collect what is to be done."""
         self._commands += commands
 
-    def announce(self, severity: Severity, text: str) -> None:
-        """A text for the operator."""
-        self.send(Announce(severity, text))
+    def announce(self, severity: Severity, text: str, topic: Topic | None = None) -> None:
+        """Announce a text to the operator; it passes by all means where control changes."""
+        must_pass = severity is Severity.NOTICE or self._is_control_change
+        self.send(Announce(severity, text, topic, must_pass=must_pass))
 
-    def warn(self, text: str) -> None:
-        """A warning for the operator."""
-        self.announce(Severity.WARNING, text)
+    def warn(self, text: str, topic: Topic | None = None) -> None:
+        """Announce a warning."""
+        self.announce(Severity.WARNING, text, topic)
 
     def record(self, kind: str, **fields: object) -> None:
         """A line for the event log."""

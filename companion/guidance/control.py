@@ -20,7 +20,7 @@ from companion.guidance.authority.control_authority import is_silence_due
 from companion.guidance.authority.handover import Handover, LaunchPermit, WaitingReason
 from companion.guidance.authority.launch import LaunchView
 from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase, Trigger
-from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity
+from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, Topic
 from companion.guidance.context import SessionContext
 from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.health.findings import Verdict
@@ -231,12 +231,12 @@ class ControlTick:
             if is_settling or not context.record_finding(missing, now_s):
                 return
             if missing is None:
-                context.announce(Severity.INFO, f"ready again: switch to {guided}")
+                context.announce(Severity.INFO, f"ready again: switch to {guided}", Topic.READINESS)
                 return
             text = f"not ready: {missing.text}"
             if is_stopping:
                 text += "; setpoints stopped"
-            context.warn(text)
+            context.warn(text, Topic.READINESS)
         elif is_stopping and context.phase in UNJUDGED:
             if missing is not None:
                 context.warn(f"setpoints stopped: {missing.text}")
@@ -274,14 +274,14 @@ class ControlTick:
         context = self._context
         reason = self._waiting.news(now_s)
         if reason is not None:
-            context.warn(reason)
+            context.warn(reason, Topic.READINESS)
         authority = context.authority
         is_ready = context.vehicle.is_usable(now_s) and context.fencing.is_ready
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)
             guided = f"ready: switch to {context.vehicle.guided_name} to give control"
             text = "ready: automatic takeoff begins" if self._permit.is_wanted else guided
-            context.announce(Severity.INFO, text)
+            context.announce(Severity.INFO, text, Topic.READINESS)
 
     def _advance_launch(self, now_s: float) -> None:
         context = self._context
@@ -312,7 +312,7 @@ class ControlTick:
             if context.enter(Trigger.INPUT_BACK, now_s):
                 context.plan_now(now_s)
             if is_new:
-                context.announce(Severity.INFO, "flying the plan")
+                context.announce(Severity.INFO, "flying the plan", Topic.PLAN)
             return
         match finding.verdict:
             case Verdict.SLOW:
@@ -328,7 +328,7 @@ class ControlTick:
                 return
         if is_new:
             word = "degraded" if finding.verdict is Verdict.SLOW else "hold"
-            context.warn(f"{word}: {finding.text}")
+            context.warn(f"{word}: {finding.text}", Topic.PLAN)
 
     def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
         """The setpoint of this tick, or None where silence is due."""

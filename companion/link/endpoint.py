@@ -90,7 +90,10 @@ class CompanionEndpoint:
         self._alarms = LinkAlarms(self.binding, self._intakes)
         self.shield = FloodShield(vehicle, self.binding)
         self.outlet = Outlet(
-            [(role, intake.codec) for role, intake in links], self.binding, journal
+            [(role, intake.codec) for role, intake in links],
+            self.binding,
+            journal,
+            params.link.downlink_bytes_s,
         )
         self._queries = AutopilotQueries(
             self.binding, session.fencing, stops_unread=params.link.stop_unread_streams
@@ -151,6 +154,7 @@ class CompanionEndpoint:
         radios = [text for radio in self.radios for text in radio.tick(now_s)]
         for text in (*signing, *links, *radios, *self._queries.new_texts(now_s)):
             self.outlet.announce(text, now_s)
+        self.outlet.announce_due(now_s)
         stalled_s = self._health.tick(now_s)
         if stalled_s is not None:
             self._queries.ask_mode()
@@ -301,6 +305,8 @@ class CompanionEndpoint:
             "moves": self.binding.moves,
             "echoes": self.outlet.own_frames.echoes,
             "setpoints": self.outlet.setpoints_sent,
+            "texts_withheld": self.outlet.gate.withheld,
+            "texts_unsent": self.outlet.gate.unsent,
             "setpoint_rate_hz": self.outlet.setpoint_rate_hz(now_s),
             "accepted": emitters.accepted,
             "refused": {reason.value: count for reason, count in emitters.rejected.items()},

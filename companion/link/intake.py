@@ -20,8 +20,8 @@ take what was saved.
 Theory of operation of signing. With a key every frame of every link must prove itself before it is
 decoded; the codecs see to that. The time in signatures goes on from the wall clock at the start by
 the control tick's own clock, so that a wall clock that is set in flight changes nothing; only
-before an autopilot is bound is it followed. What was refused is told at once, and then at most
-every ten seconds in one text, because a forger must not be able to fill the log. RADIO_STATUS may
+before an autopilot is bound is it followed. What was refused is announced at once, and then
+once a period in one text, because a forger must not be able to fill the log. RADIO_STATUS may
 come unsigned. It is noted down and goes no further: unproved, it says nothing about the autopilot,
 not even that it is there.
 """
@@ -35,6 +35,7 @@ from enum import IntEnum
 
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
+from companion.link.texts import CAUSE_PERIOD_S
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -289,7 +290,7 @@ def _is_heartbeat(chunk: Chunk) -> bool:
     return is_one and data[0] in HEADER_LENGTH and message_id(data) == HEARTBEAT
 
 
-REPORT_PERIOD_S = 10.0
+REPORT_PERIOD_S = CAUSE_PERIOD_S
 HINTS: Mapping[SignatureVerdict, str] = {
     SignatureVerdict.UNSIGNED: "does the autopilot sign, with this key?",
     SignatureVerdict.BAD_SIGNATURE: "is it the same key on both sides?",

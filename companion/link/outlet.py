@@ -21,9 +21,11 @@ from companion.guidance.commands import Announce, Severity
 from companion.link import outbound
 from companion.link.intake import AutopilotBinding
 from companion.link.interface import Journal, LinkRole
+from companion.link.texts import TextGate
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
+from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2
 
 KEPT = 1024
 """Frames of ours that are remembered: 20 s at the fastest pace."""
@@ -74,6 +76,8 @@ class OwnFrames:
 COMPONENT_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 """191: what ground stations expect an onboard computer to be."""
 RATE_WINDOW_S = 2.0
+STATUSTEXT_BYTES = HEADER_LENGTH[MAGIC_V2] + 54 + CRC_LENGTH
+"""A full STATUSTEXT of MAVLink 2, not signed."""
 
 
 class Outlet:
@@ -84,10 +88,12 @@ class Outlet:
         links: Sequence[tuple[LinkRole, MavCodec]],
         binding: AutopilotBinding,
         journal: Journal,
+        downlink_bytes_s: float,
     ) -> None:
         self.setpoints_sent = 0
         self.texts_sent = 0
         self.own_frames = OwnFrames()
+        self.gate = TextGate(downlink_bytes_s)
         self._codecs = [codec for _, codec in links]
         roles = [role for role, _ in links]
         self._vehicle_link = roles.index(LinkRole.VEHICLE)
@@ -159,14 +165,26 @@ class Outlet:
         return True
 
     def announce(self, text: Announce, now_s: float) -> None:
-        """Tell the operator: to the journal, and as STATUSTEXT if there is an autopilot."""
+        """Announce a text, if its cause was not announced just now."""
+        if self.gate.admit(text, now_s):
+            self._publish(text, now_s)
+
+    def announce_due(self, now_s: float) -> None:
+        """Announce the states that were withheld and still stand."""
+        for text in self.gate.due(now_s):
+            self._publish(text, now_s)
+
+    def _publish(self, text: Announce, now_s: float) -> None:
+        """Pass a text to the journal, and as STATUSTEXT to the autopilot once one is bound."""
         self._journal.text(text.severity, text.text, now_s)
         self.texts_sent += 1
         if not self._binding.is_bound:
             return
         self._text_id = self._text_id % 0xFFFF + 1
-        for message in outbound.status_text(text.severity.value, text.text, self._text_id):
-            self.broadcast(message, now_s, is_droppable=True)
+        chunks = outbound.status_text(text.severity.value, text.text, self._text_id)
+        if self.gate.fits(text, len(chunks) * STATUSTEXT_BYTES, now_s):
+            for message in chunks:
+                self.broadcast(message, now_s, is_droppable=True)
 
     def take(self) -> list[Chunk]:
         """What is to be sent, in order; taken once."""

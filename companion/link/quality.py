@@ -33,6 +33,7 @@ from companion.guidance.commands import Announce, Severity
 from companion.link.intake import AutopilotBinding, Intake, RateLimit
 from companion.link.interface import LinkParams
 from companion.link.radio_stage import RadioStage
+from companion.link.texts import CAUSE_PERIOD_S
 from companion.mav.endpoint import Address
 
 MODULUS = 256
@@ -247,7 +248,7 @@ class FloodShield:
         return None if is_quiet else binding.peer
 
 
-ALARM_TEXTS_PER_S = 0.1
+ALARM_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S
 
 
 class CounterNews:
@@ -299,7 +300,7 @@ QUIET_S = 2.0
 """From then on its silence is shown."""
 RATE_WINDOW_S = 5.0
 """Rates are of so much time."""
-REFUSAL_TEXTS_PER_S = 0.1
+REFUSAL_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S
 MANY_REFUSALS = 10
 """Refusals since the last text, before there is another one ..."""
 MANY_SHARE = 0.2

@@ -15,7 +15,7 @@ from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
-from companion.guidance.commands import Announce, Command, Severity
+from companion.guidance.commands import Announce, Command, Severity, Topic
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
 from companion.guidance.tracking.emitters import EmitterQueue
@@ -127,11 +127,13 @@ class FlightPlan:
         if self._is_searching is was_searching:
             return []
         if not self._is_searching:
-            return [Announce(Severity.INFO, "contact: flying to the target")]
+            return [Announce(Severity.INFO, "contact: flying to the target", Topic.CONTACT)]
         if heard_s is None:
-            return [Announce(Severity.INFO, "no contact yet: flying the search pattern")]
+            return [
+                Announce(Severity.INFO, "no contact yet: flying the search pattern", Topic.CONTACT)
+            ]
         text = f"no contact for {after_s:g} s: back to the search pattern"
-        return [Announce(Severity.WARNING, text)]
+        return [Announce(Severity.WARNING, text, Topic.CONTACT)]
 
     def _target_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """A text when the target turns out to be where the vehicle may not go.
