@@ -26,7 +26,7 @@ from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
 from companion.io.logs.radio_recording import is_radio_recording
-from companion.io.shell import Clock
+from companion.io.shared_clock import clock_of
 from companion.kernel import IS_COMPILED, count_compiled
 from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
@@ -131,7 +131,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         views=_views(arguments, config, settings),
         at_end=_report_flight,
     )
-    endpoint = fly(config, links, Clock(arguments.fly_speed or 1.0), options)
+    endpoint = fly(config, links, clock_of(arguments.fly_speed or 1.0), options)
     if arguments.once and endpoint.session.result is None:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED

@@ -237,7 +237,7 @@ def fly(
     lock = VehicleLock(state, name, config.vehicle.system_id, place_of(vehicle))
     try:
         prepare(config)
-        clock = Clock(clock.speed)  # what was compiled is no part of the flight
+        clock.restart()  # what was compiled is no part of the flight
         flight = _Flight(config, links, clock, keeper, options, state / lock_name(name))
         flight.run()
         if options.at_end is not None and flight.directory is not None:

@@ -18,7 +18,8 @@ from companion.arguments import ComplaintParser, number_in
 from companion.entry import is_interrupt, outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.links.transports import Transport, parse_transport, udp_address
-from companion.io.shell import Clock, Shell
+from companion.io.shared_clock import clock_of
+from companion.io.shell import Shell
 from companion.mav.endpoint import Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
@@ -168,7 +169,7 @@ def _run(arguments: argparse.Namespace) -> int:
     fleet: Endpoint = endpoints[0] if len(endpoints) == 1 else Fleet(endpoints, len(specs[0]))
     links = [spec for own in specs for spec in own]
     try:
-        shell = Shell(fleet, links, Clock(options.speed), on_wakeup)
+        shell = Shell(fleet, links, clock_of(options.speed), on_wakeup)
         if arguments.stop_on_eof:
             threading.Thread(target=_read_input, args=(shell, orders), daemon=True).start()
         shell.run_blocking()

@@ -21,10 +21,12 @@ from companion.demo.simulator_process import STOP_TIMEOUT_S, SimulatorProcess
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
+from companion.guidance.commands import Severity
+from companion.guidance.events import ProcessNoted
 from companion.io.child_process import HOST, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, UdpBind
-from companion.io.shell import Clock
+from companion.io.shared_clock import Pacer
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import LinkRole, LinkSpec
 from companion.run import FlightOptions, FlightView, fly, is_handed_over, prepare
@@ -80,8 +82,9 @@ def scenario_named(path: Path) -> tuple[Path, Path | None]:
 class DemoWatch(FlightView):
     """Ends the flight once there is a reason, and keeps what is drawn."""
 
-    def __init__(self, simulator: SimulatorProcess, limit_s: float) -> None:
+    def __init__(self, simulator: SimulatorProcess, limit_s: float, clock: Pacer) -> None:
         self._simulator = simulator
+        self._clock, self._speed = clock, clock.speed
         self._limit_s = limit_s
         self._began_wall_s: float | None = None
         self.ended = ""
@@ -116,6 +119,10 @@ class DemoWatch(FlightView):
         elif endpoint.binding.is_bound:
             self.worst_gap_s = max(self.worst_gap_s, now_s - self.time_s)
         self.time_s = now_s
+        if self._clock.speed < self._speed:
+            self._speed, before = self._clock.speed, self._speed
+            text = f"this computer is too busy for {before:g}x: going on at {self._speed:g}x"
+            endpoint.tell(ProcessNoted(now_s, Severity.NOTICE, text))
         reason = self._end_reason(endpoint, now_s)
         if reason is not None:
             self.ended = reason
@@ -149,17 +156,18 @@ def run_demo(
     port = free_udp_port()
     with tempfile.TemporaryDirectory() as temporary:
         report = Path(temporary) / "sim-link.json"
+        clock = Pacer(Path(temporary) / "clock", options.speed)
         simulator = SimulatorProcess(
-            report, options.seed, options.speed, options.scenario, port, options.autopilot
+            report, options.seed, clock, options.scenario, port, options.autopilot
         )
         with simulator:
             truth = simulator.started_report()
             config = _demo_config(config, truth, temporary)
-            watch = DemoWatch(simulator, float(truth["time_limit_s"]))
+            watch = DemoWatch(simulator, float(truth["time_limit_s"]), clock)
             links = [FlightLink(UdpBind(HOST, port), LinkSpec(LinkRole.VEHICLE))]
             views = [watch, *make_views(config, _emitter_enu_m(truth))]
             flight_options = FlightOptions(views=views, at_end=at_end)
-            endpoint = fly(config, links, Clock(options.speed), flight_options)
+            endpoint = fly(config, links, clock, flight_options)
             simulator.stop(STOP_TIMEOUT_S)  # it writes its report first
             result = DemoResult(options, watch, endpoint, simulator.report())
             _say(result.summary)
@@ -216,12 +224,12 @@ def _demo_config(
     )
 
 
-def busy_hint(speed: float, late_s: float) -> str:
+def busy_hint(late_s: float) -> str:
     """What to do about a mode lost because a wake-up was `late_s` of flight late; or nothing."""
-    if speed <= 1.0 or late_s <= LATE_S:
+    if late_s <= LATE_S:
         return ""
     late = f"a control tick came {late_s:.1f} s late"
-    return f"; this computer is too busy for --speed {speed:g} ({late}): try --speed 1"
+    return f"; this computer is too busy ({late}): end other programs and try again"
 
 
 class DemoResult:
@@ -244,7 +252,7 @@ class DemoResult:
         self.wall_s = watch.wall_s
         self.ended = watch.ended or "interrupted"
         if self.ended.startswith("the autopilot left"):
-            self.ended += busy_hint(options.speed, watch.worst_gap_s)
+            self.ended += busy_hint(watch.worst_gap_s)
         self.truth_enu_m = _emitter_enu_m(report)
         self.error_m = None
         if self.estimate is not None:

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from companion.errors import CompanionError
-from companion.io.child_process import HOST, ChildProcess, free_udp_port
+from companion.io.child_process import HOST, START_S, ChildProcess, free_udp_port
+from companion.io.shared_clock import Pacer
 
-START_TIMEOUT_S = 60.0
-"""Compiling takes its time where the kernels of obstacles are not compiled yet."""
-STOP_TIMEOUT_S = 3.0
+STOP_TIMEOUT_S = 30.0
+"""Real time for its last report, which a busy computer keeps waiting."""
 
 
 class SimulatorProcess(ChildProcess):
@@ -22,7 +22,7 @@ class SimulatorProcess(ChildProcess):
         self,
         report: Path,
         seed: int,
-        speed: float,
+        clock: Pacer,
         scenario: Path | None,
         companion_port: int,
         autopilot: str | None,
@@ -30,13 +30,13 @@ class SimulatorProcess(ChildProcess):
         self._report = report
         arguments = [
             *("-m", "sim_link", "--stop-on-eof", "--quiet"),
-            *("--seed", str(seed), "--speed", str(speed), "--report", str(report)),
+            *("--seed", str(seed), "--speed", str(clock.speed), "--report", str(report)),
             *("--listen", f"{HOST}:{free_udp_port()}"),
             *("--send-to", f"{HOST}:{companion_port}"),
             *(() if scenario is None else ("--scenario", str(scenario))),
             *(() if autopilot is None else ("--autopilot", autopilot)),
         ]
-        super().__init__("sim-link", arguments, report.with_suffix(".log"))
+        super().__init__("sim-link", arguments, report.with_suffix(".log"), clock.environment(0))
 
     def __enter__(self) -> SimulatorProcess:
         self.start()
@@ -47,7 +47,7 @@ class SimulatorProcess(ChildProcess):
 
     def started_report(self) -> dict[str, Any]:
         """The report, with the truth, of a simulator that started; a `CompanionError` otherwise."""
-        deadline = time.monotonic() + START_TIMEOUT_S
+        deadline = time.monotonic() + START_S
         while not self._report.exists():
             if not self.is_alive or time.monotonic() > deadline:
                 words = self.last_words.removeprefix("sim-link: ")

@@ -14,6 +14,9 @@ from typing import TextIO
 from companion.errors import CompanionError
 
 HOST = "127.0.0.1"
+START_S = 900.0
+"""Real time that a process that lives may take to start: the first one of all compiles for a minute
+of processor time, and has an eighth of a core where twelve others want two."""
 STOP_S = 5.0
 """Real time that a process may take to end after SIGTERM."""
 

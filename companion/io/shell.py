@@ -34,16 +34,20 @@ from companion.mav.endpoint import Chunk, Endpoint
 
 
 class Clock:
-    """Monotonic seconds since construction, times `speed`, which is positive and finite."""
+    """Monotonic seconds since it was started, times `speed`, which is positive and finite."""
 
     def __init__(self, speed: float = 1.0) -> None:
         if not (math.isfinite(speed) and speed > 0.0):
             raise ValueError(f"speed must be positive and finite, not {speed}")
         self.speed = speed
+        self.restart()
+
+    def restart(self) -> None:
+        """Count from now."""
         self._started_s = time.monotonic()
 
     def now_s(self) -> float:
-        """Seconds of this clock since it was made; never goes back."""
+        """Seconds of this clock since it was started; never goes back."""
         return (time.monotonic() - self._started_s) * self.speed
 
     def delay_s(self, until_s: float) -> float:

@@ -58,7 +58,7 @@ class PlainProgress:
         self.say(flight_line(result, self._done, self._total))
         for verdict in result.failed:
             self.say(f"     {verdict.name}: {verdict.found}")
-        for line in filter(None, (result.error, result.doubt)):
+        for line in filter(None, (result.error, result.pace, result.doubt)):
             self.say(f"     {line}")
 
 

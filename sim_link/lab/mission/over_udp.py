@@ -23,9 +23,10 @@ import yaml
 
 from companion.domain import FlightMode
 from companion.errors import CompanionError
-from companion.io.child_process import HOST, ChildProcess, free_udp_ports
+from companion.io.child_process import HOST, START_S, ChildProcess, free_udp_ports
 from companion.io.links.transports import Transport, UdpBind, UdpConnect, parse_transport
 from companion.io.logs.log_files import TlogWriter
+from companion.io.shared_clock import Pacer
 from companion.io.shell import Clock, Shell
 from sim_link.lab.event_tail import EventTail
 from sim_link.lab.faults.fault_models import Schedule
@@ -46,8 +47,6 @@ from sim_link.lab.mission.script import Mission, PilotOverrideStep
 from sim_link.lab.mission.script_file import flown_config
 from sim_link.lab.mission.steps import READY, StepRunner
 
-START_S = 150.0
-"""Real time that a process may take to start; the first one of all compiles."""
 SILENCE_S = 15.0
 """Real time without any frame of the vehicle after which the mission is given up."""
 HAND_BACK_S = 3.0
@@ -72,8 +71,9 @@ def fly_over_udp(
     keep: Path | None = None,
     progress: Progress | None = None,
 ) -> MissionResult:
-    """Fly a mission once, at `speed` seconds per second.
+    """Fly a mission once, at `speed` seconds per second, or what this computer keeps up with.
 
+    The speed of a vehicle to `connect` to cannot be changed; that of a simulated one is lowered.
     The seed is of a simulated vehicle, which is started unless a link to `connect` to is given, its
     radio and its faults. `keep` is a folder for `.tlog`, event log and output of the processes.
     `progress` is told after every look. `CompanionError`: a process or link does not start.
@@ -81,7 +81,8 @@ def fly_over_udp(
     with tempfile.TemporaryDirectory(prefix="mission-") as temporary:
         folder = Path(temporary) if keep is None else keep
         folder.mkdir(parents=True, exist_ok=True)
-        flight = _UdpFlight(mission, seed, folder, speed, connect)
+        clock = Clock(speed) if connect else Pacer(Path(temporary) / "clock", speed)
+        flight = _UdpFlight(mission, seed, folder, clock, connect)
         started = time.perf_counter()
         try:
             asyncio.run(flight.fly(progress))
@@ -96,11 +97,12 @@ def fly_over_udp(
 
 class _UdpFlight:
     def __init__(
-        self, mission: Mission, seed: int, folder: Path, speed: float, connect: str | None
+        self, mission: Mission, seed: int, folder: Path, clock: Clock, connect: str | None
     ) -> None:
         self.record = FlightRecord()
         self._mission, self._seed, self._folder = mission, seed, folder
-        self._speed, self._connect = speed, connect
+        self._clock, self._speed, self._connect = clock, clock.speed, connect
+        self._pacer = clock if isinstance(clock, Pacer) else None
         self._ports = Ports(*free_udp_ports(5))
         self._flights = folder / "flights"
         self._tail = EventTail(self._flights)
@@ -113,7 +115,7 @@ class _UdpFlight:
         self._vehicle = self._vehicle_child() if connect is None else None
         self._radio: ChildProcess | None = None
         self._operator = MavsdkOperator(self._ports.operator, folder / "mavsdk.log")
-        self._watched = WireWatch(speed)
+        self._watched = WireWatch(self._speed)
         recording = self._watched.recording
         self._harness = ProcessHarness(self._wire, self._vehicle, self._companion, recording)
         self._runner = StepRunner(mission, self.record, self._operator, self._harness.inject)
@@ -127,7 +129,6 @@ class _UdpFlight:
         )
         self._end_wall_s: float | None = None
         self._is_companion_told = False
-        self._clock = Clock(speed)
         self._started_unix_s = time.time()
         (folder / "flight.tlog").unlink(missing_ok=True)  # an earlier mission's; it is appended to
         shutil.rmtree(folder / "state", ignore_errors=True)
@@ -149,7 +150,7 @@ class _UdpFlight:
         child.start()
         await self._await_start(child, lambda: bool(child.first_words), child.name)
         async with self._operator:
-            self._clock = Clock(self._speed)
+            self._clock.restart()
             self._started_unix_s = time.time()
             self._heard_wall_s = time.monotonic()
             shell = Shell(self._hub, self._links(), self._clock)
@@ -187,7 +188,9 @@ class _UdpFlight:
         arguments = ["-m", "sim_link.lab.supervised_companion", "--config", str(path)]
         arguments += ["--connect", f"udpin:{HOST}:{self._ports.companion}"]
         arguments += ["--speed", f"{self._speed:g}"]
-        return ChildProcess("companion", arguments, self._folder / "companion.log")
+        return ChildProcess(
+            "companion", arguments, self._folder / "companion.log", self._clock_variable(0)
+        )
 
     def _vehicle_child(self) -> ChildProcess:
         addresses = ["--listen", f"{HOST}:{self._ports.simulator}"]
@@ -199,7 +202,11 @@ class _UdpFlight:
         _write_yaml(path, self._mission.scenario)
         options = ["--stop-on-eof", "--scenario", str(path), "--seed", str(self._seed)]
         options += ["--speed", f"{self._speed:g}"]
-        return ChildProcess(name, ["-m", "sim_link", *arguments, *options], self._folder / log)
+        arguments = ("-m", "sim_link", *arguments, *options)
+        return ChildProcess(name, arguments, self._folder / log, self._clock_variable(1))
+
+    def _clock_variable(self, number: int) -> dict[str, str]:
+        return {} if self._pacer is None else self._pacer.environment(number)
 
     async def _await_start(
         self, child: ChildProcess, has_started: Callable[[], bool], name: str
@@ -225,6 +232,11 @@ class _UdpFlight:
 
     def _look(self, now_s: float) -> None:
         self._watched.looked(now_s)
+        if self._pacer is not None:
+            if not self._harness.is_companion_running:
+                self._pacer.excuse()
+            if self._clock.speed < self._speed:
+                self.record.slowed_to = self._clock.speed
         self._take_events(now_s)
         self._reader.age(now_s)
         vehicle, operator = self.record.situation.vehicle, self._operator

@@ -142,6 +142,7 @@ class ProcessHarness:
         self._due = sched.scheduler(lambda: self._now_s, lambda _: None)
         self.is_companion_down = False
         """Whether the companion is meant not to run."""
+        self._suspended_until_s = -math.inf
         self.has_restarted_companion = False
 
     def inject(self, fault: faults.Fault, now_s: float) -> None:
@@ -160,13 +161,19 @@ class ProcessHarness:
             case IncidentRecord():
                 at(start_s, 0, self._tell, (fault,))
 
+    @property
+    def is_companion_running(self) -> bool:
+        """Whether no fault keeps the companion from running."""
+        return not self.is_companion_down and self._now_s >= self._suspended_until_s
+
     def tick(self, now_s: float) -> None:
         """Do what is due."""
         self._now_s = now_s
         self._due.run(blocking=False)
 
     def _suspend(self, duration_s: float) -> None:
-        self._watcher.companion_suspended(self._now_s, self._now_s + duration_s)
+        self._suspended_until_s = self._now_s + duration_s
+        self._watcher.companion_suspended(self._now_s, self._suspended_until_s)
         self._companion.signal(signal.SIGSTOP)
 
     def _end(self, how: signal.Signals) -> None:

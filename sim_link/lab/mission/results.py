@@ -110,6 +110,8 @@ class FlightRecord:
     """By how much limits of time were wider than in lockstep, in seconds of flight."""
     late_s: float = 0.0
     """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
+    slowed_to: float | None = None
+    """Times real time that the machine kept up with, where that was less than asked for."""
     is_interrupted: bool = False
     skipped: str = ""
     """Why it was not flown on this vehicle; empty: it was."""
@@ -396,6 +398,14 @@ class MissionResult:
         """Whether the true emitter is within R95 of the last estimate."""
         point = self.last_estimate
         return None if point is None else self.error_m(point) <= point.r95_m
+
+    @property
+    def pace(self) -> str:
+        """How fast it was flown instead of as asked for; empty: as fast as that."""
+        slowed_to = self.record.slowed_to
+        if slowed_to is None:
+            return ""
+        return f"this computer is too busy for {self.how}: slowed to {slowed_to:g} times real time"
 
     @property
     def doubt(self) -> str:

@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
+from unittest.mock import create_autospec
+
+import msgspec
+import pytest
+
+from companion.io.child_process import ChildProcess
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from sim_link.lab.faults.fault_models import LinkBlackout, LinkDelay, Schedule
+from sim_link.lab.faults.fault_models import (
+    CompanionKilled,
+    CompanionStalled,
+    LinkBlackout,
+    LinkDelay,
+    Schedule,
+)
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.mission.processes import COMPANION, OPERATOR, PERIOD_S, RADIO, VEHICLE, Hub
+from sim_link.lab.lockstep.observer import Observer
+from sim_link.lab.mission.processes import (
+    COMPANION,
+    OPERATOR,
+    PERIOD_S,
+    RADIO,
+    VEHICLE,
+    Hub,
+    ProcessHarness,
+)
 
 PEER = ("127.0.0.1", 14580)
 
@@ -123,3 +144,21 @@ def test_the_mission_is_looked_at_ten_times_a_second_and_decides_about_the_end()
     assert not routed.hub.is_finished
     routed.hub.finish()
     assert routed.hub.is_finished
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [CompanionKilled(down_s=2.0), CompanionStalled(duration_s=2.0)],
+    ids=["killed", "stalled"],
+)
+def test_a_companion_that_a_fault_stops_is_not_waited_for(
+    fault: CompanionKilled | CompanionStalled,
+) -> None:
+    child = create_autospec(ChildProcess, instance=True)
+    harness = ProcessHarness(FaultyLink(Schedule(), 1), None, child, Observer())
+    harness.inject(msgspec.structs.replace(fault, start_s=1.0), 0.0)
+    running = []
+    for now_s in (0.5, 1.0, 2.9, 3.1):
+        harness.tick(now_s)
+        running.append(harness.is_companion_running)
+    assert running == [True, False, False, True]
