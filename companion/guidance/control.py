@@ -25,7 +25,13 @@ from companion.guidance.context import SessionContext
 from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.health.findings import Verdict
 from companion.guidance.health.watches import Watches
-from companion.guidance.messages import FenceMessages, GuardMessages, radius_texts, result_of
+from companion.guidance.messages import (
+    FenceMessages,
+    GuardMessages,
+    TrackMessages,
+    radius_texts,
+    result_of,
+)
 from companion.guidance.stop_rules import SettledRule, StopRule
 from companion.guidance.tracking.measurements import EmitterScheduler
 
@@ -182,6 +188,7 @@ class ControlTick:
         self._waiting = WaitingReason(context.vehicle, context.authority, context.fencing)
         self._guard_messages = GuardMessages()
         self._fence_messages = FenceMessages()
+        self._track_messages = TrackMessages()
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
@@ -200,6 +207,9 @@ class ControlTick:
         fence = self._fence_messages.record(context.guard.limits.fence)
         if fence is not None:
             context.record("fence", **fence)
+        position = self._track_messages.record(context.vehicle.position_enu_m)
+        if position is not None:
+            context.record("position", **position)
         if context.phase in FLYING and context.flight_plan.is_due(now_s):
             context.plan_now(now_s)
         if now_s >= self._next_heartbeat_s:

@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import asdict, replace
 
-from companion.domain import EstimateState, TargetEstimate, Waypoint
+from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint
 from companion.estimation.integrity.target_motion import TargetMotion
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
@@ -270,6 +270,26 @@ class FenceMessages:
             "keep_out_enu_m": () if fence is None else fence.keep_out_enu_m,
             "margin_m": None if fence is None else fence.margin_m,
         }
+
+
+TRACK_STEP_M = 0.5
+"""Positions nearer than this to the logged one are not logged: a hover wanders by as much."""
+
+
+class TrackMessages:
+    """Remembers which position the log has."""
+
+    def __init__(self) -> None:
+        self._logged: PositionEnu | None = None
+
+    def record(self, position_enu_m: PositionEnu | None) -> dict[str, object] | None:
+        """Return the vehicle's position for the log; None: it is about the logged one."""
+        if position_enu_m is None or (
+            self._logged is not None and math.dist(position_enu_m, self._logged) < TRACK_STEP_M
+        ):
+            return None
+        self._logged = position_enu_m
+        return {"position_enu_m": tuple(round(each, 2) for each in position_enu_m)}
 
 
 class MotionMessages:

@@ -7,7 +7,8 @@ it anyway. Buttons come back up another pipe. If the child dies, the flight goes
 The listening socket is opened here, before the flight, so that a taken port is an error at once.
 
 The collector listens where the flight log does, so nothing is measured twice; its lists are
-bounded.
+bounded. Track and curves are not in the pictures, of which any may be lost: the collector has them
+all, and a picture carries what the page lacks.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
+from typing import Any
 
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState
@@ -35,15 +37,13 @@ from companion.guidance.events import OperatorAsked, OperatorCommand
 from companion.io.files import json_line
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
+from companion.view.history import CurveHistory, FlightTrack, History, HistoryPart, HistoryReader
 from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
 from companion.web.settings import WebSettings
 
 TEXTS = 50
 MARKS = 12
 """Rings and bearings that a map shows at once; more of them hide the estimate."""
-CURVE_POINTS = 600
-CURVE_STEP_S = 0.5
-"""Curves keep five minutes at this step; a longer flight keeps every second point, and so on."""
 MARK_FIELDS = ("sensor_enu_m", "range_m", "bearing_enu_rad", "range_weight", "emitter_id")
 CURVE_FIELDS = ("range_innovation", "range_offset_m", "r95_m", "nis")
 
@@ -51,34 +51,43 @@ Sample = dict[str, object]
 
 
 class Collector(FlightView):
-    """Gathers texts, marks and curve points until they are taken."""
+    """Gathers texts, marks, the track and the curves."""
 
     def __init__(self) -> None:
         self.texts: deque[tuple[float, str, str]] = deque(maxlen=TEXTS)
         """(time_s, severity, text)"""
         self.marks: deque[Sample] = deque(maxlen=MARKS)
-        self._curve: deque[Sample] = deque(maxlen=CURVE_POINTS)
-        self._next_point_s = 0.0
+        self._track, self._curve = FlightTrack(), CurveHistory()
+        self._origin_deg: tuple[object, object] | None = None
+        self._readers = {"track": HistoryReader(), "curve": HistoryReader()}
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Take in an event of the flight log; only estimates matter here."""
-        if kind != "estimate":
-            return
+        """Take in an event of the flight log."""
+        if kind == "origin":
+            place = (fields.get("latitude_deg"), fields.get("longitude_deg"))
+            if place != self._origin_deg:
+                self._track.clear()  # what was flown before is of another frame
+            self._origin_deg = place
+        elif kind == "position":
+            self._track.add(tuple(fields["position_enu_m"])[:2])  # type: ignore[arg-type]
+        elif kind == "estimate":
+            self._take_estimate(fields, now_s)
+
+    def _take_estimate(self, fields: Mapping[str, object], now_s: float) -> None:
         if fields.get("sensor_enu_m") is not None:
             self.marks.append({"t_s": now_s, **{name: fields.get(name) for name in MARK_FIELDS}})
-        if now_s >= self._next_point_s:
-            self._next_point_s = now_s + CURVE_STEP_S
-            self._curve.append({"t_s": now_s, **{name: fields.get(name) for name in CURVE_FIELDS}})
+        if self._curve.is_due(now_s):
+            point = {"t_s": now_s, **{name: fields.get(name) for name in CURVE_FIELDS}}
+            self._curve.add(point, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
         """Take in a text for the operator."""
         self.texts.append((now_s, severity.name.lower(), text))
 
-    def take_curve(self) -> list[Sample]:
-        """The curve points since they were last taken."""
-        points = list(self._curve)
-        self._curve.clear()
-        return points
+    def next_parts(self) -> dict[str, HistoryPart[Any]]:
+        """Return what the page lacks of track and curves."""
+        histories: dict[str, History[Any]] = {"track": self._track, "curve": self._curve}
+        return {name: self._readers[name].next_part(each) for name, each in histories.items()}
 
 
 log = logging.getLogger("companion.web")
@@ -261,7 +270,7 @@ class WebView(Collector):
             "time_to_go_s": self._time_to_go.of_flight(endpoint, now_s),
             "texts": list(self.texts),
             "marks": list(self.marks),
-            "curve": self.take_curve(),
+            **self.next_parts(),
             "found": self._found(endpoint, now_s),
         }
 

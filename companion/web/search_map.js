@@ -261,8 +261,8 @@ export default {
       this.moving.clearLayers();
       const add = (layer) => this.moving.addLayer(layer);
       for (const mark of picture.marks || []) this.drawMark(mark, picture, add);
-      if (this.track.length > 1) {
-        add(this.line(this.track,
+      if (this.track.length && picture.vehicle) {
+        add(this.line([...this.track, picture.vehicle.slice(0, 2)],
           { color: this.colours.vehicle, weight: 2, opacity: 0.75, className: "track" }));
       }
       this.drawAntenna(picture, add);

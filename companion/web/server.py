@@ -1,7 +1,8 @@
 """The child process that serves the page: pictures from standard input, buttons to output.
 
 The page has the map, phase, numbers, ages, emitters, texts, curves and buttons; what the map draws
-is in `search_map.js`. What the page knows (`PictureFeed`) is bounded for any flight.
+is in `search_map.js`. What the page knows (`PictureFeed`) is as much as the flight sends, which is
+bounded.
 
 Everything shown comes from outside sooner or later (an autopilot's text, an emitter's name), so
 texts go into labels, which escape, and never into HTML.
@@ -12,7 +13,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import math
 import os
 import signal
 import socket
@@ -30,6 +30,7 @@ from fastapi.responses import PlainTextResponse, Response
 from nicegui import ui
 from nicegui.element import Element
 
+from companion.view.history import History, HistoryPart, HistoryReader
 from companion.web.panels import (
     AgeBars,
     Charts,
@@ -43,10 +44,6 @@ from companion.web.panels import (
 from companion.web.settings import Access, WebSettings, tile, zooms_of
 from companion.web.tour import Tour
 
-TRACK_POINTS = 1000
-TRACK_STEP_M = 0.5
-CURVE_POINTS = 600
-
 
 class PictureFeed:
     """Takes pictures in; pages read it."""
@@ -55,37 +52,15 @@ class PictureFeed:
         self.scene = scene
         self.picture: dict[str, Any] = {}
         self.version = 0
-        self.track: list[tuple[float, float]] = []
-        self.track_version = 0
-        """Grows when the track does not merely go on: pages draw it anew then."""
-        self.curve: list[dict[str, Any]] = []
-        self._origin: object = None
+        self.track: History[list[float]] = History()
+        self.curve: History[dict[str, Any]] = History()
 
     def take(self, picture: dict[str, Any]) -> None:
-        """Take in a picture."""
-        if picture.get("t_s", 0.0) < self.picture.get("t_s", 0.0):
-            self.curve, self.track = [], []  # the companion was started anew
-            self.track_version += 1
-        if picture.get("origin") != self._origin:
-            self._origin = picture.get("origin")
-            self.track, self.track_version = [], self.track_version + 1
-        self._extend_track(picture.get("vehicle"))
-        self.curve += picture.pop("curve", [])
-        if len(self.curve) > CURVE_POINTS:
-            self.curve = self.curve[::2]
+        """Take in a picture, with what was lacking of track and curves."""
+        self.track.take(HistoryPart(*picture.pop("track", ((), False))))
+        self.curve.take(HistoryPart(*picture.pop("curve", ((), False))))
         self.picture = picture
         self.version += 1
-
-    def _extend_track(self, place: object) -> None:
-        if not isinstance(place, list) or len(place) < 2:
-            return
-        point = (float(place[0]), float(place[1]))
-        if self.track and math.dist(point, self.track[-1]) < TRACK_STEP_M:
-            return
-        self.track.append(point)
-        if len(self.track) > TRACK_POINTS:
-            self.track = self.track[::2]
-            self.track_version += 1
 
 
 LEAFLET = Path(nicegui.__file__).parent / "elements" / "leaflet" / "dist"
@@ -101,29 +76,12 @@ class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(
         self.add_resource(LEAFLET)
         self._props["scene"] = dict(scene)
         self._props["zooms"] = tile_zooms
-        self._sent = TrackSent()
+        self._reader = HistoryReader(WHOLE_EVERY)
 
     def show(self, hub: PictureFeed) -> None:
         """Draw the latest moment, and where the vehicle was."""
-        points, is_whole = self._sent.next_part(hub)
+        points, is_whole = self._reader.next_part(hub.track)
         self.run_method("show", hub.picture, points, is_whole)
-
-
-class TrackSent:
-    """How much of the track a browser has: a flight long, it is more than all the rest."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._version = -1
-        self._parts = 0
-
-    def next_part(self, hub: PictureFeed) -> tuple[list[tuple[float, float]], bool]:
-        """What it lacks, and whether that is the whole track and not the end of it."""
-        is_whole = hub.track_version != self._version or self._parts % WHOLE_EVERY == 0
-        first = 0 if is_whole else self._count
-        self._parts += 1
-        self._count, self._version = len(hub.track), hub.track_version
-        return hub.track[first:], is_whole
 
 
 REFRESH_S = 0.3
@@ -184,7 +142,7 @@ class Page:
         self._radios.show(picture)
         self._handoff.show(picture)
         self._texts.show(picture)
-        self._charts.show(hub.curve)
+        self._charts.show(hub.curve.items)
 
 
 def _buttons(press: Press) -> None:

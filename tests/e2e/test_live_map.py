@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -29,6 +30,8 @@ from tests.e2e.live_map_rig import (
     PHONE,
     SLOWLY,
     SPEED,
+    STEP_S,
+    LiveFlight,
     Watched,
     box_of,
     chromium,
@@ -141,6 +144,40 @@ def test_it_follows_until_somebody_wants_the_whole_and_rings_stay_few(
         follow.click()
         until(lambda: pixels_per_metre(page) > 1.5 * scale, "the map does not follow")
         assert watched.complaints == []
+
+
+def test_the_track_is_whole_where_no_snapshot_came_through(
+    browser: Browser, tmp_path: Path
+) -> None:
+    with live_flight(tmp_path, begins=False, config=ENDLESS) as live:
+        watched = Watched(browser, live.settings.url, DESK)
+        live.wishes.put(partial(unseen, live, 30.0))
+        live.speed = SLOWLY
+        live.begun.set()
+        watched.page.get_by_role("button", name="Whole").click()
+        until(lambda: live.flight.now_s > 29.9, "the flight does not go on")
+        page, flown_m = watched.page, live.flight.companion.session.vehicle.distance_m
+        assert flown_m > 30.0
+        settled_scale(page)
+        until(
+            lambda: track_px(page) / pixels_per_metre(page) > 0.9 * flown_m,
+            "the track is not whole",
+        )
+        assert watched.complaints == []
+
+
+def unseen(live: LiveFlight, duration_s: float) -> None:
+    """Fly on without one snapshot."""
+    for _ in range(round(duration_s / STEP_S)):
+        live.flight.run(STEP_S)
+
+
+def track_px(page: Page) -> float:
+    """Length of the track on the screen, pixels."""
+    length: float = page.evaluate(
+        "() => document.querySelector('path.track')?.getTotalLength() ?? 0"
+    )
+    return length
 
 
 def test_a_configured_antenna_shows_where_it_looks(browser: Browser, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
-"""What views remember of the past is bounded and taken once."""
+"""What the map remembers of the past is bounded, and sent once."""
 
 from companion.guidance.commands import Severity
-from companion.web.live_map import CURVE_POINTS, MARKS, TEXTS, Collector
+from companion.web.live_map import MARKS, TEXTS, Collector
 
 
 def estimate(t_s: float) -> dict[str, object]:
@@ -28,17 +28,28 @@ def test_lists_keep_the_newest() -> None:
     assert collector.marks[-1]["t_s"] == 1999.0
 
 
-def test_the_curve_is_taken_once_and_has_at_most_two_points_a_second() -> None:
+def test_the_curve_is_sent_once_and_has_at_most_two_points_a_second() -> None:
     collector = Collector()
     for tick in range(100):
         collector.record("estimate", estimate(0.1 * tick), 0.1 * tick)
-    points = collector.take_curve()
+    points, _ = collector.next_parts()["curve"]
     assert 18 <= len(points) <= 21
     assert points[0]["range_innovation"] == 2.0
-    assert collector.take_curve() == []
-    for t in range(10 * CURVE_POINTS):
-        collector.record("estimate", estimate(100.0 + t), 100.0 + t)
-    assert len(collector.take_curve()) == CURVE_POINTS
+    assert collector.next_parts()["curve"].items == []
+
+
+def test_the_track_is_of_the_log_and_of_one_frame() -> None:
+    collector = Collector()
+    for east_m in range(5):
+        collector.record("position", {"position_enu_m": (float(east_m), 0.0, 20.0)}, 1.0)
+    collector.record("position", {"position_enu_m": (4.0, 9.0, 20.0)}, 2.0)
+    assert collector.next_parts()["track"].items == [(0.0, 0.0), (4.0, 0.0)]
+    origin = {"latitude_deg": 47.0, "longitude_deg": 8.0, "altitude_m": 488.0}
+    collector.record("origin", origin, 3.0)
+    assert collector.next_parts()["track"] == ([], True)
+    collector.record("position", {"position_enu_m": (1.0, 1.0, 20.0)}, 4.0)
+    collector.record("origin", {**origin, "altitude_m": 489.0}, 5.0)
+    assert collector.next_parts()["track"] == ([(1.0, 1.0)], False)
 
 
 def test_other_records_are_not_shown_and_an_estimate_without_a_place_has_no_mark() -> None:
@@ -46,4 +57,4 @@ def test_other_records_are_not_shown_and_an_estimate_without_a_place_has_no_mark
     collector.record("link", {"setpoints": 3}, 1.0)
     collector.record("estimate", {"r95_m": 4.0}, 2.0)
     assert not collector.marks
-    assert len(collector.take_curve()) == 1
+    assert len(collector.next_parts()["curve"].items) == 1
