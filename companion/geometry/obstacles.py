@@ -41,19 +41,24 @@ Segment = tuple[Point, Point]
 
 
 class FreeSpace:
-    """Where a vehicle may be: inside a fence, if any, `margin_m` away from every border."""
+    """Where a vehicle may be: inside a fence, if any, `margin_m` away from every border.
+
+    `also_inside_enu_m` are further polygons that it must be inside of at the same time.
+    """
 
     def __init__(
         self,
         fence_enu_m: Polygon | None,
         keep_out_enu_m: Sequence[Polygon] = (),
         margin_m: float = 0.0,
+        also_inside_enu_m: Sequence[Polygon] = (),
     ) -> None:
         self.margin_m = margin_m
         self.fence_enu_m = None if fence_enu_m is None else _with_free_left(fence_enu_m, 1.0)
         self.keep_out_enu_m = tuple(_with_free_left(polygon, -1.0) for polygon in keep_out_enu_m)
-        fences = () if self.fence_enu_m is None else (self.fence_enu_m,)
-        self.borders: tuple[tuple[Point, ...], ...] = fences + self.keep_out_enu_m
+        first = () if self.fence_enu_m is None else (self.fence_enu_m,)
+        self._fences = (*first, *(_with_free_left(each, 1.0) for each in also_inside_enu_m))
+        self.borders: tuple[tuple[Point, ...], ...] = self._fences + self.keep_out_enu_m
         """Every polygon, without repeated corners, with free space to the left of its edges."""
         self._edges: tuple[Segment, ...] = tuple(
             e for border in self.borders for e in edges(border)
@@ -63,13 +68,13 @@ class FreeSpace:
     def allows(self, point: Point) -> bool:
         """Whether a point is on the allowed side of every border, by the margin; never on one."""
         least_m = max(self.margin_m, GRAZE_M)
-        if self.fence_enu_m is not None and not depth_m(self.fence_enu_m, point) >= least_m:
+        if not all(depth_m(fence, point) >= least_m for fence in self._fences):
             return False
         return all(-depth_m(polygon, point) >= least_m for polygon in self.keep_out_enu_m)
 
     def is_clear(self, start: Point, end: Point) -> bool:
         """Whether the whole straight leg keeps the margin, its ends included."""
-        if self.fence_enu_m is not None and not contains(self.fence_enu_m, start):
+        if not all(contains(fence, start) for fence in self._fences):
             return False
         if any(contains(polygon, start) for polygon in self.keep_out_enu_m):
             return False

@@ -17,6 +17,7 @@ LEAST_KEEP_OUT_M2 = 1e-3
 class Fence:
     """A simple polygon in local east and north, keep-outs in it, and a margin to their borders.
 
+    `also_inside_enu_m` are polygons that hold at the same time: what is allowed lies inside of all.
     A `ValueError` says what is wrong: fewer than 3 corners, crossing edges, no area, more corners
     in all than are looked at in time, a negative margin, or nothing left by it.
     """
@@ -24,13 +25,15 @@ class Fence:
     polygon_enu_m: Corners
     margin_m: float
     keep_out_enu_m: tuple[Corners, ...] = ()
+    also_inside_enu_m: tuple[Corners, ...] = ()
     space: FreeSpace = field(init=False, repr=False, compare=False)
     """What is left by the fence, the keep-outs and the margin."""
 
     def __post_init__(self) -> None:
         """Refuse polygons that enclose nothing, and a fence that leaves nothing usable."""
-        check_corners((self.polygon_enu_m, *self.keep_out_enu_m))
-        check_polygon("fence", self.polygon_enu_m, LEAST_FENCE_M2)
+        check_corners((self.polygon_enu_m, *self.keep_out_enu_m, *self.also_inside_enu_m))
+        for polygon in (self.polygon_enu_m, *self.also_inside_enu_m):
+            check_polygon("fence", polygon, LEAST_FENCE_M2)
         for polygon in self.keep_out_enu_m:
             check_polygon("keep-out", polygon, LEAST_KEEP_OUT_M2)
         if not self.margin_m >= 0.0:
@@ -41,11 +44,12 @@ class Fence:
         space = self.free_space(self.margin_m)
         object.__setattr__(self, "space", space)
         if not any(space.shore):
-            raise ValueError("the keep-outs leave nothing of the fence")
+            rest = "its other borders" if self.also_inside_enu_m else "the keep-outs"
+            raise ValueError(f"{rest} leave nothing of the fence")
 
     def free_space(self, margin_m: float) -> FreeSpace:
         """What another margin would leave."""
-        return FreeSpace(self.polygon_enu_m, self.keep_out_enu_m, margin_m)
+        return FreeSpace(self.polygon_enu_m, self.keep_out_enu_m, margin_m, self.also_inside_enu_m)
 
     def allows(self, point: Point) -> bool:
         """Whether a point is inside, and outside every keep-out, by at least the margin."""

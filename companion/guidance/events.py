@@ -256,6 +256,11 @@ class AutopilotFenceRead(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class AutopilotFenceChanged(Event):
+    """The autopilot shows that its fence is another one now; which one is not read yet."""
+
+
+@dataclass(frozen=True, slots=True)
 class ControlGranted(Event):
     """The operator gives control back after a yield (MAV_CMD_NAV_GUIDED_ENABLE to us)."""
 

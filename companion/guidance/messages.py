@@ -265,11 +265,14 @@ class FenceMessages:
         if fence is self._logged or fence == self._logged:
             return None
         self._logged = fence
-        return {
+        fields: dict[str, object] = {
             "polygon_enu_m": None if fence is None else fence.polygon_enu_m,
             "keep_out_enu_m": () if fence is None else fence.keep_out_enu_m,
             "margin_m": None if fence is None else fence.margin_m,
         }
+        if fence is not None and fence.also_inside_enu_m:
+            fields["also_inside_enu_m"] = fence.also_inside_enu_m
+        return fields
 
 
 TRACK_STEP_M = 0.5

@@ -31,6 +31,7 @@ from companion.link.fence_download import FenceDownload
 from companion.link.intake import AutopilotBinding, RateLimit
 from companion.link.outbound import Ids, VehicleCommand
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
+from companion.mav.param_encoding import name_of
 
 SMOOTHING = 0.2
 """How much one more gap changes the mean."""
@@ -311,7 +312,7 @@ class StreamStopper:
         self._asked.clear()
 
 
-PARAMETER = b"COM_OBL_RC_ACT"
+PARAMETER = "COM_OBL_RC_ACT"
 ASK_PERIOD_S = 3.0
 ASKS = 3
 WARNING = (
@@ -339,7 +340,8 @@ class Px4FailsafeCheck:
             return None
         self._asks += 1
         self._next_s = now_s + ASK_PERIOD_S
-        return mavlink.MAVLink_param_request_read_message(system_id, component_id, PARAMETER, -1)
+        name = PARAMETER.encode("ascii")
+        return mavlink.MAVLink_param_request_read_message(system_id, component_id, name, -1)
 
     def receive(self, message: Message) -> str | None:
         """Take in a message of the autopilot; the warning, once, if it is deserved."""
@@ -353,9 +355,7 @@ class Px4FailsafeCheck:
         return WARNING if self._action == 0 and not self._has_rc else None
 
     def _take_parameter(self, message: mavlink.MAVLink_param_value_message) -> None:
-        name: bytes | str = message.param_id  # annotated as str, decoded as bytes
-        raw = name.encode() if isinstance(name, str) else name
-        if raw.rstrip(b"\x00") == PARAMETER:
+        if name_of(message) == PARAMETER:
             self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
 
 
@@ -396,7 +396,12 @@ class AutopilotQueries:
         if binding.system_id is None:
             return []
         ids = (binding.system_id, binding.component_id)
-        request = self.fence.due(now_s, ids, is_wanted=self._fencing.wants_reading)
+        fencing = self._fencing
+        if fencing.is_urgent:
+            self.fence.hurry()
+        request = self.fence.due(
+            now_s, ids, is_wanted=fencing.wants_reading, is_followed=fencing.is_followed
+        )
         request = request or self._streams.due(
             now_s, ids, binding.autopilot, is_mode_wanted=is_mode_wanted
         )

@@ -6,7 +6,13 @@ from dataclasses import replace
 
 from companion.domain import Autopilot
 from companion.guidance import commands
-from companion.guidance.events import AutopilotRestarted, Event, RequestAnswered, RequestKind
+from companion.guidance.events import (
+    AutopilotFenceChanged,
+    AutopilotRestarted,
+    Event,
+    RequestAnswered,
+    RequestKind,
+)
 from companion.guidance.session import GuidanceSession
 from companion.link import outbound
 from companion.link.autopilot_queries import AutopilotQueries
@@ -96,6 +102,8 @@ class SessionExecutor:
             self.outlet.announce(text, now_s)
         for event in self.inbound.events(message, now_s, order):
             self.handle(event, now_s)
+        if self._queries.fence.notice(message, self.outlet.own_ids):
+            self.handle(AutopilotFenceChanged(now_s), now_s)
         fence = self._queries.fence.receive(message, now_s, self.outlet.own_ids)
         if fence is not None:
             self.handle(fence, now_s)

@@ -8,8 +8,14 @@ in/out with the number of its vertices in parameter 1, 5003/5004 circle in/out w
 there.
 
 What does not answer is asked again, one question at a time, and after some tries left alone for a
-while, and longer every time. Neither autopilot says so when its fence is changed, so a fence is
-read once per boot, and again only while it does not suit.
+while, and longer every time.
+
+A fence that any station may change is read again. PX4 shows a change by another fence_id in
+MISSION_CURRENT, ArduPilot by the PARAM_VALUE of a FENCE_ parameter on all links (its number of
+items is one). A station that shares our line is answered by a MISSION_ACK that we hear. Where no id
+is given, all of this may be missed, so there the fence is read again every few seconds, too.
+
+Source: MAVLink common, MISSION_CURRENT.fence_id; ArduPilot `AC_PolyFence_loader`, FENCE_TOTAL.
 """
 
 from __future__ import annotations
@@ -20,13 +26,20 @@ from dataclasses import dataclass, field
 
 from companion.geometry.geofence import GeoArea, GeoFence, LatLon, NamedArea, fence_of
 from companion.guidance.events import AutopilotFenceRead
-from companion.mav.addressing import is_for
+from companion.mav.addressing import fence_id_of, is_for
 from companion.mav.dialect import Message, mavlink, result_words
+from companion.mav.param_encoding import name_of, raw_of
 
 RESEND_S = 0.4
 TRIES = 8
 """At 30 % loss each way a question is answered by then in 99.5 of 100 cases."""
 REST_S, LAST_REST_S = 10.0, 60.0
+READ_AGAIN_S = 10.0
+"""At 5 m/s, the usual speed limit, a vehicle flies 50 m in it; some 5 frames each for a square."""
+MOST_SHARE = 0.2
+"""Of the time that readings of a long fence may take."""
+PARAMETER_PREFIXES = ("FENCE_", "GF_")
+"""Of the fence's parameters: ArduPilot's and PX4's."""
 MAX_ITEMS = 255
 DEGREE = 1e7
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE
@@ -52,6 +65,11 @@ Answer = mavlink.MAVLink_mission_count_message | Item | mavlink.MAVLink_mission_
 
 @dataclass(slots=True)
 class _Reading:
+    begun_s: float
+    fence_id: int
+    """What the autopilot called its fence when this began."""
+    is_wanted: bool
+    """False: only to see whether it is still the same; then silence is no news."""
     count: int | None = None
     items: list[Item] = field(default_factory=list)
     tries: int = 0
@@ -76,17 +94,68 @@ class FenceDownload:
         self._owes_ack = False
         self._rest_until_s = -math.inf
         self._rest_s = REST_S
+        self._fence_id: int | None = None
+        """What the autopilot calls its fence now; 0: it gives no ids, or has none."""
+        self._read_id: int | None = None
+        """What it called the one that was read last."""
+        self._again_s = math.inf
+        """When that is read again where there are no ids."""
+        self._parameters: dict[str, bytes] = {}
 
-    def due(self, now_s: float, autopilot: Ids, *, is_wanted: bool) -> Message | None:
-        """The message to send to the autopilot now, if any; begun only if it `is_wanted`."""
+    def notice(self, message: Message, own: Ids) -> bool:
+        """Whether a message of the autopilot shows that its fence is another one than it was.
+
+        What may show it, a parameter that was not heard before, only has it read again.
+        """
+        has_changed = False
+        match message:
+            case mavlink.MAVLink_mission_current_message():
+                before, self._fence_id = self._fence_id, fence_id_of(bytes(message.get_msgbuf()))
+                has_changed = before is not None and before != self._fence_id
+            case mavlink.MAVLink_mission_ack_message() if not is_for(message, own):
+                is_fence = message.mission_type in (FENCE, mavlink.MAV_MISSION_TYPE_ALL)
+                has_changed = is_fence and message.type == mavlink.MAV_MISSION_ACCEPTED
+            case mavlink.MAVLink_param_value_message():
+                has_changed = self._note_parameter(message)
+        if has_changed:
+            self._reading, self._rest_until_s, self._rest_s = None, -math.inf, REST_S
+        return has_changed
+
+    def _note_parameter(self, message: mavlink.MAVLink_param_value_message) -> bool:
+        name = name_of(message)
+        if not name.startswith(PARAMETER_PREFIXES):
+            return False
+        before, self._parameters[name] = self._parameters.get(name), raw_of(message)
+        if before is None and self._again_s < math.inf:
+            self._again_s = -math.inf
+        return before is not None and before != self._parameters[name]
+
+    def hurry(self) -> None:
+        """The next reading need not wait until the rest after the last one is over."""
+        self._rest_until_s = -math.inf
+
+    def _is_due_again(self, now_s: float) -> bool:
+        """Whether the fence that was read may be another one by now."""
+        if self._fence_id and self._again_s > -math.inf:
+            return self._read_id is not None and self._read_id != self._fence_id
+        return now_s >= self._again_s
+
+    def due(
+        self, now_s: float, autopilot: Ids, *, is_wanted: bool, is_followed: bool = False
+    ) -> Message | None:
+        """The message to send to the autopilot now, if any.
+
+        A reading begins if it `is_wanted`, or where changes are followed, if there may be one.
+        """
         if self._owes_ack:
             self._owes_ack = False
             accepted = mavlink.MAV_MISSION_ACCEPTED
             return mavlink.MAVLink_mission_ack_message(*autopilot, accepted, FENCE)
         if self._reading is None:
-            if not is_wanted or now_s < self._rest_until_s:
+            is_due = is_wanted or (is_followed and self._is_due_again(now_s))
+            if not is_due or now_s < self._rest_until_s:
                 return None
-            self._reading = _Reading()
+            self._reading = _Reading(now_s, self._fence_id or 0, is_wanted)
         reading = self._reading
         if now_s < reading.next_s or reading.tries >= TRIES:
             return None
@@ -107,7 +176,7 @@ class FenceDownload:
             why = f"refused ({words})"
         self._end(now_s)
         self._rest_s = min(2.0 * self._rest_s, LAST_REST_S)
-        return AutopilotFenceRead(now_s, problem=why)
+        return AutopilotFenceRead(now_s, problem=why) if reading.is_wanted else None
 
     def receive(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
         """Take in a message of the autopilot for us; its fence, once that is complete."""
@@ -134,6 +203,8 @@ class FenceDownload:
             return None
         self._owes_ack = True
         self._rest_s = REST_S
+        self._read_id = reading.fence_id
+        self._again_s = now_s + max(READ_AGAIN_S, (now_s - reading.begun_s) / MOST_SHARE)
         self._end(now_s)
         return _fence_event(reading.items, reading.count, now_s)
 

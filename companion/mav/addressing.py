@@ -1,9 +1,11 @@
 """For whom a frame is, read from its bytes, which a router need not decode or believe.
 
-And TIMESYNC with the two target fields of MAVLink 2, which pymavlink's dialects do not have: they
-are extensions behind `ts1`, so a receiver that does not know them reads the same message.
+And TIMESYNC with the two target fields, MISSION_CURRENT with the plans' ids, which pymavlink's
+dialects do not have: they are extensions behind the other fields, so a receiver that does not know
+them reads the same message.
 
-Source: MAVLink common, TIMESYNC; MAVLink developer guide, "Routing" and "Serialization".
+Source: MAVLink common, TIMESYNC and MISSION_CURRENT; MAVLink developer guide, "Routing" and
+"Serialization".
 """
 
 from __future__ import annotations
@@ -33,6 +35,39 @@ class TargetedTimesync(mavlink.MAVLink_timesync_message):
         if not force_mavlink1:
             payload += bytes((self.target_system, self.target_component))
         return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
+
+
+class IdentifiedMissionCurrent(mavlink.MAVLink_mission_current_message):
+    """A MISSION_CURRENT with the ids of mission, fence and rally points, which are extensions too.
+
+    An id of 0 is that of no plan, or of an autopilot that gives none.
+    """
+
+    def __init__(
+        self, seq: int, total: int, state: int, mode: int, plan_ids: tuple[int, int, int]
+    ) -> None:
+        super().__init__(seq, total, state, mode)
+        self.plan_ids = plan_ids
+
+    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
+        """The frame's bytes; MAVLink 1 has no room for the ids and leaves them out."""
+        fields = [getattr(self, name) for name in self.ordered_fieldnames]
+        payload = self.unpacker.pack(*fields)
+        if not force_mavlink1:
+            payload += _PLAN_IDS.pack(*self.plan_ids)
+        return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
+
+
+_PLAN_IDS = struct.Struct("<III")
+PLAN_IDS_AT = 6
+"""Where they are in the payload of a MISSION_CURRENT."""
+
+
+def fence_id_of(frame: bytes) -> int:
+    """MISSION_CURRENT.fence_id of a whole frame; 0: no fence, or an autopilot that gives no ids."""
+    payload = payload_of(frame).ljust(PLAN_IDS_AT + _PLAN_IDS.size, b"\0")
+    fence_id: int = _PLAN_IDS.unpack_from(payload, PLAN_IDS_AT)[1]
+    return fence_id
 
 
 def payload_of(frame: bytes) -> bytes:

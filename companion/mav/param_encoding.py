@@ -89,6 +89,13 @@ def raw_of(message: Message) -> bytes:
     return payload_of(bytes(message.get_msgbuf()))[:VALUE_LENGTH].ljust(VALUE_LENGTH, b"\0")
 
 
+def name_of(message: mavlink.MAVLink_param_value_message) -> str:
+    """The parameter that a received PARAM_VALUE is about."""
+    name: bytes | str = message.param_id  # annotated as str, decoded as bytes
+    text = name if isinstance(name, str) else name.decode("ascii", errors="replace")
+    return text.rstrip("\0")
+
+
 class RawParamValue(mavlink.MAVLink_param_value_message):
     """A PARAM_VALUE whose value never was a float; an index of 65535 is not told."""
 

@@ -39,6 +39,8 @@ class PlanRequest:
     """
     keep_out_enu_m: tuple[Polygon, ...] = ()
     """Polygons that waypoints and the straight legs to them stay out of."""
+    also_inside_enu_m: tuple[Polygon, ...] = ()
+    """Polygons that they stay inside of as well, by the same margin."""
     leg_from_enu_m: Point | None = None
     """Where the leg to the waypoint begins, if not at the vehicle: the setpoint moves ahead."""
     time_s: float = 0.0
@@ -98,9 +100,11 @@ def _way_finder(
     fence_enu_m: tuple[Point, ...] | None,
     keep_out_enu_m: tuple[tuple[Point, ...], ...],
     margin_m: float,
+    also_inside_enu_m: tuple[tuple[Point, ...], ...],
 ) -> WayFinder:
     """The way finder of a free space; its graph is the same for every plan of a flight."""
-    return WayFinder(FreeSpace(fence_enu_m, keep_out_enu_m, margin_m + SLACK_M))
+    space = FreeSpace(fence_enu_m, keep_out_enu_m, margin_m + SLACK_M, also_inside_enu_m)
+    return WayFinder(space)
 
 
 def way_finder(request: PlanRequest) -> WayFinder | None:
@@ -109,7 +113,8 @@ def way_finder(request: PlanRequest) -> WayFinder | None:
         return None
     fence = None if request.fence_enu_m is None else tuple(request.fence_enu_m)
     keep_out = tuple(tuple(polygon) for polygon in request.keep_out_enu_m)
-    return _way_finder(fence, keep_out, request.fence_margin_m)
+    also_inside = tuple(tuple(polygon) for polygon in request.also_inside_enu_m)
+    return _way_finder(fence, keep_out, request.fence_margin_m, also_inside)
 
 
 def kept_inside(point: Point, anchor: Point, request: PlanRequest) -> Point:

@@ -212,6 +212,8 @@ class Aircraft:
         self.pilot = Pilot(scenario.vehicle, self.home_enu_m)
         self.mission = MissionRun(self._locate, first_mission_item)
         corners = scenario.fence.corners_enu_m
+        self.plan_ids = (0, 0, 0)
+        """Of mission, fence and rally points, as the autopilot gives them."""
         self.fence = Geofence([Area(corners, scenario.fence.is_inclusion)] if corners else [])
         self.is_armed = False
         self.time_s = 0.0

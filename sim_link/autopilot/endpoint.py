@@ -31,9 +31,12 @@ from sim_link.autopilot.aircraft import Occurrence
 from sim_link.autopilot.incidents import (
     AutopilotStall,
     IncidentRecord,
+    StationRates,
+    StationRecord,
     VehicleReboot,
     WindChange,
 )
+from sim_link.autopilot.other_station import CHANNEL, station_orders
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, LinkSetup, Outgoing
 from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
@@ -145,6 +148,9 @@ class SimEndpoint:
         elif isinstance(incident, AutopilotStall):
             self._stalled_until_s = now_s + incident.duration_s
             self._started_s += incident.duration_s
+        elif isinstance(incident, StationRecord):
+            if now_s >= self._started_s:
+                self._obey_station(incident, now_s - self._started_s)
         elif now_s >= self._started_s:
             apply_to_vehicle(incident, self.vehicle, now_s - self._started_s)
             if isinstance(incident, WindChange) and incident.duration_s < math.inf:
@@ -153,6 +159,17 @@ class SimEndpoint:
                 self._schedule.add(
                     WindChange(start_s=end_s, east_mps=east_mps, north_mps=north_mps)
                 )
+
+    def _obey_station(self, incident: StationRecord, boot_s: float) -> None:
+        """Another ground station orders something, over its own line or that of all others."""
+        is_about_lines = isinstance(incident, StationRates)
+        channels = list(self._services.requests.channels) if is_about_lines else [CHANNEL]
+        for message in station_orders(incident, self.vehicle):
+            for channel in channels:
+                answers = self._services.handle(message, channel, boot_s)
+                public = [item for item in answers if item.to is None]
+                shared = [Outgoing(item.message) for item in answers if item.to is not None]
+                self._send_all([*public, *(shared if incident.shares_line else ())])
 
     def _reboot(self, now_s: float, down_s: float) -> None:
         """Restart where it is, motors off, deaf and silent for `down_s` seconds."""

@@ -1,4 +1,4 @@
-"""What may happen to a vehicle that no client asked for: pilot, satellites, weather and power.
+"""What may happen to a vehicle: pilot, satellites, weather, power, and another ground station.
 
 A scenario lists incidents with their times, a fault schedule holds them among other faults, and
 `SimEndpoint.apply_incident` lets one happen at once. In YAML `kind` names the record:
@@ -147,6 +147,47 @@ class AutopilotStall(IncidentRecord, frozen=True, tag="autopilot_stall"):
     duration_s: StallLength = 1.2
 
 
+class StationRecord(IncidentRecord, frozen=True):
+    """Another ground station orders something of the autopilot; event."""
+
+    shares_line: bool = False
+    """Whether the companion hears what the station is answered, as on a radio that all share."""
+
+
+class StationFence(StationRecord, frozen=True, tag="station_fence"):
+    """It uploads another fence, a square or a circle about a place, or clears it; event."""
+
+    half_side_m: Positive | None = 30.0
+    """Or the radius; None: the fence is cleared."""
+    east_m: Coordinate = 0.0
+    north_m: Coordinate = 0.0
+    is_circle: bool = False
+    is_inclusion: bool = True
+
+
+class StationParameter(StationRecord, frozen=True, tag="station_parameter"):
+    """It sets a parameter; event."""
+
+    name: str = "FENCE_RADIUS"
+    value: float = 30.0
+
+
+class StationRates(StationRecord, frozen=True, tag="station_rates"):
+    """It sets the rate of a message on every line, the companion's too; event."""
+
+    message: str = "LOCAL_POSITION_NED"
+    rate_hz: NonNegative = 1.0
+    """0: off."""
+
+
+class StationHome(StationRecord, frozen=True, tag="station_home"):
+    """It moves home, in the world's frame; event."""
+
+    east_m: Coordinate = 20.0
+    north_m: Coordinate = 0.0
+    up_m: Coordinate = 0.0
+
+
 Incident = (
     PilotMode
     | Failsafe
@@ -162,6 +203,10 @@ Incident = (
     | ClockRate
     | ClockSlip
     | AutopilotStall
+    | StationFence
+    | StationParameter
+    | StationRates
+    | StationHome
 )
 
 KEYS_OF_0_1 = {"time_s": "start_s", "for_s": "duration_s"}

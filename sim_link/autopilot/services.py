@@ -169,6 +169,8 @@ class Services:
         self._announcer = MissionAnnouncer()
         self._announcer.changed(mission_progress(vehicle))
         self._seen = (0, 0, flavour.changes)
+        self._owed: list[Outgoing] = []
+        """Parameters that changed by themselves."""
         self.wants_reboot = False
         """Whether a client asked for one."""
         self._handlers = self._handlers_by_type()
@@ -238,7 +240,8 @@ class Services:
         if changed is not None:
             messages.append(changed)
             self._store.current = aircraft.mission.current
-        return [Outgoing(message) for message in messages + self._changed_places()]
+        owed, self._owed = self._owed, []
+        return owed + [Outgoing(message) for message in messages + self._changed_places()]
 
     def _changed_places(self) -> list[Message]:
         """Home and origin when they move, and ArduPilot's HEARTBEAT on a change of mode."""
@@ -308,11 +311,15 @@ class Services:
 
     def _take_plan_events(self) -> None:
         for event in self._store.take_events():
+            if self._firmware.gives_plan_ids:
+                self._vehicle.aircraft.plan_ids = self._store.ids
             match event:
                 case PlanChanged(PlanType.MISSION):
                     self._vehicle.aircraft.mission.load(self._store.items(PlanType.MISSION))
                 case PlanChanged(PlanType.FENCE):
-                    self._vehicle.aircraft.load_fence(self._store.items(PlanType.FENCE))
+                    items = self._store.items(PlanType.FENCE)
+                    self._vehicle.aircraft.load_fence(items)
+                    self._owed += self._parameters.count_fence(len(items))
                 case CurrentChosen():
                     self._vehicle.aircraft.mission.set_current(event.seq)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from companion.domain import FlightMode
 from companion.geometry.coordinates import ned_from_enu
+from companion.mav.addressing import IdentifiedMissionCurrent
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from sim_link.autopilot import motion_messages as motion
 from sim_link.autopilot.aircraft import CELLS
@@ -150,6 +151,7 @@ def mission_progress(vehicle: SimVehicle) -> MissionProgress:
         mission.state,
         is_in_mission_mode=vehicle.flavour.mode is FlightMode.MISSION,
         has_home=vehicle.flavour.firmware.first_mission_item == 1,
+        plan_ids=vehicle.aircraft.plan_ids,
     )
 
 
@@ -213,6 +215,7 @@ _BUILDERS: tuple[Builder, ...] = (
 """Each named as its message."""
 _CLASSES = {getattr(mavlink, f"MAVLink_{build.__name__}_message"): build for build in _BUILDERS} | {
     MAVLink_ekf_status_report_message: ekf_status_report,
+    IdentifiedMissionCurrent: mission_current,
     mavlink.MAVLink_scaled_imu3_message: motion.scaled_imu2,
     mavlink.MAVLink_scaled_pressure2_message: motion.scaled_pressure,
 }

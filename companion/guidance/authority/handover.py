@@ -315,6 +315,7 @@ class Handover:
         step_m = math.dist(before, event.position_enu_m)
         if not step_m > ORIGIN_STEP_M:
             return
+        context.fencing.read_again()
         text = f"home moved {step_m:.0f} m: heights stay above the old home"
         context.warn(text)
         finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
@@ -323,12 +324,12 @@ class Handover:
     def _update_fence(self, event: events.OriginSet | events.AutopilotFenceRead) -> None:
         """What the guard's fence stands on became known, or another one."""
         context, fencing = self._context, self._context.fencing
-        before = (fencing.refusal, fencing.note, fencing.is_ready)
+        before = (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilots)
         if isinstance(event, events.OriginSet):
             fencing.set_origin(event.origin)
         else:
             fencing.take(event)
-        if (fencing.refusal, fencing.note, fencing.is_ready) == before:
+        if (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilots) == before:
             return
         if fencing.refusal is not None:
             context.announce(Severity.ERROR, f"no control without a fence: {fencing.refusal}")

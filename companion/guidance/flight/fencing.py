@@ -12,18 +12,23 @@ in mid-mission.
 
 Two fences that differ are worse than one: each protects from what the other allows. So the
 autopilot's is compared, and a difference is refused.
+
+Another station may give the autopilot another fence at any time. Until that is read nothing
+engages, and what flies holds inside the fence that is known. In the air the guard's fence only ever
+shrinks: it is what all fences that the autopilot has had in this flight allow together, in control
+also where `compare` would refuse a difference. It is widened on the ground.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import DISTORTION, GeoFence, LocalFence, difference
-from companion.geometry.polygons import Corners, Point
+from companion.geometry.polygons import Corners, Point, area_m2
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, GuardLimits
 from companion.guidance.events import AutopilotFenceRead
@@ -72,8 +77,15 @@ class Fencing:
         self.guard = guard
         self.anchor: LocalOrigin | None = None
         """The origin that local metres of the configuration are about; None: not heard yet."""
+        self.is_doubted = False
+        """The autopilot's fence is another one now, and that is not read yet."""
         self._origin: LocalOrigin | None = None
         self._read: AutopilotFenceRead | None = None
+        self._flown: tuple[GeoFence, ...] = ()
+        """The autopilot's fences of this flight, the newest first; on the ground only that."""
+        self.is_urgent = False
+        """The autopilot's fence is to be read once more, at once."""
+        self._is_airborne = self._is_in_control = False
         self._settle()
 
     @property
@@ -84,12 +96,19 @@ class Fencing:
     @property
     def missing(self) -> list[str]:
         """What is not there yet, in words."""
-        plan, read = self.plan, self._read
         parts = {
-            "the autopilot's fence": plan.policy is FencePolicy.IGNORE or read is not None,
-            "the origin": self._origin is not None or not self._needs_origin,
+            "the autopilot's fence": self._is_read and not self.is_doubted,
+            "the origin": self._has_origin,
         }
         return [name for name, is_there in parts.items() if not is_there]
+
+    @property
+    def _is_read(self) -> bool:
+        return self.plan.policy is FencePolicy.IGNORE or self._read is not None
+
+    @property
+    def _has_origin(self) -> bool:
+        return self._origin is not None or not self._needs_origin
 
     @property
     def words(self) -> str:
@@ -98,14 +117,14 @@ class Fencing:
         if fence is None:
             return "none"
         text = f"{len(fence.polygon_enu_m)} corners, {len(fence.keep_out_enu_m)} keep-outs"
+        if fence.also_inside_enu_m:
+            text += f", inside {len(fence.also_inside_enu_m)} more"
         return f"{text}, margin {fence.margin_m:.1f} m"
 
     @property
     def site(self) -> GeoFence | None:
         """The fence in degrees, of a file or of the autopilot; None: none, or not known yet."""
-        if self.plan.policy is not FencePolicy.USE:
-            return self.plan.site
-        return None if self._read is None else self._read.fence
+        return self.plan.site if self.plan.policy is not FencePolicy.USE else self.autopilots
 
     @property
     def is_site_known(self) -> bool:
@@ -113,11 +132,25 @@ class Fencing:
         return self.plan.policy is not FencePolicy.USE or self._read is not None
 
     @property
+    def autopilots(self) -> GeoFence | None:
+        """The autopilot's fence as it was read last; None: it has none, or it is not known."""
+        return None if self._read is None else self._read.fence
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether changes of the autopilot's fence matter."""
+        return self.plan.policy is not FencePolicy.IGNORE
+
+    @property
     def wants_reading(self) -> bool:
-        """Whether the autopilot is to be asked for its fence, once more if it did not help."""
-        if self.plan.policy is FencePolicy.IGNORE:
+        """Whether the autopilot is to be asked for its fence, once more if it did not help.
+
+        And when control begins: not every autopilot shows that its fence was changed.
+        """
+        if not self.is_followed:
             return False
-        return self._read is None or self._read.problem is not None or self.refusal is not None
+        is_known = self._read is not None and self._read.problem is None and self.refusal is None
+        return not is_known or self.is_doubted or self.is_urgent
 
     def set_origin(self, origin: LocalOrigin) -> None:
         """Take in the origin of the local frame; the first one is the anchor."""
@@ -132,8 +165,35 @@ class Fencing:
         self._settle()
 
     def take(self, event: AutopilotFenceRead) -> None:
-        """Take in the autopilot's fence."""
-        self._read = event
+        """Take in the autopilot's fence; if it cannot be read in the air, the known one holds."""
+        self.is_urgent = False
+        is_unread = event.problem is not None and not event.is_unusable
+        if is_unread and self._is_airborne and self._read is not None:
+            return
+        self._read, self.is_doubted = event, False
+        fences: tuple[GeoFence, ...] = () if event.fence is None else (event.fence,)
+        if self._is_airborne:
+            fences += tuple(fence for fence in self._flown if fence not in fences)
+        self._flown = fences
+        self._settle()
+
+    def doubt(self) -> None:
+        """The autopilot's fence is another one now, to be read before anything is flown on it."""
+        self.is_doubted = self.is_followed
+
+    def read_again(self) -> None:
+        """What the autopilot's fence stands on may have moved: it is read once more."""
+        self.is_urgent = self.is_followed
+
+    def follow(self, *, is_airborne: bool, is_in_control: bool) -> None:
+        """Take note of whether it flies, and by us."""
+        if (is_airborne, is_in_control) == (self._is_airborne, self._is_in_control):
+            return
+        if is_in_control and not self._is_in_control:
+            self.read_again()
+        self._is_airborne, self._is_in_control = is_airborne, is_in_control
+        if not is_airborne:
+            self._flown = () if self.autopilots is None else (self.autopilots,)
         self._settle()
 
     def use_limits(self, limits: GuardLimits) -> None:
@@ -144,20 +204,22 @@ class Fencing:
     def forget(self) -> None:
         """The autopilot restarted: its origin and its fence are not known any more; ours stays."""
         self._origin = self._read = None
+        self._flown, self.is_doubted = (), False
         self._settle()
 
     @property
     def _needs_origin(self) -> bool:
-        has_one = self._read is not None and self._read.fence is not None
+        has_one = self.autopilots is not None or bool(self._flown)
         return self.plan.site is not None or has_one or self.anchor is not None
 
     def _settle(self) -> None:
         self.refusal = self.note = None
         fence: Fence | None = None
-        if not self.missing:
+        if self._is_read and self._has_origin:
             try:
                 fence = self._fence()
                 self._compare()
+                fence = self._strictest(fence)
             except ValueError as error:
                 self.refusal = str(error)
         usable = fence if self.refusal is None else None
@@ -166,7 +228,7 @@ class Fencing:
     def _fence(self) -> Fence | None:
         plan, site = self.plan, self.plan.site
         if plan.policy is FencePolicy.USE:
-            site = self._autopilots()
+            site = self._autopilots() or (self._flown[0] if self._flown else None)
             if site is None:
                 raise ValueError("the autopilot has no fence to use")
         if site is None or self._origin is None:
@@ -175,6 +237,28 @@ class Fencing:
         keep_outs = (*local.keep_out_enu_m, *_moved(plan.keep_out_enu_m, step_m))
         margin_m = plan.margin_m + local.distortion_m + DISTORTION * math.hypot(*step_m)
         return Fence(local.polygon_enu_m, margin_m, keep_outs)
+
+    def _strictest(self, fence: Fence | None) -> Fence | None:
+        """What a fence and those that the autopilot has had in this flight allow together."""
+        others = [each for each in self._flown if self._is_another(each)]
+        if fence is None or self._origin is None or not others:
+            return fence
+        own_margin_m = self.plan.margin_m or fence.margin_m
+        locals_ = [each.local(self._origin) for each in others]
+        inside = {fence.polygon_enu_m, *(each.polygon_enu_m for each in locals_)}
+        smallest, *rest = sorted(inside, key=area_m2)
+        keep_outs = dict.fromkeys((*fence.keep_out_enu_m, *_all_keep_outs(locals_)))
+        margins_m = [fence.margin_m, *(own_margin_m + each.distortion_m for each in locals_)]
+        self.note = (
+            f"the autopilot's fence changed in flight: keeping to {len(inside)} until landing"
+        )
+        return Fence(smallest, max(margins_m), tuple(keep_outs), tuple(rest))
+
+    def _is_another(self, theirs: GeoFence) -> bool:
+        """Whether a fence of the autopilot limits the flight beside the guard's own."""
+        if self.plan.policy is FencePolicy.USE:
+            return theirs is not self._flown[0]
+        return self._is_in_control and self._difference(theirs) is not None
 
     def _local_fence(self, fence: Fence | None) -> Fence | None:
         """The fence of the configuration in the present frame."""
@@ -202,14 +286,15 @@ class Fencing:
 
     def _autopilots(self) -> GeoFence | None:
         """The autopilot's fence; None: it has none. A `ValueError` if it could not be read."""
-        if self._read is None:
-            return None
-        if self._read.problem is not None:
+        if self._read is not None and self._read.problem is not None:
             raise ValueError(f"the autopilot's fence: {self._read.problem}")
-        return self._read.fence
+        return self.autopilots
 
     def _compare(self) -> None:
-        """See that the autopilot's fence is ours; a `ValueError` if not, or if it must have one."""
+        """See that the autopilot's fence is ours; a `ValueError` if not, or if it must have one.
+
+        In control a difference is no reason to have no fence: both are kept, see `_strictest`.
+        """
         plan, read = self.plan, self._read
         if plan.policy not in (FencePolicy.COMPARE, FencePolicy.REQUIRE) or read is None:
             return
@@ -219,12 +304,12 @@ class Fencing:
             return
         theirs = self._autopilots()
         if theirs is None:
-            if plan.policy is FencePolicy.REQUIRE:
+            if plan.policy is FencePolicy.REQUIRE and not self._is_in_control:
                 raise ValueError("the autopilot has no fence, and limits.autopilot_fence wants one")
             self.note = "the autopilot has no fence of its own: only the guard keeps ours"
             return
         differs = self._difference(theirs)
-        if differs is not None:
+        if differs is not None and not self._is_in_control:
             raise ValueError(f"the autopilot's fence is another one: {differs}")
 
     def _difference(self, theirs: GeoFence) -> str | None:
@@ -237,6 +322,10 @@ class Fencing:
             return None
         own, other = LocalFence(fence.polygon_enu_m), theirs.local(self.anchor)
         return difference(own, other, TOLERANCE_M + other.distortion_m, fence.keep_out_enu_m)
+
+
+def _all_keep_outs(fences: Iterable[LocalFence]) -> Iterator[Corners]:
+    return (keep_out for fence in fences for keep_out in fence.keep_out_enu_m)
 
 
 def _moved(polygons: Iterable[Corners], step_m: Point) -> list[Corners]:

@@ -110,6 +110,7 @@ class FlightPlan:
             fence_margin_m=0.0 if fence is None else fence.margin_m,
             baseline_m=tracker.baseline_m(place_enu_m[2]),
             keep_out_enu_m=() if fence is None else fence.keep_out_enu_m,
+            also_inside_enu_m=() if fence is None else fence.also_inside_enu_m,
             time_s=now_s,
             contact_s=tracker.last_accepted_s,
             height_m=place_enu_m[2] - (height_m if estimate is None else estimate.height_m),
@@ -165,7 +166,8 @@ def _forbidden_place(fence: Fence, place: Point) -> str:
     """Why the vehicle may not be at an estimated place, or nothing."""
     if fence.allows(place):
         return ""
-    if depth_m(fence.polygon_enu_m, place) < fence.margin_m:
+    borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)
+    if any(depth_m(border, place) < fence.margin_m for border in borders):
         return "estimate is outside the fence: observing from inside"
     return "estimate is in a keep-out: observing from around it"
 

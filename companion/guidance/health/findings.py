@@ -49,6 +49,7 @@ class Reason(Enum):
     FRAME_MOVED = "local frame moved"
     HOME_MOVED = "home moved"
     OWN_JUMP = "own position or heading jumped"
+    FENCE = "the fence is not known, or cannot be kept"
     CHECKING = "checking its inputs"
     OPERATOR_HOLDS = "the operator asked to hold"
     OPERATOR_RETURNS = "the operator asked to return"

@@ -20,6 +20,7 @@ from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
+from companion.guidance.health.fence_watch import FenceWatch
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 from companion.guidance.health.position_jumps import JumpWatch
 from companion.guidance.messages import Rarely
@@ -222,6 +223,7 @@ class Watches:
             self.operator,
             *self._for_launch,
             self.jumps,
+            FenceWatch(context),
             context.passing,
             self.inputs,
         )

@@ -158,6 +158,8 @@ class Firmware(NamedTuple):
     """Obeys what is for a component of its system that was never heard, and answers as itself."""
     dialect: Container[int] | None = None
     """Ids of the messages that it knows; it does not pass on others. None: it passes on all."""
+    gives_plan_ids: bool = False
+    """Whether MISSION_CURRENT has ids of mission, fence and rally points."""
 
 
 def read_firmware(

@@ -56,6 +56,10 @@ def _wrapped(value: float, kind: ParamType) -> int:
     return least + (int(value) - least) % (greatest - least + 1)
 
 
+FENCE_TOTAL = "FENCE_TOTAL"
+"""How many items ArduPilot's fence has; its loader sets and saves it with every other fence."""
+
+
 @dataclass(slots=True)
 class _Listing:
     """A list on its way to one channel."""
@@ -100,6 +104,14 @@ class Parameters:
             if listing.sent >= self._list_length:
                 del self._listings[channel]
         return outgoing
+
+    def count_fence(self, items: int) -> list[Outgoing]:
+        """FENCE_TOTAL of an autopilot that has it, as it is sent to everyone when it is set."""
+        index = self.store.index_of(FENCE_TOTAL)
+        if index is None:
+            return []
+        self.store.set(FENCE_TOTAL, min(items, self.store.specs[index].maximum or items))
+        return [Outgoing(self._value(index, is_named=True))]
 
     @property
     def _list_length(self) -> int:

@@ -1,18 +1,17 @@
 """Missions, fences and rally points: their items, the store, and the progress of a mission.
 
-MISSION_CURRENT's opaque plan ids are extensions that the dialect does not have; left out, they read
-as 0, "not supported".
-
 Source: MAVLink developer guide, "Mission Protocol"; MAVLink common, MISSION_CURRENT.
 """
 
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+from companion.mav.addressing import IdentifiedMissionCurrent
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.addressing import Outgoing, Partner
 
@@ -160,6 +159,15 @@ class PlanStore:
         """The items of a plan, in order."""
         return self._plans[plan_type]
 
+    @property
+    def ids(self) -> tuple[int, int, int]:
+        """A number for each plan that is another one where its items are; 0 of none (PX4: CRC)."""
+        mission, fence, rally = (
+            zlib.crc32(repr(items).encode("ascii")) if items else 0
+            for items in (self._plans[plan_type] for plan_type in PlanType)
+        )
+        return mission, fence, rally
+
     def home_at(self, plan_type: PlanType, seq: int) -> PlanItem | None:
         """The vehicle's home where an item is that, and not the client's to choose."""
         is_home = plan_type is PlanType.MISSION and seq == 0
@@ -221,12 +229,15 @@ class MissionProgress:
     is_in_mission_mode: bool
     has_home: bool = False
     """Whether item 0 is home, which the total leaves out."""
+    plan_ids: tuple[int, int, int] = (0, 0, 0)
+    """Of mission, fence and rally points; 0 also where the autopilot gives none."""
 
     @property
-    def fields(self) -> tuple[int, int, int, int]:
-        """Of MISSION_CURRENT: item, total, state and mode."""
+    def fields(self) -> tuple[int, int, int, int, tuple[int, int, int]]:
+        """Of MISSION_CURRENT: item, total, state, mode and ids."""
         total = max(0, self.count - self.has_home) if self.count else NO_MISSION_TOTAL
-        return (self.seq, total, self.state, 1 if self.is_in_mission_mode else 2)
+        mode = 1 if self.is_in_mission_mode else 2
+        return (self.seq, total, self.state, mode, self.plan_ids)
 
 
 class MissionAnnouncer:
@@ -240,4 +251,4 @@ class MissionAnnouncer:
         if progress == self._told:
             return None
         self._told = progress
-        return mavlink.MAVLink_mission_current_message(*progress.fields)
+        return IdentifiedMissionCurrent(*progress.fields)

@@ -10,6 +10,7 @@ from companion.guidance.events import AutopilotFenceRead
 from companion.link.fence_download import (
     LAST_REST_S,
     MAX_ITEMS,
+    READ_AGAIN_S,
     RESEND_S,
     REST_S,
     TRIES,
@@ -17,6 +18,8 @@ from companion.link.fence_download import (
     Item,
     fence_of_items,
 )
+from companion.mav.addressing import IdentifiedMissionCurrent
+from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 
 FENCE, MISSION = mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_MISSION
@@ -69,13 +72,17 @@ class Autopilot:
         self.deaf = 0
         """Questions that it does not hear, from now on."""
 
-    def run(self, duration_s: float, *, is_wanted: bool = True) -> list[AutopilotFenceRead]:
+    def run(
+        self, duration_s: float, *, is_wanted: bool = True, is_followed: bool = False
+    ) -> list[AutopilotFenceRead]:
         told = []
         for _ in range(round(duration_s / 0.05)):
             self.now_s = round(self.now_s + 0.05, 6)
             given_up = self.fetch.check_silence(self.now_s)
             told += [] if given_up is None else [given_up]
-            question = self.fetch.due(self.now_s, AUTOPILOT, is_wanted=is_wanted)
+            question = self.fetch.due(
+                self.now_s, AUTOPILOT, is_wanted=is_wanted, is_followed=is_followed
+            )
             if question is None:
                 continue
             self.asked.append(question)
@@ -286,3 +293,76 @@ class TestItems:
     ) -> None:
         with pytest.raises(ValueError, match=f"^{problem}"):
             fence_of_items(items)
+
+
+def heard(message: Message) -> Message:
+    """A message as it arrives, with its bytes."""
+    codec = MavCodec(*AUTOPILOT)
+    arrived = codec.decode_frame(codec.encode(message))
+    assert arrived is not None
+    return arrived
+
+
+def current(fence_id: int) -> Message:
+    return heard(IdentifiedMissionCurrent(0, 0xFFFF, 1, 2, (0, fence_id, 0)))
+
+
+def parameter(name: str, value: float) -> Message:
+    return heard(mavlink.MAVLink_param_value_message(name.encode(), value, 9, 1, 0))
+
+
+class TestChanges:
+    def test_another_id_is_a_change_and_the_first_one_is_none(self) -> None:
+        fetch = FenceDownload()
+        assert not fetch.notice(current(7), OWN)
+        assert not fetch.notice(current(7), OWN)
+        assert fetch.notice(current(8), OWN)
+        assert fetch.notice(current(0), OWN)
+
+    @pytest.mark.parametrize(
+        ("message", "is_change"),
+        [
+            (ack(0, target=(255, 190)), True),
+            (ack(0, plan=mavlink.MAV_MISSION_TYPE_ALL, target=(255, 190)), True),
+            (ack(0, plan=MISSION, target=(255, 190)), False),
+            (ack(1, target=(255, 190)), False),
+            (ack(0), False),
+        ],
+    )
+    def test_an_upload_of_somebody_else_is_one(self, message: Message, is_change: bool) -> None:
+        assert FenceDownload().notice(heard(message), OWN) is is_change
+
+    def test_a_parameter_of_the_fence_is_one_where_it_was_another(self) -> None:
+        fetch = FenceDownload()
+        assert not fetch.notice(parameter("FENCE_RADIUS", 150.0), OWN)
+        assert not fetch.notice(parameter("FENCE_RADIUS", 150.0), OWN)
+        assert not fetch.notice(parameter("WPNAV_SPEED", 150.0), OWN)
+        assert fetch.notice(parameter("FENCE_RADIUS", 40.0), OWN)
+
+    def test_where_there_are_no_ids_it_is_read_again_and_again(self) -> None:
+        autopilot = Autopilot(TRIANGLE)
+        assert len(autopilot.run(1.0)) == 1
+        again = autopilot.run(3.0 * READ_AGAIN_S, is_wanted=False, is_followed=True)
+        assert [told.fence for told in again] == [GEO] * 3
+
+    def test_where_there_are_ids_it_is_not(self) -> None:
+        autopilot = Autopilot(TRIANGLE)
+        autopilot.fetch.notice(current(7), OWN)
+        autopilot.run(1.0)
+        asked = len(autopilot.asked)
+        autopilot.run(30.0, is_wanted=False, is_followed=True)
+        assert len(autopilot.asked) == asked
+
+    def test_silence_about_a_fence_that_may_have_changed_is_no_news(self) -> None:
+        autopilot = Autopilot(TRIANGLE)
+        autopilot.run(1.0)
+        autopilot.deaf = 1000
+        assert autopilot.run(60.0, is_wanted=False, is_followed=True) == []
+
+    def test_a_change_begins_the_reading_anew_at_once(self) -> None:
+        autopilot = Autopilot(TRIANGLE)
+        autopilot.run(1.0)
+        autopilot.fetch.notice(current(7), OWN)
+        assert autopilot.fetch.notice(current(8), OWN)
+        (told,) = autopilot.run(1.0)
+        assert told.fence == GEO

@@ -13,10 +13,10 @@ from tests.unit.companion.link.wire import ARDUPILOT, Wire, heartbeat
 Request = mavlink.MAVLink_param_request_read_message
 
 
-def parameter(value: int, name: bytes = PARAMETER) -> Message:
+def parameter(value: int, name: str = PARAMETER) -> Message:
     """PARAM_VALUE as PX4 sends an INT32: its bytes in the float."""
     (as_float,) = struct.unpack("<f", struct.pack("<i", value))
-    return mavlink.MAVLink_param_value_message(name, as_float, 6, 900, 17)
+    return mavlink.MAVLink_param_value_message(name.encode(), as_float, 6, 900, 17)
 
 
 def sys_status(*, has_rc: bool) -> Message:
@@ -43,7 +43,7 @@ def test_only_the_default_without_an_rc_deserves_a_warning(
 
 def test_another_parameter_says_nothing() -> None:
     check = Px4FailsafeCheck()
-    check.receive(over_the_wire(parameter(0, b"COM_OF_LOSS_T")))
+    check.receive(over_the_wire(parameter(0, "COM_OF_LOSS_T")))
     assert check.receive(over_the_wire(sys_status(has_rc=False))) is None
 
 

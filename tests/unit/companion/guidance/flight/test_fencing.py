@@ -278,3 +278,95 @@ class TestAFenceInLocalMetres:
         fencing.set_origin(ORIGIN)
         fencing.set_origin(self.STEP)
         assert fencing.refusal is None
+
+
+SMALL = ((-30.0, -30.0), (30.0, -30.0), (30.0, 30.0), (-30.0, 30.0))
+BESIDE = ((0.0, -30.0), (60.0, -30.0), (60.0, 30.0), (0.0, 30.0))
+FAR = ((60.0, 60.0), (75.0, 60.0), (75.0, 75.0), (60.0, 75.0))
+
+
+def flown(policy: FencePolicy, *first: tuple[Point, ...]) -> Fencing:
+    """In control with the fence that was read first."""
+    fencing = local(policy)
+    if policy is FencePolicy.USE:
+        fencing = Fencing(Guard(WITHOUT), FencePlan(WITHOUT, 3.0, (), None, policy))
+    fencing.set_origin(ORIGIN)
+    fencing.take(read(*first))
+    fencing.follow(is_airborne=True, is_in_control=True)
+    return fencing
+
+
+def allowed(fencing: Fencing, *places: Point) -> list[bool]:
+    fence = fencing.guard.limits.fence
+    assert fence is not None
+    return [fence.allows(place) for place in places]
+
+
+class TestAFenceThatChanges:
+    def test_a_change_is_missing_before_control_and_wanted_until_it_is_read(self) -> None:
+        fencing = local(FencePolicy.COMPARE)
+        fencing.set_origin(ORIGIN)
+        fencing.take(read(SQUARE))
+        assert (fencing.is_ready, fencing.wants_reading) == (True, False)
+        fencing.doubt()
+        assert fencing.missing == ["the autopilot's fence"]
+        assert fencing.wants_reading
+        assert guards_fence(fencing) == SQUARE  # what flies holds inside of it
+        fencing.take(read(SQUARE))
+        assert (fencing.is_ready, fencing.wants_reading) == (True, False)
+
+    def test_control_and_a_home_that_moves_want_it_read_once_more(self) -> None:
+        fencing = flown(FencePolicy.USE, SQUARE)
+        assert fencing.wants_reading
+        assert fencing.is_urgent
+        fencing.take(read(SQUARE))
+        assert not fencing.wants_reading
+        fencing.read_again()
+        assert fencing.is_urgent
+
+    @pytest.mark.parametrize("policy", [FencePolicy.USE, FencePolicy.COMPARE, FencePolicy.REQUIRE])
+    def test_in_the_air_it_only_shrinks(self, policy: FencePolicy) -> None:
+        fencing = flown(policy, SQUARE)
+        inside, out, far = (20.0, 0.0), (50.0, 0.0), (85.0, 0.0)
+        fencing.take(read(SMALL))
+        assert allowed(fencing, inside, out, far) == [True, False, False]
+        fencing.take(read(WIDER))
+        assert allowed(fencing, inside, out, far) == [True, False, False]
+        fencing.take(NO_FENCE)
+        assert allowed(fencing, inside, out, far) == [True, False, False]
+
+    def test_fences_that_overlap_hold_together(self) -> None:
+        fencing = flown(FencePolicy.USE, SMALL)
+        fencing.take(read(BESIDE))
+        assert allowed(fencing, (20.0, 0.0), (-10.0, 0.0), (40.0, 0.0)) == [True, False, False]
+        assert fencing.words.startswith("4 corners, 0 keep-outs, inside 1 more")
+
+    def test_keep_outs_are_kept_too(self) -> None:
+        fencing = flown(FencePolicy.USE, SQUARE, HOUSE)
+        fencing.take(read(SQUARE, YARD))
+        assert allowed(fencing, (20.0, 20.0), (-20.0, -20.0), (0.0, 0.0)) == [False, False, True]
+
+    def test_nothing_in_common_is_refused(self) -> None:
+        fencing = flown(FencePolicy.USE, SMALL)
+        fencing.take(read(FAR))
+        assert fencing.refusal is not None
+        assert guards_fence(fencing) is None
+
+    def test_what_cannot_be_read_in_the_air_changes_nothing(self) -> None:
+        fencing = flown(FencePolicy.USE, SMALL)
+        before = guards_fence(fencing)
+        fencing.doubt()
+        fencing.take(SILENT)
+        assert fencing.is_doubted
+        assert guards_fence(fencing) == before
+
+    def test_on_the_ground_only_the_newest_counts(self) -> None:
+        fencing = flown(FencePolicy.USE, SMALL)
+        fencing.take(read(SQUARE))
+        fencing.follow(is_airborne=False, is_in_control=False)
+        assert allowed(fencing, (50.0, 0.0)) == [True]
+        fencing = flown(FencePolicy.COMPARE, SQUARE)
+        fencing.take(read(SMALL))
+        fencing.follow(is_airborne=False, is_in_control=False)
+        assert fencing.refusal is not None
+        assert "another one" in fencing.refusal

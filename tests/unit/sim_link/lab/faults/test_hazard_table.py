@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[5]
 ROW = re.compile(r"^\| ([A-I]\d+) \| (.+?) \| (.+?) \| `(tests/\S+\.py)::(test_\w+)` \|$", re.M)
-COUNTS = {"A": 14, "B": 6, "C": 11, "D": 7, "E": 7, "F": 6, "G": 9, "H": 11, "I": 3}
+COUNTS = {"A": 14, "B": 6, "C": 11, "D": 7, "E": 8, "F": 6, "G": 9, "H": 11, "I": 3}
 ROWS = ROW.findall((ROOT / "docs/reliability.md").read_text(encoding="utf-8"))
 
 

@@ -1,0 +1,57 @@
+"""The autopilot's fence in flight: held on while it is another one, handed back if that lasts.
+
+`Fencing` says what the guard keeps meanwhile; here it is decided whether the plan is flown.
+"""
+
+from __future__ import annotations
+
+from companion.domain import LandedState
+from companion.guidance import events
+from companion.guidance.authority.state_machine import IN_CONTROL
+from companion.guidance.context import SessionContext
+from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.messages import Rarely
+
+UNREAD_PATIENCE_S = 20.0
+"""Two rounds of questions with the rest between them went unanswered by then, see
+`fence_download`: 8 tries of 0.4 s each, and 10 s."""
+TOLD_AGAIN_S = 30.0
+
+
+class FenceWatch(Watch):
+    """Keeps the guard's fence informed of the flight, and finds what is wrong with it."""
+
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
+        self._wrong_since_s: float | None = None
+        self._texts = Rarely(TOLD_AGAIN_S)
+
+    def handle(self, event: events.Event) -> None:
+        """The autopilot's fence is another one: said, and not flown on until it is read."""
+        fencing = self._context.fencing
+        if not isinstance(event, events.AutopilotFenceChanged) or not fencing.is_followed:
+            return
+        fencing.doubt()
+        if self._texts.is_due("changed", event.time_s):
+            self._context.warn("the autopilot's fence changed: reading it again")
+
+    def tick(self, now_s: float) -> None:
+        """Follow who flies, and since when something is wrong."""
+        context, vehicle, fencing = self._context, self._context.vehicle, self._context.fencing
+        fencing.follow(
+            is_airborne=vehicle.is_armed and vehicle.landed is not LandedState.ON_GROUND,
+            is_in_control=context.phase in IN_CONTROL,
+        )
+        if fencing.refusal is None and not fencing.is_doubted:
+            self._wrong_since_s = None
+        elif self._wrong_since_s is None:
+            self._wrong_since_s = now_s
+
+    def finding(self, now_s: float) -> Finding | None:
+        """Hold while the fence is not known or cannot be kept; hand back when that lasts."""
+        refusal, since_s = self._context.fencing.refusal, self._wrong_since_s
+        if since_s is None:
+            return None
+        text = "the autopilot's fence is not read yet" if refusal is None else refusal
+        has_lasted = now_s - since_s > UNREAD_PATIENCE_S
+        return Finding(Verdict.HAND_BACK if has_lasted else Verdict.HOLD, Reason.FENCE, text)
