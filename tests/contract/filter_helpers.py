@@ -1,6 +1,6 @@
 """All filters, their variants, and what is measured for them.
 
-A filter joins by a line in `filters()`; what cannot be promised by a baseline (robustness, say) is
+A filter of `KINDS` joins by itself; what cannot be promised by a baseline (robustness, say) is
 tested on those that do.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filters.kalman import AdmmEkf, AsymmetricHuberEkf, Ekf, HuberEkf
+from companion.estimation.filters.kalman import KINDS
 from companion.estimation.filters.target_filter import FilterParams, FilterState, UpdateReport
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
@@ -25,12 +25,7 @@ FILTERPY = "sim_link.lab.evaluation.filterpy_ekf"
 
 def filters() -> dict[str, MakeFilter]:
     """All filters, the third-party one where it is there."""
-    makers: dict[str, MakeFilter] = {
-        "ekf": Ekf,
-        "huber": HuberEkf,
-        "asymmetric_huber": AsymmetricHuberEkf,
-        "admm": AdmmEkf,
-    }
+    makers: dict[str, MakeFilter] = {str(kind): make for kind, make in KINDS.items()}
     if importlib.util.find_spec(FILTERPY) and importlib.util.find_spec("filterpy"):
         makers["filterpy"] = importlib.import_module(FILTERPY).FilterpyEkf
     return makers

@@ -1,12 +1,19 @@
-"""An example of what each built-in radio sends, and what its decoder must be told for it."""
+"""An example of what each built-in radio sends, and what its decoder must be told for it.
+
+`python -m tests.contract.radio_streams NAME` writes the readings of NAME's stream beside it: read
+them, as they are what the contract asks for from then on.
+"""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from companion.domain import Params
+from companion.radios.catalogue import radio_kind
 from companion.radios.cellular import SrsRanOptions
 from companion.radios.text_radios import LinesOptions
+from companion.testing.radio_contract import golden_lines
 
 STREAMS = Path(__file__).parents[1] / "data" / "radios"
 """By name: a stream (.bin) of the vectors of the radio's unit test, and its readings (.jsonl)."""
@@ -18,3 +25,10 @@ OPTIONS: dict[str, Params] = {
 CHECKSUMMED = {"nlink"}
 TELLS_NEW_FROM_OLD = {"kraken", "kraken_xml", "pans_tlv"}
 """Polled: they say the same again until there is something new."""
+
+
+if __name__ == "__main__":
+    name = sys.argv[1]
+    decoder = radio_kind(name).decoder(OPTIONS.get(name))
+    readings = decoder.feed((STREAMS / f"{name}.bin").read_bytes(), 0.0)
+    (STREAMS / f"{name}.jsonl").write_text(golden_lines(readings))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
 from companion.domain import EstimateState, TargetEstimate, Waypoint, WaypointReason
+from companion.flight_setup import build_planner
 from companion.geometry.obstacles import FreeSpace, between
 from companion.geometry.polygons import Point, deepest_point, depth_m
 from companion.kernel import frozen
@@ -38,26 +40,31 @@ HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-4
 
 DOWN = Antenna((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), 2, False, math.pi / 3.0)
 SIGHT = Sight(DOWN, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_told=True)
-CROSSING: dict[str, Planner[Any]] = {
-    "reactive": ReactiveCrossing(ReactiveCrossingParams()),
+
+
+def as_configured(kinds: object) -> dict[str, Planner[Any]]:
+    """Every planner of those that the configuration knows, with its defaults."""
+    configs = {kind: PlannerConfig(kind=kind) for kind in get_args(kinds)}
+    return {kind: build_planner(CompanionConfig(planner=each)) for kind, each in configs.items()}
+
+
+CROSSING: dict[str, Planner[Any]] = as_configured(CrossingKind) | {
     "reactive, parking": ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=500.0)),
-    "latched": LatchedCrossing(LatchedCrossingParams()),
+    "latched, without a sight": LatchedCrossing(LatchedCrossingParams()),
     "latched, tight": LatchedCrossing(
         LatchedCrossingParams(overshoot_max_m=2.0, arrival_radius_m=0.1)
     ),
     "latched, swinging": LatchedCrossing(LatchedCrossingParams(altitude_swing_m=5.0)),
     "latched, by the antenna": LatchedCrossing(LatchedCrossingParams(descend=True), SIGHT),
-    "fim": FimPlanner(FimParams()),
     "fim, by the antenna": FimPlanner(FimParams(), antenna=DOWN),
     "fim, printed": FimPlanner(FimParams(near_target_terms=False), 0.5, 0.01),
 }
-SEARCHING: dict[str, Planner[Any]] = {
-    "lawnmower": SearchPlanner(LawnmowerParams()),
+SEARCHING: dict[str, Planner[Any]] = as_configured(PatternKind) | {
     "lawnmower, hook": SearchPlanner(
         LawnmowerParams(area_enu_m=HOOK, lane_heading_deg=30.0, start_corner="north_east")
     ),
-    "expanding square": SearchPlanner(ExpandingSquareParams(spacing_m=15.0)),
-    "sector": SearchPlanner(SectorParams(datum_enu_m=(10.0, -20.0))),
+    "expanding square, close": SearchPlanner(ExpandingSquareParams(spacing_m=15.0)),
+    "sector, elsewhere": SearchPlanner(SectorParams(datum_enu_m=(10.0, -20.0))),
 }
 BOTH: dict[str, Planner[Any]] = {
     "lawnmower, then latched": SearchThenCross(
@@ -298,13 +305,16 @@ def test_around_a_house_it_gets_to_the_far_side(crossing: Planner[Any]) -> None:
         assert nearest_m <= 10.0
 
 
-def test_without_a_fence_nothing_is_cut_short(crossing: Planner[Any]) -> None:
+def test_without_a_fence_it_plans_as_inside_one_that_is_too_far_to_matter(
+    crossing: Planner[Any],
+) -> None:
     request = PlanRequest((0.0, 0.0), an_estimate((1000.0, 0.0)))
+    wide = ((-1e6, -1e6), (1e6, -1e6), (1e6, 1e6), (-1e6, 1e6))
     plan = crossing.plan(request, None)
-    assert plan.waypoint.position_enu_m[0] > 0.0 or plan.waypoint.reason is WaypointReason.HOLD
-    if not isinstance(crossing, FimPlanner):
-        assert plan.waypoint.position_enu_m[0] > 0.0
-        assert plan.waypoint.position_enu_m[1] == pytest.approx(0.0)
+    assert crossing.plan(replace(request, fence_enu_m=wide), None) == plan
+    assert (plan.waypoint.position_enu_m == (0.0, 0.0)) == (
+        plan.waypoint.reason is WaypointReason.HOLD
+    )
 
 
 def test_without_an_estimate_crossing_holds_and_searching_searches(planner: Planner[Any]) -> None:
@@ -312,7 +322,8 @@ def test_without_an_estimate_crossing_holds_and_searching_searches(planner: Plan
     request = PlanRequest((7.0, 8.0), None, square, 3.0)
     waypoint = planner.plan(request, None).waypoint
     if planner.search_after_s is None:
-        assert waypoint == Waypoint((7.0, 8.0), WaypointReason.HOLD, "no estimate yet")
+        assert (waypoint.position_enu_m, waypoint.reason) == ((7.0, 8.0), WaypointReason.HOLD)
+        assert waypoint.detail
     else:
         assert waypoint.reason is WaypointReason.SEARCH
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.estimation.antenna import AntennaParams, antenna_axes_enu
-from companion.estimation.filters.kalman import admm_update
+from companion.estimation.filters.kalman import KINDS, RecursiveFilter, filter_of
 from companion.estimation.filters.robust_update import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
@@ -18,7 +18,6 @@ from companion.estimation.filters.robust_update import (
     innovations,
     is_positive_definite,
     joseph_row,
-    robust_update,
     settled,
     within_bounds,
     wrapped,
@@ -82,8 +81,8 @@ def losses() -> Results:
 
 
 def updates(name: str, params: FilterParams) -> Results:
-    """One measurement of everything: its parts, and the two whole updates."""
-    model, bounds, thresholds = params.model, params.bounds, params.thresholds
+    """One measurement of everything: its parts, and the whole update of every filter."""
+    model, bounds = params.model, params.bounds
     for seed in range(SEEDS):
         rng = np.random.default_rng([1, seed])
         mean, P, sensor, z, sigma = drawn_update(params, rng)
@@ -102,11 +101,13 @@ def updates(name: str, params: FilterParams) -> Results:
         yield f"{name} {seed} settled", settled(far, P, bounds)
         definite = (is_positive_definite(mean, P), is_positive_definite(mean, -P))
         yield f"{name} {seed} positive definite", definite
-        common = (mean, P, sensor, z, sigma, 0.3, inflation, thresholds, bounds, model)
-        for part, value in zip(PARTS, robust_update(*common), strict=True):
-            yield f"{name} {seed} robust update, {part}", value
-        for part, value in zip(PARTS, admm_update(*common, 10, 1.0), strict=True):
-            yield f"{name} {seed} splitting, {part}", value
+        for kind in KINDS:
+            target_filter = filter_of(kind, params)
+            assert isinstance(target_filter, RecursiveFilter)
+            seen = (mean, P, sensor, z, sigma, 0.3, inflation)
+            found = target_filter.kernel(*seen, *target_filter.settings)
+            for part, value in zip(PARTS, found, strict=True):
+                yield f"{name} {seed} {kind}, {part}", value
 
 
 PARTS = ("mean", "covariance", "report", "is sane")

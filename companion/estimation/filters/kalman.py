@@ -72,9 +72,10 @@ class RecursiveFilter:
         options: tuple[float, ...] = (),
     ) -> None:
         self.params = params
-        self._kernel = kernel
+        self.kernel = kernel
         self._walk = params.process_noise_m_per_sqrt_s
-        self._beliefs = (params.thresholds, params.bounds, params.model, *options)
+        self.settings = (params.thresholds, params.bounds, params.model, *options)
+        """The kernel's last arguments, the same for every measurement."""
         self._seen: tuple[object, object, tuple[Vector, ...]] = (None, None, ())
         """What was last measured, and from where, as the kernel takes it: for all hypotheses."""
 
@@ -107,13 +108,13 @@ class RecursiveFilter:
         if self._seen[0] is not measurement or self._seen[1] is not sensor_enu_m:
             pose, z, sigma = self.params.seen(measurement, sensor_enu_m)
             self._seen = measurement, sensor_enu_m, (np.array(pose), z, sigma)
-        mean, P, rows, is_sane = self._kernel(
+        mean, P, rows, is_sane = self.kernel(
             state.mean,
             state.covariance,
             *self._seen[2],
             self._walk**2 * late_s,
             np.array(inflation),
-            *self._beliefs,
+            *self.settings,
         )
         if is_sane:
             mean.setflags(write=False)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from companion.config.loader import load_yaml, parse_yaml
-from companion.config.schema import CompanionConfig, inconsistency, load_config
+from companion.config.schema import (
+    CompanionConfig,
+    CrossingKind,
+    PatternKind,
+    inconsistency,
+    load_config,
+)
 from companion.errors import ConfigError
+from companion.estimation.filters.kalman import FilterKind
 from companion.flight_setup import build_planner, build_session
 from companion.link.interface import LinkParams
 from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
@@ -39,6 +48,23 @@ def test_the_page_of_the_configuration_names_every_key_of_the_link_with_its_defa
         default = {None: "null", True: "true", False: "false"}.get(value, value)
         shown = f"{default:g}" if isinstance(default, float) else default
         assert f"| `{name}` | {shown} |" in page, name
+
+
+PAGE_OF = (
+    (CrossingKind, "docs/flying.md"),
+    (PatternKind, "docs/flying.md"),
+    (FilterKind, "docs/estimation.md"),
+)
+
+
+@pytest.mark.parametrize(("kinds", "page"), PAGE_OF)
+def test_every_planner_and_filter_is_on_its_page_and_in_the_default_preset(
+    kinds: object, page: str
+) -> None:
+    told, preset = (ROOT / page).read_text(), (ROOT / "configs/companion/default.yaml").read_text()
+    for kind in get_args(kinds):
+        assert f"`{kind}`" in told, f"{kind} is not in {page}"
+        assert re.search(rf"\b{kind}\b", preset), f"{kind} is not in default.yaml"
 
 
 def _records(record: object) -> list:  # type: ignore[type-arg]

@@ -200,7 +200,7 @@ def test_a_wrong_outlet_is_refused_in_a_line(name: str, text: str, complaint: st
     ("options", "complaint"),
     [
         (("--as", "kraken"), "where to? give --to URL"),
-        (("--as", "krakn", "--to", "stdout:"), "no such radio; known are android_rtt"),
+        (("--as", "krakn", "--to", "stdout:"), "no such radio; known are "),
         (("--to", "stdout:"), "give --as NAME"),
         (("--clock", "5"), "give --as NAME"),
         (("--as", "kraken", "--to", "stdout:", "--send-to", "127.0.0.1:9"), "RADIO_RANGING"),
