@@ -191,7 +191,7 @@ def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     steps = steps_to_settle(tally.rmse_m)
     note = (
         f"95 % interval {low_m:.3f} to {high_m:.3f}, worst {errors_m.max():.2f} m, "
-        f"{diverged_count(errors_m)} diverged, "
+        f"{diverged_count(errors_m, 1.0)} beyond 1 m, "
         f"{'never' if steps is None else f'{steps} steps'} to 2.5 m, "
         f"bound {tally.rmse_bound_m[-1]:.3f} m"
     )

@@ -32,7 +32,6 @@ Metric = Literal[
     "final_rmse_m",
     "steps_to_2.5m",
     "worst_final_m",
-    "diverged_runs",
     "range_offset_m",
     "bound_ratio",
     "rmse_ratio",

@@ -95,12 +95,14 @@ def metric_name(metric: str) -> str:
     return METRICS.get(metric, metric.replace("_", " "))
 
 
-Verdict = Literal["ahead", "level", "behind", "inside", "outside", ""]
+Verdict = Literal["ahead", "level", "behind", "diverged", "inside", "outside", ""]
 
 SMALLER_IS_BETTER = frozenset({"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step"})
 WITHIN = frozenset({"nees_final", "coverage_min", "coverage_mean", "coverage_max"})
 """Metrics whose bound is a band that an honest estimator stays within."""
-FOLDED = frozenset({"worst_final_m", "diverged_runs"})
+BY_RMSE = frozenset({"final_rmse_m", "steps_to_2.5m"})
+"""Metrics that one diverged run decides."""
+FOLDED = frozenset({"worst_final_m", "median_final_m", "diverged_runs"})
 """Metrics that stand beside the final RMSE instead of in a table of their own."""
 OPEN = WITHIN | {"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step", "reported", "coverage"}
 """Metrics whose tables are unfolded at first."""
@@ -150,10 +152,11 @@ def tables_of(rows: Iterable[ResultRow]) -> list[TableView]:
     ]
 
 
-def verdict_of(row: ResultRow) -> Verdict:
-    """Who is ahead, paper or ours; or whether ours is within the band that is asked for.
+def verdict_of(row: ResultRow, diverged: int = 0) -> Verdict:
+    """Return who is ahead, paper or ours; or whether ours is within the band that is asked for.
 
-    Level is a paper's number inside of our 95 % interval, or the same number.
+    Level is a paper's number inside of our 95 % interval, or the same number. Where runs
+    `diverged`, an RMSE follows one run, and its interval holds almost any number: no side is ahead.
     """
     ours = _number(row.ours)
     if row.metric in WITHIN and row.bound:
@@ -162,6 +165,8 @@ def verdict_of(row: ResultRow) -> Verdict:
     paper = _number(row.paper)
     if row.metric not in SMALLER_IS_BETTER or math.isnan(paper) or math.isnan(ours):
         return ""
+    if diverged and row.metric in BY_RMSE:
+        return "diverged"
     low, high = interval(row.ours_ci95)
     if ours == paper or low <= paper <= high:
         return "level"
@@ -181,10 +186,10 @@ def short(text: str) -> str:
 
 
 def count_verdicts(tables: Iterable[TableView]) -> dict[str, int]:
-    """How many cells are ahead, level and behind."""
+    """Return how many cells are ahead, level and behind, and how many have diverged runs."""
     groups = (group for table in tables for group in table.groups.values())
     found = Counter(c.verdict for group in groups for cells in group.values() for c in cells)
-    return {verdict: found[verdict] for verdict in ("ahead", "level", "behind")}
+    return {verdict: found[verdict] for verdict in ("ahead", "level", "behind", "diverged")}
 
 
 def _table(table: str, parameter: str, metric: str, own: dict[Key, ResultRow]) -> TableView:
@@ -215,17 +220,20 @@ def _cell(own: dict[Key, ResultRow], value: str, system: str, metric: str) -> Ta
     if row is None:
         return TableCell("", "", "", "")
     notes: list[str] = []
+    beside = {name: own[value, system, name] for name in FOLDED if (value, system, name) in own}
+    diverged = int(beside["diverged_runs"].ours) if "diverged_runs" in beside else 0
     if row.ours_ci95:
         low, _, high = row.ours_ci95.partition("..")
         notes.append(f"{short(low)} to {short(high)}")
     if metric == "final_rmse_m":
-        worst = own.get((value, system, "worst_final_m"))
-        diverged = own.get((value, system, "diverged_runs"))
+        worst, median = beside.get("worst_final_m"), beside.get("median_final_m")
         notes += [f"worst {short(worst.ours)}"] if worst else []
-        notes += [f"{diverged.ours} diverged"] if diverged and diverged.ours != "0" else []
+        if diverged:
+            notes += [f"{diverged} diverged"]
+            notes += [f"median {short(median.ours)}"] if median else []
     low, dots, high = row.bound.partition("..")
     bound = f"{short(low)} to {short(high)}" if dots else short(row.bound)
-    return TableCell(row.paper, short(row.ours), bound, verdict_of(row), tuple(notes))
+    return TableCell(row.paper, short(row.ours), bound, verdict_of(row, diverged), tuple(notes))
 
 
 def _number(text: str) -> float:

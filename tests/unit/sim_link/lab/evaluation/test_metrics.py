@@ -6,6 +6,7 @@ import pytest
 from companion.estimation.target_estimate import r95_of_covariance_m
 from sim_link.lab.evaluation.metrics import (
     diverged_count,
+    median_m,
     nees,
     nees_band,
     r95_m,
@@ -28,7 +29,12 @@ def test_settled_is_after_the_last_step_above(rmse: list[float], steps: int | No
 
 
 def test_a_run_that_ends_nowhere_has_diverged() -> None:
-    assert diverged_count(np.array([0.1, 1.0, 1.1, np.nan, np.inf])) == 3
+    assert diverged_count(np.array([0.1, 2.5, 2.6, np.nan, np.inf])) == 3
+
+
+def test_the_median_does_not_follow_one_run_and_counts_a_lost_one_as_far_off() -> None:
+    assert median_m(np.array([0.1, 0.2, 0.3, 0.4, 161.0])) == 0.3
+    assert median_m(np.array([0.1, 0.2, np.nan])) == 0.2
 
 
 def test_nees_is_the_mahalanobis_distance() -> None:

@@ -62,7 +62,8 @@ def _rows(metric: str, tally: RunTally, **sweep: Any) -> list[ResultRow]:
         ("final_rmse_m", "final_rmse_m", "0.75", "0.75..0.75", "0.5"),
         ("steps_to_2.5m", "steps_to_2.5m", "11", "", "1"),
         ("worst_final_m", "worst_final_m", "0.75", "", ""),
-        ("diverged_runs", "diverged_runs", "0", "", ""),
+        ("final_rmse_m", "median_final_m", "0.75", "", ""),
+        ("final_rmse_m", "diverged_runs", "0", "", ""),
         ("range_offset_m", "range_offset_m", "5.25", "", ""),
         ("bound_ratio", "bound_ratio", "1.5", "1.5..1.5", "1"),
     ],
@@ -70,7 +71,7 @@ def _rows(metric: str, tally: RunTally, **sweep: Any) -> list[ResultRow]:
 def test_a_metric_says_what_its_runs_say(
     metric: str, name: str, ours: str, ci95: str, bound: str
 ) -> None:
-    (row,) = _rows(metric, _tally(0.75))
+    (row,) = [row for row in _rows(metric, _tally(0.75)) if row.metric == name]
     assert row == ResultRow(
         "noise", "step_m", "5.0", "Proposed (Passive)", name, "", ours, ci95, bound
     )
@@ -81,7 +82,8 @@ def test_what_never_settles_is_more_than_all_steps() -> None:
 
 
 def test_runs_that_end_far_off_are_counted() -> None:
-    assert [row.ours for row in _rows("diverged_runs", _tally(1.5))] == ["40"]
+    rows = _rows("final_rmse_m", _tally(2.6))
+    assert [row.ours for row in rows if row.metric == "diverged_runs"] == ["40"]
 
 
 def test_after_the_papers_steps_beside_the_bound_there() -> None:
@@ -106,7 +108,7 @@ def test_honesty() -> None:
 
 def test_an_unknown_bound_is_left_empty() -> None:
     unknown = _tally(0.75, math.nan)
-    assert [row.bound for row in _rows("final_rmse_m", unknown)] == [""]
+    assert [row.bound for row in _rows("final_rmse_m", unknown)] == 3 * [""]
     assert [row.bound for row in _rows("steps_to_2.5m", unknown)] == [""]
     assert _rows("bound_ratio", unknown) == []
 
@@ -123,7 +125,8 @@ def test_each_system_beside_proposed_with_the_same_planner() -> None:
 
 def test_the_paper_stands_beside_ours() -> None:
     paper = {"Proposed (Passive)": {"final_rmse_m": [0.35], "steps_to_2.5m": [">500"]}}
-    assert [row.paper for row in _rows("final_rmse_m", _tally(1.0), paper=paper)] == ["0.35"]
+    rows = _rows("final_rmse_m", _tally(1.0), paper=paper)
+    assert [row.paper for row in rows] == ["0.35", "", ""]
     assert [row.paper for row in _rows("steps_to_2.5m", _tally(1.0), paper=paper)] == [">500"]
     assert [row.paper for row in _rows("worst_final_m", _tally(1.0), paper=paper)] == [""]
 

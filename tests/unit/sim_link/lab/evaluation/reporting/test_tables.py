@@ -42,11 +42,12 @@ def test_worst_run_and_diverged_stand_beside_the_rmse() -> None:
             row(LATCHED, "0.01234", ci95="0.0111..0.0136", bound="0.01"),
             row(LATCHED, "2.5", metric="worst_final_m"),
             row(LATCHED, "3", metric="diverged_runs"),
+            row(LATCHED, "0.0101", metric="median_final_m"),
         ]
     )
     ((cell,),) = table.groups["Latched"].values()
     assert cell.ours == "0.012"
-    assert cell.notes == ("0.011 to 0.014", "worst 2.50", "3 diverged")
+    assert cell.notes == ("0.011 to 0.014", "worst 2.50", "3 diverged", "median 0.010")
     assert table.has_bound
     assert not table.has_paper
 
@@ -68,7 +69,24 @@ def test_verdicts_are_counted() -> None:
     tables = tables_of(
         [row(REACTIVE, "0.2", "0.4"), row(LATCHED, "0.5", "0.4"), row(LATCHED, "0.1", value="0.5")]
     )
-    assert count_verdicts(tables) == {"ahead": 1, "level": 0, "behind": 1}
+    assert count_verdicts(tables) == {"ahead": 1, "level": 0, "behind": 1, "diverged": 0}
+
+
+@pytest.mark.parametrize("metric", ["final_rmse_m", "steps_to_2.5m"])
+@pytest.mark.parametrize(("diverged", "verdict"), [("0", "level"), ("1", "diverged")])
+def test_no_side_is_ahead_where_one_run_decides_the_rmse(
+    metric: str, diverged: str, verdict: str
+) -> None:
+    """One of 200 runs that ends 161 m off makes the RMSE 11.4 m, and its interval holds 0.21 m."""
+    (table,) = tables_of(
+        [
+            row(REACTIVE, "11.4", "0.21", ci95="0.15..19.7", metric=metric),
+            row(REACTIVE, diverged, metric="diverged_runs"),
+        ]
+    )
+    ((cell,),) = table.groups["Reactive"].values()
+    assert cell.verdict == verdict
+    assert count_verdicts([table])["diverged"] == int(diverged)
 
 
 @pytest.mark.parametrize(
