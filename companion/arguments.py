@@ -84,7 +84,7 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_radio(commands)
     _add_config(commands)
     _add_setup(commands)
-    text = "map tiles for the live map, from an archive or a server"
+    text = "map tiles for the live map, from a server"
     add_tiles(commands.add_parser("tiles", help=text, description=text))
     _add_warm_up(commands)
     return parser

@@ -61,9 +61,7 @@ def add_setup(parser: argparse.ArgumentParser) -> None:
 
 def add_tiles(parser: argparse.ArgumentParser) -> None:
     """What `companion tiles` understands."""
-    commands = parser.add_subparsers(dest="tiles_command", metavar="{fetch,import}", required=True)
-    archive = commands.add_parser("import", help="unpack an MBTiles or PMTiles file of pictures")
-    archive.add_argument("archive", metavar="FILE", type=Path)
+    commands = parser.add_subparsers(dest="tiles_command", metavar="{fetch}", required=True)
     fetch = commands.add_parser(
         "fetch",
         help="get the tiles about a place from a server that you name",
@@ -74,5 +72,4 @@ def add_tiles(parser: argparse.ArgumentParser) -> None:
     fetch.add_argument("--around", metavar="LAT,LON", required=True, help="centre, degrees")
     fetch.add_argument("--radius", metavar="M", type=float, default=500.0, help="default 500")
     fetch.add_argument("--zoom", metavar="MIN-MAX", default="13-17", help="default 13-17")
-    for command in (archive, fetch):
-        command.add_argument("folder", metavar="DIR", type=Path, help="for --web-tiles DIR")
+    fetch.add_argument("folder", metavar="DIR", type=Path, help="for --web-tiles DIR")

@@ -1,4 +1,4 @@
-"""`companion tiles`: a folder of map tiles for the live map, from an archive or from a server."""
+"""`companion tiles`: a folder of map tiles for the live map, from a server."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
-from companion.setup_tools.tile_archives import Tile, tiles_in
 
 MOST_TILES = 20_000
 """Of one fetch; more is a burden to a server that others pay for."""
@@ -27,18 +27,22 @@ SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
 """How PNG, JPEG and WebP begin."""
 
 
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One picture; `y` counts from the north, as `z/x/y.png` does."""
+
+    zoom: int
+    x: int
+    y: int
+    picture: bytes
+
+
 def run(arguments: argparse.Namespace) -> int:
-    """Do it; the exit code."""
-    if arguments.tiles_command == "import":
-        return _finish(_stored(tiles_in(arguments.archive), arguments.folder), arguments.folder)
+    """Fetch what is missing, and return the exit code."""
     places = wanted_tiles(arguments.around, arguments.radius, arguments.zoom)
     url = _checked_url(arguments.url)
     missing = [each for each in places if not _file(arguments.folder, *each).exists()]
-    count = _stored(_fetched(url, missing), arguments.folder)
-    return _finish(count, arguments.folder)
-
-
-def _finish(count: int, folder: Path) -> int:
+    count, folder = _stored(_fetched(url, missing), arguments.folder), arguments.folder
     sys.stdout.write(f"{count} tiles in {folder}; show them with: --web-tiles {folder}\n")
     return 0
 
@@ -107,12 +111,15 @@ def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]
         try:
             request = urllib.request.Request(address, headers=agent)
             with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
-                yield Tile(zoom, x, y, answer.read(MOST_BYTES))
+                picture = answer.read(MOST_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "reason", None) or error
             raise CompanionError(
                 f"{address}: {reason}; what came before is kept, so run it again to go on"
             ) from error
+        if len(picture) > MOST_BYTES:
+            raise CompanionError(f"{address}: more than {MOST_BYTES} bytes, which is no map tile")
+        yield Tile(zoom, x, y, picture)
         time.sleep(PAUSE_S)
 
 
