@@ -138,7 +138,11 @@ def _add_web(web: Options) -> None:
     _switch(web, "--web-control", "with HOLD, RESUME and RETURN")
     _option(web, "--web-token", "TEXT", "token instead of a random one")
     _switch(web, "--web-open", "viewing needs no token, buttons do")
-    _file(web, "--web-tiles", "map tiles, z/x/y.png", "DIR")
+    _tiles(web, dest="fly_web_tiles")
+
+
+def _tiles(options: Options, **more: Any) -> None:
+    _file(options, "--web-tiles", "map tiles, z/x/y.png", "DIR", **more)
 
 
 def _add_demo(commands: Commands) -> None:
@@ -165,6 +169,7 @@ def _add_demo(commands: Commands) -> None:
     _file(demo, "--plot", "where to draw the track (default track.png)", default=Path("track.png"))
     text = "serve the live map, with buttons (default port 8080), and open the browser"
     _option(demo, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
+    _tiles(demo)
     _switch(demo, "--no-browser", "open no browser")
     _switch(demo, "--no-plot", "do not draw the track")
 
@@ -244,8 +249,10 @@ def _add_replay(commands: Commands) -> None:
     replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv|RECORDING", type=Path)
     text = "of a flight, times real time (default: as fast as possible)"
     _option(replay, "--speed", "X", text, type=number_in(0.0, MAX_SPEED, is_open=True))
-    text = "show a flight on the live map, at --speed 1 unless given (default port 8080)"
-    _option(replay, "--web", "[HOST:]PORT", text, dest="replay_web", nargs="?", const="8080")
+    text = "show a flight on the live map, at --speed 1 unless given, once a browser has opened it "
+    text += "(default port 8080)"
+    _option(replay, "--web", "[HOST:]PORT", text, dest="web", nargs="?", const="8080")
+    _tiles(replay)
     _file(replay, "--config", "companion configuration")
     _file(replay, "--json", "write the results as JSON")
 
@@ -280,8 +287,11 @@ def number_in(
     return parsed
 
 
-FLIGHT_OPTIONS = "connect ranging radio gcs cot fence signing_key insecure fresh once"
-SHARED_OPTIONS = "config speed web"
+FLIGHT_OPTIONS = (
+    "connect ranging radio gcs cot fence signing_key insecure fresh once "
+    "web_control web_token web_open"
+)
+SHARED_OPTIONS = "config speed web web_tiles"
 
 
 def check_place_of_options(arguments: argparse.Namespace) -> None:

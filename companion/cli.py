@@ -85,21 +85,27 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def _web_settings(arguments: argparse.Namespace) -> WebSettings | None:
-    if arguments.fly_web is None:
-        given = [
-            f"--web-{name}"
-            for name in ("control", "token", "open", "tiles")
-            if getattr(arguments, f"web_{name}")
-        ]
+    """The settings of a flight's map, of the demo's, which has buttons, or of a replay's."""
+    is_flight = arguments.command is None
+    web = arguments.fly_web if is_flight else arguments.web
+    tiles = arguments.fly_web_tiles if is_flight else arguments.web_tiles
+    if web is None:
+        options = {
+            "control": arguments.web_control,
+            "token": arguments.web_token,
+            "open": arguments.web_open,
+            "tiles": tiles,
+        }
+        given = [name for name, value in options.items() if value]
         if given:
-            raise ConfigError(f"{given[0]}: there is no map without --web PORT")
+            raise ConfigError(f"--web-{given[0]}: there is no map without --web PORT")
         return None
     return web_settings(
-        arguments.fly_web,
+        web,
         token=arguments.web_token,
-        is_control_on=arguments.web_control,
+        is_control_on=arguments.web_control or arguments.command == "demo",
         is_view_open=arguments.web_open,
-        tiles=arguments.web_tiles,
+        tiles=tiles,
     )
 
 
@@ -265,10 +271,11 @@ def _replay(arguments: argparse.Namespace) -> int:
     config = None if arguments.config is None else load_config(arguments.config)
     if arguments.json is not None:
         check_writable(arguments.json)
+    settings = _web_settings(arguments)
     if arguments.file.suffix.lower() == ".csv":
         if arguments.speed is not None:
             raise ConfigError("--speed: a walk is replayed as fast as it goes; leave it out")
-        if arguments.replay_web is not None:
+        if settings is not None:
             raise ConfigError("--web: a walk has no map; leave it out")
         return _replay_walk(arguments, config or CompanionConfig())
     if is_radio_recording(arguments.file):
@@ -282,8 +289,7 @@ def _replay(arguments: argparse.Namespace) -> int:
             value = {**replay.as_json(), "exact": replay.is_exact}
             write_json_atomic(arguments.json, value)
 
-    if arguments.replay_web is not None:
-        settings = web_settings(arguments.replay_web)
+    if settings is not None:
         speed = arguments.speed or 1.0
         replay = replay_on_map(arguments.file, config, print, settings, speed, report)
     else:
@@ -296,7 +302,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 def _replay_recording(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     from companion.replay.radio_replay import replay_recording
 
-    if arguments.speed is not None or arguments.replay_web is not None:
+    if arguments.speed is not None or arguments.web is not None:
         raise ConfigError("--speed, --web: a radio recording is replayed at once; leave them out")
     replay = replay_recording(arguments.file, config)
     print("\n".join(replay.radios))
@@ -339,7 +345,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         json=arguments.json,
         plot=None if arguments.no_plot else arguments.plot,
     )
-    settings = None if arguments.web is None else web_settings(arguments.web, is_control_on=True)
+    settings = _web_settings(arguments)
 
     def make_views(config: CompanionConfig, truth_enu_m: tuple[float, float]) -> list[FlightView]:
         """The screen, and the map with the emitter's true place for comparison."""

@@ -101,6 +101,22 @@ def handoff_of(
     )
 
 
+def degrees_text(place: Degrees) -> str:
+    """A WGS84 place in decimal degrees, latitude first, to about a decimetre."""
+    return f"{place[0]:.6f}, {place[1]:.6f}"
+
+
+def minutes_text(place: Degrees) -> str:
+    """A WGS84 place in degrees and decimal minutes, to about 2 m: `47° 23.881' N, 8° 32.767' E`."""
+    return f"{_minutes(place[0], 'NS')}, {_minutes(place[1], 'EW')}"
+
+
+def _minutes(angle_deg: float, signs: str) -> str:
+    thousandths = round(abs(angle_deg) * 60_000)
+    degrees, minutes = divmod(thousandths, 60_000)
+    return f"{degrees}° {minutes / 1000:06.3f}' {signs[angle_deg < 0.0]}"
+
+
 MIN_DIGITS, MAX_DIGITS = 1, 5
 """A digit pair is 10 km, five are 1 m."""
 
@@ -295,9 +311,8 @@ class HandoffFiles:
 
 def _line(handoff: Handoff) -> str:
     """One emitter in one line, to be read out over the radio."""
-    latitude_deg, longitude_deg = handoff.place_deg
     grid = mgrs_text(handoff.place_deg, handoff.absolute_r95_m)
     return (
-        f"emitter {handoff.emitter}: {grid}  ({latitude_deg:.6f}, {longitude_deg:.6f}), "
+        f"emitter {handoff.emitter}: {grid}  ({degrees_text(handoff.place_deg)}), "
         f"{handoff.radii}, {handoff.state}, {handoff.time_utc}\n"
     )

@@ -1,7 +1,9 @@
 """`companion replay` of a flight: runs it again and says whether it is the same.
 
 Recorded and replayed stand side by side: the same to the last bit, or how far apart. On the live
-map a replay shows what the operator saw, or another configuration would have shown.
+map a replay shows what the operator saw, or another configuration would have shown. It begins when
+a browser has opened the map, because at speed a flight is over before a page is up; there is no
+limit to that wait, as there is none to the last moment's being shown: Ctrl-C ends both.
 """
 
 from __future__ import annotations
@@ -18,12 +20,20 @@ import msgspec
 
 from companion.config.radios import replayed_radios
 from companion.config.schema import CompanionConfig
+from companion.handoff import utc_text
 from companion.io.files import INPUTS
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
-from companion.replay.recorded_flight import Course, Json, OnInput, open_recording, rerun
+from companion.replay.recorded_flight import (
+    Course,
+    Json,
+    OnInput,
+    is_mcap,
+    open_recording,
+    rerun,
+)
 from companion.run import FlightView
-from companion.web.live_map import WebView
+from companion.web.live_map import ReplayedFlight, WebView
 from companion.web.settings import WebSettings
 
 Say = Callable[[str], None]
@@ -215,6 +225,7 @@ class Pace:
 
 
 REFRESH_S = 0.25
+POLL_S = 0.1
 
 
 class MapOfReplay:
@@ -231,6 +242,12 @@ class MapOfReplay:
         self._last = (endpoint, now_s)
         self._view.update(endpoint, now_s)
 
+    def await_viewer(self) -> None:
+        """Return once a browser has opened the page."""
+        while not self._view.process.is_viewed:
+            self._view.process.update(0.0, dict, may_send=False)
+            time.sleep(POLL_S)
+
     def linger(self) -> None:
         """Show the last moment until Ctrl-C, so that the page does not call it old."""
         if self._last is None:
@@ -246,6 +263,12 @@ class MapOfReplay:
             return
 
 
+def flight_name(path: Path) -> str:
+    """Return what a flight is called, given its folder, a file in that, or an MCAP file."""
+    found = path.resolve()
+    return found.name if found.is_dir() or is_mcap(found) else found.parent.name
+
+
 def replay_on_map(
     path: Path,
     config: CompanionConfig | None,
@@ -257,10 +280,14 @@ def replay_on_map(
     """Run a flight again on the live map, without buttons, until Ctrl-C; `done` has it earlier."""
     facts = open_recording(path).facts
     used = facts.config if config is None else config
-    view = WebView(settings, used, began_unix_s=facts.started_unix_s)
+    again = "" if used == facts.config else ", with another configuration"
+    began = utc_text(facts.started_unix_s).replace("T", " ").replace("Z", " UTC")
+    words = f"REPLAY at {speed:g}x of flight {flight_name(path)}, begun {began}{again}"
+    view = WebView(settings, used, replayed=ReplayedFlight(facts.started_unix_s, words))
     try:
-        say(f"live map: {view.url}; Ctrl-C ends it")
         page = MapOfReplay(view, speed)
+        say(f"live map: {view.url}; the replay waits for a browser there; Ctrl-C ends it")
+        page.await_viewer()
         replay = replay_flight(path, config, say, page, [view])
         done(replay)
         page.linger()

@@ -132,9 +132,14 @@ class FlightRecording:
     course: Course
 
 
+def is_mcap(path: Path) -> bool:
+    """Return whether it is an MCAP file, which holds a flight by itself."""
+    return path.suffix.lower() == ".mcap"
+
+
 def open_recording(path: Path) -> FlightRecording:
     """A recorded flight: its folder, any file in it, or an MCAP file; or a `ConfigError`."""
-    if path.suffix.lower() == ".mcap":
+    if is_mcap(path):
         found = read_mcap_flight(path)
         try:
             facts = facts_of_json(found.flight_json)

@@ -11,7 +11,18 @@ from nicegui import ui
 
 from companion.domain import TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
-from companion.handoff import Handoff, cot_event, geo_uri, geojson, handoff_of, kml, mgrs_text
+from companion.handoff import (
+    Handoff,
+    cot_event,
+    degrees_text,
+    geo_uri,
+    geojson,
+    handoff_of,
+    kml,
+    mgrs_text,
+    minutes_text,
+)
+from companion.web.panels import copy_button
 
 SENDER = "companion"
 
@@ -46,13 +57,21 @@ def fill(found: object) -> None:
 
 def _place(handoff: Handoff) -> None:
     """What is read out over the radio, and what a phone reads from the screen."""
-    latitude_deg, longitude_deg = handoff.place_deg
     radius_m, place = handoff.absolute_r95_m, handoff.place_deg
+    texts = {
+        "grid": mgrs_text(place, radius_m),
+        "degrees": degrees_text(place),
+        "minutes": minutes_text(place),
+    }
     with ui.row().classes("w-full items-center gap-4"):
         with ui.column().classes("gap-1"):
             ui.label(f"Emitter {handoff.emitter}: {handoff.state}").classes("font-bold")
-            ui.label(mgrs_text(place, radius_m)).classes("grid-text numbers")
-            ui.label(f"{latitude_deg:.6f}, {longitude_deg:.6f}").classes("numbers")
+            for form, text in texts.items():
+                with ui.row().classes("items-center gap-3"):
+                    label = ui.label(text).classes("numbers").props(f"id={form}-{handoff.emitter}")
+                    if form == "grid":
+                        label.classes("grid-text")
+                    copy_button(f"{form}-{handoff.emitter}")
             ui.label(f"Search the whole circle, {radius_m:.1f} m about it.").classes("numbers")
             ui.label(handoff.time_utc).classes("muted numbers")
         code = segno.make(geo_uri(place), error="m").svg_data_uri(scale=4, light="#ffffff")

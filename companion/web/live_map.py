@@ -24,7 +24,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from typing import Any
@@ -39,7 +39,7 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
 from companion.view.history import CurveHistory, FlightTrack, History, HistoryPart, HistoryReader
 from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
-from companion.web.settings import WebSettings
+from companion.web.settings import VIEWED, WebSettings
 
 TEXTS = 50
 MARKS = 12
@@ -134,6 +134,8 @@ class WebProcess:
         self._is_over = False
         self.dropped = 0
         """Pictures that the child was too slow for."""
+        self.is_viewed = False
+        """Whether a browser has opened the page."""
 
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
@@ -182,7 +184,8 @@ class WebProcess:
             return []
         *lines, self._received = (self._received + data).split(b"\n")
         self._received = self._received[-MAX_LINE:]
-        names = (line.decode("utf-8", errors="replace").strip() for line in lines)
+        names = [line.decode("utf-8", errors="replace").strip() for line in lines]
+        self.is_viewed = self.is_viewed or VIEWED in names
         return [COMMANDS[name] for name in names if name in COMMANDS]
 
 
@@ -227,6 +230,15 @@ ROOM_S = 0.012
 """Before the next control tick; nearer to it a picture, some milliseconds, could delay it."""
 
 
+@dataclass(frozen=True, slots=True)
+class ReplayedFlight:
+    """A flight that is over, and is shown again."""
+
+    began_unix_s: float
+    words: str
+    """What the page says of it, so that nobody takes it for a live one."""
+
+
 class WebView(Collector):
     """The live map of one flight, with the emitter's true place if somebody knows it."""
 
@@ -235,14 +247,16 @@ class WebView(Collector):
         settings: WebSettings,
         config: CompanionConfig,
         truth_enu_m: tuple[float, float] | None = None,
-        began_unix_s: float | None = None,
+        replayed: ReplayedFlight | None = None,
     ) -> None:
-        """`began_unix_s` is of a flight that is over; None: it is being flown."""
+        """`replayed` is a flight that is over; None: it is being flown."""
         super().__init__()
         self._settings = settings
         self._time_to_go = TimeToGo()
-        self._began_unix_s = began_unix_s
-        self.process = WebProcess(settings, {**scene_of(config), "truth": truth_enu_m})
+        self._replayed = replayed
+        words = None if replayed is None else replayed.words
+        scene = {**scene_of(config), "truth": truth_enu_m, "replay": words}
+        self.process = WebProcess(settings, scene)
 
     @property
     def url(self) -> str:
@@ -267,12 +281,17 @@ class WebView(Collector):
     def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
         return {
             **picture_of(endpoint, now_s),
+            "unix_s": self._unix_s(now_s),
+            "frame": endpoint.session.vehicle.origin,
             "time_to_go_s": self._time_to_go.of_flight(endpoint, now_s),
             "texts": list(self.texts),
             "marks": list(self.marks),
             **self.next_parts(),
             "found": self._found(endpoint, now_s),
         }
+
+    def _unix_s(self, now_s: float) -> float:
+        return time.time() if self._replayed is None else self._replayed.began_unix_s + now_s
 
     def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[Sample]:
         """What was located, and where zero is; the page makes hand-offs of it when asked to.
@@ -282,8 +301,7 @@ class WebView(Collector):
         origin = endpoint.session.vehicle.origin
         if origin is None:
             return []
-        began_s = self._began_unix_s
-        unix_s = time.time() if began_s is None else began_s + now_s
+        unix_s = self._unix_s(now_s)
         return [
             {
                 "emitter": str(emitter.emitter_id),

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from typing import Any
 
+import msgspec
 from nicegui import ui
 
 from companion.geometry.polygons import CHI2_95_TWO
 
+REPLAYED = "#6b21a8"
 GOOD, WARN, BAD, QUIET, DONE = "#15803d", "#b45309", "#b91c1c", "#475569", "#1f4e79"
 """Backgrounds that white text is read on."""
 PHASE_COLOURS = {
@@ -40,13 +44,18 @@ def _panel(title: str = "") -> ui.element:
 class PhaseBar:
     """What it is doing, in words, across the top."""
 
-    def __init__(self) -> None:
+    def __init__(self, replay: str | None) -> None:
+        """`replay` is what is said of a flight that is over; None: it is live."""
+        if replay is not None:
+            banner = ui.label(replay).classes("w-full rounded px-3 py-1 font-bold")
+            banner.props("id=replay role=status").style(f"background: {REPLAYED}; color: white")
         bar = ui.row().classes("w-full items-center justify-between gap-x-4 gap-y-0 rounded")
         with bar.classes("px-3 py-2").props("role=status id=bar") as self._bar:
             with ui.row().classes("items-baseline gap-x-3 gap-y-0").props("id=phase"):
                 self._phase = ui.label("waiting for the companion").classes("text-lg font-bold")
                 self._detail = ui.label("")
             self._mode = ui.label("").props("id=mode")
+            self._time = ui.label("").classes("numbers").props("id=time")
             self._next = ui.label("").classes("w-full text-base").props("id=next-step")
         self._colour(QUIET)
 
@@ -58,6 +67,9 @@ class PhaseBar:
         self._next.set_text(picture["next_step"])
         armed = "armed" if picture["is_armed"] else "disarmed"
         self._mode.set_text(f"{picture['mode']}, {armed}")
+        if (unix_s := picture.get("unix_s")) is not None:
+            clock = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+            self._time.set_text(f"{clock}, {picture['t_s']:.0f} s")
         self._colour(BAD if is_lost else PHASE_COLOURS.get(picture["phase"], QUIET))
 
     def silent(self, for_s: float) -> None:
@@ -75,16 +87,18 @@ class Numbers:
     """The figures that decide."""
 
     NAMES = (
-        *("absolute", "time to go", "place", "offsets", "reflected"),
+        *("absolute", "time to go", "position", "grid", "place", "offsets", "reflected"),
         *("vehicle", "battery", "next", "fence"),
     )
 
     def __init__(self) -> None:
         with _panel("Estimate").props("id=estimate-panel"):
-            with ui.row().classes("items-baseline gap-x-3 gap-y-0"):
+            with ui.row().classes("items-baseline gap-x-3 gap-y-0 beside-copy"):
                 self._r95 = ui.label("R95 -").classes("text-3xl numbers").props("id=r95")
                 self._state = ui.label("nothing heard yet").classes("text-base font-bold")
                 self._state.props("id=estimate-state")
+                self._copy = copy_button("value-position", "value-grid")
+                self._copy.set_visibility(False)
             self._values: dict[str, ui.label] = {}
             with ui.element("div").classes("figures numbers"):
                 for name in self.NAMES:
@@ -95,6 +109,7 @@ class Numbers:
     def show(self, picture: Json) -> None:
         """Show a moment."""
         values = {**_of_estimate(picture), **_of_vehicle(picture), **_of_plan(picture)}
+        self._copy.set_visibility("position" in values)
         for name, label in self._values.items():
             label.set_text(values.get(name, "-"))
         colour = "inherit" if picture["fence"]["refusal"] is None else "var(--error)"
@@ -113,12 +128,50 @@ def _of_estimate(picture: Json) -> dict[str, str]:
         return {}
     east, north = estimate["place"]
     return {
+        **_on_earth(estimate, picture.get("frame")),
         "absolute": f"R95 {estimate['absolute_r95_m']:.2f} m (own place {estimate['own_words']})",
         "place": f"{east:.1f} m east, {north:.1f} m north",
         "offsets": f"range {estimate['range_offset_m']:+.2f} m, "
         f"bearing {math.degrees(estimate['bearing_offset_rad']):+.1f}°",
         "reflected": f"{100 * picture['nlos_share']:.0f} % of the ranges",
     }
+
+
+def _on_earth(estimate: Json, frame: Json | None) -> dict[str, str]:
+    """Where the estimate is for others; empty while the origin is unknown."""
+    if frame is None:
+        return {}
+    from companion.geometry.coordinates import LocalOrigin
+    from companion.handoff import degrees_text, mgrs_text  # some size, and in this process only
+
+    origin = msgspec.convert(frame, LocalOrigin)
+    latitude_deg, longitude_deg, _ = origin.geodetic_from_enu((*estimate["place"], 0.0))
+    place = (latitude_deg, longitude_deg)
+    grid = mgrs_text(place, estimate["absolute_r95_m"])
+    return {"position": degrees_text(place), "grid": grid}
+
+
+COPY = """() => {
+  const shown = %s.map(id => document.getElementById(id));
+  const text = shown.map(each => each.innerText).join("  ");
+  if (navigator.clipboard) {
+    navigator.clipboard.writeText(text);
+  } else {  // of a page without TLS, beyond this computer
+    const box = document.body.appendChild(document.createElement("textarea"));
+    box.value = text;
+    box.select();
+    document.execCommand("copy");
+    box.remove();
+  }
+  emit();
+}"""
+
+
+def copy_button(*names: str) -> ui.button:
+    """A button that copies the texts of elements, by their ids, in the browser."""
+    button = ui.button("Copy", color=None).props(f"id=copy-{names[0]} outline no-caps dense")
+    button.on("click", lambda: ui.notify("copied"), js_handler=COPY % json.dumps(names))
+    return button.classes("press plain")
 
 
 def _of_vehicle(picture: Json) -> dict[str, str]:

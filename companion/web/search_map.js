@@ -115,7 +115,7 @@ export default {
     },
     addLegend() {
       const box = L.DomUtil.create("details", "legend");
-      box.open = window.innerWidth >= 1024;
+      box.open = this.$el.clientWidth >= 800 && this.$el.clientHeight >= 500; // covers a smaller map
       L.DomUtil.create("summary", "", box).textContent = "Legend";
       const add = (sign, colour, text) => {
         const row = L.DomUtil.create("div", "", box);

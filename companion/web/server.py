@@ -41,7 +41,7 @@ from companion.web.panels import (
     RadioList,
     TextList,
 )
-from companion.web.settings import Access, WebSettings, tile, zooms_of
+from companion.web.settings import VIEWED, Access, WebSettings, tile, zooms_of
 from companion.web.tour import Tour
 
 
@@ -108,16 +108,16 @@ class Page:
         ui.dark_mode(None)
         ui.add_css(STYLE)
         ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
-        self._phase = PhaseBar()
-        with ui.row().classes("w-full no-wrap max-lg:flex-wrap gap-2"):
-            with ui.column().classes("w-full lg:w-2/3 gap-1"):
+        self._phase = PhaseBar(hub.scene.get("replay"))
+        with ui.row().classes("w-full gap-2 halves"):
+            with ui.column().classes("gap-1 map-half"):
                 self._map = SearchMap(hub.scene, tile_zooms)
                 with ui.row().classes("w-full items-center justify-end gap-2 buttons"):
                     Tour()
                     self._handoff = HandoffButton()
                     if press is not None:
                         _buttons(press)
-            with ui.column().classes("w-full lg:w-1/3 gap-2 side"):
+            with ui.column().classes("gap-2 side"):
                 self._numbers = Numbers()
                 self._ages = AgeBars(hub.scene)
                 self._emitters = EmitterList()
@@ -213,13 +213,14 @@ def build_app(
     app.add_middleware(HostCheck, access=access)
     zooms = None if tiles is None else zooms_of(tiles)
 
-    @ui.page("/", title="Companion")
+    @ui.page("/", title="Companion" if hub.scene.get("replay") is None else "Companion: replay")
     def page(request: Request, token: str | None = None) -> PlainTextResponse | None:
         client = "" if request.client is None else request.client.host
         if not access.may_view(client, token):
             return PlainTextResponse(REFUSED, 403)
         may_press = access.may_control(client, token)
         Page(hub, tile_zooms=zooms, press=press if may_press else None)
+        ui.context.client.on_connect(lambda: _tell(VIEWED))
         return None
 
     if tiles is not None:
@@ -251,7 +252,7 @@ async def serve() -> None:
     hub = PictureFeed(first["scene"])
     settings = WebSettings(**first["settings"])
     tiles = None if settings.tiles is None else Path(settings.tiles)
-    app = build_app(hub, settings, tiles, _press)
+    app = build_app(hub, settings, tiles, _tell)
     listener = socket.socket(fileno=first["fd"])
     server = uvicorn.Server(
         uvicorn.Config(
@@ -265,8 +266,8 @@ async def serve() -> None:
     await serving
 
 
-def _press(name: str) -> None:
-    """Tell the companion; it decides whether that is possible now."""
+def _tell(name: str) -> None:
+    """Write a line to the companion: a button, of which it decides whether that is possible now."""
     os.write(sys.stdout.fileno(), f"{name}\n".encode())
 
 

@@ -104,6 +104,8 @@ def tile(folder: Path, zoom: int, x: int, y: int) -> bytes:
         return NO_TILE
 
 
+VIEWED = "viewed"
+"""The line by which the page's process reports that a browser has opened the page."""
 LOOPBACK = "127.0.0.1"
 MIN_TOKEN = 8
 """Characters; a shorter one is guessed."""

@@ -24,7 +24,7 @@ from companion.io.logs.flight_recorder import FlightJournal
 from companion.link.interface import Journal
 from companion.run import ViewedJournal
 from companion.web.live_map import WebView
-from companion.web.settings import WebSettings, web_settings
+from companion.web.settings import NO_TILE, WebSettings, web_settings
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import Flight
 from tests.ports import free_port
@@ -44,6 +44,7 @@ FLYING = re.compile("searching|confirming")
 PATIENCE_MS = 60_000
 expect.set_options(timeout=PATIENCE_MS)
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+TABLET, PHONE_ACROSS = {"width": 1024, "height": 768}, {"width": 844, "height": 390}
 
 
 @dataclass
@@ -200,3 +201,11 @@ def is_up(url: str) -> bool:
     except urllib.error.URLError:
         return False
     return True
+
+
+def with_tile(folder: Path) -> Path:
+    """A folder with one tile."""
+    path = folder / "tiles" / "15" / "3" / "4.png"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(NO_TILE)
+    return folder / "tiles"

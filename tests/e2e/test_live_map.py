@@ -39,6 +39,7 @@ from tests.e2e.live_map_rig import (
     needs_chromium,
     until,
     until_up,
+    with_tile,
 )
 from tests.e2e.simulator_process import PATIENCE_S
 from tests.loop.golden_flights import PLANS, fly
@@ -226,16 +227,25 @@ def test_hostile_texts_are_shown_as_texts(browser: Browser, tmp_path: Path) -> N
 def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ended(
     browser: Browser, tmp_path: Path
 ) -> None:
+    """At this speed the flight would be over before the page is up."""
     fly(PLANS["two_emitters"], tmp_path)
     port = free_port()
-    options = ["replay", str(tmp_path / "0"), "--web", str(port), "--speed", "4"]
+    options = ["replay", str(tmp_path / "0"), "--web", str(port), "--speed", "50"]
+    options += ["--web-tiles", str(with_tile(tmp_path))]
     command = [sys.executable, "-m", "companion", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as replay:
         try:
             assert replay.stdout is not None
             url = f"http://127.0.0.1:{port}/"
-            until_up(url)
+            until_up(url)  # which is no browser
+            time.sleep(2.0)
             watched = Watched(browser, url, DESK)
+            banner = watched.page.locator("#replay")
+            expect(banner).to_have_text(re.compile(r"REPLAY at 50x of flight 0, begun .* UTC"))
+            expect(watched.page.locator("#time")).to_contain_text("UTC")
+            assert watched.page.title() == "Companion: replay"
+            until(lambda: track_px(watched.page) > 0.0, "there is no track")
+            expect(watched.page.locator(".leaflet-tile")).not_to_have_count(0)
             expect(watched.page.locator("path.ellipse")).to_have_count(1, timeout=PATIENCE_MS)
             expect(watched.page.locator("path.other-emitter")).to_have_count(1)
             expect(watched.page.locator("#emitters")).to_contain_text("waiting")

@@ -25,6 +25,7 @@ from tests.e2e.live_map_rig import (
     needs_chromium,
     status,
     until_up,
+    with_tile,
 )
 from tests.ports import free_port
 
@@ -86,14 +87,6 @@ def test_a_socket_without_a_page_tells_nothing_of_the_flight(tmp_path: Path) -> 
         assert "R95" not in told
         assert "vehicle" not in told
         assert len(told) < 1000
-
-
-def with_tile(folder: Path) -> Path:
-    """A folder with one tile."""
-    path = folder / "tiles" / "15" / "3" / "4.png"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(NO_TILE)
-    return folder / "tiles"
 
 
 @pytest.mark.slow

@@ -101,7 +101,11 @@ def test_a_fence_that_is_none_is_refused(
 
 
 @pytest.mark.parametrize(
-    "option", [("--signing-key", "k"), ("--insecure",), ("--fence", "site.plan")]
+    "option",
+    [
+        *(("--signing-key", "k"), ("--insecure",), ("--fence", "site.plan")),
+        *(("--web-control",), ("--web-open",), ("--web-token", "12345678"), ("--web-tiles", "t")),
+    ],
 )
 def test_options_of_flying_are_refused_in_front_of_a_subcommand(
     capsys: pytest.CaptureFixture[str], option: tuple[str, ...]
@@ -119,3 +123,14 @@ def test_a_report_of_no_flight_is_refused_in_words(
 def test_options_of_the_map_need_the_map(capsys: pytest.CaptureFixture[str]) -> None:
     line = complaint(capsys, "--connect", "udp:127.0.0.1:0", "--web-control")
     assert "--web-control" in line
+    for command in (("--connect", "udp:127.0.0.1:0"), ("demo",), ("replay", "flight")):
+        line = complaint(capsys, *command, "--web-tiles", "tiles")
+        assert line == "companion: --web-tiles: there is no map without --web PORT"
+
+
+@pytest.mark.parametrize("command", [("demo",), ("replay", "flight")])
+def test_tiles_of_demo_and_replay_are_looked_at_first(
+    capsys: pytest.CaptureFixture[str], command: tuple[str, ...], tmp_path: Path
+) -> None:
+    line = complaint(capsys, *command, "--web", "8080", "--web-tiles", str(tmp_path))
+    assert "there is no tile in it" in line

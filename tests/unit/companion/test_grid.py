@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.handoff import mgrs_text
+from companion.handoff import mgrs_text, minutes_text
 
 
 def test_the_square_of_the_zero_point() -> None:
@@ -26,3 +26,15 @@ def test_the_square_is_no_finer_than_the_place_is_known(r95_m: float, digits: in
 def test_the_poles_and_the_southern_half_have_squares() -> None:
     assert mgrs_text((89.5, 10.0), 1.0).startswith("Z ")
     assert mgrs_text((-33.8688, 151.2093), 1.0).startswith("56H LH ")
+
+
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [
+        ((47.398012, 8.546123), "47° 23.881' N, 8° 32.767' E"),
+        ((-0.5, -70.999_999_9), "0° 30.000' S, 71° 00.000' W"),
+        ((12.016_666, 0.0), "12° 01.000' N, 0° 00.000' E"),
+    ],
+)
+def test_degrees_and_minutes_carry_over(place: tuple[float, float], text: str) -> None:
+    assert minutes_text(place) == text
