@@ -266,6 +266,7 @@ def _add_report(commands: Commands) -> None:
     )
     _file(report, "flight", "its folder, or a file in it", "FLIGHT")
     _file(report, "--output", "instead of report.html there")
+    _tiles(report)
 
 
 def number_in(

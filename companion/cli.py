@@ -10,6 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from companion.arguments import argument_parser, check_place_of_options
@@ -35,7 +36,7 @@ from companion.run import FlightOptions, FlightView, fly, prepare
 from companion.view.console import ConsoleHandler, PlainView
 from companion.view.cot import CotView, cot_address
 from companion.web.live_map import WebView
-from companion.web.settings import WebSettings, web_settings
+from companion.web.settings import WebSettings, check_tiles, web_settings
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
@@ -135,7 +136,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         once=arguments.once,
         is_fresh=arguments.fresh,
         views=_views(arguments, config, settings),
-        at_end=_report_flight,
+        at_end=partial(_report_flight, arguments.fly_web_tiles),
     )
     endpoint = fly(config, links, clock_of(arguments.fly_speed or 1.0), options)
     if arguments.once and endpoint.session.result is None:
@@ -241,25 +242,27 @@ def _warm_up(arguments: argparse.Namespace) -> int:
 def _report(arguments: argparse.Namespace) -> int:
     from companion.report.page import write_report
 
-    print(write_report(arguments.flight, arguments.output))
+    if arguments.web_tiles is not None:
+        check_tiles(arguments.web_tiles)
+    print(write_report(arguments.flight, arguments.output, arguments.web_tiles))
     return 0
 
 
-def _report_flight(directory: Path) -> None:
+def _report_flight(tiles: Path | None, directory: Path) -> None:
     """A report of every flight; of a long one only on request, because the end must be quick."""
     from companion.report.page import is_quick
 
     if is_quick(directory):
-        _write_report(directory)
+        _write_report(directory, tiles)
     else:
         print(f"companion: make the report with: companion report {directory}", file=sys.stderr)
 
 
-def _write_report(directory: Path) -> Path | None:
+def _write_report(directory: Path, tiles: Path | None) -> Path | None:
     from companion.report.page import write_report  # jinja2 only where it is needed
 
     try:
-        path = write_report(directory)
+        path = write_report(directory, tiles=tiles)
     except CompanionError as error:
         print(f"companion: no report: {error}", file=sys.stderr)
         return None
@@ -356,7 +359,7 @@ def _demo(arguments: argparse.Namespace) -> int:
 
     def report(directory: Path) -> None:
         """Always: nothing flies that would wait for the end."""
-        path = _write_report(directory)
+        path = _write_report(directory, arguments.web_tiles)
         if path is not None and settings is not None and not arguments.no_browser:
             open_page(path.resolve().as_uri())
 

@@ -4,21 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import sub
 
 from markupsafe import Markup
 
 from companion.geometry.polygons import Point, ellipse_95
+from companion.report.basemap import Picture
 from companion.report.flight_summary import EstimatePoint
 from companion.report.svg import SvgPlot, square_around
 
 MAP_SIZE = 640.0
 CHART_SIZE = (560.0, 220.0)
 BINS = 50
+LEAST_SPAN = 1e-3
+"""Of the axis of a histogram whose values are all the same."""
 ELLIPSES = 8
 """Shown of each emitter, evenly over the flight; the newer, the stronger."""
 ELLIPSE_CORNERS = 90
 FAINTEST = 0.2
 MAP_MARGIN_M = 10.0
+
+
+Bounds = tuple[float, float, float, float]
+"""West, east, south and north of a map."""
+
+
+def no_pictures(bounds: Bounds) -> Sequence[Picture]:
+    """Lay nothing below a map."""
+    del bounds
+    return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +66,8 @@ class MapLayers:
     area_enu_m: Sequence[Point] = ()
     truth_enu_m: Mapping[str, Point] = field(default_factory=dict)
     """Where emitters truly are, by what the map calls them."""
+    pictures: Callable[[Bounds], Sequence[Picture]] = no_pictures
+    """What lies below the map."""
 
 
 def flight_map(layers: MapLayers) -> Markup:
@@ -61,6 +77,8 @@ def flight_map(layers: MapLayers) -> Markup:
     bounds = square_around(flown or layers.fence_enu_m or [(0.0, 0.0)], MAP_MARGIN_M)
     west, east, south, north = bounds
     drawing = SvgPlot(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
+    for picture in layers.pictures(bounds):
+        drawing.picture(picture.url, picture.north_west_enu_m, picture.south_east_enu_m)
     for corners, style in ((layers.area_enu_m, "area"), (layers.fence_enu_m, "fence")):
         if corners:
             drawing.area(corners, style)
@@ -143,30 +161,45 @@ class TimeCharts:
         return Chart(title, note, Markup(drawing.svg()))
 
 
+TRIMMED_SHARE = 0.02
+"""Of the values, on either side, that the axis of a histogram may leave out."""
+
+
 def histogram(
     title: str,
     note: str,
     values: Sequence[float],
-    density: Callable[[Sequence[float]], list[float]] | None = None,
+    cumulative: Callable[[float], float] | None = None,
 ) -> Chart | None:
-    """How often each value was seen, beside the expected density; None: there are no values."""
+    """How often each value was seen; None: there are no values.
+
+    A line has how often it was expected, by the `cumulative` probability: of whole bars, so that
+    both have one scale, however narrow the distribution. Few values far away would squeeze all
+    others into one bar, so the outermost bars have whatever lies beyond them, too.
+    """
     if not values:
         return None
-    low, high = min(values), max(values) + 1e-6
+    ordered, beyond = sorted(values), int(TRIMMED_SHARE * len(values))
+    low, high = ordered[beyond], ordered[-1 - beyond]
+    if high - low < LEAST_SPAN:
+        low, high = low - 0.5 * LEAST_SPAN, high + 0.5 * LEAST_SPAN
     width = (high - low) / BINS
+    edges = [low + width * number for number in range(BINS + 1)]
     counts = [0] * BINS
     for value in values:
-        counts[min(BINS - 1, int((value - low) / width))] += 1
+        counts[max(0, min(BINS - 1, int((value - low) / width)))] += 1
+    bars = list(zip(edges, edges[1:], counts, strict=False))
     expected: list[Point] = []
-    if density is not None:
-        places = [low + (high - low) * step / 200 for step in range(201)]
-        heights = (len(values) * width * height for height in density(places))
-        expected = list(zip(places, heights, strict=True))
+    if cumulative is not None:
+        below = [0.0, *map(cumulative, edges[1:-1]), 1.0]
+        for left, right, share in zip(edges, edges[1:], map(sub, below[1:], below), strict=False):
+            expected += [(left, len(values) * share), (right, len(values) * share)]
     top = max([*counts, *(height for _, height in expected)]) * 1.05
     drawing = SvgPlot(*CHART_SIZE, (low, high), (0.0, top), title)
-    for number, count in enumerate(counts):
-        left, right = low + number * width, low + (number + 1) * width
+    for left, right, count in bars:
         drawing.area([(left, 0.0), (left, count), (right, count), (right, 0.0)], "bar")
     if expected:
         drawing.line(expected, "limit")
+    if ordered[0] < low or ordered[-1] > high:
+        note += f"; the outermost bars have all beyond them ({ordered[0]:.3g} to {ordered[-1]:.3g})"
     return Chart(title, note, Markup(drawing.svg()))

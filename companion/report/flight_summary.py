@@ -9,8 +9,10 @@ from typing import Annotated, TypeVar
 
 import msgspec
 
+from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
 from companion.guard.gate import GuardReason
+from companion.view.history import FlightTrack
 
 SUMMARY_KINDS = ("text", "phase", "answer", "autopilot_text", "bound", "result")
 """Kinds of events that people read."""
@@ -51,6 +53,10 @@ class _WaypointLine(msgspec.Struct):
     position_enu_m: Point
 
 
+class _PositionLine(msgspec.Struct):
+    position_enu_m: tuple[float, float, float]
+
+
 class _FenceLine(msgspec.Struct):
     polygon_enu_m: Annotated[list[Point], msgspec.Meta(min_length=LEAST_CORNERS)]
     keep_out_enu_m: list[list[Point]] = []
@@ -73,8 +79,12 @@ class FlightSummary:
     """What the event log of a flight holds for its report."""
 
     estimates: list[EstimatePoint] = field(default_factory=list)
-    track_enu_m: list[Point] = field(default_factory=list)
-    """Where the vehicle was when it measured."""
+    track: FlightTrack = field(default_factory=FlightTrack)
+    """Where the vehicle was."""
+    measured_enu_m: list[Point] = field(default_factory=list)
+    """Where the vehicle was when it measured, all that a log without positions has."""
+    origin: LocalOrigin | None = None
+    """The last origin of the local frame."""
     waypoints_enu_m: list[Point] = field(default_factory=list)
     events: list[EventRow] = field(default_factory=list)
     """Those of `SUMMARY_KINDS`."""
@@ -89,6 +99,11 @@ class FlightSummary:
     results: list[Line] = field(default_factory=list)
     """What was reported of each emitter first, in order."""
     ended_s: float = 0.0
+
+    @property
+    def track_enu_m(self) -> list[Point]:
+        """Where the vehicle was."""
+        return self.track.line or self.measured_enu_m
 
     @property
     def last(self) -> EstimatePoint | None:
@@ -108,8 +123,17 @@ def summarize_events(lines: Iterable[Line]) -> FlightSummary:
             summary.events.append(row)
         if kind == "radio":
             summary.radios[_read(line.get("number"), int) or 0] = line
+        _take_place(summary, kind, line)
         _take_line(summary, kind, line)
     return summary
+
+
+def _take_place(summary: FlightSummary, kind: str, line: Line) -> None:
+    match kind:
+        case "position" if (position := _read(line, _PositionLine)) is not None:
+            summary.track.add(position.position_enu_m[:2])
+        case "origin":
+            summary.origin = _read(line, LocalOrigin) or summary.origin
 
 
 def _take_line(summary: FlightSummary, kind: str, line: Line) -> None:
@@ -119,7 +143,7 @@ def _take_line(summary: FlightSummary, kind: str, line: Line) -> None:
             if point is not None:
                 summary.estimates.append(point)
                 if point.sensor_enu_m is not None:
-                    summary.track_enu_m.append((point.sensor_enu_m[0], point.sensor_enu_m[1]))
+                    summary.measured_enu_m.append((point.sensor_enu_m[0], point.sensor_enu_m[1]))
         case "waypoint" if (waypoint := _read(line, _WaypointLine)) is not None:
             summary.waypoints_enu_m.append(waypoint.position_enu_m)
         case "guard":

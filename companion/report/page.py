@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
@@ -22,12 +23,22 @@ from markupsafe import Markup
 
 from companion import __version__
 from companion.config.schema import CompanionConfig
-from companion.estimation.filters.robust_update import asymmetric_huber_loss, threshold
+from companion.estimation.filters.robust_update import threshold
 from companion.flight_setup import FlightFacts, open_flight
 from companion.geometry.polygons import CHI2_95_TWO, Point
+from companion.handoff import mgrs_text, utc_text
 from companion.io.files import EVENTS, REPORT, write_text_atomic
 from companion.io.logs.log_files import event_lines
-from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram
+from companion.report.basemap import pictures_of
+from companion.report.charts import (
+    Chart,
+    MapLayers,
+    TimeCharts,
+    TimeCurve,
+    flight_map,
+    histogram,
+    no_pictures,
+)
 from companion.report.flight_summary import (
     EventRow,
     FlightSummary,
@@ -94,6 +105,8 @@ class FlightPage:
     events: Sequence[EventRow]
     """In the order of time; the first `MAX_EVENTS` are shown."""
     footer: str
+    began_unix_s: float | None = None
+    """The time at zero of the flight's own; None: an invented one, which has no date."""
 
 
 def page_environment(package: str) -> Environment:
@@ -114,34 +127,40 @@ def render_page(
     charts = [chart for chart in page.charts if chart is not None]
     events = page.events[:MAX_EVENTS]
     found = page_environment(package).get_template(template)
-    return found.render(page=page, charts=charts, events=events, **more)
+    began_s = page.began_unix_s
+    clock = None if began_s is None else lambda time_s: utc_text(began_s + time_s)[11:19]
+    return found.render(page=page, charts=charts, events=events, clock=clock, **more)
 
 
-def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:
-    """The page of a recorded flight as text."""
+def report_page(
+    summary: FlightSummary, facts: FlightFacts, name: str, tiles: Path | None = None
+) -> str:
+    """The page of a recorded flight as text, its map on the `tiles` of a folder."""
     fence, keep_outs = fence_of(summary, facts.config)
+    pictures = no_pictures
+    if tiles is not None and summary.origin is not None:
+        pictures = partial(pictures_of, tiles, summary.origin)
     layers = MapLayers(
         track_enu_m=summary.track_enu_m,
         estimates=summary.estimates,
         waypoints_enu_m=summary.waypoints_enu_m,
         fence_enu_m=fence,
         keep_outs_enu_m=keep_outs,
+        pictures=pictures,
     )
     page = FlightPage(
         kind="Flight report",
         name=name,
         verdict=verdict_of(summary),
         is_passed=bool(summary.results),
-        facts=_figures(summary, facts.config),
+        facts=_figures(summary, facts),
         map=flight_map(layers),
-        map_note="Blue: where the vehicle measured; red: 95 % ellipses over time, the newer the "
-        "stronger, and the last R95, dashed the absolute one; gold: waypoints"
-        + ("; dashed green: the fence" if fence else "")
-        + ("; red areas: keep-outs." if keep_outs else "."),
+        map_note=_map_note(layers),
         charts=charts_of(summary, facts.config),
         events=summary.events,
         footer=f"companion {__version__}, flown with {facts.version} on Python {facts.python}; "
         f"run it again with: companion replay {name}",
+        began_unix_s=facts.started_unix_s,
     )
     return render_page(
         page,
@@ -152,6 +171,20 @@ def report_page(summary: FlightSummary, facts: FlightFacts, name: str) -> str:
     )
 
 
+def _map_note(layers: MapLayers) -> str:
+    """What is drawn on the map."""
+    signs = {
+        "blue: the track": layers.track_enu_m,
+        "red: 95 % ellipses over time, the newer the stronger, and the last R95, dashed the "
+        "absolute one": layers.estimates,
+        "gold: waypoints": layers.waypoints_enu_m,
+        "dashed green: the fence": layers.fence_enu_m,
+        "red areas: keep-outs": layers.keep_outs_enu_m,
+    }
+    drawn = "; ".join(words for words, places in signs.items() if places)
+    return f"North is up; {drawn}." if drawn else "North is up."
+
+
 def verdict_of(summary: FlightSummary) -> str:
     """The flight in one phrase."""
     if summary.results:
@@ -159,23 +192,38 @@ def verdict_of(summary: FlightSummary) -> str:
         texts = [radii_text(r95_m, result) for r95_m, result in told if isinstance(r95_m, float)]
         return f"localised, {'; '.join(texts)}" if texts else "localised"
     if summary.last is None:
-        return "no measurement of the emitter was used"
+        is_silent = bool(summary.links) and not summary.links[-1].get("refused")
+        return "the emitter was never heard" if is_silent else "no measurement was used"
     return f"not reported: {summary.last.state}, R95 {summary.last.r95_m:.1f} m"
 
 
-def _figures(summary: FlightSummary, config: CompanionConfig) -> list[tuple[str, str]]:
-    rows = [("Recorded", f"{summary.ended_s:.0f} s")]
+def _figures(summary: FlightSummary, facts: FlightFacts) -> list[tuple[str, str]]:
+    began = utc_text(facts.started_unix_s).replace("T", " ").replace("Z", " UTC")
+    rows = [("Begun", began), ("Recorded", f"{summary.ended_s:.0f} s")]
     for result in summary.results:
         latitude_deg, longitude_deg = result.get("latitude_deg"), result.get("longitude_deg")
         if isinstance(latitude_deg, float) and isinstance(longitude_deg, float):
             emitter = f" {result.get('emitter_id')}" if len(summary.results) > 1 else ""
-            rows.append((f"Position{emitter}", f"{latitude_deg:.7f}, {longitude_deg:.7f}"))
+            radius_m = result.get("absolute_r95_m", result.get("r95_m"))
+            rows += _places((latitude_deg, longitude_deg), radius_m, emitter)
     if summary.last is not None:
         east_m, north_m = summary.last.place_enu_m
+        if summary.origin is not None and not summary.results:
+            place = summary.origin.geodetic_from_enu((east_m, north_m, 0.0))[:2]
+            rows += _places(place, summary.last.absolute_r95_m or summary.last.r95_m)
         rows.append(("Last estimate", f"east {east_m:.2f} m, north {north_m:.2f} m"))
     rows.append(("Estimates", str(len(summary.estimates))))
-    rows.append(("Estimator", config.estimation.kind))
-    return [*rows, ("Planner", config.planner.kind)]
+    rows.append(("Estimator", facts.config.estimation.kind))
+    return [*rows, ("Planner", facts.config.planner.kind)]
+
+
+def _places(place: Point, radius_m: object, emitter: str = "") -> list[tuple[str, str]]:
+    """A place on the Earth in degrees, and as MGRS no finer than it is known."""
+    known_m = radius_m if isinstance(radius_m, float) else 1.0
+    return [
+        (f"Position{emitter}", f"{place[0]:.7f}, {place[1]:.7f}"),
+        (f"Grid{emitter}", mgrs_text(place, known_m)),
+    ]
 
 
 def fence_of(
@@ -192,18 +240,42 @@ def fence_of(
     return limits.fence_enu_m if limits.is_fence_local else (), limits.keep_out_enu_m
 
 
+@dataclass(frozen=True, slots=True)
+class HuberDistribution:
+    """What the asymmetric Huber loss expects: the density exp(-loss), normalised."""
+
+    sigma: float
+    k_long: float
+    k_short: float
+
+    def cumulative(self, value: float) -> float:
+        """Return the probability of less than a value: two tails, and a Gaussian between them."""
+        u, k_long, k_short = value / self.sigma, self.k_long, self.k_short
+        long, short = _tail(k_long), _tail(k_short)
+        core = _half_core(k_long) + _half_core(k_short)
+        if u < -k_short:
+            below = math.exp(k_short * (u + 0.5 * k_short)) / k_short
+        elif u <= k_long:
+            below = short + _half_core(k_short) + _half_core(u)
+        else:
+            below = short + core + long - math.exp(k_long * (0.5 * k_long - u)) / k_long
+        return below / (short + core + long)
+
+
+def _tail(k: float) -> float:
+    return math.exp(-0.5 * k * k) / k if math.isfinite(k) else 0.0
+
+
+def _half_core(u: float) -> float:
+    return math.sqrt(0.5 * math.pi) * math.erf(u / math.sqrt(2.0))
+
+
 def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | None]:
     """R95, offset, residuals, their histogram beside the fitted loss, and NIS."""
-
-    def density(places: Sequence[float]) -> list[float]:
-        """What the filter's loss expects: exp(-loss), normalised over the places."""
-        noise = config.estimation.filter
-        k_long, k_short = threshold(noise.range_k_long), threshold(noise.range_k_short)
-        sigma_m = noise.range_sigma_m
-        heights = [math.exp(-asymmetric_huber_loss(x / sigma_m, k_long, k_short)) for x in places]
-        step = places[1] - places[0]
-        return [height / (sum(heights) * step) for height in heights]
-
+    noise = config.estimation.filter
+    expected = HuberDistribution(
+        noise.range_sigma_m, threshold(noise.range_k_long), threshold(noise.range_k_short)
+    )
     over_time = TimeCharts(summary.ended_s)
     points = summary.estimates
     radii = [(p.time_s, max(p.r95_m, LEAST_M)) for p in points]
@@ -216,16 +288,16 @@ def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | N
         over_time.draw("Range residuals", metres, TimeCurve(residuals, "residual", is_dotted=True)),
         histogram(
             "Residuals and fitted loss",
-            "how many over metres; line: what the filter's loss expects of them",
+            "how many over metres, in bars; line: how many the filter's loss expects in each",
             [value for _, value in residuals],
-            density,
+            expected.cumulative,
         ),
         _nis_chart(over_time, _known((p.time_s, p.nis) for p in points)),
     ]
 
 
 def _known(points: Iterable[tuple[float, float | None]]) -> list[Point]:
-    return [(time_s, value) for time_s, value in points if value is not None]
+    return [(at_s, value) for at_s, value in points if value is not None and math.isfinite(value)]
 
 
 def _nis_chart(over_time: TimeCharts, points: list[Point]) -> Chart | None:
@@ -245,12 +317,16 @@ def _nis_chart(over_time: TimeCharts, points: list[Point]) -> Chart | None:
     )
 
 
-def write_report(flight: Path, output: Path | None = None) -> Path:
-    """Write the report of a flight (its folder, or a file in it), by default there; its path."""
+def write_report(flight: Path, output: Path | None = None, tiles: Path | None = None) -> Path:
+    """Write the report of a flight (its folder, or a file in it), by default there; its path.
+
+    Its map lies on `tiles` (`z/x/y.png`), where there are any.
+    """
     found = open_flight(flight)
     older = found.directory / "events.old.jsonl"  # put aside when the log reached half its cap
     lines = [*(event_lines(older) if older.exists() else ()), *event_lines(found.path(EVENTS))]
-    page = report_page(summarize_events(lines), found.facts, found.directory.resolve().name)
+    name = found.directory.resolve().name
+    page = report_page(summarize_events(lines), found.facts, name, tiles)
     path = found.path(REPORT) if output is None else output
     write_text_atomic(path, page)
     return path

@@ -64,6 +64,7 @@ class SvgPlot:
         self.x = Axis(*x, MARGIN, width - 12.0)
         self.y = Axis(*y, height - 28.0, 12.0, is_log)
         self._parts: list[str] = []
+        self._pictures: list[str] = []
 
     def line(self, points: Iterable[Point], style: str) -> None:
         """A curve through points."""
@@ -81,6 +82,15 @@ class SvgPlot:
         )
         if moves:
             self._parts.append(f'<path class="{style}" stroke-width="{2 * radius:g}" d="{moves}"/>')
+
+    def picture(self, url: str, north_west: Point, south_east: Point) -> None:
+        """A picture below all that is drawn, cut at the edges of the plot."""
+        left, top = self.x.at(north_west[0]), self.y.at(north_west[1])
+        width, height = self.x.at(south_east[0]) - left, self.y.at(south_east[1]) - top
+        self._pictures.append(
+            f'<image href={quoteattr(url)} x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" '
+            f'height="{height:.1f}" preserveAspectRatio="none" clip-path="url(#plot)"/>'
+        )
 
     def circle(self, centre: Point, radius: float, style: str, name: str = "") -> None:
         """A circle whose radius is a length of the horizontal axis."""
@@ -112,9 +122,15 @@ class SvgPlot:
     def svg(self) -> str:
         """The drawing as an SVG element."""
         width, height = self._size
+        x, y = self.x, self.y
+        plot = (
+            f'<clipPath id="plot"><rect x="{x.start:g}" y="{y.end:g}" '
+            f'width="{x.end - x.start:g}" height="{y.start - y.end:g}"/></clipPath>'
+        )
+        below = plot + "".join(self._pictures) if self._pictures else ""
         return (
             f'<svg viewBox="0 0 {width:g} {height:g}" role="img" '
-            f"aria-label={quoteattr(self._title)}>{self._grid()}{''.join(self._parts)}</svg>"
+            f"aria-label={quoteattr(self._title)}>{below}{self._grid()}{''.join(self._parts)}</svg>"
         )
 
     def _grid(self) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
+from companion.geometry.web_tiles import LATITUDES_DEG, tile_at
 
 MOST_TILES = 20_000
 """Of one fetch; more is a burden to a server that others pay for."""
@@ -21,7 +22,6 @@ PAUSE_S = 0.05
 TIMEOUT_S = 20.0
 MOST_BYTES = 2_000_000
 """Of one tile."""
-LATITUDES_DEG = 85.0
 METRES_PER_DEGREE = 111_319.5
 SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
 """How PNG, JPEG and WebP begin."""
@@ -57,8 +57,8 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
     east_deg = north_deg / math.cos(math.radians(latitude_deg))
     wanted: list[tuple[int, int, int]] = []
     for zoom in range(least, most + 1):
-        left, top = _tile_at(latitude_deg + north_deg, longitude_deg - east_deg, zoom)
-        right, bottom = _tile_at(latitude_deg - north_deg, longitude_deg + east_deg, zoom)
+        left, top = tile_at((latitude_deg + north_deg, longitude_deg - east_deg), zoom)
+        right, bottom = tile_at((latitude_deg - north_deg, longitude_deg + east_deg), zoom)
         if len(wanted) + (right - left + 1) * (bottom - top + 1) > MOST_TILES:
             raise ConfigError(
                 f"--zoom {zooms}: more than {MOST_TILES} tiles; choose a smaller --radius or zoom"
@@ -84,15 +84,6 @@ def _zooms(text: str) -> tuple[int, int]:
     if not 0 <= least <= most <= 22:
         raise ConfigError(f"--zoom {text}: give MIN-MAX between 0 and 22, as in 13-17")
     return least, most
-
-
-def _tile_at(latitude_deg: float, longitude_deg: float, zoom: int) -> tuple[int, int]:
-    """The tile that has a place in it, of the usual web map (spherical Mercator)."""
-    count = 2**zoom
-    latitude_rad = math.radians(max(-LATITUDES_DEG, min(LATITUDES_DEG, latitude_deg)))
-    x = (longitude_deg + 180.0) / 360.0 * count
-    y = (1.0 - math.asinh(math.tan(latitude_rad)) / math.pi) / 2.0 * count
-    return min(max(int(x), 0), count - 1), min(max(int(y), 0), count - 1)
 
 
 def _checked_url(url: str) -> str:

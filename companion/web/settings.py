@@ -143,13 +143,13 @@ def web_settings(
     if token is not None and len(token) < MIN_TOKEN:
         raise ConfigError(f"--web-token: needs at least {MIN_TOKEN} characters")
     if tiles is not None:
-        _check_tiles(tiles)
+        check_tiles(tiles)
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(12)
     return WebSettings(host, token, is_control_on, is_view_open, int(port_text), tiles)
 
 
-def _check_tiles(folder: Path) -> None:
+def check_tiles(folder: Path) -> None:
     """Refuse a folder that the map would stay empty with."""
     try:
         has_tiles = zooms_of(folder) is not None

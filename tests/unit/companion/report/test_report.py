@@ -2,24 +2,39 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import msgspec
+import numpy as np
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.errors import ConfigError
+from companion.estimation.filters.robust_update import asymmetric_huber_loss
 from companion.flight_setup import FlightFacts, write_facts
+from companion.geometry.coordinates import Projection
+from companion.geometry.web_tiles import tile_at
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
 from companion.guidance.messages import FenceMessages, GuardMessages
+from companion.handoff import mgrs_text
 from companion.io.files import EVENTS
+from companion.report.charts import histogram
 from companion.report.flight_summary import summarize_events
-from companion.report.page import is_quick, report_page, verdict_of, write_report
+from companion.report.page import (
+    HuberDistribution,
+    is_quick,
+    report_page,
+    verdict_of,
+    write_report,
+)
+from companion.web.settings import NO_TILE
 
 FACTS = FlightFacts(started_unix_s=1.8e9, links=1, config=CompanionConfig())
 Line = dict[str, object]
@@ -117,7 +132,7 @@ def test_counters_of_the_link_are_told_in_words() -> None:
 def test_the_verdict_is_what_the_flight_came_to() -> None:
     assert verdict_of(summarize_events(FLIGHT)) == "localised, R95 0.40 m"
     assert verdict_of(summarize_events(FLIGHT[:-1])) == "not reported: searching, R95 0.5 m"
-    assert verdict_of(summarize_events([])) == "no measurement of the emitter was used"
+    assert verdict_of(summarize_events([])) == "no measurement was used"
 
 
 @pytest.mark.parametrize(("is_told", "words"), [(True, "told"), (False, "not told")])
@@ -130,6 +145,113 @@ def test_both_radii_are_told_where_the_log_has_both(is_told: bool, words: str) -
     assert f"reported: localised, {told}" in page
     assert page.count('<circle class="radius"') == page.count('<circle class="absolute"') == 1
     assert '<circle class="absolute"' not in page_of(FLIGHT)
+
+
+ORIGIN: Line = {
+    "t_s": 0.0,
+    "kind": "origin",
+    "latitude_deg": 47.4,
+    "longitude_deg": 8.5,
+    "altitude_m": 488.0,
+    "projection": Projection.SPHERE.value,
+    "offset_enu_m": [0.0, 0.0, 0.0],
+    "scale_en": [1.0, 1.0],
+}
+
+
+def position(t_s: float, east_m: float, north_m: float) -> Line:
+    return {"t_s": t_s, "kind": "position", "position_enu_m": [east_m, north_m, 20.0]}
+
+
+def facts_in(page: str) -> dict[str, str]:
+    """The figures below the heading."""
+    return dict(re.findall("<div><dt>([^<]*)</dt><dd>([^<]*)</dd></div>", page))
+
+
+def test_it_has_date_zone_and_the_place_as_degrees_and_grid() -> None:
+    page = page_of([ORIGIN, *FLIGHT])
+    figures = facts_in(page)
+    assert figures["Begun"] == "2027-01-15 08:00:00 UTC"
+    assert figures["Position"] == "47.4000000, 8.5000000"
+    assert figures["Grid"] == mgrs_text((47.4, 8.5), 0.4)
+    assert "<th>UTC</th>" in page
+    assert "<td>08:00:03</td>" in page
+
+
+def test_an_estimate_that_was_not_reported_has_its_place_on_the_earth_too() -> None:
+    figures = facts_in(page_of([ORIGIN, estimate(1.0, 40.0)]))
+    latitude_deg, longitude_deg = map(float, figures["Position"].split(", "))
+    assert (latitude_deg, longitude_deg) == pytest.approx((47.40018, 8.50013), abs=2e-5)
+    assert len(figures["Grid"].split()[-1]) == 4
+    assert "Position" not in facts_in(page_of([estimate(1.0)]))
+
+
+def test_a_flight_that_never_heard_anything_has_its_track() -> None:
+    flown = [position(float(n), 2.0 * n, 30.0 if n > 5 else 0.0) for n in range(10)]
+    page = page_of([*flown, {"t_s": 9.0, "kind": "link", "accepted": 0, "refused": {}}])
+    assert "the emitter was never heard" in page
+    track = re.search('<polyline class="track" points="([^"]+)"', page)
+    assert track is not None
+    assert len(track.group(1).split()) >= 4
+    assert "red: 95 % ellipses" not in page
+    assert "Position" not in facts_in(page)
+
+
+def test_the_map_lies_on_the_tiles_that_there_are(tmp_path: Path) -> None:
+    lines = [ORIGIN, *FLIGHT]
+    summary = summarize_events(lines)
+    x, y = tile_at((47.4, 8.5), 17)
+    for number, column in enumerate((x, x + 1)):
+        path = tmp_path / "17" / str(column) / f"{y}.png"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(NO_TILE if number == 0 else b"no picture")
+    page = report_page(summary, FACTS, "flight", tmp_path)
+    pictures = re.findall(r'<image href="([^"]+)" x="([-\d.]+)" [^>]*width="([\d.]+)"', page)
+    (url, left, width) = pictures[0]
+    assert len(pictures) == 1
+    assert base64.b64decode(url.removeprefix("data:image/png;base64,")) == NO_TILE
+    tick = re.findall(r'd="M([\d.]+) [\d.]+V[\d.]+"/><text class="tick"[^>]*>(-?\d+)<', page)
+    (first_px, first_m), (second_px, second_m) = tick[:2]
+    scale = (float(second_px) - float(first_px)) / (float(second_m) - float(first_m))
+    tile_m = 2.0 * math.pi * 6_371_000.0 * math.cos(math.radians(47.4)) / 2**17
+    assert float(width) / scale == pytest.approx(tile_m, rel=3e-3)
+    zero_px = float(first_px) - scale * float(first_m)
+    assert float(left) <= zero_px <= float(left) + float(width)
+    for svg in re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL):
+        ET.fromstring(svg)
+    assert "<image" not in report_page(summarize_events(FLIGHT), FACTS, "flight", tmp_path)
+
+
+def bars_of(svg: str) -> tuple[list[float], list[float]]:
+    """Heights of the bars, and of the expected line in each, in pixels."""
+    floor = 220.0 - 28.0
+    bars = re.findall('<polygon class="bar" points="([^"]+)"', svg)
+    heights = [floor - min(float(p.split(",")[1]) for p in bar.split()) for bar in bars]
+    line = re.search('<polyline class="limit" points="([^"]+)"', svg)
+    assert line is not None
+    return heights, [floor - float(p.split(",")[1]) for p in line.group(1).split()[::2]]
+
+
+@pytest.mark.parametrize("sigma_m", [1e-3, 0.3, 3.0])
+def test_a_histogram_and_what_is_expected_of_it_have_one_scale(sigma_m: float) -> None:
+    values = np.random.default_rng(1).normal(0.0, 0.3, 4000).tolist()
+    expected = HuberDistribution(sigma_m, math.inf, math.inf)
+    chart = histogram("Residuals", "", [*values, 900.0, -50.0], expected.cumulative)
+    assert chart is not None
+    bars, line = bars_of(str(chart.svg))
+    assert sum(bars) == pytest.approx(sum(line), rel=0.02)
+    assert sum(bar > 5.0 for bar in bars) > len(bars) / 3 or sigma_m < 0.1
+    assert "the outermost bars have all beyond them (-50 to 900)" in chart.note
+
+
+@pytest.mark.parametrize("thresholds", [(1.5, 0.4), (2.0, math.inf), (math.inf, math.inf)])
+def test_what_the_loss_expects_is_its_own_integral(thresholds: tuple[float, float]) -> None:
+    sigma, steps = 0.7, np.linspace(-40.0, 40.0, 160_001)
+    heights = np.exp([-asymmetric_huber_loss(u, *thresholds) for u in steps])
+    below = np.cumsum(heights) / heights.sum()
+    expected = HuberDistribution(sigma, *thresholds)
+    for at in range(0, len(steps), 4001):
+        assert expected.cumulative(sigma * steps[at]) == pytest.approx(below[at], abs=1e-3)
 
 
 def test_guard_interventions_are_counted() -> None:
