@@ -149,17 +149,21 @@ class OtherCommandHeard(Event):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorRated(Event):
-    """How well the autopilot's estimator agrees with its sensors."""
+    """The autopilot's verdict on its own estimate."""
 
     worst: float
-    """The worst of its test ratios, in units of what its maker calls bad; 1 and more is poor."""
+    """1 and more: its own check would call the estimate poor."""
+    has_position: bool | None = None
+    """It estimates a horizontal position by its status flags; None: it reports no flags."""
 
 
 @dataclass(frozen=True, slots=True)
 class FixReported(Event):
-    """Whether the satellites give a position."""
+    """One GNSS receiver has a 3-D fix, or none."""
 
     has_fix: bool
+    receiver: int = 0
+    """Counted from 0."""
 
 
 class PlaceTeller(Enum):
@@ -189,6 +193,20 @@ class BatteryReported(Event):
     """0 to 100; None: unknown."""
     level: BatteryLevel
     """What the autopilot calls it."""
+
+
+@dataclass(frozen=True, slots=True)
+class TransmitterRated(Event):
+    """The autopilot calls its RC input healthy, or lost; then pulses are not the pilot's."""
+
+    is_healthy: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ThrottleReported(Event):
+    """The throttle that the autopilot commands, 0 to 1."""
+
+    share: float
 
 
 @dataclass(frozen=True, slots=True)

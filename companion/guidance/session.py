@@ -19,7 +19,7 @@ from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance import events
 from companion.guidance.authority.handover import Handover
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.commands import Command, ReportResult
 from companion.guidance.context import SessionContext
 from companion.guidance.control import TICK_S as TICK_S
@@ -126,10 +126,18 @@ class GuidanceSession:
             self._measuring.receive(event.measurement, event.time_s)
         elif isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
             self.context.record("overtaken", what=type(event).__name__)
+        elif isinstance(event, events.LandedStateChanged) and self._doubts_landing(event):
+            self.context.record("landing_doubted", height_m=self.vehicle.height_m)
         else:
             self._note(event)
             self._react(event)
         return self.context.take_commands()
+
+    def _doubts_landing(self, event: events.LandedStateChanged) -> bool:
+        height_m, floor_m = self.vehicle.height_m, self.context.guard.limits.envelope.altitude_min_m
+        if height_m is None or self.phase not in IN_CONTROL:
+            return False
+        return self._watches.landing.doubts(event, height_m, floor_m)
 
     def _note(self, event: events.Event) -> None:
         """What is known of the vehicle and its surroundings after an event."""

@@ -43,8 +43,14 @@ PATIENCE_S: dict[int, tuple[str, float]] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: ("landed state", 3.5),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: ("status", 5.0),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: ("home", 15.0),
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: ("GNSS status", 5.0),
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: ("estimator status", 5.0),
+    MAVLink_ekf_status_report_message.id: ("estimator status", 5.0),
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: ("battery", 10.0),
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: ("transmitter", 5.0),
 }
-"""What is flown on, what to call it, and when it is stale, seconds."""
+"""Streams that control leans on, the word for each, and after how many seconds it is missed: what
+moves the vehicle within ticks, what can only end control within a few of its periods."""
 STAMPED_ONCE = (mavlink.MAVLINK_MSG_ID_HOME_POSITION,)
 """Stamped with when home was set, not with the time of sending: every arrival is progress."""
 
@@ -125,6 +131,8 @@ STREAM_INTERVAL_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 0.2,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_GPS2_RAW: 0.5,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.5,
 }
 """What is flown on; GLOBAL_POSITION_INT is for the flight log, because ground stations replay a
 track only from it."""
@@ -133,8 +141,9 @@ ONLY_FROM = {
     MAVLink_ekf_status_report_message.id: Autopilot.ARDUPILOT,
 }
 """Who else is asked refuses, for ever."""
-ONLY_IF_THERE = (mavlink.MAVLINK_MSG_ID_RC_CHANNELS,)
-"""Never sent without a transmitter: asked for a few times, and again when one is heard."""
+ONLY_IF_THERE = (mavlink.MAVLINK_MSG_ID_RC_CHANNELS, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
+"""Never sent without a transmitter or a second receiver: asked for a few times, and again when a
+transmitter is heard."""
 MOST_ASKS = 5
 ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 """Asked for by REQUEST_MESSAGE until they arrive: what is only sent when it changes."""

@@ -1,117 +1,32 @@
 """The autopilot's messages to events: NED to ENU, stamps to local time, sentinels to None.
 
-Source: MAVLink common, messages 24 (accuracies are one sigma, 0 is unknown), 65, 85, 147, 230;
-ardupilotmega, EKF_STATUS_REPORT. ArduPilot calls a variance of 0.8 bad (FS_EKF_THRESH), PX4 a test
-ratio of 1.
+Source: MAVLink common, messages 0, 1, 30, 32, 33, 49, 85, 242, 245.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
-from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState, VehicleState
+from companion.domain import Autopilot, FlightMode, LandedState, VehicleState
 from companion.geometry.coordinates import LocalOrigin, enu_from_ned
 from companion.guidance.events import (
     AutopilotClockSlipped,
     AutopilotRestarted,
-    BatteryReported,
-    EstimatorRated,
     Event,
-    FixReported,
     HeartbeatReceived,
     HomeSet,
     LandedStateChanged,
     OriginSet,
-    OwnPlaceRated,
-    PlaceTeller,
-    SetpointEchoed,
-    SticksReported,
     VehicleMoved,
     YawMeasured,
 )
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.conversion.geodesy_fit import GeodesyFit
+from companion.link.conversion.health_reports import HealthReports
 from companion.link.conversion.sender_clock import ClockStep, VehicleClock
-from companion.mav import dialect
-from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
+from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import autopilot_of, mode_of, other_mode_name
-
-BAD_RATIO = 1.0
-BAD_VARIANCE = 0.8
-FIXES = range(mavlink.GPS_FIX_TYPE_3D_FIX, mavlink.GPS_FIX_TYPE_PPP + 1)
-NO_FIXES = range(mavlink.GPS_FIX_TYPE_NO_GPS, mavlink.GPS_FIX_TYPE_3D_FIX)
-LEVELS: dict[int, BatteryLevel] = {
-    mavlink.MAV_BATTERY_CHARGE_STATE_OK: BatteryLevel.GOOD,
-    mavlink.MAV_BATTERY_CHARGE_STATE_LOW: BatteryLevel.LOW,
-    mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL: BatteryLevel.CRITICAL,
-    mavlink.MAV_BATTERY_CHARGE_STATE_EMERGENCY: BatteryLevel.CRITICAL,
-    mavlink.MAV_BATTERY_CHARGE_STATE_FAILED: BatteryLevel.CRITICAL,
-}
-FIRST_BATTERY = 0
-MAX_COORDINATE_M = 1e6
-"""A target farther from the origin is no place."""
-CENTRE_US, HALF_TRAVEL_US = 1500.0, 500.0
-PULSES_US = range(800, 2201)
-"""Anything else is no position of a stick."""
-
-
-def _echo(
-    message: mavlink.MAVLink_position_target_local_ned_message, now_s: float
-) -> SetpointEchoed | None:
-    """The target; one in another frame says nothing that could be compared."""
-    if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
-        return None
-    place = (message.x, message.y, message.z)
-    is_position = not message.type_mask & dialect.POSITION_IGNORE
-    if any(abs(v) > MAX_COORDINATE_M for v in place):
-        return None
-    if is_position and all(map(math.isfinite, place)):
-        return SetpointEchoed(now_s, enu_from_ned(place))
-    return SetpointEchoed(now_s, None)
-
-
-def _rating(values: Iterable[float], bad: float, now_s: float) -> EstimatorRated | None:
-    known = [value for value in values if math.isfinite(value)]
-    return EstimatorRated(now_s, max(known) / bad) if known else None
-
-
-def _percent(value: int) -> float | None:
-    return float(value) if 0 <= value <= 100 else None
-
-
-def _sticks(message: mavlink.MAVLink_rc_channels_message, now_s: float) -> SticksReported | None:
-    pulses = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
-    if not all(pulse in PULSES_US for pulse in pulses):
-        return None
-    return SticksReported(now_s, tuple((p - CENTRE_US) / HALF_TRAVEL_US for p in pulses))
-
-
-UINT32_MAX = 0xFFFF_FFFF
-BEST_SIGMA_M, WORST_SIGMA_M = 0.01, 1000.0
-"""No receiver knows better, and beyond the other one it knows nothing worth telling apart."""
-
-
-def _place_rated(message: Message, now_s: float) -> list[Event]:
-    """The accuracy of the own place that a message tells, or that its sender does not know it."""
-    match message:
-        case mavlink.MAVLink_gps_raw_int_message():
-            told_mm = (message.h_acc, message.v_acc) if message.fix_type in FIXES else (0, 0)
-            known = (math.nan if mm == UINT32_MAX else mm / 1000.0 for mm in told_mm)
-            return [OwnPlaceRated(now_s, PlaceTeller.RECEIVER, *map(_sigma_m, known))]
-        case mavlink.MAVLink_estimator_status_message():
-            told_m = (message.pos_horiz_accuracy, message.pos_vert_accuracy)
-            return [OwnPlaceRated(now_s, PlaceTeller.ESTIMATOR, *map(_sigma_m, told_m))]
-    return []
-
-
-def _sigma_m(told_m: float) -> float | None:
-    """A standard deviation that may be true; None for 0 and less, NaN and infinity."""
-    if not 0.0 < told_m < math.inf:
-        return None
-    return min(max(told_m, BEST_SIGMA_M), WORST_SIGMA_M)
-
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 FAILSAFE_STATES = (
@@ -153,7 +68,6 @@ UNREAD = frozenset(
         mavlink.MAVLINK_MSG_ID_SCALED_IMU2,
         mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE,
         mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,
-        mavlink.MAVLINK_MSG_ID_VFR_HUD,
         mavlink.MAVLINK_MSG_ID_VIBRATION,
     }
 )
@@ -182,8 +96,7 @@ class VehicleInbound:
         """The origin when it moved last, and every local position with it ..."""
         self._frame_begun: tuple[int, float] | None = None
         """... and where in that order, and when, that was told."""
-        self._has_battery_status = False
-        """Which tells the charge better than SYS_STATUS does."""
+        self._health = HealthReports()
         return AutopilotRestarted(now_s)
 
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
@@ -219,35 +132,7 @@ class VehicleInbound:
             case mavlink.MAVLink_timesync_message() if self.clock.sync.take_restart():
                 self.clock.restart()
                 return [self._restart(now_s)]
-        event = self._health_event(message, now_s)
-        return [*([] if event is None else [event]), *_place_rated(message, now_s)]
-
-    def _health_event(self, message: Message, now_s: float) -> Event | None:
-        """What a message says of health and control; None for what nobody knows."""
-        match message:
-            case mavlink.MAVLink_position_target_local_ned_message():
-                return _echo(message, now_s)
-            case mavlink.MAVLink_estimator_status_message():
-                m = message
-                ratios = (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
-                return _rating(ratios, BAD_RATIO, now_s)
-            case MAVLink_ekf_status_report_message():
-                r = message
-                variances = (r.velocity_variance, r.pos_horiz_variance, r.pos_vert_variance)
-                return _rating((*variances, r.compass_variance), BAD_VARIANCE, now_s)
-            case mavlink.MAVLink_gps_raw_int_message():
-                is_known = message.fix_type in FIXES or message.fix_type in NO_FIXES
-                return FixReported(now_s, message.fix_type in FIXES) if is_known else None
-            case mavlink.MAVLink_battery_status_message() if message.id == FIRST_BATTERY:
-                self._has_battery_status = True
-                level = LEVELS.get(message.charge_state, BatteryLevel.UNKNOWN)
-                return BatteryReported(now_s, _percent(message.battery_remaining), level)
-            case mavlink.MAVLink_sys_status_message() if not self._has_battery_status:
-                charge_pct = _percent(message.battery_remaining)
-                return BatteryReported(now_s, charge_pct, BatteryLevel.UNKNOWN)
-            case mavlink.MAVLink_rc_channels_message():
-                return _sticks(message, now_s)
-        return None
+        return list(self._health.events(message, now_s))
 
     def _note_order(self, message: Message, number: int, now_s: float) -> bool:
         """Note a message's place in the order; whether a newer one of its kind came before.

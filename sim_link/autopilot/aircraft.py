@@ -178,6 +178,9 @@ class Aircraft:
         body: What restarts where it is; None: a new one, at the scenario's start.
     """
 
+    landed_until_s = -math.inf
+    """Until then the land detector reports the ground, wherever the vehicle is."""
+
     def __init__(
         self,
         scenario: Scenario,

@@ -153,6 +153,12 @@ def sticks_from(message: mavlink.MAVLink_manual_control_message) -> Sticks:
     return Sticks(forward, right, up, yaw)
 
 
+def sticks_at(pulses: tuple[float, float, float, float]) -> Sticks:
+    """Return the deflections of roll, pitch, throttle and yaw pulses, -1 to 1."""
+    roll, pitch, throttle, yaw = pulses
+    return Sticks(-pitch, roll, throttle, yaw)
+
+
 class StickInput:
     """Whoever holds the sticks now."""
 
@@ -164,6 +170,7 @@ class StickInput:
         self._moved: Sticks = CENTRED
         self._moved_until_s = -math.inf
         self._lost_until_s = -math.inf
+        self._lost_pulses: Sticks | None = None
 
     def take_joystick(self, sticks: Sticks, now_s: float) -> None:
         """Deflections from MANUAL_CONTROL or RC_CHANNELS_OVERRIDE."""
@@ -174,13 +181,21 @@ class StickInput:
         """The pilot holds the transmitter's sticks like this for some time."""
         self._moved, self._moved_until_s = sticks, until_s
 
-    def lose(self, until_s: float) -> None:
-        """The transmitter is not heard for some time."""
-        self._lost_until_s = until_s
+    def lose(self, until_s: float, pulses: Sticks | None = None) -> None:
+        """The transmitter is not heard for some time; its receiver may output a failsafe position.
+
+        The autopilot never takes these pulses for the pilot's, but it reports them.
+        """
+        self._lost_until_s, self._lost_pulses = until_s, pulses
 
     def is_joystick_alive(self, now_s: float) -> bool:
         """Whether a station's joystick still reports."""
         return self._joystick_s is not None and now_s - self._joystick_s < JOYSTICK_TIMEOUT_S
+
+    def pulses(self, now_s: float) -> Sticks | None:
+        """Return what RC_CHANNELS reports: the sticks, or the failsafe position of a receiver."""
+        held = self.read(now_s)
+        return self._lost_pulses if held is None and now_s < self._lost_until_s else held
 
     def read(self, now_s: float) -> Sticks | None:
         """The deflections, or None if nobody holds any sticks."""

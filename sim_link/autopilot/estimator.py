@@ -19,6 +19,7 @@ import numpy as np
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin, wrap_pi
+from sim_link.autopilot.incidents import EstimatorVote
 from sim_link.autopilot.navigation import FixName, NavigationError, NavigationParams
 from sim_link.autopilot.scenario import GpsParams
 
@@ -67,7 +68,9 @@ class Estimator:
         self._heading_rad = 0.0
         self._lost_s: float | None = None
         self._lost_until_s: float | None = None
+        self._receivers_lost_until_s = [-math.inf] * gps.receivers
         self._poor_ratio = 0.0
+        self._poor_of: EstimatorVote = "all"
         self._poor_until_s = -math.inf
         self._now_s = 0.0
 
@@ -103,19 +106,32 @@ class Estimator:
         """The reported position about the EKF origin."""
         return self.local_from_world(self.reported_enu_m)
 
-    @property
-    def test_ratio(self) -> float:
-        """How far measurements contradict the estimate: PX4's test ratio, ArduPilot's variance."""
+    def test_ratio(self, of: EstimatorVote) -> float:
+        """Return how far a measurement contradicts: PX4's test ratio, ArduPilot's variance."""
         ratio = GOOD_RATIO if self.has_fix else BLIND_RATIO
-        return max(ratio, self._poor_ratio) if self._now_s < self._poor_until_s else ratio
+        if of == "compass":
+            ratio = GOOD_RATIO
+        is_poor = self._now_s < self._poor_until_s and self._poor_of in (of, "all")
+        return max(ratio, self._poor_ratio) if is_poor else ratio
 
-    def lose_fix(self, until_s: float) -> None:
-        """No satellite is seen for some time."""
-        self._lost_until_s = until_s
+    def receiver_has_fix(self, receiver: int) -> bool | None:
+        """Return True if a GNSS receiver, counted from 0, has a fix; None if it is not fitted."""
+        if receiver >= len(self._receivers_lost_until_s):
+            return None
+        return self.has_fix and self._now_s >= self._receivers_lost_until_s[receiver]
 
-    def spoil(self, ratio: float, until_s: float) -> None:
-        """Measurements contradict the estimate for some time."""
-        self._poor_ratio, self._poor_until_s = ratio, until_s
+    def lose_fix(self, until_s: float, receiver: int | None = None) -> None:
+        """Let one receiver see no satellite until a time, or all of them (None)."""
+        lost_until_s = self._receivers_lost_until_s
+        for number in range(len(lost_until_s)):
+            if receiver in (None, number):
+                lost_until_s[number] = until_s
+        if min(lost_until_s) >= until_s:
+            self._lost_until_s = until_s
+
+    def spoil(self, ratio: float, until_s: float, of: EstimatorVote = "all") -> None:
+        """Let measurements contradict the estimate until a time."""
+        self._poor_ratio, self._poor_until_s, self._poor_of = ratio, until_s, of
 
     def jump(self, offset_enu_m: PositionEnu, yaw_rad: float) -> None:
         """A reset: from now on it believes this much more."""

@@ -9,7 +9,7 @@ start, and its duration means nothing.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -21,6 +21,7 @@ Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 ClockPace = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 ClockStep = Annotated[float, msgspec.Meta(ge=-3600.0, le=3600.0)]
 StallLength = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
+EstimatorVote = Literal["all", "velocity", "position", "height", "compass"]
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 
 
@@ -72,11 +73,17 @@ class PilotSticks(IncidentRecord, frozen=True, tag="pilot_sticks"):
 
 
 class RcLoss(IncidentRecord, frozen=True, tag="rc_loss"):
-    """The transmitter is not heard."""
+    """The transmitter is not heard, and the autopilot knows."""
+
+    pulses: tuple[Deflection, Deflection, Deflection, Deflection] | None = None
+    """Failsafe position that the receiver outputs: roll, pitch, throttle, yaw; None: no pulses."""
 
 
 class GpsLoss(IncidentRecord, frozen=True, tag="gps_loss"):
-    """No satellite is seen; the estimate wanders off, and ends being used after a while."""
+    """No satellite is seen; without any the estimate wanders off, and ends being used."""
+
+    receiver: Literal["all", "first", "second"] = "all"
+    """Of those that `gps.receivers` has."""
 
 
 class EkfPoor(IncidentRecord, frozen=True, tag="ekf_poor"):
@@ -84,6 +91,12 @@ class EkfPoor(IncidentRecord, frozen=True, tag="ekf_poor"):
 
     ratio: Positive = 1.5
     """PX4's innovation test ratios, ArduPilot's variances; both doubt from 0.8 or 1 on."""
+    of: EstimatorVote = "all"
+    """The measurement that contradicts."""
+
+
+class FalseLanding(IncidentRecord, frozen=True, tag="false_landing"):
+    """The land detector reports the ground while the vehicle flies."""
 
 
 class EkfJump(IncidentRecord, frozen=True, tag="ekf_jump"):
@@ -195,6 +208,7 @@ Incident = (
     | RcLoss
     | GpsLoss
     | EkfPoor
+    | FalseLanding
     | EkfJump
     | OriginShift
     | BatteryCharge

@@ -135,7 +135,7 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
 
     Accuracies, one sigma in millimetres, are 0 (unknown) where the navigation has no error.
     """
-    if not vehicle.estimator.has_fix:
+    if not vehicle.estimator.receiver_has_fix(0):
         return (boot_us(vehicle), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, *[UINT16_MAX] * 4, 0)
     v_east, v_north, _ = vehicle.body.velocity_enu_mps
     speed, course = to_int16(1e2 * math.hypot(v_east, v_north)), math.atan2(v_east, v_north)
@@ -144,6 +144,18 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
     told = vehicle.estimator.told_accuracy_m or (0.0, 0.0)
     h_acc_mm, v_acc_mm = (round(1e3 * accuracy_m) for accuracy_m in told)
     return (boot_us(vehicle), fix, *place, 90, 120, *motion, 14, 0, h_acc_mm, v_acc_mm)
+
+
+def gps2_raw(vehicle: SimVehicle) -> Fields | None:
+    """The second receiver, which sees what the first one does; None where it is not fitted."""
+    has_fix = vehicle.estimator.receiver_has_fix(1)
+    if has_fix is None:
+        return None
+    dgps = (0, 0)  # satellites of the differential correction, and its age
+    if not has_fix:
+        return (boot_us(vehicle), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, *[UINT16_MAX] * 4, 0, *dgps)
+    place, fix = to_e7(vehicle.geodetic), FIX_TYPES[vehicle.estimator.fix]
+    return (boot_us(vehicle), fix, *place, 90, 120, UINT16_MAX, UINT16_MAX, 14, *dgps)
 
 
 def altitude(vehicle: SimVehicle) -> Fields:

@@ -102,6 +102,8 @@ class GpsParams(Params, frozen=True):
     """How fast the estimate wanders off without a fix."""
     valid_without_fix_s: NonNegative = 5.0
     """How long the estimate is used without a fix."""
+    receivers: Literal[1, 2] = 1
+    """GNSS receivers; the second one reports by GPS2_RAW."""
 
 
 class FenceParams(Params, frozen=True):

@@ -163,21 +163,22 @@ def mission_current(vehicle: SimVehicle) -> Fields:
 def estimator_status(vehicle: SimVehicle) -> Fields:
     """PX4's."""
     is_good, ratio = vehicle.estimator.is_position_valid, vehicle.estimator.test_ratio
+    ratios = (ratio("velocity"), ratio("position"), ratio("height"), ratio("compass"))
     flags = GOOD_ESTIMATE if is_good else BLIND_ESTIMATE
     told = vehicle.estimator.told_accuracy_m or (0.3, 0.4)
     accuracy = (told[0] if is_good else 50.0, told[1])
-    return (boot_us(vehicle), flags, ratio, ratio, ratio, 0.05, 0.0, 0.0, *accuracy)
+    return (boot_us(vehicle), flags, *ratios, 0.0, 0.0, *accuracy)
 
 
 def ekf_status_report(vehicle: SimVehicle) -> Fields:
     """ArduPilot's."""
-    _, flags, *ratios = estimator_status(vehicle)
-    return (flags, *ratios[:6])
+    _, flags, velocity, position, height, compass, *_ = estimator_status(vehicle)
+    return (flags, velocity, position, height, compass, 0.0)
 
 
 def rc_channels(vehicle: SimVehicle) -> Fields | None:
-    """Roll, pitch, throttle and yaw; None while nobody holds any sticks."""
-    sticks = vehicle.sticks.read(vehicle.time_s)
+    """Roll, pitch, throttle and yaw; None without a transmitter or pulses of its receiver."""
+    sticks = vehicle.sticks.pulses(vehicle.time_s)
     if sticks is None:
         return None
     deflections = (sticks.right, -sticks.forward, sticks.up, sticks.yaw)
@@ -210,7 +211,7 @@ _BUILDERS: tuple[Builder, ...] = (
     *(motion.position_target_local_ned, motion.position_target_global_int),
     *(motion.attitude_target, motion.highres_imu, motion.servo_output_raw, motion.raw_imu),
     *(motion.scaled_pressure, motion.power_status, motion.vibration, motion.distance_sensor),
-    *(motion.gps_raw_int, motion.scaled_imu2, motion.terrain_report, fence_status),
+    *(motion.gps_raw_int, motion.gps2_raw, motion.scaled_imu2, motion.terrain_report, fence_status),
 )
 """Each named as its message."""
 _CLASSES = {getattr(mavlink, f"MAVLink_{build.__name__}_message"): build for build in _BUILDERS} | {

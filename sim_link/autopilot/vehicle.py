@@ -15,7 +15,7 @@ import numpy as np
 from companion.domain import FlightMode, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
-from sim_link.autopilot.control_inputs import Sticks
+from sim_link.autopilot.control_inputs import StickInput, Sticks, sticks_at
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import ardupilot_parameters
 from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
@@ -28,6 +28,7 @@ from sim_link.autopilot.incidents import (
     ClockSlip,
     EkfJump,
     EkfPoor,
+    FalseLanding,
     GpsLoss,
     Incident,
     IncidentRecord,
@@ -134,11 +135,10 @@ def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float
     match incident:
         case PilotMode():
             vehicle.flavour.pilot_chooses(incident.mode, now_s)
-        case PilotSticks():
-            sticks = Sticks(incident.forward, incident.right, incident.up, incident.yaw)
-            aircraft.sticks.move(sticks, now_s + incident.duration_s)
-        case RcLoss():
-            aircraft.sticks.lose(now_s + incident.duration_s)
+        case PilotSticks() | RcLoss():
+            _apply_to_sticks(incident, aircraft.sticks, now_s)
+        case FalseLanding():
+            aircraft.landed_until_s = now_s + incident.duration_s
         case GpsLoss() | EkfPoor() | EkfJump():
             _apply_to_estimator(incident, aircraft.estimator, now_s)
         case ClockRate():
@@ -157,14 +157,23 @@ def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float
     vehicle.flavour.note(now_s, f"incident: {incident.__struct_config__.tag}")
 
 
+def _apply_to_sticks(incident: PilotSticks | RcLoss, input_: StickInput, now_s: float) -> None:
+    until_s = now_s + incident.duration_s
+    if isinstance(incident, RcLoss):
+        input_.lose(until_s, None if incident.pulses is None else sticks_at(incident.pulses))
+        return
+    input_.move(Sticks(incident.forward, incident.right, incident.up, incident.yaw), until_s)
+
+
 def _apply_to_estimator(
     incident: GpsLoss | EkfPoor | EkfJump, estimator: Estimator, now_s: float
 ) -> None:
     match incident:
         case GpsLoss():
-            estimator.lose_fix(now_s + incident.duration_s)
+            receiver = {"all": None, "first": 0, "second": 1}[incident.receiver]
+            estimator.lose_fix(now_s + incident.duration_s, receiver)
         case EkfPoor():
-            estimator.spoil(incident.ratio, now_s + incident.duration_s)
+            estimator.spoil(incident.ratio, now_s + incident.duration_s, incident.of)
         case EkfJump():
             offset = (incident.east_m, incident.north_m, incident.up_m)
             estimator.jump(offset, math.radians(incident.yaw_deg))

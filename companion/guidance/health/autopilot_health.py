@@ -8,15 +8,25 @@ only once in a flight: who takes it again after that knows, and it then stays wh
 
 An autopilot that doubts its position flies our setpoints to the wrong place, and the ranging is
 placed wrongly too. So the vehicle stays where it is as soon as that is known, and is handed back
-when it lasts. A failsafe that is raised in flight while the mode stays ours has a cause that we do
-not see: it is held on, unless a low battery explains it.
+when it lasts. The estimator's verdict decides, not one part of it: a receiver that loses its fix
+while another one has one changes nothing. Where all of them lost it, an estimator that still has a
+position after the time that autopilots dead-reckon for has another source, and the plan is flown
+on, slower.
+
+"Landed" in our mode and in our altitude band is doubted: the vehicle holds, for as long as its
+throttle does not confirm it.
+
+A failsafe that is raised in flight while the mode stays ours has a cause that we do not see: it is
+held on, unless a low battery explains it.
 
 Source: PX4 user guide, "ECL/EKF"; ArduPilot `ekf_check.cpp`, FS_EKF_THRESH 0.8.
 """
 
 from __future__ import annotations
 
-from companion.domain import BatteryLevel, FlightMode
+import math
+
+from companion.domain import BatteryLevel, FlightMode, LandedState
 from companion.guidance import events
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 
@@ -148,6 +158,13 @@ class _Trouble:
         return self._good_s is not None and now_s - self._good_s >= GOOD_S
 
 
+DEAD_RECKONING_S = 10.0
+"""Without GNSS the autopilots use a position for as long at the most: PX4 EKF2_NOAID_TOUT 5 s,
+ArduPilot EKF3 posRetryTimeUseVel_ms 10 s."""
+VERDICT_S = 3.0
+"""An older verdict of the estimator says nothing."""
+
+
 class HealthWatch(Watch):
     """Watches what the autopilot tells of itself; a low battery explains a failsafe."""
 
@@ -155,7 +172,11 @@ class HealthWatch(Watch):
         self._battery = battery
         self._doubt = _Trouble()
         self._no_fix = _Trouble()
-        self._had_fix = False
+        self._no_position = _Trouble()
+        self._receivers: dict[int, bool] = {}
+        """Which GNSS receivers have a fix, of those that had one before."""
+        self._vouched_s = -math.inf
+        """When the estimator last reported a position that it does not doubt."""
         self._is_failsafe = False
         self._accepted_failsafe = False
         """The failsafe was there when control was given: whoever gave it knows."""
@@ -165,16 +186,23 @@ class HealthWatch(Watch):
         match event:
             case events.EstimatorRated():
                 self._doubt.note(event.worst >= 1.0, event.time_s)
+                self._no_position.note(event.has_position is False, event.time_s)
+                if event.has_position and event.worst < 1.0:
+                    self._vouched_s = event.time_s
             case events.FixReported():
-                self._had_fix = self._had_fix or event.has_fix
-                self._no_fix.note(self._had_fix and not event.has_fix, event.time_s)
+                if event.has_fix or event.receiver in self._receivers:
+                    self._receivers[event.receiver] = event.has_fix
+                    self._no_fix.note(not any(self._receivers.values()), event.time_s)
             case events.HeartbeatReceived():
                 self._is_failsafe = event.is_failsafe
                 self._accepted_failsafe = self._accepted_failsafe and event.is_failsafe
             case events.AutopilotRestarted():
                 self._doubt.clear()
                 self._no_fix.clear()
-                self._had_fix = self._is_failsafe = self._accepted_failsafe = False
+                self._no_position.clear()
+                self._receivers.clear()
+                self._vouched_s = -math.inf
+                self._is_failsafe = self._accepted_failsafe = False
 
     def begin(self, now_s: float) -> None:
         """Control begins."""
@@ -189,9 +217,12 @@ class HealthWatch(Watch):
         """All that is wrong now."""
         found = []
         doubt_s, no_fix_s = self._doubt.lasted_s(now_s), self._no_fix.lasted_s(now_s)
+        no_position_s = self._no_position.lasted_s(now_s)
+        if no_position_s is not None:
+            text = "autopilot's estimator has no position"
+            found.append(_finding(Reason.ESTIMATOR_POOR, text, no_position_s))
         if no_fix_s is not None:
-            text = "autopilot lost GNSS fix"
-            found.append(_finding(Reason.NO_FIX, text, no_fix_s))
+            found.append(self._without_fix(no_fix_s, now_s))
         if doubt_s is not None and doubt_s >= DOUBT_S:
             text = "autopilot's position estimate is poor"
             found.append(_finding(Reason.ESTIMATOR_POOR, text, doubt_s))
@@ -199,6 +230,65 @@ class HealthWatch(Watch):
             text = "autopilot failsafe active"
             found.append(Finding(Verdict.HOLD, Reason.FAILSAFE, text))
         return found
+
+    def _without_fix(self, lasted_s: float, now_s: float) -> Finding:
+        """Return what a lost fix asks for, by the estimator's verdict."""
+        text = "autopilot lost GNSS fix"
+        if now_s - self._vouched_s > VERDICT_S:
+            return _finding(Reason.NO_FIX, text, lasted_s)
+        if lasted_s <= DEAD_RECKONING_S:
+            return Finding(Verdict.HOLD, Reason.NO_FIX, text)
+        text = "no GNSS fix, but the autopilot's estimator has a position"
+        return Finding(Verdict.SLOW, Reason.NO_FIX, text)
+
+
+IDLE_THROTTLE = 0.15
+"""On the ground autopilots command at most this: ArduPilot MOT_SPIN_MIN 0.15, PX4 MPC_THR_MIN
+0.12."""
+THROTTLE_S = 2.0
+"""An older throttle says nothing."""
+
+
+class LandingWatch(Watch):
+    """Doubts a landing that is reported in our mode and altitude band without an idle throttle."""
+
+    def __init__(self) -> None:
+        self._throttle: events.ThrottleReported | None = None
+        self._is_doubted = False
+        self._height_m = 0.0
+
+    def doubts(self, event: events.LandedStateChanged, height_m: float, floor_m: float) -> bool:
+        """Return True if a landing is doubted at a height above home; `floor_m` is the band's."""
+        is_high = event.landed is LandedState.ON_GROUND and height_m >= floor_m
+        self._is_doubted = is_high and not self._is_idle(event.time_s)
+        self._height_m = height_m
+        return self._is_doubted
+
+    def handle(self, event: events.Event) -> None:
+        """Take in the throttle; a restart of the autopilot ends every doubt."""
+        match event:
+            case events.ThrottleReported():
+                self._throttle = event
+            case events.AutopilotRestarted():
+                self._throttle, self._is_doubted = None, False
+
+    def begin(self, now_s: float) -> None:
+        """Begin control without doubts of before."""
+        del now_s
+        self._is_doubted = False
+
+    def finding(self, now_s: float) -> Finding | None:
+        """Return a hold while the autopilot reports a landing that is doubted."""
+        del now_s
+        if not self._is_doubted:
+            return None
+        text = f"autopilot reports landed at {self._height_m:.0f} m: take over if it descends"
+        return Finding(Verdict.HOLD, Reason.LANDED_DOUBTED, text)
+
+    def _is_idle(self, now_s: float) -> bool:
+        throttle = self._throttle
+        is_fresh = throttle is not None and now_s - throttle.time_s <= THROTTLE_S
+        return throttle is not None and is_fresh and throttle.share <= IDLE_THROTTLE
 
 
 def _finding(reason: Reason, text: str, lasted_s: float) -> Finding:

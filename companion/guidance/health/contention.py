@@ -23,7 +23,9 @@ PX4 ignores the sticks in offboard unless COM_RC_OVERRIDE says otherwise, and Ar
 GUIDED, so a pilot who grabs them flies nothing until somebody switches the mode. We take it as a
 wish: stay at once, and give way if the sticks stay moved. A stick is moved if it is neither in the
 middle nor where it was when control began: a throttle without a spring rests anywhere, and whoever
-let go of the others after the mode switch did not move them.
+let go of the others after the mode switch did not move them. Pulses are the pilot's only while the
+autopilot calls its RC input healthy: a receiver that lost its transmitter goes to a failsafe
+position, and when it is heard again the sticks rest where they are then.
 
 Source: MAVLink common, RC_CHANNELS; PX4 COM_RC_STICK_OV (30 %).
 """
@@ -208,6 +210,8 @@ THROTTLE = 2
 """Its channel, counted from 0; ArduPilot RCMAP_THROTTLE 3."""
 STALE_S = 1.0
 """An older report says nothing: there is no transmitter."""
+RATING_S = 3.0
+"""So long a move waits for the autopilot's word on its RC input, which comes once a second."""
 
 
 class StickWatch(Watch):
@@ -219,6 +223,9 @@ class StickWatch(Watch):
         self._rest: tuple[float, ...] | None = None
         self._moved_s: float | None = None
         self._seen_moved_s: float | None = None
+        self._rated: events.TransmitterRated | None = None
+        self._rest_is_next = False
+        """The transmitter is heard again: the next report shows where its sticks rest."""
 
     def begin(self, now_s: float) -> None:
         """Control begins: the sticks rest where they are."""
@@ -228,10 +235,14 @@ class StickWatch(Watch):
         self._moved_s = self._seen_moved_s = None
 
     def handle(self, event: events.Event) -> None:
-        """Take in where they are."""
-        if not isinstance(event, events.SticksReported):
+        """Take in where they are, and if the autopilot hears the transmitter."""
+        if isinstance(event, events.TransmitterRated):
+            self._note_rating(event)
+        if not isinstance(event, events.SticksReported) or self._is_lost:
             return
         self._latest = event
+        if self._rest_is_next:
+            self._rest, self._rest_is_next = event.deflections, False
         if self._rest is None:
             throttle = event.deflections[THROTTLE]
             self._rest = tuple(
@@ -258,8 +269,27 @@ class StickWatch(Watch):
         if moved_s is None:
             is_held = now_s - seen_s < RELEASED_S
             return _finding(Verdict.HOLD) if is_held else None
-        is_wish = seen_s - moved_s >= GIVE_WAY_S and self._reaction == "yield"
+        is_wish = self._reaction == "yield" and seen_s - moved_s >= GIVE_WAY_S
+        is_wish = is_wish and self._is_pilots(moved_s, now_s)
         return _finding(Verdict.GIVE_WAY if is_wish else Verdict.HOLD)
+
+    @property
+    def _is_lost(self) -> bool:
+        return self._rated is not None and not self._rated.is_healthy
+
+    def _note_rating(self, event: events.TransmitterRated) -> None:
+        """Forget what pulses of a lost transmitter showed; back again, it rests anywhere."""
+        was_lost, self._rated = self._is_lost, event
+        if self._is_lost:
+            self._latest = self._moved_s = self._seen_moved_s = None
+        elif was_lost:
+            self._rest = None
+            self._rest_is_next = True
+
+    def _is_pilots(self, moved_s: float, now_s: float) -> bool:
+        """Return True once a rating after the move calls the RC input healthy, or none comes."""
+        rated = self._rated
+        return rated is None or rated.time_s > moved_s or now_s - moved_s > RATING_S
 
     @staticmethod
     def _are_moved(event: events.SticksReported, rest: tuple[float, ...]) -> bool:

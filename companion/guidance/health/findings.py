@@ -60,6 +60,7 @@ class Reason(Enum):
     ESTIMATOR_POOR = "autopilot doubts its position"
     NO_FIX = "satellites lost"
     FAILSAFE = "autopilot reports a failsafe"
+    LANDED_DOUBTED = "autopilot reports landed in flight"
     BATTERY_CRITICAL = "battery critical"
     INTERNAL_ERROR = "internal error"
 

@@ -18,7 +18,7 @@ from companion.guidance import events
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
-from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
+from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch, LandingWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
 from companion.guidance.health.fence_watch import FenceWatch
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
@@ -211,6 +211,7 @@ class Watches:
         self._context = context
         self.echo = EchoWatch()
         self._sticks = StickWatch(params.on_sticks)
+        self.landing = LandingWatch()
         self._for_launch = (
             self._sticks,
             self.battery,
@@ -222,6 +223,7 @@ class Watches:
             self.echo,
             self.operator,
             *self._for_launch,
+            self.landing,
             self.jumps,
             FenceWatch(context),
             context.passing,

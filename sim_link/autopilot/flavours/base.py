@@ -306,7 +306,7 @@ class AutopilotFlavour(ABC):
     @property
     def landed_state(self) -> LandedState:
         """EXTENDED_SYS_STATE.landed_state."""
-        if self.aircraft.body.is_on_ground:
+        if self.aircraft.body.is_on_ground or self.aircraft.time_s < self.aircraft.landed_until_s:
             return LandedState.ON_GROUND
         match self.task:
             case Task.TAKE_OFF:

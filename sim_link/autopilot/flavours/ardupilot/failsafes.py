@@ -3,8 +3,8 @@
 A failsafe changes the mode once, on entering, and nothing changes it back.
 
 Source: ArduPilot documentation, "Failsafe Functions", "EKF Failsafe", "Simple GeoFence";
-`ArduCopter/ekf_check.cpp`; parameters FS_THR_ENABLE, FS_GCS_ENABLE, FS_EKF_ACTION, BATT_FS_LOW_ACT,
-FENCE_ACTION.
+`ArduCopter/ekf_check.cpp`; parameters FS_THR_ENABLE, FS_GCS_ENABLE, FS_OPTIONS, FS_EKF_ACTION,
+BATT_FS_LOW_ACT, FENCE_ACTION.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from sim_link.autopilot.aircraft import CELLS, Aircraft
 from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     ALT_HOLD,
     BRAKE,
+    GUIDED,
     LAND,
     RTL,
     SMART_RTL,
@@ -37,6 +38,9 @@ TERMINATE = 5
 """Of BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 EVEN_WITHOUT_POSITION = 3
 """Of FS_EKF_ACTION: also where no position is needed."""
+CONTINUE_IN_GUIDED = 4
+"""Bit of FS_OPTIONS: GUIDED goes on without the transmitter."""
+TWO_VOTES = 2
 EKF_PATIENCE_S = 1.0
 """How long the estimate must be bad, and as long good again."""
 ROUNDING_S = 1e-6
@@ -88,6 +92,8 @@ class CopterFailsafes:
             yield self._told(STATION, station)
         has_sticks = self._aircraft.sticks.read(now_s) is not None
         self._had_sticks = self._had_sticks or has_sticks
+        if mode is GUIDED and int(self._parameters["FS_OPTIONS"]) & CONTINUE_IN_GUIDED:
+            sticks = None
         if self._changes(STICKS, self._had_sticks and not has_sticks and sticks is not None):
             yield self._told(STICKS, sticks)
         yield from self._watch_battery()
@@ -109,7 +115,7 @@ class CopterFailsafes:
     def _watch_estimate(self, mode: CopterMode) -> Iterator[FailsafeEvent]:
         """A failsafe only where the mode needs the position, or FS_EKF_ACTION says so."""
         estimator, value = self._aircraft.estimator, self._parameters
-        is_bad = estimator.test_ratio >= value["FS_EKF_THRESH"] or not estimator.is_position_valid
+        is_bad = not estimator.is_position_valid or self._is_outvoted()
         change_s = STEP_S if is_bad else -STEP_S
         self._bad_estimate_s = min(EKF_PATIENCE_S, max(0.0, self._bad_estimate_s + change_s))
         limit_s = ROUNDING_S if EKF in self.active else EKF_PATIENCE_S - ROUNDING_S
@@ -117,6 +123,12 @@ class CopterFailsafes:
         reaction = self._reaction("FS_EKF_ACTION") if concerns else None
         if self._changes(EKF, self._bad_estimate_s >= limit_s):
             yield self._told(EKF, reaction, tells_mode=reaction is not None)
+
+    def _is_outvoted(self) -> bool:
+        """Return True by two votes of three, or the velocity at twice the threshold."""
+        ratio, threshold = self._aircraft.estimator.test_ratio, self._parameters["FS_EKF_THRESH"]
+        votes = sum(ratio(of) >= threshold for of in ("velocity", "position", "compass"))
+        return votes >= TWO_VOTES or ratio("velocity") >= 2.0 * threshold
 
     def _reaction(self, parameter: str) -> CopterMode | None:
         reactions, number = REACTIONS[parameter], int(self._parameters[parameter])

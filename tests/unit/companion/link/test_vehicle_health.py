@@ -16,6 +16,7 @@ from companion.guidance.events import (
     PlaceTeller,
     SetpointEchoed,
     SticksReported,
+    TransmitterRated,
 )
 from companion.link.inbound import VehicleInbound
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
@@ -87,9 +88,15 @@ def test_a_target_in_another_frame_cannot_be_compared() -> None:
 
 @pytest.mark.parametrize(
     ("ratios", "worst"),
-    [((0.1, 0.2, 0.3, 0.4), 0.4), ((0.1, 1.5, 0.3, 0.4), 1.5), ((NAN, 0.2, INF, 0.1), 0.2)],
+    [
+        ((0.1, 0.2, 0.3, 0.4), 0.2),
+        ((0.1, 1.5, 0.3, 0.4), 1.5),
+        ((1.2, 0.2, 0.3, 0.4), 1.2),
+        ((0.1, 0.2, 9.0, 9.0), 0.2),
+        ((NAN, 0.2, INF, 0.1), 0.2),
+    ],
 )
-def test_px4_is_as_good_as_its_worst_ratio(
+def test_px4_judges_by_velocity_and_horizontal_position(
     ratios: tuple[float, float, float, float], worst: float
 ) -> None:
     (event,) = health_of(estimator_status(*ratios))
@@ -97,10 +104,44 @@ def test_px4_is_as_good_as_its_worst_ratio(
     assert event.worst == pytest.approx(worst)
 
 
-def test_ardupilot_doubts_from_a_variance_of_08_on() -> None:
-    (event,) = events(MAVLink_ekf_status_report_message(0, 0.1, 0.8, 0.2, 0.3, 9.0))
+@pytest.mark.parametrize(
+    ("velocity", "position", "height", "compass", "is_poor"),
+    [
+        (0.1, 0.8, 0.2, 0.3, False),
+        (0.1, 9.0, 9.0, 0.3, False),
+        (0.1, 0.1, 0.1, 9.0, False),
+        (0.8, 0.8, 0.2, 0.3, True),
+        (0.1, 0.8, 0.2, 0.8, True),
+        (1.5, 0.1, 0.2, 0.3, False),
+        (1.6, 0.1, 0.2, 0.3, True),
+        (NAN, 0.9, NAN, 0.9, True),
+    ],
+)
+def test_ardupilot_counts_two_votes_of_three_or_twice_the_velocity(
+    velocity: float, position: float, height: float, compass: float, is_poor: bool
+) -> None:
+    report = MAVLink_ekf_status_report_message(0, velocity, position, height, compass, 9.0)
+    (event,) = events(report)
     assert isinstance(event, EstimatorRated)
-    assert event.worst == pytest.approx(1.0)
+    assert (event.worst >= 1.0) is is_poor
+
+
+@pytest.mark.parametrize(
+    ("flags", "has_position"),
+    [(0, None), (1 + 16, True), (1 + 8, True), (1 + 32, False), (128 + 16, False)],
+)
+def test_flags_say_if_there_is_a_position(flags: int, has_position: bool | None) -> None:
+    (event,) = events(MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0))
+    assert isinstance(event, EstimatorRated)
+    assert event.has_position is has_position
+
+
+@pytest.mark.parametrize(("health", "is_healthy"), [(0, False), (0x10000, True)])
+def test_the_rc_input_is_healthy_or_lost_by_sys_status(health: int, is_healthy: bool) -> None:
+    status = mavlink.MAVLink_sys_status_message(
+        0x10000, 0x10000, health, 0, 0, -1, -1, 0, 0, 0, 0, 0, 0
+    )
+    assert TransmitterRated(5.0, is_healthy) in events(status)
 
 
 def test_ratios_that_nobody_knows_say_nothing() -> None:

@@ -19,6 +19,7 @@ from companion.guidance.events import (
     RequestAnswered,
     RequestKind,
     StopRequested,
+    ThrottleReported,
 )
 from companion.guidance.health.findings import Finding, Reason, Verdict
 from companion.guidance.session_params import SessionParams
@@ -200,6 +201,7 @@ def test_after_the_launch_was_told_that_it_has_offboard_another_mode_is_somebody
 @pytest.mark.parametrize("landed", [LandedState.ON_GROUND, LandedState.LANDING])
 def test_landing_in_control_ends_it(autopilot: Autopilot, landed: LandedState) -> None:
     flight = flying(autopilot)
+    flight.give(ThrottleReported(flight.now_s, 0.1))
     flight.report_landed(landed)
     assert flight.is_in(Phase.YIELD)
     landed_s = flight.now_s
@@ -215,8 +217,24 @@ def test_a_vehicle_that_takes_control_on_the_ground_is_not_landing() -> None:
     flight.report_landed(LandedState.ON_GROUND)
     assert flight.is_in(Phase.NORMAL)
     flight.report_landed(LandedState.IN_AIR)
+    flight.give(ThrottleReported(flight.now_s, 0.1))
     flight.report_landed(LandedState.ON_GROUND)
     assert flight.is_in(Phase.YIELD)
+
+
+@pytest.mark.parametrize("throttle", [None, 0.16, 0.5])
+def test_a_landing_at_search_height_is_doubted_unless_the_throttle_is_idle(
+    throttle: float | None,
+) -> None:
+    flight = flying(Autopilot.PX4)
+    if throttle is not None:
+        flight.give(ThrottleReported(flight.now_s, throttle))
+    flight.report_landed(LandedState.ON_GROUND)
+    flight.fly(1.0)
+    assert flight.is_in(Phase.HOLD)
+    flight.report_landed(LandedState.IN_AIR)
+    flight.fly(5.0)
+    assert flight.is_in(Phase.NORMAL)
 
 
 def test_a_landed_state_that_was_overtaken_ends_nothing() -> None:

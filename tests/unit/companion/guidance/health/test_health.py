@@ -70,6 +70,37 @@ def test_a_lost_fix_is_held_on_at_once_and_handed_back_after_five_seconds() -> N
     assert first[Reason.NO_FIX, Verdict.HAND_BACK] == pytest.approx(5.2, abs=0.01)
 
 
+def test_a_receiver_of_two_may_lose_its_fix() -> None:
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
+    for receiver in (0, 1):
+        watch.handle(FixReported(99.0, True, receiver))
+    assert times(watch, has_fix=False) == {}
+    watch.handle(FixReported(110.0, False, 1))
+    assert [finding.reason for finding in only(watch, 110.0)] == [Reason.NO_FIX]
+
+
+@pytest.mark.parametrize(
+    ("lasted_s", "verdict"), [(1.0, Verdict.HOLD), (9.9, Verdict.HOLD), (10.5, Verdict.SLOW)]
+)
+def test_without_gnss_the_estimators_own_position_is_flown_on_after_dead_reckoning(
+    lasted_s: float, verdict: Verdict
+) -> None:
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
+    watch.handle(FixReported(99.0, True))
+    watch.handle(FixReported(100.0, False))
+    watch.handle(EstimatorRated(100.0 + lasted_s, 0.2, has_position=True))
+    (finding,) = only(watch, 100.0 + lasted_s)
+    assert finding.verdict is verdict
+
+
+def test_an_estimator_without_a_position_is_held_on_and_handed_back() -> None:
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
+    watch.handle(EstimatorRated(100.0, 0.1, has_position=False))
+    assert only(watch, 100.0)[0].verdict is Verdict.HOLD
+    watch.handle(EstimatorRated(105.5, 0.1, has_position=False))
+    assert only(watch, 105.5)[0].verdict is Verdict.HAND_BACK
+
+
 def test_a_vehicle_that_never_had_a_fix_flies_without() -> None:
     assert times(HealthWatch(BatteryWatch(20.0, 10.0)), has_fix=False) == {}
 
