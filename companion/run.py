@@ -291,6 +291,8 @@ class _Flight:
             )
         transports = [link.transport for link in links]
         self._shell = Shell(self.endpoint, transports, clock, self._after_wakeup)
+        for link, flown in zip(self._shell.links, links, strict=True):
+            link.expects_mavlink = flown.spec.role is not LinkRole.RANGING
         self._vehicle_link = self._shell.links[
             next(n for n, spec in enumerate(specs) if spec.role is LinkRole.VEHICLE)
         ]
@@ -371,5 +373,8 @@ class _Flight:
         if self._hints == 1 and self._clock.now_s() >= SILENCE_HINT_S:
             self._hints = 2
             if not self.endpoint.binding.is_bound:
-                text = "no autopilot heard on %s yet: check that it sends there, and the port"
+                if self._vehicle_link.counters.received and not self.endpoint.good_frames:
+                    text = "%s: bytes arrive, but no MAVLink; check the speed (baud) of the port"
+                else:
+                    text = "no autopilot heard on %s yet: check that it sends there, and the port"
                 log.warning(text, name)

@@ -201,6 +201,11 @@ class CompanionEndpoint:
     # For views
 
     @property
+    def good_frames(self) -> int:
+        """MAVLink frames with a right CRC, on all links."""
+        return sum(intake.codec.counters.good for intake in self._intakes)
+
+    @property
     def bad_frames(self) -> int:
         """Frames that failed their CRC or could not be decoded, on all links."""
         codecs = [intake.codec for intake in self._intakes]

@@ -5,7 +5,12 @@ wake-up, writes at once what the system takes, and keeps a little for later (`Se
 a slow line costs telemetry and neither memory nor setpoints. The system would hide a second of a
 slow serial line in its own buffer; no more is written there than the line sends in a tenth of one.
 The links above only know how to obtain a descriptor; `ReopeningLink` does so again and again with a
-growing pause. A serial port must be there at the start, or a wrong name would never be noticed.
+growing pause, which is short again once a connection has lasted. A serial port must be there at the
+start, or a wrong name would never be noticed.
+
+A TCP peer may be gone without a word. What we send and it does not acknowledge ends the connection
+(TCP_USER_TIMEOUT; keep-alive probes only an idle one). One that acknowledges but brings no MAVLink
+frame, such as a stranger's browser or a router whose vehicle is gone, is closed after `SILENT_S`.
 
 Of a pseudo terminal we hold the master side; a link in the file system leads to the slave side,
 which any program opens as a serial port. The master reports a hang-up while nobody has; that is
@@ -35,7 +40,9 @@ import serial
 from companion.errors import LinkError
 from companion.io.links.link import MAX_READS, NOTICE, Link, Received, SendQueue, logger
 from companion.io.links.udp import resolve
+from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Chunk
+from companion.mav.framing import FrameSplitter
 
 MAX_UNSENT_BYTES = 64 * 1024
 """For streams whose speed is not known."""
@@ -52,6 +59,14 @@ BACKOFF_MAX_S = 5.0
 CONNECT_TIMEOUT_S = 5.0
 BITS_PER_BYTE = 10
 """On a serial line: eight, a start and a stop."""
+STABLE_S = 10.0
+"""A connection that lasted for as long was good: the pause before the next one is short again."""
+SILENT_S = 10
+"""Ten HEARTBEATs that are missing; seconds, counted by looks, so that a suspended process does not
+take its own absence for the peer's."""
+LOOK_PERIOD_S = 1.0
+USER_TIMEOUT_MS = 5_000
+"""How long sent data may stay unacknowledged."""
 KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
 """A peer that vanished without a word is noticed after about eleven seconds."""
 
@@ -177,6 +192,8 @@ class StreamLink(Link):
         self._is_closed = False
         self._bytes_per_s: float | None = None
         self._asking: asyncio.TimerHandle | None = None
+        self._looking: asyncio.TimerHandle | None = None
+        self._silent_looks = 0
 
     @property
     def is_open(self) -> bool:
@@ -201,7 +218,7 @@ class StreamLink(Link):
     def close(self) -> None:
         """Close the stream."""
         self._is_closed = True
-        self._ask_no_more()
+        self._cancel_timers()
         if self._stream is not None:
             self._stream.close()
             self._stream = None
@@ -214,6 +231,21 @@ class StreamLink(Link):
             self._stream.write(self.greeting)
         if self.request:
             self._ask()
+        if self.expects_mavlink and isinstance(handle, socket.socket):
+            self._silent_looks = 0
+            self._look_again()
+
+    def _look_again(self) -> None:
+        self._looking = asyncio.get_running_loop().call_later(LOOK_PERIOD_S, self._look_at_peer)
+
+    def _look_at_peer(self) -> None:
+        """Close a connection without a MAVLink frame in `SILENT_S` looks."""
+        self._silent_looks += 1
+        if self._silent_looks < SILENT_S or self._stream is None:
+            self._look_again()
+            return
+        self._stream.close()
+        self._forget(f"no MAVLink for {SILENT_S} s")
 
     def _ask(self) -> None:
         """Ask, and again in a period; a line that is full goes without."""
@@ -222,18 +254,21 @@ class StreamLink(Link):
         loop = asyncio.get_running_loop()
         self._asking = loop.call_later(self.request_period_s, self._ask)
 
-    def _ask_no_more(self) -> None:
-        if self._asking is not None:
-            self._asking.cancel()
-            self._asking = None
+    def _cancel_timers(self) -> None:
+        for timer in (self._asking, self._looking):
+            if timer is not None:
+                timer.cancel()
+        self._asking = self._looking = None
 
     def _take(self, pieces: list[bytes]) -> None:
         self.counters.received += len(pieces)
+        if self._silent_looks and self._looking is not None and has_frame(pieces):
+            self._silent_looks = 0
         self._received([Chunk(self.index, piece, is_datagram=False) for piece in pieces])
 
     def _forget(self, reason: str) -> None:
         self._stream = None
-        self._ask_no_more()
+        self._cancel_timers()
         if reason != "closed by the other end":
             self.counters.send_errors += 1
             self.counters.last_error = reason
@@ -248,6 +283,8 @@ class ReopeningLink(StreamLink):
     def __init__(self, name: str, index: int, received: Received) -> None:
         super().__init__(name, index, received)
         self._task: asyncio.Task[None] | None = None
+        self._pause_s = BACKOFF_MIN_S
+        self._connected_s = 0.0
 
     @abstractmethod
     async def _connect(self) -> tuple[Handle, int]:
@@ -262,24 +299,32 @@ class ReopeningLink(StreamLink):
             self._task = asyncio.get_running_loop().create_task(self._keep_trying())
 
     async def _keep_trying(self) -> None:
-        pause_s = BACKOFF_MIN_S
         while not self._is_closed:
             try:
                 handle, fd = await self._connect()
             except (OSError, ValueError, termios.error, LinkError) as error:
-                if pause_s == BACKOFF_MIN_S and self.counters.reconnects == 0:
-                    logger.warning("%s: not there yet (%s); trying on", self.name, error)
-                await asyncio.sleep(pause_s)
-                pause_s = min(2.0 * pause_s, BACKOFF_MAX_S)
+                if self._pause_s == BACKOFF_MIN_S and self.counters.reconnects == 0:
+                    logger.warning("%s: not there yet (%s); retrying", self.name, error)
+                await asyncio.sleep(self._next_pause_s())
             else:
+                self._connected_s = asyncio.get_running_loop().time()
                 self._use_stream(handle, fd)
                 return
+
+    def _next_pause_s(self) -> float:
+        """Return how long to wait now; the next pause is twice as long."""
+        pause_s = max(self._pause_s, BACKOFF_MIN_S)
+        self._pause_s = min(2.0 * pause_s, BACKOFF_MAX_S)
+        return pause_s
 
     def _forget(self, reason: str) -> None:
         super()._forget(reason)
         if not self._is_closed:
             self.counters.reconnects += 1
-            asyncio.get_running_loop().call_later(BACKOFF_MIN_S, self._start)
+            loop = asyncio.get_running_loop()
+            if loop.time() - self._connected_s >= STABLE_S:
+                self._pause_s = BACKOFF_MIN_S
+            loop.call_later(self._next_pause_s(), self._start)
 
     def close(self) -> None:
         """Close, and stop trying."""
@@ -357,9 +402,16 @@ def tune(stream: socket.socket) -> None:
         ("TCP_KEEPIDLE", KEEPALIVE_IDLE_S),
         ("TCP_KEEPINTVL", KEEPALIVE_INTERVAL_S),
         ("TCP_KEEPCNT", KEEPALIVE_PROBES),
+        ("TCP_USER_TIMEOUT", USER_TIMEOUT_MS),
     ):
-        if hasattr(socket, option):  # macOS names one of them differently
+        if hasattr(socket, option):  # macOS lacks some of them
             stream.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+
+
+def has_frame(pieces: list[bytes]) -> bool:
+    """Return True if one of the pieces contains a whole MAVLink frame of the dialect."""
+    splitter = FrameSplitter(CRC_EXTRA_BY_ID)
+    return any(splitter.split(piece, is_datagram=True) for piece in pieces)
 
 
 LOOK_S = 0.05

@@ -60,6 +60,9 @@ class Link(ABC):
         """Sent as often over a byte stream, to a radio that only answers."""
         self.tells_loss = False
         """Whether an empty piece of a stream says that its other end is gone."""
+        self.expects_mavlink = False
+        """Close a TCP connection that brings no MAVLink frame for `SILENT_S`: its peer is dead, or
+        none that sends HEARTBEATs."""
         self._received = received
         self._is_lost = False
 

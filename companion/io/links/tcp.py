@@ -11,7 +11,7 @@ import socket
 from abc import abstractmethod
 
 from companion.errors import LinkError
-from companion.io.links.byte_streams import ByteStream, StreamLink, tune
+from companion.io.links.byte_streams import ByteStream, StreamLink, has_frame, tune
 from companion.io.links.link import Link, Received, bind_problem, bound_address, logger
 from companion.io.links.udp import resolve
 from companion.mav.endpoint import Address, Chunk
@@ -98,11 +98,16 @@ class TcpServerLink(TcpListener, StreamLink):
 
 
 class TcpFanOutLink(TcpListener):
-    """A TCP port for 16 clients, who keep their places; a chunk without a peer goes to all."""
+    """A TCP port for 16 clients; a chunk without a peer goes to all.
+
+    When all places are taken, a new client gets that of the oldest one that never sent MAVLink.
+    """
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(host, port, index, received)
         self._clients: dict[Address, ByteStream] = {}
+        self._proved: set[Address] = set()
+        """Clients that sent a MAVLink frame."""
 
     @property
     def clients(self) -> tuple[Address, ...]:
@@ -132,7 +137,14 @@ class TcpFanOutLink(TcpListener):
             self.counters.dropped += 1
 
     def _objection(self) -> str | None:
-        return f"{MAX_CLIENTS} clients at most" if len(self._clients) >= MAX_CLIENTS else None
+        if len(self._clients) < MAX_CLIENTS:
+            return None
+        stranger = next((peer for peer in self._clients if peer not in self._proved), None)
+        if stranger is None or not self.expects_mavlink:
+            return f"{MAX_CLIENTS} clients at most"
+        self._clients[stranger].close()
+        self._forget(stranger, "it never sent MAVLink")
+        return None
 
     def _welcome(self, client: socket.socket, peer: Address) -> None:
         logger.info("%s: %s:%d connected", self.name, *peer)
@@ -145,10 +157,13 @@ class TcpFanOutLink(TcpListener):
 
     def _take(self, peer: Address, pieces: list[bytes]) -> None:
         self.counters.received += len(pieces)
+        if peer not in self._proved and has_frame(pieces):
+            self._proved.add(peer)
         self._received([Chunk(self.index, piece, peer, is_datagram=False) for piece in pieces])
 
     def _forget(self, peer: Address, reason: str) -> None:
         self._clients.pop(peer, None)
+        self._proved.discard(peer)
         self.counters.send_errors += reason != "closed by the other end"
         logger.info("%s: %s:%d lost (%s)", self.name, *peer, reason)
         self._received([Chunk(self.index, b"", peer, is_datagram=False)])

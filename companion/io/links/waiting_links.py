@@ -95,7 +95,7 @@ class WaitingLink(Link):
             return
         self._is_lost = True
         self.counters.last_error = reason
-        logger.warning("%s: lost (%s); trying on", self.name, reason)
+        logger.warning("%s: lost (%s); retrying", self.name, reason)
         if self.tells_loss:
             self._hand_over(b"")
 
