@@ -22,8 +22,9 @@ Find a radio emitter with a UAV: estimate it from ranging messages, fly crossing
 estimate, and report where it is and how wrong that may be.
 
 The vehicle is commanded only in offboard mode (PX4 OFFBOARD, ArduPilot GUIDED), which the
-operator gives by the mode switch and takes back at any time. To give it back in flight after the
-companion fell silent, send it MAV_CMD_NAV_GUIDED_ENABLE (92) with parameter 1 = 1 and switch."""
+operator gives by the mode switch and takes back at any time. After two seconds in another mode it
+is ready again; after a failsafe it says "grant needed": press GRANT on the live map, or send
+component 191 MAV_CMD_NAV_GUIDED_ENABLE (92) with parameter 1 = 1."""
 
 EPILOG = """\
 links:

@@ -265,6 +265,9 @@ class ControlTick:
         if context.phase in (Phase.WAITING, Phase.STANDBY):
             self._permit.tick(now_s)
         match context.phase:
+            case Phase.YIELD:
+                if self._handover.is_yield_over(now_s):  # ready: an answer that is not withheld
+                    self._wait(now_s, Severity.NOTICE)
             case Phase.WAITING:
                 self._wait(now_s)
             case Phase.STANDBY if not context.fencing.is_ready:
@@ -280,7 +283,7 @@ class ControlTick:
         self._reporting.tick(now_s)
         self._scheduler.tell()
 
-    def _wait(self, now_s: float) -> None:
+    def _wait(self, now_s: float, severity: Severity = Severity.INFO) -> None:
         context = self._context
         reason = self._waiting.news(now_s)
         if reason is not None:
@@ -291,7 +294,7 @@ class ControlTick:
             context.enter(Trigger.READY, now_s)
             guided = f"ready: switch to {context.vehicle.guided_name} to give control"
             text = "ready: automatic takeoff begins" if self._permit.is_wanted else guided
-            context.announce(Severity.INFO, text, Topic.READINESS)
+            context.announce(severity, text, Topic.READINESS)
 
     def _advance_launch(self, now_s: float) -> None:
         context = self._context

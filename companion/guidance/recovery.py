@@ -3,17 +3,18 @@
 Theory of operation. A session can say at any time what a later one would need: its phase, what it
 reported, what it believes of the target, where the local frame and that of its fence were. Told
 that there was an earlier session, a later one never launches by itself. Then it takes up what was
-remembered in two steps. The phase at once: who had yielded stays silent until control is granted,
-and who had reported does not search again. The belief only when the autopilot's origin shows that
-local coordinates still mean the same places, because a belief in another frame is wrong without
-looking wrong. Nothing of this gives control: the operator does, as always.
+remembered in two steps. The phase at once: a session that had yielded stays silent until control is
+granted, one that had the vehicle until another mode was chosen, because PX4 may return to OFFBOARD
+by itself, and one that had reported does not search again. The belief only when the autopilot's
+origin shows that local coordinates still mean the same places, because a belief in another frame is
+wrong without looking wrong. Nothing of this gives control: the operator does, as always.
 """
 
 from __future__ import annotations
 
 from companion.estimation.belief import Belief
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.authority.state_machine import Phase, Trigger
+from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import SessionMemory
@@ -64,6 +65,8 @@ class Recollection:
             context.fencing.recall(memory.fence_anchor)
         was = f"resumed after {age_s:.0f} s in {memory.phase.value}"
         context.announce(Severity.NOTICE, f"{was}: give the mode again to fly")
+        if memory.phase in HAS_VEHICLE:
+            context.authority.demand_another_mode()
         if memory.phase is Phase.YIELD:
             context.enter(Trigger.YIELD_RECALLED, now_s)
         if memory.report is not None:

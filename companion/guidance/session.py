@@ -76,7 +76,9 @@ def _detail(context: SessionContext) -> str:
     """Why it waits or holds, how far the launch is, or what it flies at."""
     phase, launch = context.phase, context.launch
     waypoint = context.flight_plan.waypoint
-    if phase is Phase.WAITING and not context.authority.may_begin:
+    if phase is Phase.YIELD and context.authority.grant_reason is not None:
+        return f"{context.authority.grant_reason}: needs a grant"
+    if phase is Phase.WAITING and context.authority.is_found_unfree:
         guided_name = context.vehicle.guided_name
         return f"found in {guided_name} or in a failsafe: change its mode, or grant control"
     if phase in (Phase.DEGRADED, Phase.HOLD) and context.finding is not None:
@@ -169,6 +171,7 @@ class GuidanceSession:
                 self.context.announce(event.severity, event.text)
             case events.EarlierRunFound():
                 self.context.forbid_launch()
+                self.authority.demand_another_mode()
             case events.MemoryRecalled():
                 self._recollection.recall(event.memory, event.age_s, event.time_s)
             case events.TimerFired():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from companion.domain import Autopilot, EstimateState
+from companion.domain import EstimateState
+from companion.guidance.authority.handover import GRANT_HOW
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session import GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
@@ -38,7 +39,7 @@ def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
         case Phase.HOLD:
             return _while_holding(status)
         case Phase.YIELD:
-            return _after_yielding(endpoint, status, guided)
+            return _after_yielding(endpoint, guided)
     return _in_search(status)
 
 
@@ -82,8 +83,8 @@ def _while_holding(status: GuidanceStatus) -> str:
     return "Watch it: it flies on by itself when this is over. Or take over with the mode switch."
 
 
-def _after_yielding(endpoint: CompanionEndpoint, status: GuidanceStatus, guided: str) -> str:
-    is_refused_in_air = endpoint.session.vehicle.autopilot is Autopilot.PX4 and status.is_armed
-    if is_refused_in_air:  # PX4 wants a stream of setpoints before it enters the mode
-        return f"You fly. To search again, grant control (command 92), then switch to {guided}."
-    return f"You fly. To search again, choose another mode for 2 s, then {guided}."
+def _after_yielding(endpoint: CompanionEndpoint, guided: str) -> str:
+    authority = endpoint.session.authority
+    if authority.grant_reason is not None:
+        return f"You fly. To search again: {GRANT_HOW}, then switch to {guided}."
+    return f"You fly. To search again: stay in another mode until ready, then switch to {guided}."

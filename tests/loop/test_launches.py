@@ -58,7 +58,7 @@ def test_a_vehicle_whose_launch_a_failsafe_ended_is_not_taken(
     assert not loop.said("in control")
 
 
-def test_whoever_gives_guided_after_a_failed_launch_is_obeyed() -> None:
+def test_guided_after_a_failed_launch_needs_a_grant() -> None:
     loop = climbing("ardupilot", FRUGAL)
     inject(loop, BatteryCharge(share=0.09), BatteryCharge(start_s=3.0, share=0.8))
     loop.run_until(lambda: loop.phase is Phase.YIELD, 3.0)
@@ -67,6 +67,10 @@ def test_whoever_gives_guided_after_a_failed_launch_is_obeyed() -> None:
     loop.run(4.0)
     assert loop.phase is Phase.YIELD
     loop.operator.choose(FlightMode.OFFBOARD)
+    loop.run(3.0)
+    assert loop.phase is Phase.YIELD
+    assert loop.said("GUIDED ignored: takeoff aborted")
+    loop.operator.grant()
     loop.run(3.0)
     assert loop.phase in (Phase.NORMAL, Phase.HOLD)
 

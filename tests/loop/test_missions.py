@@ -14,7 +14,7 @@ from sim_link.autopilot.scenario import FlavourName
 from sim_link.lab.mission.batch import MissionBatch, fly_task, with_autopilot
 from sim_link.lab.mission.in_memory import fly_in_memory
 from sim_link.lab.mission.results import MissionResult
-from sim_link.lab.mission.script import Expectation, Mission
+from sim_link.lab.mission.script import Expectation, GrantStep, Mission
 from sim_link.lab.mission.script_file import load_mission, parse_mission
 from tests.planted_companions import FliesAway
 
@@ -56,6 +56,17 @@ def test_a_short_hop_on_both_autopilots(flavour: FlavourName) -> None:
     result = fly_in_memory(with_autopilot(mission, flavour), 0)
     assert result.failed == []
     assert result.record.ended_s < 40.0
+
+
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_the_checklist_of_the_first_flight_is_flown_as_it_stands(flavour: FlavourName) -> None:
+    """Control is taken back once and given again by the switch alone, after `ready`."""
+    page = (LIBRARY.parents[1] / "docs" / "first-flight.md").read_text()
+    assert "configs/missions/first-flight.yaml" in page
+    mission = load_mission(LIBRARY / "first-flight.yaml")
+    assert not any(isinstance(step, GrantStep) for _, step in mission.named_steps)
+    result = fly_in_memory(with_autopilot(mission, flavour), 0)
+    assert result.failed == []
 
 
 @pytest.mark.slow

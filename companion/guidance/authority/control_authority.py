@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import Autopilot, FlightMode
+from companion.domain import FlightMode
 from companion.guidance.authority.launch import Launch
 from companion.guidance.authority.state_machine import (
     IN_CONTROL,
@@ -21,30 +21,49 @@ from companion.guidance.events import HeartbeatReceived, LandedStateChanged
 from companion.guidance.flight.vehicle import VehicleView
 
 REGAIN_QUIET_S = 2.0
-"""Offboard seen sooner than this after a yield comes from our own setpoints still in flight, or
-from a mode that flaps: it must have been left for as long."""
+"""Another mode counts as chosen once HEARTBEATs have shown it without a failsafe for as long: PX4
+may report a failsafe one HEARTBEAT after its mode, and our setpoints may still be on their way."""
 LATE_S = 1.0
 """A frame from before control was given may come this much later, and ends nothing."""
 ID_CONFLICT_S = 10.0
 """An id conflict may be silent as long: over a bad link half of its HEARTBEATs get lost."""
-NOT_LEFT = frozenset({Trigger.HANDED_BACK, Trigger.GIVE_WAY, Trigger.LANDED, Trigger.LAUNCH_FAILED})
-"""They end control while the mode may still be offboard, which nobody gave again then."""
+CHOICES = frozenset({Trigger.MODE_LOST, Trigger.PILOT_TOOK})
+"""A person ends control by them, unless something speaks against that."""
+GRANT_REASONS = {
+    Trigger.HANDED_BACK: "handed back",
+    Trigger.GIVE_WAY: "second source of setpoints",
+    Trigger.LANDED: "landed",
+    Trigger.LAUNCH_FAILED: "takeoff aborted",
+    Trigger.YIELD_RECALLED: "silent before the restart",
+}
+"""Endings of control that no mode switch revokes, in the operator's words."""
+LATCHING_PHASES = {
+    Phase.HANDBACK: Trigger.HANDED_BACK,
+    Phase.LAUNCHING: Trigger.LAUNCH_FAILED,
+}
+FAILSAFE_REASON, ID_CONFLICT_REASON = "failsafe", "id conflict"
 
 
 class Authority:
-    """The phase, and the latches that keep us from taking what nobody gave."""
+    """The phase, and the two latches that keep us from taking what nobody gave.
+
+    The operator's rule is in docs/flying.md, "Who flies".
+    """
 
     def __init__(self) -> None:
         self.phase = Phase.WAITING
         self.since_s = 0.0
         self.has_let_go = False
         """Since the report the vehicle was seen out of offboard: it is not ours any more."""
+        self.grant_reason: str | None = None
+        """Why only a grant, or the end of the flight, gives control again; None: no latch."""
+        self.has_come_back = False
+        """Offboard was shown again after another mode, in this phase."""
         self._must_leave_offboard = False
+        """Another mode has to be shown for `REGAIN_QUIET_S` first."""
         self._has_heartbeat = False
-        self._left_s = -math.inf
-        """When another mode was first shown after offboard, or a yield began ..."""
-        self._away_s = math.inf
-        """... and for how long, when offboard came back."""
+        self._aside_s: float | None = None
+        """Since when another mode is shown without a failsafe."""
         self._given_s = -math.inf
         self._newest: HeartbeatReceived | None = None
         self._id_conflict_s = -math.inf
@@ -52,22 +71,41 @@ class Authority:
     def enter(self, trigger: Trigger, now_s: float) -> Phase | None:
         """Apply a trigger; the phase that was left, or None if nothing changed."""
         if trigger is Trigger.GRANTED:
-            self._must_leave_offboard = False
+            self._must_leave_offboard, self.grant_reason = False, None
         left = self.phase
         phase = next_phase(left, trigger)
+        if phase is Phase.YIELD:
+            self._latch(trigger, left, now_s)
         if phase is left:
             return None
-        if trigger in NOT_LEFT:
-            self._must_leave_offboard = True
         self.phase = phase
         self.since_s = now_s
+        self.has_come_back = False
         if trigger is Trigger.MODE_GIVEN:
             self._given_s = now_s
-        if phase is Phase.YIELD:  # what was on its way by now is nobody's gift
-            self._left_s, self._away_s = now_s, 0.0
         if phase is Phase.FINISHED:
             self.has_let_go = trigger is Trigger.REPORT_RECALLED
         return left
+
+    def _latch(self, trigger: Trigger, left: Phase, now_s: float) -> None:
+        """Control ended, or something more speaks against giving it again."""
+        trigger = LATCHING_PHASES.get(left, trigger)
+        reason = GRANT_REASONS.get(trigger)
+        if trigger in CHOICES and self.has_id_conflict(now_s):
+            reason = ID_CONFLICT_REASON
+        if trigger in CHOICES and self._newest is not None and self._newest.is_failsafe:
+            reason = FAILSAFE_REASON
+        self.grant_reason = self.grant_reason or reason
+        if left is not Phase.YIELD:
+            self._must_leave_offboard = True
+
+    def demand_grant(self, reason: str) -> None:
+        """Something speaks against a mode that was left by choice."""
+        self.grant_reason = self.grant_reason or reason
+
+    def demand_another_mode(self) -> None:
+        """An earlier process may have left the vehicle in offboard, or in its failsafe."""
+        self._must_leave_offboard = True
 
     def is_overtaken(self, event: HeartbeatReceived | LandedStateChanged) -> bool:
         """Whether a newer heartbeat came before, so that what this one shows is over.
@@ -75,46 +113,56 @@ class Authority:
         An order may lie, after a long delay or over two links. So what takes control away is
         believed in any case, but for the moment after control was given.
         """
-        newest = self._newest
-        if newest is None or newest.order is None or event.order is None:
-            return False
-        if event.order >= newest.order:
+        if not self._is_older(event):
             return False
         if isinstance(event, HeartbeatReceived) and event.mode is FlightMode.OFFBOARD:
             return event.is_armed
         return self.phase in IN_CONTROL and event.time_s - self._given_s <= LATE_S
 
+    def _is_older(self, event: HeartbeatReceived | LandedStateChanged) -> bool:
+        newest = self._newest
+        if newest is None or newest.order is None or event.order is None:
+            return False
+        return event.order < newest.order
+
     def observe(self, heartbeat: HeartbeatReceived) -> None:
-        """Set or clear the latch from what the autopilot shows.
+        """Set or clear the latches by what the autopilot shows.
 
         A vehicle found flying in offboard, or in a failsafe, may be someone else's or left by a
-        companion that died: streaming would take over unasked (PX4 re-enters offboard by itself
-        when setpoints return, also ours that a link had kept). So offboard that a failsafe ended is
-        nobody's gift, but an ArduPilot's, which never goes back to GUIDED by itself. A failsafe may
-        be told a HEARTBEAT later than its mode.
+        companion that died: streaming would take over unasked, because PX4 re-enters offboard by
+        itself when setpoints return, also ours that a link had kept. It does so only where a
+        failsafe ended offboard: a mode that was chosen stays.
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
-        was_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
-        if was_offboard and not is_offboard:
-            self._left_s = heartbeat.time_s
-        elif is_offboard and not was_offboard and self._newest is not None:
-            self._away_s = heartbeat.time_s - self._left_s
-        if (was_offboard or self.phase is Phase.YIELD) and _may_return_by_itself(heartbeat):
-            self._must_leave_offboard = True
-        self._newest = heartbeat
+        if is_offboard and self._newest is not None:
+            self.has_come_back |= self._newest.mode is not FlightMode.OFFBOARD
+        is_older, self._newest = self._is_older(heartbeat), heartbeat
+        if is_offboard or heartbeat.is_failsafe or is_older:
+            self._aside_s = None
+        elif self._aside_s is None:
+            self._aside_s = heartbeat.time_s
         if self.phase is Phase.FINISHED and not (heartbeat.is_armed and is_offboard):
             self.has_let_go = True
+        if self.phase is Phase.YIELD and heartbeat.is_armed and heartbeat.is_failsafe:
+            self.demand_grant(FAILSAFE_REASON)
         if not self._has_heartbeat:
             self._has_heartbeat = True
-            self._must_leave_offboard = heartbeat.is_armed and (
-                is_offboard or heartbeat.is_failsafe
-            )
-        elif not is_offboard and not heartbeat.is_failsafe:
+            self._must_leave_offboard |= self._aside_s is None
+            self._must_leave_offboard &= heartbeat.is_armed
+        elif self._is_aside(heartbeat):
             self._must_leave_offboard = False
+
+    def _is_aside(self, heartbeat: HeartbeatReceived) -> bool:
+        """Whether another mode has been shown for long enough to be a choice."""
+        if self._aside_s is None:
+            return False
+        return not heartbeat.is_armed or heartbeat.time_s - self._aside_s >= REGAIN_QUIET_S
 
     def id_conflict_heard(self, now_s: float) -> None:
         """Somebody sends under our ids: offboard, seen while we do not fly, is that one's."""
         self._id_conflict_s = now_s
+        if self.phase is Phase.YIELD:
+            self.demand_grant(ID_CONFLICT_REASON)
         is_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
         if is_offboard and self.phase in (*OUT_OF_CONTROL, Phase.STANDBY):
             self._must_leave_offboard = True
@@ -126,40 +174,22 @@ class Authority:
     def note_disarmed(self, mode: FlightMode) -> None:
         """The flight ended; offboard left over from it does not count for the next one."""
         self._must_leave_offboard = mode is FlightMode.OFFBOARD
+        self.grant_reason = None
 
     def forget_autopilot(self) -> None:
         """The autopilot restarted: its next heartbeat is a first one again."""
         self._has_heartbeat = False
-        self._newest = None
+        self._newest = self._aside_s = self.grant_reason = None
+
+    @property
+    def is_found_unfree(self) -> bool:
+        """Whether offboard or a failsafe is shown that another mode has to end first."""
+        return self._must_leave_offboard and self._aside_s is None
 
     @property
     def may_begin(self) -> bool:
         """Whether the vehicle is free for us to get ready."""
-        return not self._must_leave_offboard
-
-    @property
-    def may_take(self) -> bool:
-        """Whether offboard, seen now, was given by the operator."""
-        if self._must_leave_offboard:
-            return False
-        return self.phase is not Phase.YIELD or self._away_s >= REGAIN_QUIET_S
-
-    @property
-    def came_too_soon(self) -> bool:
-        """Whether offboard, seen now after a yield, would have been given a little later."""
-        is_yield = self.phase is Phase.YIELD and not self._must_leave_offboard
-        return is_yield and self._away_s < REGAIN_QUIET_S
-
-    @property
-    def came_by_itself(self) -> bool:
-        """Whether offboard, seen now after a yield, is what a failsafe ended."""
-        return self.phase is Phase.YIELD and self._must_leave_offboard and self._away_s > 0.0
-
-
-def _may_return_by_itself(heartbeat: HeartbeatReceived) -> bool:
-    """Whether a failsafe keeps a flying vehicle out of offboard for only as long as it lasts."""
-    is_away = heartbeat.is_armed and heartbeat.mode is not FlightMode.OFFBOARD
-    return is_away and heartbeat.is_failsafe and heartbeat.autopilot is not Autopilot.ARDUPILOT
+        return not self._must_leave_offboard and self.grant_reason is None
 
 
 FOLLOW_UP_S = 5.0

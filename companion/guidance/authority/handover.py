@@ -13,7 +13,12 @@ from dataclasses import asdict
 
 from companion.domain import FlightMode, LandedState
 from companion.guidance import events
-from companion.guidance.authority.control_authority import REGAIN_QUIET_S, Authority, hand_back_mode
+from companion.guidance.authority.control_authority import (
+    GRANT_REASONS,
+    REGAIN_QUIET_S,
+    Authority,
+    hand_back_mode,
+)
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
@@ -51,7 +56,7 @@ class WaitingReason:
         if self._vehicle.heartbeat is None or not missing:
             self._missing_since_s = None
         if not missing:
-            if self._authority.may_begin:
+            if not self._authority.is_found_unfree:
                 return None
             mode = self._vehicle.name_of(self._vehicle.mode)
             return f"no control: found in {mode}; switch to another mode"
@@ -121,6 +126,7 @@ HAND_BACK_S = 1.4
 """How long the autopilot may take to confirm its mode: we end within 1.5 s of the request ..."""
 LONGEST_HAND_BACK_S = 1.9
 """... and of the wish within 2 s, where it had to be found out first who flies."""
+GRANT_HOW = "GRANT on the live map, or command 92 to component 191"
 CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
 
 
@@ -132,6 +138,9 @@ class Handover:
         self._has_flown = False
         """Whether it was in the air since control began."""
         self._was_told = False
+        """Whether it was announced that offboard does not count ..."""
+        self._grant_told_s: float | None = None
+        """... and that a grant is needed, after which yield."""
         self._fitted_at: tuple[float, float, float] | None = None
         """Where the origin is, for which it was told that places are fitted."""
         self._hand_back_mode = FlightMode.HOLD
@@ -195,18 +204,21 @@ class Handover:
             if left in (Phase.FINISHED, Phase.HANDBACK):  # by what we asked for
                 context.announce(Severity.NOTICE, f"as asked: {text}")
             else:
-                context.warn(f"control lost: {text}; give the mode again to resume")
+                context.warn(f"control lost: {text}")
 
     def _foreign(self, event: events.HeartbeatReceived) -> None:
-        context, left = self._context, self._context.phase
+        context, left, finding = self._context, self._context.phase, self._context.finding
         if not context.enter(Trigger.MODE_LOST, event.time_s):
             return
-        self._was_told = False
         name = context.vehicle.name_of(event.mode)
         if left is Phase.HANDBACK:
             context.announce(Severity.NOTICE, f"handed back: autopilot is in {name}")
             return
-        text = f"control lost: autopilot went to {name}; give the mode again to resume"
+        if finding is not None and finding.reason is Reason.SECOND_SOURCE:
+            context.authority.demand_grant(GRANT_REASONS[Trigger.GIVE_WAY])
+        text = f"control lost: autopilot went to {name}"
+        if context.authority.grant_reason is None:
+            text += f"; ready again after {REGAIN_QUIET_S:g} s there"
         context.warn(text)
 
     def _flight_over(self, event: events.HeartbeatReceived) -> None:
@@ -220,7 +232,7 @@ class Handover:
         if not context.vehicle.is_mode_known(now_s):
             return  # it may be over
         self._tell_why_it_does_not_count()
-        if not (context.authority.may_take and context.vehicle.obeys_setpoints):
+        if not (context.authority.may_begin and context.vehicle.obeys_setpoints):
             return
         is_launched = context.phase is Phase.LAUNCHING
         if context.authority.has_id_conflict(now_s) and not is_launched:
@@ -239,14 +251,28 @@ class Handover:
     def _tell_why_it_does_not_count(self) -> None:
         context = self._context
         authority, name = context.authority, context.vehicle.guided_name
-        if self._was_told or not (authority.came_too_soon or authority.came_by_itself):
-            return
-        self._was_told = True
-        text = f"{name} too soon: leave it for {REGAIN_QUIET_S:g} s, or grant control"
-        if authority.came_by_itself:
-            how = "choose another mode first, or grant"
-            text = f"{name} after a failsafe is no operator grant: {how}"
-        context.warn(text)
+        is_finished = authority.phase is Phase.FINISHED and authority.has_let_go
+        is_ignored = authority.phase is Phase.YIELD or is_finished
+        if not (authority.has_come_back and is_ignored):
+            self._was_told = False
+        elif not self._was_told:
+            self._was_told = True
+            reason = "the target is reported" if is_finished else authority.grant_reason
+            text = f"{name} too soon: leave it for {REGAIN_QUIET_S:g} s, until ready"
+            if reason is not None:
+                text = f"{name} ignored: {reason}; {GRANT_HOW}"
+            context.announce(Severity.NOTICE, text)
+
+    def is_yield_over(self, now_s: float) -> bool:
+        """End a yield once another mode was chosen; announce where a grant is needed instead."""
+        context, authority = self._context, self._context.authority
+        if authority.may_begin:
+            return context.enter(Trigger.MODE_LEFT, now_s)
+        if authority.grant_reason is not None and self._grant_told_s != authority.since_s:
+            self._grant_told_s = authority.since_s
+            text = f"grant needed, {authority.grant_reason}: {GRANT_HOW}"
+            context.announce(Severity.NOTICE, text)
+        return False
 
     def _note_answer(self, event: events.RequestAnswered) -> None:
         context = self._context
@@ -367,8 +393,11 @@ class Handover:
 
     def give_way(self, finding: Finding, now_s: float) -> None:
         """Somebody else commands: silence."""
-        if self._context.enter(Trigger.GIVE_WAY, now_s):
-            text = f"control yielded: {finding.text}; give the mode again to resume"
+        is_pilot = finding.reason is Reason.STICKS
+        if self._context.enter(Trigger.PILOT_TOOK if is_pilot else Trigger.GIVE_WAY, now_s):
+            text = f"control yielded: {finding.text}"
+            if self._context.authority.grant_reason is None:
+                text += f"; ready again after {REGAIN_QUIET_S:g} s in another mode"
             self._context.announce(Severity.ERROR, text)
 
     def _note_stall(self, event: events.ControlStalled) -> None:
@@ -384,7 +413,7 @@ class Handover:
         self._asked_s = None
         text = f"control loop stalled {event.stalled_s:.1f} s: reacquiring state"
         if context.enter(Trigger.LAUNCH_FAILED, event.time_s):
-            text += f"; takeoff aborted: give {context.vehicle.guided_name} again, or grant"
+            text += "; takeoff aborted"
         context.warn(text)
 
     def _stop(self, now_s: float) -> None:

@@ -15,10 +15,10 @@ operator gave it that mode; everything else is either getting there or staying o
     FINISHED   the target was reported; the autopilot was asked for the mode that follows, and
                gets "stay here" until it has left offboard, never again after that.
     YIELD      somebody else flies: the mode left offboard for whatever reason, the vehicle lands,
-               others send setpoints or move the sticks, or it was handed back. Silence, latched.
-               Only the operator ends it, by giving offboard again (on the ground, or with another
-               source of setpoints), by an explicit grant, or by disarming (the next flight is a
-               new one). A mode that flaps was not given.
+               others send setpoints or move the sticks, or it was handed back. Silence. A mode that
+               a person chose ends it once it has stayed for a while: then WAITING, and ready again
+               as before the first time. Everything else is latched until an explicit grant, or
+               until the vehicle is disarmed (the next flight is a new one).
     HANDBACK   asked to stop while in control, or what is wrong does not pass: asks once for the
                autopilot's own hold, or for the return, and gives it "stay here" until it answers.
                Then YIELD, and STOPPED if that was wanted.
@@ -30,8 +30,8 @@ nobody else sends under our ids; `Handover` asks all of these. In auto, `Launch`
 Kept: at every tick `ControlTick` asks the `Watches` for the worst that is wrong: SLOW (DEGRADED),
 HOLD, HAND_BACK or GIVE_WAY; nothing wrong is NORMAL.
 Lost: by what the autopilot shows (MODE_LOST, LANDED, DISARMED, RESTARTED: `Handover`), by a verdict
-(GIVE_UP, GIVE_WAY), by a stop, or by the report. Every way but a disarming latches: `Authority`
-says what counts as given after that.
+(GIVE_UP, GIVE_WAY, PILOT_TOOK), by a stop, or by the report. `Authority` says what has to be shown
+before the mode counts as given again, and what needs a grant.
 
 Three rules stand above the table: a lost mode is never asked for again; what was asked and not
 answered is withdrawn when control ends; and a setpoint leaves only in STREAMING phases, from the
@@ -93,6 +93,8 @@ class Trigger(Enum):
     LOCALISED = "the target is reported, or the battery is low"
     GIVE_UP = "what is wrong does not pass"
     GIVE_WAY = "somebody else commands"
+    PILOT_TOOK = "the pilot moves the sticks"
+    MODE_LEFT = "another mode was chosen, and stays"
     RESTARTED = "the autopilot restarted"
     STOP = "asked to stop"
     HANDED_BACK = "the hand-back is over"
@@ -121,7 +123,7 @@ _ROWS: tuple[tuple[Iterable[Phase], Trigger, Phase], ...] = (
     ({Phase.STANDBY}, Trigger.ID_CONFLICT, Phase.WAITING),
     ({Phase.STANDBY}, Trigger.LAUNCH, Phase.LAUNCHING),
     ({Phase.LAUNCHING}, Trigger.LAUNCH_FAILED, Phase.YIELD),
-    ({Phase.STANDBY, Phase.LAUNCHING, Phase.YIELD}, Trigger.MODE_GIVEN, Phase.HOLD),
+    ({Phase.STANDBY, Phase.LAUNCHING}, Trigger.MODE_GIVEN, Phase.HOLD),
     ({Phase.HOLD, Phase.DEGRADED}, Trigger.INPUT_BACK, Phase.NORMAL),
     ({Phase.HOLD, Phase.NORMAL}, Trigger.INPUT_AGES, Phase.DEGRADED),
     (FLYING, Trigger.INPUT_LOST, Phase.HOLD),
@@ -129,6 +131,8 @@ _ROWS: tuple[tuple[Iterable[Phase], Trigger, Phase], ...] = (
     ({Phase.YIELD, Phase.FINISHED}, Trigger.GRANTED, Phase.STANDBY),
     (IN_CONTROL, Trigger.GIVE_UP, Phase.HANDBACK),
     (IN_CONTROL, Trigger.GIVE_WAY, Phase.YIELD),
+    (IN_CONTROL, Trigger.PILOT_TOOK, Phase.YIELD),
+    ({Phase.YIELD}, Trigger.MODE_LEFT, Phase.WAITING),
     (IN_CONTROL | {Phase.LAUNCHING, Phase.HANDBACK}, Trigger.MODE_LOST, Phase.YIELD),
     (HAS_VEHICLE, Trigger.LANDED, Phase.YIELD),
     ({Phase.HANDBACK}, Trigger.HANDED_BACK, Phase.YIELD),

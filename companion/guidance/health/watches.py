@@ -272,7 +272,7 @@ class Watches:
             self.echo.end()
         if phase is Phase.LAUNCHING and not self._was_launching:
             self._sticks.begin(now_s)
-        if phase is Phase.WAITING:
+        if phase is Phase.WAITING and not self._context.vehicle.is_armed:
             self.battery.note_flight_end()
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
 

@@ -24,6 +24,9 @@ MAX_RATE_HZ = 55.0
 LISTEN_S = 5.0
 LOOK_S = 2.0
 REACTION_S = 1.0
+QUIET_S = 2.0
+"""PX4 may report the failsafe that took the mode one HEARTBEAT, a second, after the mode."""
+STAYS_M = 2.0
 GROUPS = (7, 56, 448)
 """Bits of position, velocity and acceleration in a mask."""
 NEVER_NAN = ("vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
@@ -58,12 +61,12 @@ class SetpointRules(CompanionProbe):
         self.run(LOOK_S)
         return self.setpoints()
 
-    def _late_setpoints(self, mode: str) -> int:
+    def _late_setpoints(self, mode: str, listen_s: float = LISTEN_S) -> int:
         """How many setpoints come although another mode was chosen a second ago."""
         self.choose(mode)
         self.run(REACTION_S)
         mark = self.mark
-        self.run(LISTEN_S)
+        self.run(listen_s)
         return len(self.setpoints(mark))
 
     def _require_undisturbed(self, beat: Message, sender: tuple[int, int]) -> None:
@@ -144,10 +147,21 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{mav.OBSERVED_BOTH}: a stream still running acts when the mode returns")
     def foreign_mode_ends_the_stream(self) -> None:
-        """When the operator takes the mode away, setpoints stop within a second."""
+        """When the operator takes the mode away, setpoints stop within a second.
+
+        A stream that makes ready for the next time begins no sooner than two seconds after the
+        mode, only where the autopilot needs it, and moves nothing.
+        """
         self.give_control()
-        late = self._late_setpoints(FOREIGN_MODES[self.flavour][0])
+        late = self._late_setpoints(FOREIGN_MODES[self.flavour][0], QUIET_S - REACTION_S)
         require(not late, f"{late} setpoints after the mode was taken away")
+        mark = self.mark
+        self.run(LISTEN_S)
+        for message in self.setpoints(mark):
+            require(self.flavour in PX4, "setpoints that this autopilot does not need")
+            if isinstance(message, LocalTarget):
+                off_m = math.dist(place_of(message), (10.0, 10.0, self.down_m))
+                require(off_m <= STAYS_M, f"a setpoint {off_m:.1f} m away in another mode")
 
     @book.rule(f"{OWN_RULE}: a mode that was taken away is not taken back")
     def taken_mode_is_not_asked_back(self) -> None:

@@ -20,6 +20,10 @@ from sim_link.lab.monitor.scene import (
 
 EPSILON_S = 1e-6
 HERE_M = 2.0
+QUIET_S = 2.0
+"""A vehicle that was taken by choice stays in silence for as long."""
+BY_STICKS = "the pilot moves the sticks"
+"""The companion's word for the one end of control in its own mode that is a person's choice."""
 GRANT_S = 3.0
 """A grant is of the time after a mode whose loss shows only this long after it."""
 RAISES = (
@@ -37,7 +41,13 @@ HEARTBEATS_S = 1.5
 
 
 class OnlyWithAuthority(Invariant):
-    """No setpoint and no request of a mode without the operator's consent."""
+    """No setpoint and no request of a mode without the operator's consent.
+
+    Control that was lost is free again once HEARTBEATs without a failsafe have shown another mode
+    for `QUIET_S`: then setpoints may come that move nothing, and a person may give the mode. After
+    a failsafe, and after an end of control that the companion chose, only a grant frees it, or the
+    end of the flight.
+    """
 
     name = "I3"
     title = "silence within a tick of the first foreign mode, and nothing is taken back"
@@ -47,6 +57,10 @@ class OnlyWithAuthority(Invariant):
     _was_ours = False
     _ours_sent_at = (-1.0, 0)
     _lost_s: float | None = None
+    _aside_s: float | None = None
+    """Since when another mode is shown without a failsafe after control was lost."""
+    _is_barred = False
+    """Only a grant frees what was lost."""
     _given_s = -1.0
     """When a person gave the mode since it was lost, or since the process began."""
     _may_engage = True
@@ -55,7 +69,8 @@ class OnlyWithAuthority(Invariant):
 
     def started(self) -> None:
         """A process that starts beside a vehicle in the air never takes it by itself."""
-        self._was_ours, self._lost_s, self._given_s = False, None, -1.0
+        self._was_ours, self._given_s = False, -1.0
+        self._free()
         self._may_engage = not self.scene.is_flying
         self._is_launching = False
 
@@ -64,12 +79,20 @@ class OnlyWithAuthority(Invariant):
         if kind != "phase":
             return
         self._is_launching = fields.get("new") == "launching"
-        if fields.get("new") == "yield" and self.scene.told.is_ours:
-            self._lose()
+        if fields.get("new") != "yield":
+            return
+        if fields.get("old") in ("handback", "launching"):
+            self._lose(is_barred=True)
+        elif self.scene.told.is_ours:
+            self._lose(is_barred=fields.get("trigger") != BY_STICKS)
 
-    def _lose(self) -> None:
+    def _lose(self, *, is_barred: bool) -> None:
+        self._is_barred |= is_barred
         if self._lost_s is None:
-            self._lost_s, self._given_s = self.scene.now_s, -1.0
+            self._lost_s, self._given_s, self._aside_s = self.scene.now_s, -1.0, None
+
+    def _free(self) -> None:
+        self._lost_s, self._aside_s, self._is_barred = None, None, False
 
     def mode_chosen(self, mode: FlightMode) -> None:
         """An autopilot that goes back to offboard by itself gives nobody control."""
@@ -83,7 +106,8 @@ class OnlyWithAuthority(Invariant):
         if isinstance(message, mavlink.MAVLink_command_long_message):
             if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE and message.param1 == 1.0:
                 self._was_ours &= self._lost_s is None  # a grant takes nothing away
-                self._lost_s, self._may_engage = None, True
+                self._may_engage = True
+                self._free()
                 self._granted_s = self.scene.now_s
             return
         is_autopilot = self.scene.is_of_autopilot(frame)
@@ -95,26 +119,39 @@ class OnlyWithAuthority(Invariant):
     ) -> None:
         now_s = self.scene.now_s
         is_live = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        if is_live and self._is_launching and heartbeat.system_status == FAILSAFE:
-            self._lose()
+        is_failsafe = heartbeat.system_status == FAILSAFE
+        if is_live and self._is_launching and is_failsafe:
+            self._lose(is_barred=True)
         if is_live and is_offboard(heartbeat):
+            self._aside_s = None
             if sent_at[0] >= self._granted_s:
                 self._granted_s = -math.inf  # taken up
             is_given = sent_at[0] >= self._given_s >= 0.0
             if self._lost_s is None and (self._may_engage or is_given):
                 self._was_ours = True
                 self._ours_sent_at = max(self._ours_sent_at, sent_at)
-            elif is_given:
-                self._was_ours, self._lost_s, self._ours_sent_at = True, None, sent_at
             return
         if sent_at <= self._ours_sent_at:
             return
         if not is_live:  # the flight is over, and the next one is a new one
-            self._was_ours, self._lost_s, self._may_engage = False, None, True
+            self._was_ours, self._may_engage = False, True
+            self._free()
         elif now_s - self._granted_s < GRANT_S:  # of a mode that was lost before the grant
             self._was_ours = False
-        elif self._was_ours and self._lost_s is None:
-            self._lost_s = now_s
+        elif self._was_ours:
+            self._follow_loss(is_failsafe=is_failsafe)
+
+    def _follow_loss(self, *, is_failsafe: bool) -> None:
+        """Another mode is shown while control is lost."""
+        now_s = self.scene.now_s
+        self._lose(is_barred=is_failsafe)
+        if is_failsafe:
+            self._aside_s = None
+        elif self._aside_s is None:
+            self._aside_s = now_s
+        elif not self._is_barred and now_s - self._aside_s >= QUIET_S - EPSILON_S:
+            self._was_ours = self._may_engage = False  # until a person gives the mode
+            self._free()
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge whether it may be sent at all."""

@@ -218,6 +218,11 @@ class ScriptedFlight:
         return [c.mode for c in self.sent(SetMode, since_s)]
 
     @property
+    def guided_name(self) -> str:
+        """What the operator calls the mode that obeys setpoints."""
+        return self.session.vehicle.guided_name
+
+    @property
     def results(self) -> list[ReportResult]:
         return self.sent(ReportResult)
 

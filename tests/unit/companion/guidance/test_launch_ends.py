@@ -13,6 +13,7 @@ from companion.guidance.commands import Arm, SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     BatteryReported,
+    ControlGranted,
     ControlStalled,
     EstimatorRated,
     FixReported,
@@ -42,7 +43,7 @@ def assert_left_alone(flight: ScriptedFlight, duration_s: float = 10.0) -> None:
 
 
 @pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.ARDUPILOT])
-def test_a_failsafe_during_the_launch_ends_it_until_the_mode_is_given(autopilot: Autopilot) -> None:
+def test_a_failsafe_during_the_launch_ends_it_until_a_grant(autopilot: Autopilot) -> None:
     flight = launching(autopilot)
     flight.show(flight.mode, is_failsafe=True)
     assert flight.is_in(Phase.YIELD)
@@ -50,7 +51,8 @@ def test_a_failsafe_during_the_launch_ends_it_until_the_mode_is_given(autopilot:
     flight.is_failsafe = False
     assert_left_alone(flight)
     flight.show(FlightMode.POSITION)
-    flight.fly(3.0)
+    assert_left_alone(flight)
+    flight.give(ControlGranted(flight.now_s))
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.HOLD)
 
@@ -73,7 +75,7 @@ def test_offboard_that_was_asked_for_before_the_launch_ended_was_not_given(order
         flight.show(FlightMode.POSITION)
     else:
         flight.give(ControlStalled(flight.now_s, 1.0))
-        assert flight.texts[-1].endswith("takeoff aborted: give offboard mode again, or grant")
+        assert flight.texts[-1].endswith("; takeoff aborted")
         flight.show(FlightMode.TAKEOFF)
     assert flight.is_in(Phase.YIELD)
     ended_s = flight.now_s

@@ -57,7 +57,7 @@ def test_a_resumed_estimate_is_flown_on_only_with_a_new_measurement() -> None:
     flight = ScriptedFlight()
     flight.has_ranging = False
     recall(flight, memory_of_a_flight())
-    flight.ready()
+    flight.ready().fly(2.0)
     flight.show(FlightMode.OFFBOARD)
     flight.fly(1.0)
     assert flight.is_in(Phase.HOLD)
@@ -198,6 +198,7 @@ def test_an_impossible_belief_is_refused_in_words() -> None:
 
 def fly_until_localised(flight: ScriptedFlight) -> float:
     """In control from now on; when the target was localised."""
+    flight.ready().fly(2.0)
     flight.in_control()
     flight.follows = True
     while flight.session.estimate is None or (
@@ -241,6 +242,7 @@ def test_the_planner_needs_no_memory_of_its_own(flown_s: float) -> None:
     flight = ScriptedFlight()
     flight.follows = True
     recall(flight, memory)
+    flight.ready().fly(2.0)
     flight.in_control()
     waypoint = flight.session.flight_plan.waypoint
     assert waypoint is not None

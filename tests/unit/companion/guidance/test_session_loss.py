@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.domain import FlightMode
+from companion.domain import Autopilot, FlightMode, LandedState
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
@@ -28,8 +28,9 @@ def test_any_other_mode_means_silence_from_that_very_event_on(
     flight.show(mode, is_failsafe=is_failsafe)
     assert flight.is_in(Phase.YIELD)
     assert flight.has_withdrawn
-    flight.fly(60.0)
+    flight.fly(60.0 if is_failsafe else 2.0)
     assert silent_since(flight, lost_s)
+    assert flight.asked_modes() == []
 
 
 def test_a_failsafe_while_holding_is_a_loss_too() -> None:
@@ -55,10 +56,23 @@ def test_offboard_seen_right_after_the_loss_is_our_own_echo() -> None:
     assert silent_since(flight, lost_s)
 
 
-def test_offboard_seen_two_seconds_later_was_given() -> None:
-    flight = ScriptedFlight().in_control()
+@pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.ARDUPILOT])
+def test_a_mode_that_was_chosen_is_switched_back_without_a_grant(autopilot: Autopilot) -> None:
+    """PX4 needs the stream for it, which begins again and moves nothing."""
+    flight = ScriptedFlight(autopilot=autopilot)
+    flight.report_landed(LandedState.IN_AIR)
+    flight.in_control()
     flight.show(FlightMode.POSITION)
+    lost_s = flight.now_s
     flight.fly(2.0)
+    assert silent_since(flight, lost_s)
+    flight.fly(0.1)
+    assert flight.is_in(Phase.STANDBY)
+    assert flight.texts[-1] == f"ready: switch to {flight.guided_name} to give control"
+    since_s = flight.now_s
+    flight.fly(1.0)
+    streamed = {command.setpoint.position_enu_m for command in flight.sent(SendSetpoint, since_s)}
+    assert streamed == ({flight.place} if autopilot is Autopilot.PX4 else set())
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.HOLD)
     flight.fly(0.2)
@@ -85,6 +99,7 @@ def test_the_first_setpoint_after_a_loss_is_where_the_vehicle_is() -> None:
     flight.show(FlightMode.POSITION)
     flight.place = (-60.0, -70.0, 30.0)
     flight.fly(3.0)
+    assert flight.is_in(Phase.STANDBY)
     since_s = flight.now_s
     flight.show(FlightMode.OFFBOARD)
     flight.fly(0.05)
@@ -102,7 +117,7 @@ def test_disarming_ends_the_flight_and_leftover_offboard_does_not_begin_the_next
     flight.fly(2.0)
     assert silent_since(flight, ended_s)
     flight.show(FlightMode.HOLD)
-    flight.fly(0.1)
+    flight.fly(2.1)
     assert flight.is_in(Phase.STANDBY)
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.HOLD)
@@ -121,7 +136,9 @@ def test_a_vehicle_found_in_flight_is_left_alone(mode: FlightMode, is_failsafe: 
     assert silent_since(flight, -1.0)
     assert flight.session.status(flight.now_s).detail.startswith("found in offboard")
     flight.show(FlightMode.HOLD)
-    flight.fly(0.1)
+    flight.fly(1.9)
+    assert flight.is_in(Phase.WAITING)  # a failsafe may be reported a beat later
+    flight.fly(0.2)
     assert flight.is_in(Phase.STANDBY)
 
 

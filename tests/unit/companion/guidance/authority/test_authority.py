@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 
-from companion.domain import Autopilot, FlightMode, LandedState
+from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState
+from companion.guidance.authority.handover import GRANT_HOW
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint, SetMode, TakeOff
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     AutopilotRestarted,
+    BatteryReported,
     ControlGranted,
     HeartbeatReceived,
+    IdConflictHeard,
     LandedStateChanged,
     Outcome,
     RequestAnswered,
@@ -66,9 +70,9 @@ def test_a_px4_that_a_failsafe_took_gives_nothing_back_by_itself(away_s: float) 
     flight.fly(5.0)
     assert flight.phase is Phase.YIELD
     assert acts(flight, lost_s) == 0
-    told = [text for text in flight.texts if "no operator grant" in text]
-    assert told == [
-        "offboard mode after a failsafe is no operator grant: choose another mode first, or grant"
+    assert [text for text in flight.texts if "failsafe" in text] == [
+        f"grant needed, failsafe: {GRANT_HOW}",
+        f"offboard mode ignored: failsafe; {GRANT_HOW}",
     ]
 
 
@@ -98,28 +102,163 @@ def test_a_failsafe_in_standby_takes_nothing_that_is_chosen_then() -> None:
     assert flight.phase is Phase.HOLD
 
 
-def test_what_a_failsafe_took_is_given_by_another_mode_first_or_by_a_grant() -> None:
-    for is_granted in (False, True):
-        flight = flying()
-        flight.show(FlightMode.HOLD, is_failsafe=True)
-        flight.fly(5.0)
-        if is_granted:
-            flight.give(ControlGranted(flight.now_s))
-        else:
-            flight.show(FlightMode.HOLD)
-        flight.fly(3.0)
-        flight.show(FlightMode.OFFBOARD)
-        flight.fly(1.0)
-        assert flight.phase is Phase.NORMAL
-
-
-def test_an_ardupilot_in_guided_after_a_failsafe_was_put_there_by_somebody() -> None:
-    flight = flying(Autopilot.ARDUPILOT)
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("is_granted", [False, True])
+def test_what_a_failsafe_took_is_given_by_a_grant_alone(
+    autopilot: Autopilot, is_granted: bool
+) -> None:
+    flight = flying(autopilot)
     flight.show(FlightMode.RETURN, is_failsafe=True)
     flight.fly(5.0)
+    if is_granted:
+        flight.give(ControlGranted(flight.now_s))
+    flight.show(FlightMode.HOLD)
+    flight.fly(3.0)
+    assert f"grant needed, failsafe: {GRANT_HOW}" in flight.texts
     flight.show(FlightMode.OFFBOARD)
     flight.fly(1.0)
-    assert flight.phase is Phase.NORMAL
+    assert flight.phase is (Phase.NORMAL if is_granted else Phase.YIELD)
+
+
+def second_source(flight: ScriptedFlight) -> None:
+    flight.session.handover.give_way(FOREIGN, flight.now_s)
+
+
+def hand_back(flight: ScriptedFlight) -> None:
+    flight.session.handover.hand_back(CRITICAL, flight.now_s)
+    flight.show(FlightMode.RETURN)
+
+
+def land(flight: ScriptedFlight) -> None:
+    flight.report_landed(LandedState.LANDING)
+
+
+def land_by_switch(flight: ScriptedFlight) -> None:
+    """The landing is reported before or after the mode: both mean the same."""
+    flight.show(FlightMode.LAND)
+    flight.report_landed(LandedState.LANDING)
+
+
+def conflict_before(flight: ScriptedFlight) -> None:
+    flight.give(IdConflictHeard(flight.now_s))
+    flight.show(FlightMode.POSITION)
+
+
+def conflict_after(flight: ScriptedFlight) -> None:
+    flight.show(FlightMode.POSITION)
+    flight.give(IdConflictHeard(flight.now_s))
+
+
+def leave_a_second_source(flight: ScriptedFlight) -> None:
+    """The mode is left while the vehicle is held for it."""
+    source = Finding(Verdict.HOLD, Reason.SECOND_SOURCE, "second source of setpoints")
+    flight.session.context.record_finding(source, flight.now_s)
+    flight.show(FlightMode.POSITION)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize(
+    ("end", "reason"),
+    [
+        (second_source, "second source of setpoints"),
+        (leave_a_second_source, "second source of setpoints"),
+        (hand_back, "handed back"),
+        (land, "landed"),
+        (land_by_switch, "landed"),
+        (conflict_before, "id conflict"),
+        (conflict_after, "id conflict"),
+    ],
+)
+def test_what_was_not_left_by_choice_needs_a_grant_and_says_so(
+    autopilot: Autopilot, end: Callable[[ScriptedFlight], None], reason: str
+) -> None:
+    flight = flying(autopilot)
+    end(flight)
+    flight.fly(0.1)
+    ended_s = flight.now_s
+    flight.show(FlightMode.POSITION)
+    flight.report_landed(LandedState.IN_AIR)
+    flight.fly(15.0)
+    assert flight.is_in(Phase.YIELD)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(2.0)
+    assert flight.is_in(Phase.YIELD)
+    assert acts(flight, ended_s) == 0
+    assert flight.texts.count(f"grant needed, {reason}: {GRANT_HOW}") == 1
+    assert flight.texts[-1] == f"{flight.guided_name} ignored: {reason}; {GRANT_HOW}"
+    flight.give(ControlGranted(flight.now_s))
+    flight.fly(1.1)
+    assert flight.is_in(Phase.HOLD, Phase.NORMAL)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_pilot_who_took_over_by_the_sticks_gives_it_back_by_the_switch(
+    autopilot: Autopilot,
+) -> None:
+    flight = flying(autopilot)
+    sticks = Finding(Verdict.GIVE_WAY, Reason.STICKS, "pilot moves the sticks")
+    flight.session.handover.give_way(sticks, flight.now_s)
+    took_s = flight.now_s
+    flight.fly(5.0)  # still in the mode, which is not given again by staying
+    assert flight.is_in(Phase.YIELD)
+    flight.show(FlightMode.POSITION)
+    flight.fly(1.9)
+    assert acts(flight, took_s) == 0
+    flight.fly(0.3)
+    assert flight.is_in(Phase.STANDBY)
+    flight.show(FlightMode.OFFBOARD)
+    assert flight.is_in(Phase.HOLD)
+
+
+def test_heartbeats_of_the_past_do_not_count_as_time_in_another_mode() -> None:
+    flight = ScriptedFlight().ready()
+    numbered(flight, FlightMode.OFFBOARD, 50)
+    flight.fly(1.9)
+    flight.has_heartbeat = False
+    numbered(flight, FlightMode.OFFBOARD, 60)
+    for order in (55, 56, 57):
+        numbered(flight, FlightMode.HOLD, order)
+        flight.fly(1.2)
+    numbered(flight, FlightMode.OFFBOARD, 70)
+    assert flight.is_in(Phase.YIELD)
+
+
+def test_a_battery_that_was_handed_back_for_is_so_once_in_a_flight() -> None:
+    """The pilot takes over and gives the mode again: it knows of the battery by then."""
+    flight = flying()
+    for _ in range(2):
+        flight.give(BatteryReported(flight.now_s, 5.0, BatteryLevel.UNKNOWN))
+    flight.fly(0.1)
+    for _ in range(2):  # handed back, and then ended early with the report
+        flight.show(FlightMode.RETURN)
+        flight.give(ControlGranted(flight.now_s))
+        flight.show(FlightMode.OFFBOARD)
+        flight.fly(1.0)
+    assert flight.is_in(Phase.HOLD)
+    asked_s = flight.now_s
+    flight.show(FlightMode.POSITION)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(1.0)
+    assert flight.is_in(Phase.HOLD)
+    assert flight.asked_modes(asked_s) == []
+
+
+def test_offboard_after_the_report_is_not_ignored_in_silence() -> None:
+    flight = ScriptedFlight(
+        SessionParams(stop_confirm_s=1.0, stop_radius_m=2.0), Autopilot.ARDUPILOT
+    )
+    flight.report_landed(LandedState.IN_AIR)
+    flight.follows = True
+    flight.in_control()
+    flight.fly_until_reported()
+    flight.show(FlightMode.HOLD)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(2.0)
+    assert flight.is_in(Phase.FINISHED)
+    text = f"GUIDED ignored: the target is reported; {GRANT_HOW}"
+    assert flight.texts.count(text) == 1
 
 
 @pytest.mark.slow
@@ -145,7 +284,7 @@ def test_offboard_given_again_too_soon_is_explained_once() -> None:
     flight.show(FlightMode.OFFBOARD)
     flight.fly(5.0)
     assert flight.is_in(Phase.YIELD)
-    text = "GUIDED too soon: leave it for 2 s, or grant control"
+    text = "GUIDED too soon: leave it for 2 s, until ready"
     assert flight.texts.count(text) == 1
 
 
@@ -325,17 +464,6 @@ def test_a_hand_back_nobody_answers_ends_within_a_second_and_a_half() -> None:
     flight.fly(1.5)
     assert flight.is_in(Phase.YIELD)
     assert flight.has_withdrawn
-
-
-def test_a_vehicle_that_was_handed_back_is_given_again_by_the_operator() -> None:
-    flight = flying(Autopilot.ARDUPILOT)
-    flight.session.handover.hand_back(CRITICAL, flight.now_s)
-    flight.fly(TICK_S)
-    flight.answer(RequestKind.SET_MODE)
-    flight.show(FlightMode.RETURN)
-    flight.fly(3.0)
-    flight.show(FlightMode.OFFBOARD)
-    assert flight.is_in(Phase.HOLD)
 
 
 def test_a_stop_during_a_hand_back_ends_the_process_with_it() -> None:

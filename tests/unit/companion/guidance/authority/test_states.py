@@ -13,17 +13,17 @@ from companion.guidance.authority.state_machine import (
 )
 
 TABLE = """
-          READY   FENCE_LOST ID_CONFLICT LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED LANDED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED GIVE_UP  GIVE_WAY RESTARTED STOP     HANDED_BACK YIELD_RECALLED REPORT_RECALLED
-WAITING   STANDBY .          .          .         .             .          .         .       .        .      .          .          .          .         .        .        .         STOPPED  .           YIELD          FINISHED
-STANDBY   .       WAITING    WAITING    LAUNCHING .             HOLD       .         .       .        .      .          .          .          .         .        .        WAITING   STOPPED  .           YIELD          FINISHED
-LAUNCHING .       .          .          .         YIELD         HOLD       YIELD     .       WAITING  .      .          .          .          .         .        .        WAITING   HANDBACK .           .              .
-NORMAL    .       .          .          .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   HOLD       .          FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .
-DEGRADED  .       .          .          .         .             .          YIELD     .       WAITING  YIELD  .          HOLD       NORMAL     FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .
-HOLD      .       .          .          .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   .          NORMAL     FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .
-FINISHED  .       .          .          .         .             .          .         STANDBY WAITING  YIELD  .          .          .          .         .        .        WAITING   HANDBACK .           .              .
-YIELD     .       .          .          .         .             HOLD       .         STANDBY WAITING  .      .          .          .          .         .        .        WAITING   STOPPED  .           .              .
-HANDBACK  .       .          .          .         .             .          YIELD     .       WAITING  YIELD  .          .          .          .         .        .        WAITING   .        YIELD       .              .
-STOPPED   .       .          .          .         .             .          .         .       .        .      .          .          .          .         .        .        .         .        .           .              .
+          READY   FENCE_LOST ID_CONFLICT LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED LANDED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED GIVE_UP  GIVE_WAY RESTARTED STOP     HANDED_BACK YIELD_RECALLED REPORT_RECALLED PILOT_TOOK MODE_LEFT
+WAITING   STANDBY .          .          .         .             .          .         .       .        .      .          .          .          .         .        .        .         STOPPED  .           YIELD          FINISHED               .          .
+STANDBY   .       WAITING    WAITING    LAUNCHING .             HOLD       .         .       .        .      .          .          .          .         .        .        WAITING   STOPPED  .           YIELD          FINISHED               .          .
+LAUNCHING .       .          .          .         YIELD         HOLD       YIELD     .       WAITING  .      .          .          .          .         .        .        WAITING   HANDBACK .           .              .               .          .
+NORMAL    .       .          .          .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   HOLD       .          FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .               YIELD      .
+DEGRADED  .       .          .          .         .             .          YIELD     .       WAITING  YIELD  .          HOLD       NORMAL     FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .               YIELD      .
+HOLD      .       .          .          .         .             .          YIELD     .       WAITING  YIELD  DEGRADED   .          NORMAL     FINISHED  HANDBACK YIELD    WAITING   HANDBACK .           .              .               YIELD      .
+FINISHED  .       .          .          .         .             .          .         STANDBY WAITING  YIELD  .          .          .          .         .        .        WAITING   HANDBACK .           .              .               .          .
+YIELD     .       .          .          .         .             .          .         STANDBY WAITING  .      .          .          .          .         .        .        WAITING   STOPPED  .           .              .               .          WAITING
+HANDBACK  .       .          .          .         .             .          YIELD     .       WAITING  YIELD  .          .          .          .         .        .        WAITING   .        YIELD       .              .               .          .
+STOPPED   .       .          .          .         .             .          .         .       .        .      .          .          .          .         .        .        .         .        .           .              .               .          .
 """  # noqa: E501  one row per phase is the point
 _HEAD, *_ROWS = [line.split() for line in TABLE.strip().splitlines()]
 EXPECTED = {

@@ -61,7 +61,7 @@ def test_a_hold_ends_with_the_control_it_was_made_under() -> None:
     flight.fly(0.5)
     flight.show(FlightMode.POSITION)
     flight.fly(5.0)
-    assert flight.is_in(Phase.YIELD)
+    assert flight.is_in(Phase.STANDBY)
     flight.show(FlightMode.OFFBOARD)
     flight.fly(5.0)
     assert flight.is_in(Phase.NORMAL)

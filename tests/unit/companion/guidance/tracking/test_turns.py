@@ -161,6 +161,7 @@ def test_after_a_restart_the_others_are_still_to_be_found() -> None:
     flight = flight_of(QueueParams(order="nearest"))
     flight.give(EarlierRunFound(0.0))
     flight.give(MemoryRecalled(0.0, memory, 5.0))
+    flight.ready().fly(2.0)
     flight.in_control()
     assert [result.emitter_id for result in flight.results] == [3]
     assert not flight.session.has_found_all
