@@ -21,14 +21,14 @@ from companion.config.schema import (
     with_radios,
     with_signing_key,
 )
-from companion.errors import CompanionError, ConfigError
-from companion.flight_setup import radio_links
+from companion.errors import CompanionError, ConfigError, how_to_install
+from companion.flight_setup import flight_links, radio_links
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.link import NOTICE
-from companion.io.links.transports import FlightLink, check_exposure, parse_flight_link
+from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.logs.radio_recording import is_radio_recording
 from companion.io.shared_clock import clock_of
-from companion.kernel import IS_COMPILED, count_compiled
+from companion.kernel import IS_COMPILED_ON_CALL, IS_NATIVE, count_loaded
 from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
 from companion.replay.walk_replay import replay_walk, table
@@ -125,7 +125,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14540, or try demo")
     config = _flight_config(arguments)
     settings = _web_settings(arguments)
-    links = _links(arguments, config)
+    links = flight_links(arguments.connect, arguments.ranging, config.radios, arguments.gcs)
     if not arguments.insecure:
         check_exposure(
             links,
@@ -182,26 +182,11 @@ def _console_view() -> FlightView:
     try:
         from companion.view.terminal import TerminalView
     except ImportError:
-        print("for the live screen: pip install 'companion-guidance[demo]'", file=sys.stderr)
+        print(f"for the live screen: {how_to_install('rich')}", file=sys.stderr)
         return PlainView()
     view = TerminalView()
     _set_up_logging(quiet=False, stream=view.stream)
     return view
-
-
-def _links(arguments: argparse.Namespace, config: CompanionConfig) -> list[FlightLink]:
-    """The vehicle's link, those with only ranging, the radios', then ground stations'."""
-    mavlink = [("--connect", arguments.connect, LinkRole.VEHICLE)]
-    mavlink += [("--ranging", text, LinkRole.RANGING) for text in arguments.ranging]
-    given = [(f"{option} {text}", parse_flight_link(text, role)) for option, text, role in mavlink]
-    given += [(f"--radio {link.transport}", link) for link in radio_links(config.radios)]
-    given += [(f"--gcs {text}", parse_flight_link(text, LinkRole.GCS)) for text in arguments.gcs]
-    links: dict[str, FlightLink] = {}
-    for words, link in given:
-        if str(link.transport) in links:
-            raise ConfigError(f"{words}: this link is given twice; one of them is enough")
-        links[str(link.transport)] = link
-    return list(links.values())
 
 
 def _radio(arguments: argparse.Namespace) -> int:
@@ -230,12 +215,13 @@ def _tiles(arguments: argparse.Namespace) -> int:
 
 def _warm_up(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config)
-    if not IS_COMPILED:
-        print("numba is not installed, or switched off: kernels run as plain Python")
+    if not IS_COMPILED_ON_CALL:
+        plain = "numba is not installed, or switched off: kernels run as plain Python"
+        print("kernels were compiled ahead: nothing to do" if IS_NATIVE else plain)
         return 0
     began_s = time.monotonic()
     prepare(config)
-    print(f"{count_compiled()} kernels are ready, after {time.monotonic() - began_s:.1f} s")
+    print(f"{count_loaded()} kernels are ready, after {time.monotonic() - began_s:.1f} s")
     return 0
 
 
@@ -335,8 +321,9 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
 
 def _demo(arguments: argparse.Namespace) -> int:
     from companion.demo.browser import open_page
-    from companion.demo.runner import DemoOptions, run_demo, scenario_named
+    from companion.demo.runner import DemoOptions, check_simulator, run_demo, scenario_named
 
+    check_simulator()
     scenario, preset = None, None
     if arguments.scenario is not None:
         scenario, preset = scenario_named(arguments.scenario)

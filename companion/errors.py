@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+
 
 class CompanionError(Exception):
     """Base of every error that the project raises on purpose."""
@@ -17,3 +20,11 @@ class LinkError(CompanionError):
 
 class LocalProtocolError(CompanionError):
     """Our own caller broke the protocol, for example by sending a setpoint with a NaN."""
+
+
+def how_to_install(*packages: str) -> str:
+    """Return the command that adds packages to the environment that this program runs in.
+
+    It needs no pip in there: the Debian package and pipx have none.
+    """
+    return f"python3 -m pip --python {shlex.quote(sys.executable)} install {shlex.join(packages)}"

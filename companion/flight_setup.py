@@ -32,7 +32,7 @@ from companion.guidance.session import GuidanceSession
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.io.files import FLIGHT, write_bytes_atomic
 from companion.io.links.radio_lines import radio_link
-from companion.io.links.transports import FlightLink
+from companion.io.links.transports import FlightLink, parse_flight_link
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import Authenticity
@@ -138,6 +138,27 @@ def radio_links(radios: Sequence[RadioConfig]) -> list[FlightLink]:
     """The links of radios that have their addresses, in order."""
     setups = radio_setups(radios)
     return [radio_link(s, radio.url or "") for s, radio in zip(setups, radios, strict=True)]
+
+
+def flight_links(
+    connect: str, ranging: Sequence[str], radios: Sequence[RadioConfig], gcs: Sequence[str] = ()
+) -> list[FlightLink]:
+    """Return the vehicle's link, those with only ranging, the radios', then ground stations'.
+
+    Raises:
+        ConfigError: one is not understood, or two are the same.
+    """
+    mavlink = [("--connect", connect, LinkRole.VEHICLE)]
+    mavlink += [("--ranging", text, LinkRole.RANGING) for text in ranging]
+    given = [(f"{option} {text}", parse_flight_link(text, role)) for option, text, role in mavlink]
+    given += [(f"--radio {link.transport}", link) for link in radio_links(radios)]
+    given += [(f"--gcs {text}", parse_flight_link(text, LinkRole.GCS)) for text in gcs]
+    links: dict[str, FlightLink] = {}
+    for words, link in given:
+        if str(link.transport) in links:
+            raise ConfigError(f"{words}: this link is given twice; one of them is enough")
+        links[str(link.transport)] = link
+    return list(links.values())
 
 
 def build_endpoint(

@@ -106,6 +106,8 @@ IS_NATIVE: bool = _native is not None
 """Whether kernels were compiled before they were installed."""
 IS_COMPILED: bool = IS_NATIVE or (numba is not None and not numba.config.DISABLE_JIT)
 """Whether kernels are compiled; with numba the first call of each takes up to seconds."""
+IS_COMPILED_ON_CALL: bool = IS_COMPILED and not IS_NATIVE
+"""Whether the first call of a kernel compiles it, or loads it from the cache."""
 KERNELS: list[Any] = []
 """Those that numba compiles."""
 
@@ -157,9 +159,14 @@ def kind_of(argument: Any) -> object:
     return _KINDS[kind]
 
 
-def count_compiled() -> int:
-    """How many kernels were compiled, or loaded, in this process."""
+def count_loaded() -> int:
+    """Return how many kernels were compiled, or loaded from the cache, in this process."""
     return sum(bool(getattr(each, "signatures", ())) for each in KERNELS)
+
+
+def count_compiled() -> int:
+    """Return how many kernels the cache did not have, so that this process compiles them."""
+    return sum(bool(each.stats.cache_misses) for each in KERNELS if hasattr(each, "stats"))
 
 
 def has_compiled_cache() -> bool:

@@ -39,7 +39,7 @@ from companion.io.shell import Clock, Shell
 from companion.io.state.checkpoints import CheckpointStore
 from companion.io.state.signing_keys import SigningKeeper, load_signing_key, open_signing_keeper
 from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of, state_directory
-from companion.kernel import IS_COMPILED, count_compiled
+from companion.kernel import IS_COMPILED_ON_CALL, count_compiled, count_loaded
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
@@ -131,7 +131,7 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
 
 def prepare(config: CompanionConfig) -> None:
     """Compile what a flight needs, before its clock starts; nothing to do without numba."""
-    if not IS_COMPILED:
+    if not IS_COMPILED_ON_CALL:
         return
     with _told_progress():
         warm_up(config.estimation, build_planner(config))
@@ -142,15 +142,16 @@ PROGRESS_S = 3.0
 
 @contextmanager
 def _told_progress() -> Iterator[None]:
-    """Say every few seconds how far compiling is; nothing where it was done before."""
+    """Report progress every few seconds; the first start compiles, later ones load the cache."""
     is_over = threading.Event()
 
     def tell() -> None:
         seconds = 0.0
         while not is_over.wait(PROGRESS_S):
             seconds += PROGRESS_S
-            text = "compiling kernels, before any link is opened: %d done after %.0f s"
-            log.info(text, count_compiled(), seconds)
+            doing = "compiling" if count_compiled() else "loading compiled"
+            text = "%s kernels, before any link is opened: %d done after %.0f s"
+            log.info(text, doing, count_loaded(), seconds)
 
     teller = threading.Thread(target=tell, name="compiling", daemon=True)
     teller.start()

@@ -11,32 +11,37 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from companion.domain import ArrayDirection, RangingMeasurement
 from companion.estimation.antenna import LEVEL
 from companion.estimation.measurement_model import AZIMUTH, COSINES
 from companion.estimation.tracker import TargetTracker, TrackerParams
-from companion.kernel import IS_COMPILED
+from companion.kernel import IS_COMPILED_ON_CALL
 from companion.planning.planner import Planner, PlanRequest
 
 TARGET_M = (12.0, 9.0)
 RADIUS_M = 20.0
 HEIGHT_M = 15.0
+SMALL_WINDOW = 32
+"""Measurements; the least that a configuration may have, so it is full and thinned out soonest."""
 
 
 def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
     """Fly in circles about an invented emitter until every kernel has been called.
 
-    What a flight measures and how much it keeps decides which kernels run.
+    Which kernels run depends on what is measured, and on whether the window is full.
     """
-    if not IS_COMPILED:
+    if not IS_COMPILED_ON_CALL:
         return
+    window = msgspec.structs.replace(params.window, size=SMALL_WINDOW)
+    params = msgspec.structs.replace(params, window=window)
     rng = np.random.default_rng(0)
     memory: Any = None
     for has_range, has_bearing in ((True, True), (True, False), (False, True)):
         tracker = TargetTracker(params)
-        for step in range(params.window.size + 60):
+        for step in range(SMALL_WINDOW + 60):
             time_s, angle = 0.1 * step, 0.1 * step
             place = (RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle), HEIGHT_M)
             seen = _seen(place, time_s, rng, has_range, has_bearing)

@@ -18,7 +18,7 @@ import msgspec
 from companion.config.presets import CONFIG_FOLDERS
 from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import STOP_TIMEOUT_S, SimulatorProcess
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
@@ -55,6 +55,13 @@ class DemoOptions:
     """px4 or ardupilot; None: the scenario's."""
     json: Path | None
     plot: Path | None
+
+
+def check_simulator() -> None:
+    """Make sure that the simulator is installed; a `CompanionError` says how to get it."""
+    if importlib.util.find_spec("sim_link") is None:
+        command = how_to_install("./sim_link")
+        raise CompanionError(f"the simulator is not installed; in the checkout: {command}")
 
 
 def scenario_named(path: Path) -> tuple[Path, Path | None]:
@@ -149,8 +156,6 @@ def run_demo(
     at_end: Callable[[Path], None] | None = None,
 ) -> bool:
     """Fly it, print how it went, write what was asked for; whether the target was found."""
-    if importlib.util.find_spec("sim_link") is None:
-        raise CompanionError("the demo needs the simulator: pip install companion-sim-link")
     _check_outputs(options)
     prepare(config)  # before the simulator starts to count its time
     port = free_udp_port()
@@ -304,7 +309,7 @@ class DemoResult:
         try:
             from companion.demo.track_plot import Obstacle, PlottedFlight, draw
         except ImportError:
-            _say("no picture: pip install 'companion-guidance[demo]' brings matplotlib")
+            _say(f"no picture without matplotlib: {how_to_install('matplotlib')}")
             return
         report = self._report
         flight = PlottedFlight(

@@ -20,15 +20,13 @@ from companion.config.fence_files import read_fence
 from companion.config.loader import parse_value, read_text
 from companion.config.presets import preset_named, preset_names, shipped_file
 from companion.config.radios import parse_radio_option
-from companion.config.schema import load_config
+from companion.config.schema import CompanionConfig, load_config
 from companion.config.versions import KEY, SCHEMA_VERSION
 from companion.doctor.examination import exit_code, run_doctor
-from companion.doctor.findings import as_lines
-from companion.errors import ConfigError
-from companion.flight_setup import radio_links
-from companion.io.links.transports import Transport, parse_flight_link
-from companion.kernel import IS_COMPILED
-from companion.link.interface import LinkRole
+from companion.doctor.findings import CheckResult, as_lines, fail
+from companion.errors import CompanionError, ConfigError
+from companion.flight_setup import flight_links
+from companion.io.links.transports import Transport, check_exposure
 from companion.run import prepare
 from companion.setup_tools.autopilot_guide import guide
 from companion.setup_tools.options import AUTOPILOTS, LINK, SYSTEM
@@ -70,9 +68,8 @@ def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
         _say(*remove_files(directory))
         return 0
     choices = _choices(arguments, ask if sys.stdin.isatty() or ask is not input else None)
-    link = parse_flight_link(choices.connect, LinkRole.VEHICLE).transport
     contents = site_contents(choices)
-    check_files(contents)
+    link = _checked_link(choices, check_files(contents))
     files = {directory / name: content for name, content in contents.items()}
     if arguments.unit_directory is not None:
         files[arguments.unit_directory / UNIT] = unit(
@@ -83,20 +80,41 @@ def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
     return _finish(arguments, choices, link, directory)
 
 
+def _checked_link(choices: Choices, config: CompanionConfig) -> Transport:
+    """Return the vehicle's link; a `ConfigError` where a flight on these links would refuse."""
+    ranging = () if choices.ranging is None else (choices.ranging,)
+    links = flight_links(choices.connect, ranging, config.radios)
+    check_exposure(
+        links,
+        has_key=config.link.signing_key_file is not None,
+        unsigned_ranging=config.link.unsigned_ranging,
+        remedy="or begin with a --preset that has link.signing_key_file",
+    )
+    return links[0].transport
+
+
 def _finish(
     arguments: argparse.Namespace, choices: Choices, link: Transport, directory: Path
 ) -> int:
+    """Compile, examine and advise; the files stay written whatever comes of it."""
     config = load_config(directory / CONFIG)
-    if not arguments.no_warm_up and IS_COMPILED:
-        prepare(config)
-        _say("compiled what a flight needs")
-    code = 0
-    if not arguments.no_doctor:
-        findings = run_doctor(config, link, DOCTOR_S)
-        _say(*as_lines(findings))
-        code = exit_code(findings)
-    _say("", *guide(choices.autopilot, link, config), "", *_next(choices, directory, arguments))
-    return code
+    try:
+        if not arguments.no_warm_up:
+            prepare(config)
+        findings = [] if arguments.no_doctor else _findings(config, link)
+        if findings:
+            _say(*as_lines(findings))
+        return exit_code(findings)
+    finally:
+        _say("", *guide(choices.autopilot, link, config), "", *_next(choices, directory, arguments))
+
+
+def _findings(config: CompanionConfig, link: Transport) -> list[CheckResult]:
+    """The doctor's; a link that does not open yet is one of them, since the files are written."""
+    try:
+        return run_doctor(config, link, DOCTOR_S)
+    except CompanionError as error:
+        return [fail("link", str(error), "connect the autopilot, and run the doctor again")]
 
 
 def _next(choices: Choices, directory: Path, arguments: argparse.Namespace) -> list[str]:
@@ -131,7 +149,6 @@ def site_contents(choices: Choices) -> dict[str, bytes]:
     contents: dict[str, bytes] = {}
     if choices.radio is not None:
         radio = parse_radio_option(choices.radio)
-        radio_links((radio,))
         raw["radios"] = _with_radio(raw.get("radios") or [], msgspec.to_builtins(radio))
     if choices.fence is not None:
         read_fence(choices.fence)
@@ -139,8 +156,6 @@ def site_contents(choices: Choices) -> dict[str, bytes]:
         contents[name] = read_text(choices.fence).encode()
         limits = {k: v for k, v in (raw.get("limits") or {}).items() if k != "fence_enu_m"}
         raw["limits"] = {**limits, "fence_file": name}
-    if choices.ranging is not None:
-        parse_flight_link(choices.ranging, LinkRole.RANGING)
     head = "# Made by `companion setup`; `companion config show --config FILE` has every value.\n"
     text = yaml.safe_dump(raw, sort_keys=False, allow_unicode=True)
     service = f"COMPANION_OPTIONS={options(choices)}\n"

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.schema import load_config
+from companion.config.schema import CompanionConfig, load_config
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import read_file, write_bytes_atomic
 
@@ -31,13 +31,13 @@ class SetupRecord(msgspec.Struct, frozen=True):
     files: dict[str, str]
 
 
-def check_files(contents: Mapping[str, bytes]) -> None:
+def check_files(contents: Mapping[str, bytes]) -> CompanionConfig:
     """Load the configuration as a flight would; `contents` by names in its folder."""
     with tempfile.TemporaryDirectory() as temporary:
         for name, content in contents.items():
             (Path(temporary) / name).write_bytes(content)
         try:
-            load_config(Path(temporary) / CONFIG)
+            return load_config(Path(temporary) / CONFIG)
         except ConfigError as error:
             raise ConfigError(str(error).replace(f"{temporary}/", "")) from None
 

@@ -31,7 +31,7 @@ from typing import Any
 
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState
-from companion.errors import CompanionError
+from companion.errors import CompanionError, how_to_install
 from companion.guidance.commands import Severity
 from companion.guidance.events import OperatorAsked, OperatorCommand
 from companion.io.files import json_line
@@ -111,8 +111,8 @@ class WebProcess:
 
     def __init__(self, settings: WebSettings, scene: Mapping[str, object]) -> None:
         if find_spec("nicegui") is None:
-            pip = f"python3 -m pip --python {sys.executable} install 'companion-guidance[web]'"
-            raise CompanionError(f"--web needs the extra web: {pip}")
+            command = how_to_install("companion-guidance[web]")
+            raise CompanionError(f"--web needs the extra web: {command}")
         listener = listening_socket(settings)
         first = {"fd": listener.fileno(), "settings": settings, "scene": scene}
         self._child = subprocess.Popen(

@@ -37,7 +37,7 @@ from time import monotonic, sleep
 from types import FrameType
 from typing import Any, TypeVar, cast
 
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.kernel import IS_COMPILED
 
 Item = TypeVar("Item")
@@ -238,9 +238,8 @@ def _connected(backend: str) -> Iterator[Cluster]:
     try:
         client = _client(address[1], int(address[2]))
     except ImportError:
-        raise ConfigError(
-            f"--backend {backend}: dask is not installed; pip install 'companion-sim-link[cluster]'"
-        ) from None
+        command = how_to_install("dask", "distributed")
+        raise ConfigError(f"--backend {backend}: dask is not installed; {command}") from None
     except (OSError, OverflowError) as error:
         raise ConfigError(
             f"--backend {backend}: no dask scheduler answers there ({_brief(error)}); "

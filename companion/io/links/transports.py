@@ -271,7 +271,11 @@ def is_exposed(transport: Transport) -> bool:
 
 
 def check_exposure(
-    links: Sequence[FlightLink], *, has_key: bool, unsigned_ranging: bool = False
+    links: Sequence[FlightLink],
+    *,
+    has_key: bool,
+    unsigned_ranging: bool = False,
+    remedy: str = "give --signing-key FILE, or insist with --insecure",
 ) -> None:
     """Refuse, by a `ConfigError`, to listen beyond this machine without proof of who speaks.
 
@@ -284,5 +288,5 @@ def check_exposure(
         if is_exposed(link.transport) and not is_proved:
             raise ConfigError(
                 f"{link.transport}: anyone in the network could command it; listen on 127.0.0.1, "
-                "give --signing-key FILE, or insist with --insecure"
+                f"{remedy}"
             )

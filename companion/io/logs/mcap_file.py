@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
@@ -227,9 +227,7 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
     try:
         from mcap.writer import Writer
     except ImportError as error:
-        raise CompanionError(
-            "log.mcap needs the extra: pip install 'companion-guidance[mcap]'"
-        ) from error
+        raise CompanionError(f"log.mcap needs mcap: {how_to_install('mcap')}") from error
     try:
         file = path.open("wb")
     except OSError as error:
@@ -316,7 +314,7 @@ def read_mcap_flight(path: Path) -> McapFlight:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader
     except ImportError as error:
-        raise ConfigError(f"{path}: needs pip install 'companion-guidance[mcap]'") from error
+        raise ConfigError(f"{path}: needs mcap: {how_to_install('mcap')}") from error
     inputs: list[bytes] = []
     try:
         with path.open("rb") as file:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.domain import Autopilot, FlightMode
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.link.autopilot_queries import STREAM_INTERVAL_S
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import set_mode_params
@@ -28,7 +28,7 @@ def check_installed() -> None:
     try:
         import mavsdk.asyncio  # noqa: F401  only whether it is there
     except ImportError as error:
-        text = "real processes need MAVSDK: pip install 'companion-sim-link[mission]'"
+        text = f"real processes need MAVSDK: {how_to_install('mavsdk')}"
         raise ConfigError(text) from error
 
 

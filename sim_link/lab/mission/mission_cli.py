@@ -19,7 +19,7 @@ from companion.arguments import number_in
 from companion.entry import is_interrupt
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
-from companion.kernel import IS_COMPILED
+from companion.kernel import IS_COMPILED_ON_CALL, has_compiled_cache
 from sim_link.lab.mission import batch
 from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.mission_report import campaign_lines
@@ -289,7 +289,7 @@ def _is_flown(
         progress.finished(result)
 
     try:
-        if IS_COMPILED and sys.stdout.isatty():
+        if IS_COMPILED_ON_CALL and not has_compiled_cache() and sys.stdout.isatty():
             print("compiling kernels: half a minute the first time")
         batch.warm_up(tasks)
         with progress.display:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -126,14 +127,21 @@ def test_the_end_says_both_radii_and_whose_error_the_absolute_one_has() -> None:
     assert "R95 0.33 m, absolute 0.34 m (own place 0.02 m), error against the truth 0.50 m" in said
 
 
+@pytest.mark.parametrize("scenario", [(), ("--scenario", "field/phone_ftm")])
 def test_without_the_simulator_it_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    scenario: tuple[str, ...],
 ) -> None:
+    """An installation without it has no scenarios either: that is not what is missing."""
+
     def find(name: str) -> object:
         return None if name == "sim_link" else object()
 
     monkeypatch.setattr(importlib.util, "find_spec", find)
-    assert main(["demo"]) == 2
-    assert capsys.readouterr().err.splitlines() == [
-        "companion: the demo needs the simulator: pip install companion-sim-link"
-    ]
+    monkeypatch.setattr("companion.demo.runner.CONFIG_FOLDERS", (tmp_path,))
+    assert main(["demo", *scenario]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("companion: the simulator is not installed; in the checkout: ")
+    assert line.endswith(f"--python {sys.executable} install ./sim_link")

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from companion.arguments import argument_parser
-from companion.cli import EXIT_BAD_INPUT, main
+from companion.cli import EXIT_BAD_INPUT, EXIT_FAILED, main
 from companion.config.schema import load_config
+from companion.errors import LinkError
 from companion.setup_tools.setup_commands import run
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -111,6 +114,62 @@ def test_bad_input_is_one_line_and_writes_nothing(
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
     assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--connect", SERIAL, "--radio", "nlink@/dev/ttyAMA0"), "this link is given twice"),
+        (("--connect", SERIAL, "--ranging", SERIAL), "this link is given twice"),
+        (("--connect", "udp:0.0.0.0:14540"), "a --preset that has link.signing_key_file"),
+    ],
+)
+def test_links_that_a_flight_would_refuse_are_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], words: str
+) -> None:
+    assert setup(tmp_path, *options) == EXIT_BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
+    assert tree(tmp_path) == {}
+
+
+def failing(error: BaseException) -> Callable[..., Any]:
+    def fail(*_: object) -> Any:
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("part", "error", "said"),
+    [
+        (None, None, "no such device"),
+        ("run_doctor", LinkError("udp: another companion (process 1) has this vehicle"), "process"),
+        ("run_doctor", KeyboardInterrupt(), ""),
+        ("prepare", KeyboardInterrupt(), ""),
+    ],
+)
+def test_what_goes_wrong_after_writing_leaves_the_files_and_the_advice(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    part: str | None,
+    error: BaseException | None,
+    said: str,
+) -> None:
+    """Exit code 1, never 2: without a replaced part the autopilot is unplugged."""
+    if part is not None and error is not None:
+        monkeypatch.setattr(f"companion.setup_tools.setup_commands.{part}", failing(error))
+    unplugged = "serial:/dev/unplugged:921600"
+    options = ("--autopilot", "ardupilot", "--connect", unplugged)
+    assert main(["setup", "--directory", str(tmp_path), *options]) == EXIT_FAILED
+    assert load_config(tmp_path / "companion.yaml")
+    assert unplugged in (tmp_path / "service.env").read_text()
+    out = capsys.readouterr().out
+    assert said in out
+    assert ("do not fly" in out) == bool(said)
+    assert "SERIAL2_BAUD      921" in out
+    assert "undo: companion setup --remove" in out
 
 
 def test_a_preset_that_is_wrong_is_named_without_the_folder_it_was_tried_in(
