@@ -1,7 +1,7 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo missions test test-all faults check dist deb site clean venv-demo venv-dev
+.PHONY: help demo missions test test-all faults check dist parts deb deb-needs site clean venv-demo venv-dev venv-package
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
@@ -52,22 +52,25 @@ check: venv-dev
 # Two builds of one commit are the same bytes; outside of git the date is the first that a zip can have.
 export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 315532800)
 
-dist: venv-dev
+dist: venv-package
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation --outdir dist .
 	$(BIN)/python -m build --no-isolation --outdir dist sim_link
 	$(BIN)/twine check --strict dist/*
 
-parts: dist
+parts: venv-dev dist
 	PYTHONPATH=. $(BIN)/python tools/list_parts.py $(PARTS_ARGS)
 
-deb: dist
+deb: deb-needs dist
 	$(BIN)/python tools/make_deb.py $(DEB_ARGS)
+
+deb-needs:
+	@tools/check_deb_needs.sh
 
 site: venv-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-venv-demo venv-dev: venv-%:
+venv-demo venv-dev venv-package: venv-%:
 	@tools/make_venv.sh $*
 
 clean:

@@ -17,11 +17,12 @@ import argparse
 import functools
 import hashlib
 import importlib
+import itertools
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args
@@ -37,6 +38,8 @@ from numba import types
 CC: Any = importlib.import_module("numba.pycc").CC  # typed by nobody
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "companion_kernels"
+Variants = dict[str, dict[tuple[object, ...], str]]
+"""Exported names, by kernel and by the kinds of its arguments."""
 WRITEABLE_C, READ_ONLY_C = 0x401, 0x001
 """Flags of numpy: C order, and whether it may be written to."""
 
@@ -100,14 +103,7 @@ def main() -> int:
     warm_everything_up()
     compiler = CC("_native")
     compiler.output_dir = str(place)
-    variants: dict[str, dict[tuple[object, ...], str]] = {}
-    for function in (each for each in KERNELS if each.nopython_signatures):
-        plain = function.py_func
-        table = variants.setdefault(f"{plain.__module__}.{plain.__name__}", {})
-        for signature in function.nopython_signatures:
-            name = f"k{sum(map(len, variants.values()))}"
-            table[tuple(map(kind_of, signature.args))] = name
-            compiler.export(name, signature)(plain)
+    variants = export_variants(compiler, KERNELS)
     compile_reproducibly(compiler)
     for module in place.glob("_native.*.so"):  # names of the folders that it was compiled in
         subprocess.run(["strip", "--strip-unneeded", str(module)], check=True)
@@ -117,6 +113,32 @@ def main() -> int:
     (place / "__init__.py").write_text(text)
     print(f"{place}: {len(variants)} kernels, {sum(map(len, variants.values()))} variants")
     return 0
+
+
+def export_variants(compiler: Any, kernels: Iterable[Any]) -> Variants:
+    """Export every signature that was called, each under a name of its own.
+
+    A literal argument (an int known while its caller was compiled) counts as its type: at run time
+    `companion.kernel.kind_of` sees no difference.
+
+    Raises:
+        SystemExit: a kernel has two signatures that `kind_of` cannot tell apart.
+    """
+    variants: Variants = {}
+    numbers = itertools.count()
+    for function in (each for each in kernels if each.nopython_signatures):
+        plain = function.py_func
+        kernel = f"{plain.__module__}.{plain.__name__}"
+        signatures: dict[tuple[object, ...], tuple[Any, ...]] = {}
+        for signature in function.nopython_signatures:
+            arguments = tuple(map(types.unliteral, signature.args))
+            key = tuple(map(kind_of, arguments))
+            if signatures.setdefault(key, arguments) != arguments:
+                raise SystemExit(f"{kernel}: {arguments} and {signatures[key]} have one key, {key}")
+        variants[kernel] = {key: f"k{next(numbers)}" for key in signatures}
+        for key, name in variants[kernel].items():
+            compiler.export(name, signatures[key])(plain)
+    return variants
 
 
 def digest_of_tool() -> str:

@@ -25,16 +25,10 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from datetime import UTC, datetime
 from pathlib import Path
 
-import shtab
-from argparse_manpage.manpage import Manpage
-
 from companion import __version__
-from companion.arguments import argument_parser
 from companion.kernel import sources_digest
-from sim_link.cli import simulator_parser
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGING = ROOT / "packaging"
@@ -71,13 +65,14 @@ def main() -> int:
     parser.add_argument("--wheels", type=Path, default=ROOT / "dist", help="those of this project")
     parser.add_argument("--output", type=Path, default=ROOT / "dist")
     options = parser.parse_args()
-    os.environ.setdefault("SOURCE_DATE_EPOCH", last_commit_s())
+    if "SOURCE_DATE_EPOCH" not in os.environ:
+        os.environ["SOURCE_DATE_EPOCH"] = last_commit_s()
     work = ROOT / "build/deb" / options.architecture
     tree = work / "tree"
     shutil.rmtree(tree, ignore_errors=True)
     lay_out_environment(tree, options.architecture, options.wheels, work / "wheels")
     lay_out_system(tree)
-    lay_out_documentation(tree / "usr/share")
+    lay_out_documentation(tree / "usr/share", options.wheels)
     write_control(tree, options.architecture)
     print(build(tree, options.output, options.architecture))
     return 0
@@ -203,35 +198,25 @@ def lay_out_system(tree: Path) -> None:
         (tree / "usr/bin" / command).symlink_to(f"/{HOME}/bin/{command}")
 
 
-def put(source: Path, target: Path) -> None:
-    """A copy with its folders."""
+def put(source: Path | zipfile.Path, target: Path) -> None:
+    """Copy a file and make its folders."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source, target)
+    target.write_bytes(source.read_bytes())
 
 
-def lay_out_documentation(share: Path) -> None:
-    """Man pages and completions of what argparse knows; changelog and licence."""
-    for parser in (argument_parser(), simulator_parser()):
-        completions = share / "bash-completion/completions" / parser.prog
-        completions.parent.mkdir(parents=True, exist_ok=True)
-        completions.write_text(shtab.complete(parser, "bash"))
-        compress(manual_page(parser), share / "man/man1" / f"{parser.prog}.1.gz")
+def lay_out_documentation(share: Path, wheels: Path) -> None:
+    """Man pages and completions of our own wheels; changelog and licence."""
+    for wheel in sorted(wheels.glob("companion_*.whl")):
+        with zipfile.ZipFile(wheel) as archive:
+            for name in archive.namelist():
+                path = name.partition(".data/data/share/")[2]
+                if path.startswith("man/"):
+                    compress(archive.read(name).decode(), share / f"{path}.gz")
+                elif path:
+                    put(zipfile.Path(archive, name), share / path)
     documents = share / "doc/companion-guidance"
     put(ROOT / "LICENSE", documents / "copyright")
     compress((ROOT / "CHANGELOG.md").read_text(), documents / "changelog.gz")
-
-
-def manual_page(parser: argparse.ArgumentParser) -> str:
-    """In troff, dated by SOURCE_DATE_EPOCH."""
-    built_at = datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
-    facts = {
-        "description": (parser.description or "").partition(".")[0].replace("\n", " "),
-        "project_name": "companion-guidance",
-        "version": __version__,
-        "manual_title": "User commands",
-        "date": f"{built_at:%Y-%m-%d}",
-    }
-    return str(Manpage(parser, _data=facts))
 
 
 def compress(text: str, target: Path) -> None:

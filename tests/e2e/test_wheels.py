@@ -80,11 +80,15 @@ def test_each_wheel_holds_its_own_package_alone(wheels: Path) -> None:
     for name, package in packages.items():
         wheel = zipfile.ZipFile(wheels / f"{name}-{__version__}-py3-none-any.whl")
         tops = {entry.partition("/")[0] for entry in wheel.namelist()}
-        assert tops == {package, f"{name}-{__version__}.dist-info"}
+        assert tops == {
+            package,
+            *(f"{name}-{__version__}.{kind}" for kind in ("data", "dist-info")),
+        }
         there = {
             str(path.relative_to(ROOT))
             for path in (ROOT / package).rglob("*")
             if path.suffix in {".py", ".j2", ".css", ".js", ".xml", ".typed"}
+            and path.name != "hatch_build.py"
         }
         assert there <= set(wheel.namelist())
         assert (wheels / f"{name}-{__version__}.tar.gz").exists()
@@ -115,8 +119,15 @@ def test_the_demo_without_the_simulator_says_what_to_install(flight: Path, tmp_p
     done = run(flight / "companion", "demo", cwd=tmp_path)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
-    assert LABORATORY in done.stderr
+    assert "the simulator is not installed" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_both_wheels_bring_man_pages_and_completions(laboratory: Path) -> None:
+    for command in ("companion", "sim-link"):
+        share = laboratory.parent / "share"
+        assert ".TH " in (share / f"man/man1/{command}.1").read_text()
+        assert "complete" in (share / f"bash-completion/completions/{command}").read_text()
 
 
 def test_the_demo_flies_from_both_wheels(laboratory: Path, tmp_path: Path) -> None:

@@ -19,8 +19,16 @@ SHELL = re.compile(r"^( *)```sh\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 TARGETS = set(
     re.findall(r"^([a-z-]+)(?: [a-z-]+)*:", (ROOT / "Makefile").read_text(), re.MULTILINE)
 )
-TARGETS |= {"venv-demo", "venv-dev"}
-OF_OTHERS = {"pytest", ".", "apt", "systemctl", "debootstrap", "packaging/try_in_root.sh"} | set(
+TARGETS |= {"venv-demo", "venv-dev", "venv-package"}
+OF_OTHERS = {
+    "pytest",
+    ".",
+    "apt",
+    "systemctl",
+    "debootstrap",
+    "packaging/try_fresh.sh",
+    "packaging/try_in_root.sh",
+} | set(
     ("mavproxy.py", "sim_vehicle.py", "commander", "mode", "arm", "pip", "pipx", "python3", "echo")
 )
 """Programs that this project does not have; their commands are read, and never run, by a test."""

@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import itertools
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,10 +17,22 @@ import pytest
 
 from companion import __version__
 from companion.kernel import sources_digest
+from sim_link.hatch_build import PARSERS, write_manuals
 from tools import make_deb
 
 needs_dpkg = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="dpkg-deb is not here")
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not here")
+
+
+def wheels_of_manuals(folder: Path) -> Path:
+    """Wheels that have nothing but what the build hook adds."""
+    for distribution in PARSERS:
+        share = folder / f"{distribution}.data/data/share"
+        write_manuals(distribution, __version__, share)
+        with zipfile.ZipFile(folder / f"{distribution.replace('-', '_')}-1.whl", "w") as wheel:
+            for path in filter(Path.is_file, share.rglob("*")):
+                wheel.write(path, path.relative_to(folder))
+    return folder
 
 
 @pytest.fixture
@@ -28,7 +41,7 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     place = tmp_path / "tree"
     make_deb.lay_out_system(place)
-    make_deb.lay_out_documentation(place / "usr/share")
+    make_deb.lay_out_documentation(place / "usr/share", wheels_of_manuals(tmp_path))
     make_deb.write_control(place, "amd64")
     return place
 
@@ -72,6 +85,48 @@ def test_bash_completes(tree: Path, words: str, expected: str) -> None:
     )
     done = subprocess.run(["bash", "-c", asked], capture_output=True, text=True, check=True)
     assert expected in done.stdout.split()
+
+
+def run_needs_check(programs: Path, python: str) -> subprocess.CompletedProcess[str]:
+    """The check that `make deb` begins with, on a machine with these programs alone."""
+    command = ["/bin/sh", str(make_deb.ROOT / "tools/check_deb_needs.sh")]
+    environment = {"PATH": str(programs), "PYTHON": python}
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+
+
+def test_a_build_without_what_it_needs_ends_at_once_in_a_line(tmp_path: Path) -> None:
+    for name in ("dirname", "strip"):
+        (tmp_path / name).symlink_to(shutil.which(name) or f"/usr/bin/{name}")
+    done = run_needs_check(tmp_path, "no-python")
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("make deb: missing on this machine; sudo apt install gcc g++ libc6-dev ")
+    assert "binutils" not in line
+
+
+def test_the_page_names_the_compilers_and_what_else_a_debian_lacks() -> None:
+    page = (make_deb.ROOT / "docs/install.md").read_text()
+    (named,) = re.findall(r"^sudo apt install (.*\bmake\b.*)$", page, re.MULTILINE)
+    script = (make_deb.ROOT / "tools/check_deb_needs.sh").read_text()
+    checked = set(re.findall(r"\bneeds ([a-z]\S+) ", script))
+    of_others = {"libc6-dev", "binutils", "dpkg"}  # g++ depends on two of them, Debian on the third
+    assert set(named.split()) == {"make"} | checked - of_others
+
+
+def test_the_date_of_a_build_asks_git_only_if_none_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    laid_out: list[str] = []
+    monkeypatch.setattr(sys, "argv", ["make_deb.py"])
+    monkeypatch.setattr(make_deb, "ROOT", tmp_path)
+    for part in ("lay_out_environment", "lay_out_system", "lay_out_documentation"):
+        monkeypatch.setattr(make_deb, part, lambda *_, part=part: laid_out.append(part))
+    monkeypatch.setattr(make_deb, "write_control", lambda *_: None)
+    monkeypatch.setattr(make_deb, "build", lambda *_: tmp_path)
+    assert make_deb.main() == 0
+    assert len(laid_out) == 3
 
 
 def described_kernels(root: Path, sources: str, tool: str) -> Path:
