@@ -1,0 +1,84 @@
+#!/bin/sh
+# Builds the Debian package on a fresh Debian 12 with nothing but what docs/install.md names, then tries it
+# on another one with nothing but what the package depends on (try_in_root.sh).
+#
+#   sudo packaging/try_fresh.sh [CACHE]
+#
+# The roots come of debootstrap and of the mirror that this machine's apt uses, or DEBIAN_MIRROR. They are
+# kept in CACHE (~/.cache/companion-guidance/debian) for the next time; delete it to fetch newer packages.
+# Some ten minutes of two cores. Where it cannot run it says why, and its exit code is 0.
+set -eu
+
+cd "$(dirname "$0")/.."
+cache=${1:-${XDG_CACHE_HOME:-$HOME/.cache}/companion-guidance/debian}
+suite=bookworm
+
+skip() {
+    echo "SKIPPED, the Debian package was neither built nor tried: $*"
+    exit 0
+}
+
+[ "$(id -u)" = 0 ] || skip "needs root for chroot"
+unshare --net --mount --pid --fork true 2>/dev/null || skip "this container may not make namespaces"
+if ! command -v debootstrap >/dev/null; then
+    command -v apt-get >/dev/null || skip "needs debootstrap"
+    apt-get update -qq
+    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends debootstrap >/dev/null
+fi
+
+mirror() { # of the first Debian suite proper; those of updates have a hyphen in their names
+    apt-get indextargets --format '$(RELEASE) $(REPO_URI)' 'Created-By: Packages' |
+        awk '$1 !~ /-/ {print $2; exit}'
+}
+mirror=${DEBIAN_MIRROR:-$(. /etc/os-release && [ "$ID" = debian ] && mirror || true)}
+[ -n "$mirror" ] || skip "apt has no mirror of Debian here; name one in DEBIAN_MIRROR"
+
+work=$(mktemp -d -p "${TMPDIR:-/var/tmp}" companion-deb.XXXXXX)
+trap 'rm -rf --one-file-system "$work"' EXIT
+trap 'exit 1' INT TERM HUP
+
+fresh() { # fresh NAME PACKAGES: a root at $work/NAME
+    kept=$cache/$suite-$(echo "$2" | cksum | cut -d' ' -f1).tar
+    if [ ! -f "$kept" ]; then
+        echo "making a Debian root with $2 (once)"
+        debootstrap --variant=minbase --include="$2" "$suite" "$work/$1" "$mirror" >"$work/$1.log" ||
+            { tail -20 "$work/$1.log" >&2; exit 1; }
+        rm -rf "$work/$1"/var/cache/apt/* "$work/$1"/var/lib/apt/lists/*
+        mkdir -p "$cache"
+        tar -C "$work" -cf "$kept.part" "$1"
+        mv "$kept.part" "$kept"
+        rm -rf "${work:?}/$1"
+    fi
+    mkdir -p "$work/$1"
+    tar -C "$work/$1" --strip-components=1 -xf "$kept"
+}
+
+named=$(sed -n 's/^sudo apt install \(.*\bmake\b.*\)/\1/p' docs/install.md | tr ' ' ,)
+[ -n "$named" ] || { echo "docs/install.md does not say what make deb needs" >&2; exit 1; }
+fresh builder "$named"
+mkdir "$work/builder/src"
+git -c safe.directory='*' ls-files -z --cached --others --exclude-standard | xargs -0 ls -d 2>/dev/null |
+    tar -c -T - | tar -C "$work/builder/src" -x
+
+# It has this machine's way to the package index of Python: names, certificates, settings of pip.
+cp -L /etc/resolv.conf "$work/builder/etc/resolv.conf"
+! [ -f /etc/pip.conf ] || cp /etc/pip.conf "$work/builder/etc/pip.conf"
+mkdir -p "$HOME/.cache/pip" "$work/builder/root/.cache/pip" "$work/builder/root/.config"
+! [ -d "$HOME/.config/pip" ] || cp -r "$HOME/.config/pip" "$work/builder/root/.config"
+settings=$(env | grep -iE '^(pip_|[a-z]+_proxy=|ssl_cert_)' || true)
+began_s=$(date +%s)
+(
+    IFS='
+'
+    unshare --mount --pid --fork --kill-child sh -c '
+        mount -t proc proc "$0/proc"
+        mount --bind /etc/ssl/certs "$0/etc/ssl/certs"
+        mount --bind "$HOME/.cache/pip" "$0/root/.cache/pip"
+        exec chroot "$0" env -i HOME=/root LC_ALL=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin "$@" \
+            make -C /src deb' "$work/builder" $settings
+) >"$work/make.log" 2>&1 || { tail -30 "$work/make.log" >&2; exit 1; }
+echo "built after $(($(date +%s) - began_s)) s:" "$work"/builder/src/dist/*.deb
+! grep 'kernels in plain Python' "$work/make.log" | grep '3.11' || exit 1
+
+fresh vehicle python3,systemd,udev
+packaging/try_in_root.sh "$work/vehicle" "$work"/builder/src/dist/*.deb
