@@ -25,7 +25,9 @@ TARGET_M = (12.0, 9.0)
 RADIUS_M = 20.0
 HEIGHT_M = 15.0
 SMALL_WINDOW = 32
-"""Measurements; the least that a configuration may have, so it is full and thinned out soonest."""
+"""Measurements; the least that a configuration may have, so it is full and thinned out soonest.
+
+Twice as many are taken in."""
 
 
 def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
@@ -41,7 +43,7 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
     memory: Any = None
     for has_range, has_bearing in ((True, True), (True, False), (False, True)):
         tracker = TargetTracker(params)
-        for step in range(SMALL_WINDOW + 60):
+        for step in range(2 * SMALL_WINDOW):
             time_s, angle = 0.1 * step, 0.1 * step
             place = (RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle), HEIGHT_M)
             seen = _seen(place, time_s, rng, has_range, has_bearing)
