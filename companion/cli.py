@@ -230,8 +230,12 @@ def _report(arguments: argparse.Namespace) -> int:
 
     if arguments.web_tiles is not None:
         check_tiles(arguments.web_tiles)
-    print(write_report(arguments.flight, arguments.output, arguments.web_tiles))
+    print(write_report(arguments.flight, arguments.output, arguments.web_tiles, _warn))
     return 0
+
+
+def _warn(text: str) -> None:
+    print(f"companion: {text}", file=sys.stderr)
 
 
 def _report_flight(tiles: Path | None, directory: Path) -> None:

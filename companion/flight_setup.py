@@ -10,7 +10,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -187,13 +187,21 @@ def build_endpoint(
     )
 
 
+MOST_LINKS = 256
+"""The number of a link is a byte in `flight.inputs`."""
+
+
+LAST_UNIX_S = 253_402_300_799.0
+"""The end of the year 9999, beyond which Python has no dates."""
+
+
 class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
     """What a replay and a report must know of a flight."""
 
-    started_unix_s: float
-    links: int
+    started_unix_s: Annotated[float, msgspec.Meta(ge=0.0, le=LAST_UNIX_S)]
+    links: Annotated[int, msgspec.Meta(ge=1, le=MOST_LINKS)]
     """The vehicle's, those that carry only ranging, radios, and ground stations'; in this order."""
-    gcs_links: int = 0
+    gcs_links: Annotated[int, msgspec.Meta(ge=0, le=MOST_LINKS)] = 0
     """How many of them lead to ground stations."""
     config: CompanionConfig
     """As its file had it, with the radios of the command line."""

@@ -270,8 +270,11 @@ class TargetTracker:
         """Check the hypotheses against the window, and let its optima correct them.
 
         `fresh_starts` is how many starts there are besides them: `params.window.starts` are from
-        every direction, and None are as many as the evidence calls for.
+        every direction, and None are as many as the evidence calls for. Nothing is done without a
+        hypothesis.
         """
+        if not self.hypotheses:
+            return
         inflation = self._noise.inflation(self._optimizer.noise)
         mean = self.hypotheses[0].state.mean
         if self.antenna is not None and self.antenna.look(

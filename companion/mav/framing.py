@@ -28,7 +28,7 @@ HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
 CRC_LENGTH = 2
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
-_MAGIC = re.compile(bytes((ord("["), MAGIC_V2, MAGIC_V1, ord("]"))))
+MAGIC = re.compile(bytes((ord("["), MAGIC_V2, MAGIC_V1, ord("]"))))
 
 
 @dataclass(slots=True)
@@ -63,7 +63,7 @@ class FrameSplitter:
         guesses: list[tuple[int, int]] = []
         start = 0
         while True:
-            magic = _MAGIC.search(buffer, start)
+            magic = MAGIC.search(buffer, start)
             candidate = len(buffer) if magic is None else magic.start()
             self.counters.junk_bytes += candidate - start
             start = candidate

@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -37,6 +38,7 @@ from companion.web.live_map import ReplayedFlight, WebView
 from companion.web.settings import WebSettings
 
 Say = Callable[[str], None]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,8 @@ class FlightReplay:
     is_exact: bool
     """Whether the inputs were recorded; otherwise ticks were guessed from the tlog."""
     is_same_configuration: bool
+    is_course_whole: bool = True
+    """Whether nothing is missing of what was recorded."""
 
     @property
     def is_identical(self) -> bool:
@@ -57,15 +61,28 @@ class FlightReplay:
     @property
     def first_difference(self) -> str | None:
         """Where the two part, in words; None if they do not."""
-        pairs = zip_longest(self.recorded.estimates, self.replayed.estimates)
-        for number, (before, after) in enumerate(pairs, start=1):
-            if before != after:
-                return f"estimate {number}{_difference_text(before, after)}"
-        frames = zip_longest(self.recorded.setpoints, self.replayed.setpoints)
-        for number, (sent, again) in enumerate(frames, start=1):
-            if sent != again:
-                return f"setpoint {number}"
+        recorded, replayed = self.recorded, self.replayed
+        if replayed.whole is not None:
+            recorded, replayed = recorded.first(*replayed.whole), replayed.first(*replayed.whole)
+        for number, before, after in self._unlike(recorded.estimates, replayed.estimates):
+            return f"estimate {number}{_difference_text(before, after)}"
+        for number, _, _ in self._unlike(recorded.setpoints, replayed.setpoints):
+            return f"setpoint {number}"
         return None
+
+    def _unlike(
+        self, recorded: Sequence[T], replayed: Sequence[T]
+    ) -> Iterator[tuple[int, T | None, T | None]]:
+        """Yield the number of each that differs, and both; of a damaged log only what is there."""
+        if self.is_course_whole:
+            for number, (before, after) in enumerate(zip_longest(recorded, replayed), start=1):
+                if before != after:
+                    yield number, before, after
+            return
+        rest = iter(replayed)
+        for number, before in enumerate(recorded, start=1):
+            if self.replayed.whole is None and all(after != before for after in rest):
+                yield number, before, None
 
     @property
     def verdict(self) -> str:
@@ -73,8 +90,9 @@ class FlightReplay:
         first = self.first_difference
         if first is None:
             recorded = self.recorded
-            counts = f"{len(recorded.estimates)} estimates and {len(recorded.setpoints)} setpoints"
-            return f"IDENTICAL: {counts}, bit for bit"
+            estimates, setpoints = self.replayed.whole or recorded.size
+            place = "up to the damaged inputs: " if self.replayed.whole else ""
+            return f"IDENTICAL: {place}{estimates} estimates and {setpoints} setpoints, bit for bit"
         if not self.is_same_configuration:
             return f"another configuration, first different: {first}"
         if not self.is_exact:
@@ -135,9 +153,10 @@ def _by_time(lines: Sequence[Json]) -> dict[tuple[object, int], tuple[float, flo
 def position_of(line: Json) -> tuple[float, float] | None:
     """East and north of an estimate's line."""
     place = line.get("position_enu_m")
-    if not isinstance(place, list | tuple) or len(place) < 2:
-        return None
-    return (float(place[0]), float(place[1]))
+    match place:
+        case [int() | float() as east_m, int() | float() as north_m, *_]:
+            return float(east_m), float(north_m)
+    return None
 
 
 def _difference_text(before: Json | None, after: Json | None) -> str:
@@ -197,12 +216,15 @@ def replay_flight(
     if facts.is_compiled != IS_COMPILED:
         how = "compiled" if facts.is_compiled else "plain"
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")
-    course = rerun(recording.inputs, used, facts, on_input, views)
+    for text in recording.damage:
+        say(text)
+    course = rerun(recording.inputs, used, facts, on_input, views, recording.whole_inputs)
     return FlightReplay(
         recording.course,
         course,
         is_exact=recording.is_exact,
         is_same_configuration=used == facts.config,
+        is_course_whole=recording.is_course_whole,
     )
 
 

@@ -18,6 +18,7 @@ from companion.config.tunables import Tunables
 from companion.errors import ConfigError
 from companion.flight_setup import (
     FlightFacts,
+    RecordedFlight,
     build_endpoint,
     build_planner,
     facts_of_json,
@@ -29,6 +30,7 @@ from companion.io.logs.log_files import (
     Input,
     InputKind,
     TlogRecord,
+    damage_text,
     event_lines,
     event_of,
     parse_inputs,
@@ -61,6 +63,17 @@ class Course:
     estimates: list[Json] = field(default_factory=list)
     setpoints: list[bytes] = field(default_factory=list)
     localised_s: float | None = None
+    whole: tuple[int, int] | None = None
+    """How many estimates and setpoints came before the first damaged input; None: there is none."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """How many estimates and setpoints there are."""
+        return len(self.estimates), len(self.setpoints)
+
+    def first(self, estimates: int, setpoints: int) -> Course:
+        """Return its beginning: so many estimates and setpoints."""
+        return Course(self.estimates[:estimates], self.setpoints[:setpoints], self.localised_s)
 
 
 class CourseJournal(FlightView):
@@ -92,8 +105,12 @@ def rerun(
     facts: FlightFacts,
     on_input: OnInput | None = None,
     views: Sequence[FlightView] = (),
+    whole: int | None = None,
 ) -> Course:
-    """Run a flight again; `on_input` follows every input, views hear what is reported."""
+    """Run a flight again; `on_input` follows every input, views hear what is reported.
+
+    The course notes what came of the first `whole` inputs; None: of all.
+    """
     journal = CourseJournal()
     tunables = Tunables(config, build_planner)
     if config == facts.config:
@@ -101,7 +118,9 @@ def rerun(
     heard = ViewedJournal(journal, views)
     specs = facts.link_specs(replayed_radios(facts.config.radios, config.radios))
     endpoint = build_endpoint(config, heard, specs, tunables=tunables)
-    for value in inputs:
+    for number, value in enumerate(inputs):
+        if number == whole:
+            journal.course.whole = journal.course.size
         match value.kind:
             case InputKind.FRAME:
                 chunk = Chunk(value.link, value.data, value.peer)
@@ -114,11 +133,15 @@ def rerun(
         journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
         if on_input is not None:
             on_input(endpoint, value.time_s)
+    if whole is not None and journal.course.whole is None:
+        journal.course.whole = journal.course.size
     return journal.course
 
 
 OWN_COMPONENT = 191
 TICK_S = 0.05
+LONGEST_PAUSE_S = 60.0
+"""Between two frames of a tlog; a longer one, or one back in time, is the wall clock being set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +153,12 @@ class FlightRecording:
     is_exact: bool
     """Whether the inputs were recorded; otherwise they were guessed from the frames."""
     course: Course
+    whole_inputs: int | None = None
+    """How many inputs came before the first that is damaged or missing; None: none is."""
+    is_course_whole: bool = True
+    """Whether nothing is missing of the recorded course."""
+    damage: tuple[str, ...] = ()
+    """What could not be read, a line for each file."""
 
 
 def is_mcap(path: Path) -> bool:
@@ -148,16 +177,55 @@ def open_recording(path: Path) -> FlightRecording:
         parsed = list(parse_inputs(found.inputs, str(found.path)))
         return FlightRecording(facts, parsed, True, course_of(found.events, found.frames))
     flight = open_flight(path)
-    lines = event_lines(flight.path(EVENTS))
-    records = list(read_tlog(flight.path(TLOG)))
+    bad_lines: list[int] = []
+    bad_frames: list[int] = []
+    lines = event_lines(flight.path(EVENTS), bad_lines.append)
+    records = list(read_tlog(flight.path(TLOG), bad_frames.append))
     course = course_of(lines, [record.frame for record in records])
-    inputs_path = flight.path(INPUTS)
-    if inputs_path.exists():
-        return FlightRecording(flight.facts, list(read_inputs(inputs_path)), True, course)
-    inputs = inputs_of_tlog(records)
-    if not inputs:
-        raise ConfigError(f"{flight.path(TLOG)}: has no frames")
-    return FlightRecording(flight.facts, inputs, False, course)
+    inputs, whole, bad_inputs = _inputs_of(flight, records)
+    told = (
+        damage_text(flight.path(EVENTS), "line", bad_lines),
+        damage_text(flight.path(TLOG), "byte", bad_frames),
+        damage_text(flight.path(INPUTS), "record", bad_inputs),
+    )
+    return FlightRecording(
+        flight.facts,
+        inputs,
+        flight.path(INPUTS).exists(),
+        course,
+        whole,
+        not bad_lines and not bad_frames,
+        tuple(text for text in told if text),
+    )
+
+
+def _inputs_of(
+    flight: RecordedFlight, records: list[TlogRecord]
+) -> tuple[list[Input], int | None, list[int]]:
+    """Return the inputs, how many of them are whole, and the numbers of damaged records."""
+    path = flight.path(INPUTS)
+    inputs: list[Input] = []
+    bad: list[int] = []
+    if not path.exists():
+        inputs = inputs_of_tlog(records)
+        if not inputs:
+            raise ConfigError(f"{flight.path(TLOG)}: has no frames")
+        return inputs, None, []
+    whole: list[int] = []
+
+    def on_damage(number: int) -> None:
+        """Note a damaged record, and how many inputs there are before it."""
+        bad.append(number)
+        whole.append(len(inputs))
+
+    for value in read_inputs(path, on_damage):
+        try:
+            if value.kind not in (InputKind.FRAME, InputKind.TICK):
+                event_of(value)
+            inputs.append(value)
+        except ConfigError:
+            on_damage(len(inputs) + 1)
+    return inputs, min(whole, default=None), bad
 
 
 def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
@@ -179,11 +247,13 @@ def inputs_of_tlog(records: list[TlogRecord]) -> list[Input]:
     """Inputs for a log that has none: frames, and ticks at 20 Hz instead of the flight's own."""
     if not records:
         return []
-    start_us = records[0].unix_us
+    last_us = records[0].unix_us
     inputs: list[Input] = []
-    next_tick_s = 0.0
+    time_s = next_tick_s = 0.0
     for record in records:
-        time_s = 1e-6 * max(0, record.unix_us - start_us)
+        step_s = 1e-6 * (record.unix_us - last_us)
+        time_s += step_s if 0.0 <= step_s <= LONGEST_PAUSE_S else 0.0
+        last_us = record.unix_us
         while next_tick_s <= time_s:
             inputs.append(Input(InputKind.TICK, next_tick_s))
             next_tick_s += TICK_S

@@ -23,6 +23,8 @@ from companion.estimation.window.sandwich import Observability
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad")
 PROGRESS_ROWS = 2000
+FARTHEST_M = 4e7
+"""The Earth is 40,000 km around."""
 ESTIMATED = (
     *("r95_m", "alternative_enu_m", "range_offset_m"),
     *("range_scale", "height_m", "height_sigma_m"),
@@ -160,7 +162,10 @@ def _walk_row(row: Mapping[str, str | None], place: str, numbers: dict[str, int]
     if not target_id:
         raise ConfigError(f"{place}: target_id is empty")
     t_s, east, north = (_needed(row, name, place) for name in REQUIRED[:3])
+    up = _number(row, "agent_z_m", place) or 0.0
     truth_east, truth_north = (_number(row, f"target_{axis}_m", place) for axis in "xy")
+    if not all(abs(metres) <= FARTHEST_M for metres in (east, north, up)):
+        raise ConfigError(f"{place}: agent_x_m, agent_y_m, agent_z_m: no place on the Earth")
     truth = None if truth_east is None or truth_north is None else (truth_east, truth_north)
     return WalkRow(
         target_id=target_id,
@@ -171,7 +176,7 @@ def _walk_row(row: Mapping[str, str | None], place: str, numbers: dict[str, int]
             bearing_enu_rad=_bearing(row, place),
             elevation_rad=_number(row, "elevation_rad", place),
         ),
-        agent_enu_m=(east, north, _number(row, "agent_z_m", place) or 0.0),
+        agent_enu_m=(east, north, up),
         truth_enu_m=truth,
     )
 

@@ -18,7 +18,13 @@ SUMMARY_KINDS = ("text", "phase", "answer", "autopilot_text", "bound", "result")
 """Kinds of events that people read."""
 
 Line = Mapping[str, object]
-Polygons = tuple[list[Point], list[list[Point]]]
+Number = Annotated[float, msgspec.Meta(ge=-3.4e38, le=3.4e38)]
+"""What MAVLink can say: single precision. Beyond it, and infinite, a number was damaged."""
+Metres = Annotated[float, msgspec.Meta(ge=-4e7, le=4e7)]
+"""Of a place or a radius: the Earth is 40,000 km around."""
+Scale = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
+Place = tuple[Metres, Metres]
+Polygons = tuple[list[Place], list[list[Place]]]
 LEAST_CORNERS = 3
 GUARD_WORDS = {reason.name.lower(): reason.value for reason in GuardReason}
 
@@ -34,32 +40,42 @@ class EstimatePoint(
 ):
     """One estimate, made from its line of the event log."""
 
-    time_s: float
-    place_enu_m: Point
-    r95_m: float
+    time_s: Number
+    place_enu_m: Place
+    r95_m: Metres
     state: str = ""
-    sensor_enu_m: tuple[float, ...] | None = None
-    range_offset_m: float | None = None
-    range_innovation_m: float | None = None
-    nis: float | None = None
-    covariance_m2: tuple[Point, Point] | None = None
+    sensor_enu_m: Annotated[tuple[Metres, ...], msgspec.Meta(min_length=2)] | None = None
+    range_offset_m: Number | None = None
+    range_innovation_m: Number | None = None
+    nis: Number | None = None
+    covariance_m2: tuple[tuple[Number, Number], tuple[Number, Number]] | None = None
     emitter_id: int | None = None
     """None: the log does not separate emitters."""
-    absolute_r95_m: float | None = None
+    absolute_r95_m: Metres | None = None
     """None: the log is older than the absolute radius."""
 
 
 class _WaypointLine(msgspec.Struct):
-    position_enu_m: Point
+    position_enu_m: Place
 
 
 class _PositionLine(msgspec.Struct):
-    position_enu_m: tuple[float, float, float]
+    position_enu_m: tuple[Metres, Metres, Metres]
+
+
+class _OriginLine(msgspec.Struct):
+    """The bounds of a `LocalOrigin`: on the Earth, in a frame whose scale is near one."""
+
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+    altitude_m: Metres
+    offset_enu_m: tuple[Metres, Metres, Metres] = (0.0, 0.0, 0.0)
+    scale_en: tuple[Scale, Scale] = (1.0, 1.0)
 
 
 class _FenceLine(msgspec.Struct):
-    polygon_enu_m: Annotated[list[Point], msgspec.Meta(min_length=LEAST_CORNERS)]
-    keep_out_enu_m: list[list[Point]] = []
+    polygon_enu_m: Annotated[list[Place], msgspec.Meta(min_length=LEAST_CORNERS)]
+    keep_out_enu_m: list[list[Place]] = []
 
 
 T = TypeVar("T")
@@ -115,7 +131,7 @@ def summarize_events(lines: Iterable[Line]) -> FlightSummary:
     """The summary of an event log's lines in JSON's own types; unknown kinds are passed over."""
     summary = FlightSummary()
     for line in lines:
-        time_s = _read(line.get("t_s"), float) or 0.0
+        time_s = _read(line.get("t_s"), Number) or 0.0
         summary.ended_s = max(summary.ended_s, time_s)
         kind = str(line.get("kind"))
         if kind in SUMMARY_KINDS:
@@ -132,7 +148,7 @@ def _take_place(summary: FlightSummary, kind: str, line: Line) -> None:
     match kind:
         case "position" if (position := _read(line, _PositionLine)) is not None:
             summary.track.add(position.position_enu_m[:2])
-        case "origin":
+        case "origin" if _read(line, _OriginLine) is not None:
             summary.origin = _read(line, LocalOrigin) or summary.origin
 
 
@@ -164,7 +180,7 @@ def _read(value: object, kind: type[T]) -> T | None:
     """A value of the log as what it should be; None: it is something else."""
     try:
         return msgspec.convert(value, kind)
-    except msgspec.ValidationError:
+    except (msgspec.ValidationError, OverflowError):
         return None
 
 

@@ -13,7 +13,7 @@ A page that is not about one flight takes `page_environment` and includes `page.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from companion.flight_setup import FlightFacts, open_flight
 from companion.geometry.polygons import CHI2_95_TWO, Point
 from companion.handoff import mgrs_text, utc_text
 from companion.io.files import EVENTS, REPORT, write_text_atomic
-from companion.io.logs.log_files import event_lines
+from companion.io.logs.log_files import damage_text, event_lines
 from companion.report.basemap import pictures_of
 from companion.report.charts import (
     Chart,
@@ -218,7 +218,9 @@ def _figures(summary: FlightSummary, facts: FlightFacts) -> list[tuple[str, str]
 
 
 def _places(place: Point, radius_m: object, emitter: str = "") -> list[tuple[str, str]]:
-    """A place on the Earth in degrees, and as MGRS no finer than it is known."""
+    """A place on the Earth in degrees, and as MGRS no finer than it is known; none of another."""
+    if abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
+        return []
     known_m = radius_m if isinstance(radius_m, float) else 1.0
     return [
         (f"Position{emitter}", f"{place[0]:.7f}, {place[1]:.7f}"),
@@ -317,14 +319,25 @@ def _nis_chart(over_time: TimeCharts, points: list[Point]) -> Chart | None:
     )
 
 
-def write_report(flight: Path, output: Path | None = None, tiles: Path | None = None) -> Path:
-    """Write the report of a flight (its folder, or a file in it), by default there; its path.
+def write_report(
+    flight: Path,
+    output: Path | None = None,
+    tiles: Path | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Path:
+    """Write the report of a flight (its folder, or a file in it), and return its path.
 
-    Its map lies on `tiles` (`z/x/y.png`), where there are any.
+    By default it is in the folder. Its map lies on `tiles` (`z/x/y.png`), where there are any.
+    `say` has a line for each damaged log, the rest of which is reported.
     """
     found = open_flight(flight)
     older = found.directory / "events.old.jsonl"  # put aside when the log reached half its cap
-    lines = [*(event_lines(older) if older.exists() else ()), *event_lines(found.path(EVENTS))]
+    lines: list[Line] = []
+    for part in (older, found.path(EVENTS)):
+        damaged: list[int] = []
+        lines += event_lines(part, damaged.append) if part.exists() or part != older else ()
+        if damaged:
+            say(damage_text(part, "line", damaged))
     name = found.directory.resolve().name
     page = report_page(summarize_events(lines), found.facts, name, tiles)
     path = found.path(REPORT) if output is None else output

@@ -12,13 +12,16 @@ out, and frames that carry a key altogether.
 
 from __future__ import annotations
 
-import json
+import math
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 from pathlib import Path
+
+import msgspec
+import numpy as np
 
 from companion.errors import ConfigError
 from companion.guidance import events
@@ -28,10 +31,19 @@ from companion.io.files import json_line, read_file
 from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
-from companion.mav.framing import HEADER_LENGTH, frame_end, message_id, without_signature
+from companion.mav.framing import (
+    HEADER_LENGTH,
+    MAGIC,
+    frame_end,
+    has_good_crc,
+    message_id,
+    without_signature,
+)
 from companion.mav.signing import is_secret, is_signed
 
 _STAMP = struct.Struct(">Q")
+OnDamage = Callable[[int], None]
+"""Called with each place where a log is damaged: a byte, a record or a line of it."""
 
 
 class TlogWriter(BackgroundFile):
@@ -67,19 +79,51 @@ class TlogRecord:
     frame: bytes
 
 
-def read_tlog(path: Path) -> Iterator[TlogRecord]:
-    """The frames of a tlog, in order; a torn last record (a power cut) ends them."""
+def read_tlog(path: Path, on_damage: OnDamage | None = None) -> Iterator[TlogRecord]:
+    """Yield the frames of a tlog in order, without a torn last one.
+
+    What is no frame is passed over up to the next frame whose checksum is right, and `on_damage`
+    has its first byte. Without `on_damage` it is a `ConfigError`, as is a file without any frame.
+    """
     data, offset = read_file(path), 0
-    while offset + _STAMP.size + 2 <= len(data):
-        (unix_us,) = _STAMP.unpack_from(data, offset)
+    while offset + _STAMP.size < len(data):
         start = offset + _STAMP.size
-        if data[start] not in HEADER_LENGTH:
-            raise ConfigError(f"{path}: no MAVLink frame at byte {start}; is this a tlog?")
-        end = frame_end(data, start)
-        if end > len(data):
-            return
+        end = _end_of_frame(data, start)
+        if end is None:
+            is_torn = data[start] in HEADER_LENGTH and frame_end(data, start) > len(data)
+            if on_damage is None and not is_torn:
+                raise ConfigError(f"{path}: no MAVLink frame at byte {start}; is this a tlog?")
+            if on_damage is None:
+                return
+            on_damage(offset)
+            found = (
+                m.start() for m in MAGIC.finditer(data, start + 1) if _is_proved(data, m.start())
+            )
+            offset = next(found, len(data)) - _STAMP.size
+            if offset + _STAMP.size >= len(data):
+                return
+            continue
+        (unix_us,) = _STAMP.unpack_from(data, offset)
         yield TlogRecord(unix_us, data[start:end])
         offset = end
+
+
+def _end_of_frame(data: bytes, start: int) -> int | None:
+    """Return where the frame at `start` ends; None: there is none, or its checksum is wrong."""
+    if data[start] not in HEADER_LENGTH:
+        return None
+    end = frame_end(data, start)
+    if end > len(data):
+        return None
+    frame = data[start:end]
+    crc_extra = CRC_EXTRA_BY_ID.get(message_id(frame))
+    return end if crc_extra is None or has_good_crc(frame, crc_extra) else None
+
+
+def _is_proved(data: bytes, start: int) -> bool:
+    """Return whether a frame of a known message begins at `start`."""
+    end = _end_of_frame(data, start)
+    return end is not None and message_id(data[start:end]) in CRC_EXTRA_BY_ID
 
 
 FAMILY = b"companion inputs "
@@ -89,6 +133,8 @@ MAGIC_WITHIN = 64
 _HEADER = struct.Struct("<IdBBBI")
 """Number of the record, time_s, kind, link, length of the sender's address, length of the data."""
 _AGE = struct.Struct("<d")
+SEARCHED_AT_ONCE = 1 << 20
+"""Bytes of a damaged file that are searched for the next record together."""
 
 
 class InputKind(IntEnum):
@@ -186,34 +232,98 @@ def _sender_text(peer: Address) -> bytes:
     return f"{peer[0]} {peer[1]}".encode()[:255]
 
 
-def read_inputs(path: Path) -> Iterator[Input]:
-    """The inputs in a file; see `parse_inputs`."""
-    return parse_inputs(read_file(path), str(path))
+def read_inputs(path: Path, on_damage: OnDamage | None = None) -> Iterator[Input]:
+    """Yield the inputs in a file; see `parse_inputs`."""
+    return parse_inputs(read_file(path), str(path), on_damage)
 
 
-def parse_inputs(data: bytes, name: str) -> Iterator[Input]:
-    """The inputs of a flight, without a torn last one; a `ConfigError` if any are missing."""
+def parse_inputs(data: bytes, name: str, on_damage: OnDamage | None = None) -> Iterator[Input]:
+    """Yield the inputs of a flight in order, without a torn last one.
+
+    Where records are missing or damaged, `on_damage` has the number of the first, and what follows
+    goes on with the next that is whole. Without `on_damage` they are a `ConfigError`.
+    """
     if FORMAT not in data[:MAGIC_WITHIN] and FAMILY in data[:MAGIC_WITHIN]:
         raise ConfigError(f"{name}: of another version; replay it with the companion that flew")
-    offset, number = 0, 0
+    offset, number, last_s = 0, 0, 0.0
     while offset + _HEADER.size <= len(data):
-        found, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)
-        end = offset + _HEADER.size + peer_size + size
-        if end > len(data):
-            break
-        body = data[offset + _HEADER.size : end]
-        if number == 0 and (kind != InputKind.BEGIN or body != FORMAT):
-            raise ConfigError(
-                f"{name}: does not begin with a flight's start (an old part was given up to "
-                "the log's cap, or this is no flight.inputs)"
-            )
-        if found != number or kind not in _KINDS:
-            raise ConfigError(f"{name}: record {number} is missing: the disk was too slow or full")
-        if kind != InputKind.BEGIN:
-            yield Input(InputKind(kind), time_s, link, _peer(body[:peer_size]), body[peer_size:])
-        offset, number = end, (number + 1) & 0xFFFFFFFF
+        found = _record_at(data, offset, last_s)
+        if found is None or found.number != number:
+            if on_damage is not None:
+                on_damage(number)
+            elif found is None and number > 0 and _is_torn(data, offset):
+                break
+            else:
+                what = f"record {number} is missing: the disk was too slow or full"
+                raise ConfigError(f"{name}: {what if number else NO_BEGINNING}")
+            found = found or _next_record(data, offset + 1, number, last_s)
+            if found is None:
+                break
+        if found.value.kind != InputKind.BEGIN:
+            yield found.value
+        offset, number, last_s = found.end, found.number + 1, found.value.time_s
     if number == 0:
         raise ConfigError(f"{name}: has no inputs")
+
+
+NO_BEGINNING = (
+    "does not begin with a flight's start (an old part was given up to the log's cap, or this is "
+    "no flight.inputs)"
+)
+MOST_PAUSE_S = 86_400.0
+"""Between the times of two records: a flight that was stopped for a day does not go on."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    number: int
+    value: Input
+    end: int
+    """Where the next one begins."""
+
+
+def _record_at(data: bytes, offset: int, last_s: float) -> _Record | None:
+    """Return the whole record at a byte; None: there is none, or its time is impossible."""
+    if offset + _HEADER.size > len(data):
+        return None
+    number, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)
+    end = offset + _HEADER.size + peer_size + size
+    if kind not in _KINDS or end > len(data):
+        return None
+    if not (last_s == 0.0 or abs(time_s - last_s) <= MOST_PAUSE_S) or not math.isfinite(time_s):
+        return None
+    body = data[offset + _HEADER.size : end]
+    if (number == 0 or kind == InputKind.BEGIN) and body != FORMAT:
+        return None
+    value = Input(InputKind(kind), time_s, link, _peer(body[:peer_size]), body[peer_size:])
+    return _Record(number, value, end)
+
+
+def _is_torn(data: bytes, offset: int) -> bool:
+    """Return whether a record begins here whose end is not there any more."""
+    _, _, kind, _, peer_size, size = _HEADER.unpack_from(data, offset)
+    return kind in _KINDS and offset + _HEADER.size + peer_size + size > len(data)
+
+
+def _next_record(data: bytes, offset: int, number: int, last_s: float) -> _Record | None:
+    """Return the first record from a byte on that another one, or the file's end, follows.
+
+    Where there is none at a possible time, the time before may have been damaged.
+    """
+    for first in range(offset, len(data), SEARCHED_AT_ONCE):
+        part = np.frombuffer(data[first : first + SEARCHED_AT_ONCE + 3], np.uint8).astype(np.uint32)
+        if part.size < 4:
+            break
+        numbers = part[:-3] | part[1:-2] << 8 | part[2:-1] << 16 | part[3:] << 24
+        likely = (numbers >= number) & (numbers <= number + len(data) // _HEADER.size)
+        for at in np.flatnonzero(likely).tolist():
+            found = _record_at(data, first + at, last_s)
+            if found is None or found.value.kind == InputKind.BEGIN:
+                continue
+            follower = _record_at(data, found.end, found.value.time_s)
+            if found.end == len(data) or (follower and follower.number == found.number + 1):
+                return found
+    return None if last_s == 0.0 else _next_record(data, offset, number, 0.0)
 
 
 def event_of(value: Input) -> events.Event:
@@ -221,7 +331,10 @@ def event_of(value: Input) -> events.Event:
     now_s, data = value.time_s, value.data
     match value.kind:
         case InputKind.OPERATOR_COMMAND:
-            return events.OperatorAsked(now_s, events.OperatorCommand(data.decode()))
+            try:
+                return events.OperatorAsked(now_s, events.OperatorCommand(data.decode()))
+            except ValueError:
+                raise ConfigError(f"a command at {now_s} s is none: {data[:40]!r}") from None
         case InputKind.NOTE:
             name, _, text = data.decode(errors="replace").partition(" ")
             severity = Severity.__members__.get(name)
@@ -252,18 +365,30 @@ class EventLog(BackgroundFile):
         self.append(json_line(record) + b"\n")
 
 
-def event_lines(path: Path) -> list[dict[str, object]]:
-    """The event log, without a torn last line (a power cut); `ConfigError` for other damage."""
-    try:
-        lines = read_file(path).decode("utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
+def event_lines(path: Path, on_damage: OnDamage | None = None) -> list[dict[str, object]]:
+    """Return the event log, without a torn last line (a power cut).
+
+    Other lines that are no JSON object are left out, and `on_damage` has the number of each.
+    Without `on_damage` they are a `ConfigError`.
+    """
+    lines = read_file(path).split(b"\n")
     values: list[dict[str, object]] = []
     for number, line in enumerate(lines, start=1):
+        if not line and number == len(lines):
+            break
         try:
-            values.append(json.loads(line))
-        except json.JSONDecodeError as error:
-            if number == len(lines):
-                break
-            raise ConfigError(f"{path}: line {number}: {error}") from error
+            values.append(msgspec.json.decode(line, type=dict[str, object]))
+        except (msgspec.DecodeError, ValueError, RecursionError) as error:
+            if on_damage is not None:
+                on_damage(number)
+            elif number < len(lines):
+                raise ConfigError(f"{path}: line {number}: {error}") from error
     return values
+
+
+def damage_text(path: Path | str, unit: str, places: Sequence[int]) -> str:
+    """Return the line that says where a log is damaged, or nothing where it is not."""
+    if not places:
+        return ""
+    more = "" if len(places) == 1 else f" and at {len(places) - 1} more places"
+    return f"{path}: damaged at {unit} {places[0]}{more}; what is left is read"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from companion.cli import main
+from companion.cli import EXIT_BAD_INPUT, main
 from companion.config.schema import load_config
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
@@ -157,3 +158,25 @@ def test_bad_input_is_one_line_and_exit_code_2(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("companion: ")
+
+
+def test_a_walk_whose_every_row_is_refused_is_told_and_no_traceback(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "walk.csv"
+    rows = "".join(f"{t},{t}.0,0.0,7,-1.0\n" for t in range(5))
+    path.write_text(f"t_s,agent_x_m,agent_y_m,target_id,range_m\n{rows}")
+    assert main(["replay", str(path)]) == 0
+    assert re.search(r"^7 +5 +5 +searching", capsys.readouterr().out, re.MULTILINE)
+
+
+@pytest.mark.parametrize("value", ["inf", "nan", "-1e300"])
+def test_a_place_that_is_not_on_the_earth_is_refused_by_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], value: str
+) -> None:
+    path = tmp_path / "walk.csv"
+    path.write_text(
+        f"t_s,agent_x_m,agent_y_m,agent_z_m,target_id,range_m\n0.0,0.0,0.0,{value},7,5.0\n"
+    )
+    assert main(["replay", str(path)]) == EXIT_BAD_INPUT
+    assert "line 2: agent_x_m, agent_y_m, agent_z_m" in capsys.readouterr().err

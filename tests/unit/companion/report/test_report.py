@@ -322,3 +322,38 @@ def test_a_folder_without_a_flight_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"flight\.json"):
         write_report(tmp_path)
     assert not is_quick(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        {"kind": "estimate", "t_s": 1.0, "position_enu_m": [1e300, 0.0], "r95_m": 1.0},
+        {"kind": "estimate", "t_s": 1e300, "position_enu_m": [1.0, 0.0], "r95_m": 1.0},
+        {"kind": "estimate", "t_s": 1.0, "position_enu_m": [1.0, 0.0], "r95_m": 1e300},
+        {**estimate(2.0), "nis": 1e300, "range_innovation": -1e300},
+        {**estimate(2.0), "sensor_enu_m": [1.0]},
+        {**estimate(2.0), "covariance_m2": [[1e300, 0.0], [0.0, 1e300]]},
+        {"kind": "waypoint", "t_s": 1.0, "position_enu_m": [-1e300, 0.0]},
+        {"kind": "position", "t_s": 1.0, "position_enu_m": [1e300, 0.0, 0.0]},
+        {"kind": "origin", "latitude_deg": 1e300, "longitude_deg": 8.5, "altitude_m": 400.0},
+        {
+            "kind": "origin",
+            "latitude_deg": 47.0,
+            "longitude_deg": 8.5,
+            "altitude_m": 400.0,
+            "scale_en": [0.0, 1.0],
+        },
+        {**RESULT, "emitter_id": 9, "latitude_deg": 1e300},
+        {"kind": "fence", "t_s": 1.0, "polygon_enu_m": 3 * [[1e300, 0.0]]},
+        {"kind": "link", "t_s": "soon", "links": 1e9, "loss": [None, {}]},
+        {"kind": "radio", "number": 10**400, "name": {}},
+        {"kind": "guard", "reasons": {"a": 1}},
+        {"kind": "result", "t_s": 1.0, "r95_m": "wide", "latitude_deg": 1e300},
+        {"kind": 3},
+    ],
+    ids=str,
+)
+def test_a_line_that_cannot_be_true_costs_only_itself(line: Line) -> None:
+    summary = summarize_events([*FLIGHT, line])
+    assert len(summary.estimates) == 40
+    assert "localised, R95 0.40 m" in page_of([*FLIGHT, line])
