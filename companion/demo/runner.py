@@ -36,7 +36,7 @@ OBSTACLE_CLEARANCE_M = 5.0
 """Obstacles that end less than this below the search altitude are flown around."""
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
-"""Real seconds after which a simulator that is not heard is given up."""
+"""Of flight and of real time, after which a simulator that is not heard is given up."""
 LATE_S = 0.5
 """Of the flight: a wake-up later than this can cost the autopilot's mode."""
 
@@ -91,7 +91,7 @@ class DemoWatch(FlightView):
 
     def __init__(self, simulator: SimulatorProcess, limit_s: float, clock: Pacer) -> None:
         self._simulator = simulator
-        self._clock, self._speed = clock, clock.speed
+        self._clock, self._pace = clock, clock.pace
         self._limit_s = limit_s
         self._began_wall_s: float | None = None
         self.ended = ""
@@ -126,9 +126,9 @@ class DemoWatch(FlightView):
         elif endpoint.binding.is_bound:
             self.worst_gap_s = max(self.worst_gap_s, now_s - self.time_s)
         self.time_s = now_s
-        if self._clock.speed < self._speed:
-            self._speed, before = self._clock.speed, self._speed
-            text = f"this computer is too busy for {before:g}x: going on at {self._speed:g}x"
+        if self._clock.pace != self._pace:
+            text = f"this computer is too busy for {self._pace}: going on at {self._clock.pace}"
+            self._pace = self._clock.pace
             endpoint.tell(ProcessNoted(now_s, Severity.NOTICE, text))
         reason = self._end_reason(endpoint, now_s)
         if reason is not None:
@@ -144,7 +144,7 @@ class DemoWatch(FlightView):
             return f"time limit of {self._limit_s:g} s"
         if not self._simulator.is_alive:
             return "the simulator ended"
-        if endpoint.binding.heard_s is None and self.wall_s > SILENCE_LIMIT_S:
+        if endpoint.binding.heard_s is None and min(self.wall_s, now_s) > SILENCE_LIMIT_S:
             return "nothing heard from the simulator; is the loopback interface up?"
         return None
 

@@ -1,15 +1,15 @@
-"""One clock for the processes of a flight faster than real time; it slows where one cannot follow.
+"""One clock for the processes of a simulated flight, which waits for each of them.
 
 Theory of operation. `time.monotonic` is the same for all processes of a machine. One of them, the
 pacer, keeps in a file which flight time belongs to a monotonic time, and the rate from there; it
 renews both whenever it wakes up, and every process derives the flight time from them. The others
 note in the file when they woke up last.
 
-Flight time goes at `speed` only while every process keeps up. As soon as one is overdue, by
-`LEEWAY_S` of flight, the rate is 1: of the pacer because what it wrote holds no longer than that,
-of the others because the pacer sees it. So a process that waits for its turn loses no more of the
-flight than in real time, plus the leeway. A machine on which this happens again and again is too
-slow for `speed`: the pacer halves it, down to real time.
+Flight time goes at `speed` while every process keeps up. As soon as one is overdue, by `LEEWAY_S`
+of flight, it stands still: for the pacer because what it wrote holds no longer than that, for the
+others because the pacer sees it. So a process that waits for the processor loses no more of the
+flight than the leeway. A machine on which this happens again and again is too slow for `speed`: the
+pacer halves it, down to real time.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ WINDOW_S = 2.0
 """Real time over which the speed is judged: one stall of half a second does not change it."""
 LEAST_SHARE = 0.75
 """Share of `speed` below which the rate that was reached is nearer to half of it."""
+PATIENCE_S = 5.0
+"""Real time after which a process that does not wake up has ended, and is not waited for."""
 PEERS = 2
 _ANCHOR = struct.Struct("<5d")
 """Monotonic time, flight time, rate, speed; and their sum, by which a reader sees that all of it
@@ -48,7 +50,6 @@ class SharedClock(Clock):
         with path.open("r+b") as file:
             self._memory = mmap.mmap(file.fileno(), _ANCHOR.size + _WOKEN.size)
         self._number = number
-        self._rate = 1.0
         super().__init__()
 
     def restart(self) -> None:
@@ -62,22 +63,21 @@ class SharedClock(Clock):
         return self._counted_s(self._flight_s(wall_s))
 
     def delay_s(self, until_s: float) -> float:
-        """Wall seconds until this clock shows `until_s`, at the present rate."""
-        return max(0.0, (until_s - self.now_s()) / self._rate)
+        """Wall seconds until this clock may show `until_s`; no more than may pass unseen.
+
+        Does not count as a sign of life: a process is awake when it reads the time, once a wake-up.
+        """
+        left_s = until_s - (self._flight_s(time.monotonic()) - self._zero_s)
+        return min(max(0.0, left_s), LEEWAY_S / 2.0) / self.speed
 
     def _counted_s(self, flight_s: float) -> float:
         self._latest_s = max(self._latest_s, flight_s - self._zero_s)
         return self._latest_s
 
     def _flight_s(self, wall_s: float) -> float:
-        """Flight time by what the pacer wrote last, which goes on in real time after the leeway."""
-        since_s, flight_s, self._rate, self.speed = self._anchor()
-        passed_s, leeway_s = max(0.0, wall_s - since_s), LEEWAY_S / self.speed
-        if passed_s <= leeway_s:
-            return flight_s + passed_s * self._rate
-        flight_s += leeway_s * self._rate
-        self._rate = _floor(self.speed)
-        return flight_s + (passed_s - leeway_s) * self._rate
+        """Flight time by what the pacer wrote last, which holds for the leeway."""
+        since_s, flight_s, rate, self.speed = self._anchor()
+        return flight_s + rate * min(max(0.0, wall_s - since_s), LEEWAY_S / self.speed)
 
     def _anchor(self) -> tuple[float, float, float, float]:
         while True:  # writing takes the pacer no time
@@ -89,13 +89,19 @@ class SharedClock(Clock):
 class Pacer(SharedClock):
     """The clock of the process that starts the others, and makes the file at `path`.
 
-    `speed` is lowered to what the machine keeps up with, but not below 1.
+    `speed` is lowered to what the machine keeps up with, but not below real time.
     """
 
     def __init__(self, path: Path, speed: float) -> None:
         self._path = path
-        path.write_bytes(_anchored(time.monotonic(), 0.0, 1.0, speed) + bytes(_WOKEN.size))
+        path.write_bytes(_anchored(time.monotonic(), 0.0, 0.0, speed) + bytes(_WOKEN.size))
+        self._is_behind = False
         super().__init__(path, PEERS)
+
+    @property
+    def pace(self) -> str:
+        """What the machine keeps up with, in words."""
+        return f"{'less than ' if self._is_behind else ''}{self.speed:g}x"
 
     def environment(self, number: int) -> dict[str, str]:
         """The variable for the child process that is to have this clock as `number`."""
@@ -112,10 +118,10 @@ class Pacer(SharedClock):
         flight_s = self._flight_s(wall_s)
         self._judge(wall_s, flight_s)
         woken_s = _WOKEN.unpack_from(self._memory, _ANCHOR.size)
-        is_overdue = any(0.0 < at_s < wall_s - LEEWAY_S / self.speed for at_s in woken_s)
-        self._rate = _floor(self.speed) if is_overdue else self.speed
-        anchor = _anchored(wall_s, flight_s, self._rate, self.speed)
-        self._memory[: _ANCHOR.size] = anchor
+        asleep_s = [wall_s - at_s for at_s in woken_s if at_s > wall_s - PATIENCE_S]
+        is_overdue = max(asleep_s, default=0.0) > LEEWAY_S / self.speed
+        rate = 0.0 if is_overdue else self.speed
+        self._memory[: _ANCHOR.size] = _anchored(wall_s, flight_s, rate, self.speed)
         return self._counted_s(flight_s)
 
     def excuse(self) -> None:
@@ -127,13 +133,9 @@ class Pacer(SharedClock):
         if wall_s - since_s < WINDOW_S:
             return
         if flight_s - from_s < LEAST_SHARE * self.speed * (wall_s - since_s):
-            self.speed = max(_floor(self.speed), self.speed / 2.0)
+            slower = max(min(1.0, self.speed), self.speed / 2.0)
+            self.speed, self._is_behind = slower, slower == self.speed
         self._judged_s = (wall_s, flight_s)
-
-
-def _floor(speed: float) -> float:
-    """Real time, or the speed of a flight that is slower by intention."""
-    return min(1.0, speed)
 
 
 def _anchored(wall_s: float, flight_s: float, rate: float, speed: float) -> bytes:

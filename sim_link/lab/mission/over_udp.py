@@ -233,10 +233,10 @@ class _UdpFlight:
     def _look(self, now_s: float) -> None:
         self._watched.looked(now_s)
         if self._pacer is not None:
-            if not self._harness.is_companion_running:
+            if not self._harness.is_companion_running or self._end_wall_s is not None:
                 self._pacer.excuse()
-            if self._clock.speed < self._speed:
-                self.record.slowed_to = self._clock.speed
+            if self._pacer.pace != f"{self._speed:g}x":
+                self.record.slowed_to = self._pacer.pace
         self._take_events(now_s)
         self._reader.age(now_s)
         vehicle, operator = self.record.situation.vehicle, self._operator

@@ -110,8 +110,8 @@ class FlightRecord:
     """By how much limits of time were wider than in lockstep, in seconds of flight."""
     late_s: float = 0.0
     """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
-    slowed_to: float | None = None
-    """Times real time that the machine kept up with, where that was less than asked for."""
+    slowed_to: str = ""
+    """What the machine kept up with; empty: the speed that was asked for."""
     is_interrupted: bool = False
     skipped: str = ""
     """Why it was not flown on this vehicle; empty: it was."""
@@ -403,9 +403,9 @@ class MissionResult:
     def pace(self) -> str:
         """How fast it was flown instead of as asked for; empty: as fast as that."""
         slowed_to = self.record.slowed_to
-        if slowed_to is None:
-            return ""
-        return f"this computer is too busy for {self.how}: slowed to {slowed_to:g} times real time"
+        return (
+            f"this computer is too busy for {self.how}: slowed to {slowed_to}" if slowed_to else ""
+        )
 
     @property
     def doubt(self) -> str:
