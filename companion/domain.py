@@ -154,10 +154,22 @@ class OwnAccuracy:
     @property
     def words(self) -> str:
         """The horizontal one in words."""
-        return f"{self.horizontal_m:.2f} m{'' if self.is_told else ', not told'}"
+        return f"GNSS {self.horizontal_m:.2f} m{'' if self.is_told else ', assumed'}"
 
 
 UNTOLD = OwnAccuracy()
+
+
+def radii_text(
+    absolute_r95_m: float, r95_m: float, own: OwnAccuracy | None = None, *, decimals: int = 1
+) -> str:
+    """Both radii of an estimate in words: first the one that holds for everybody.
+
+    `own` is the accuracy that makes the difference, where it is to be named.
+    """
+    absolute, relative = f"{absolute_r95_m:.{decimals}f}", f"{r95_m:.{decimals}f}"
+    text = f"R95 {absolute} m absolute, {relative} m relative to vehicle"
+    return text if own is None else f"{text} ({own.words})"
 
 
 class EstimateState(Enum):

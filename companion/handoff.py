@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 
 import mgrs
 
-from companion.domain import OwnAccuracy, TargetEstimate
+from companion.domain import OwnAccuracy, TargetEstimate, radii_text
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.commands import ReportResult
@@ -62,11 +62,8 @@ class Handoff:
 
     @property
     def radii(self) -> str:
-        """The radii in words, and whose error is in them."""
-        return (
-            f"R95 {self.absolute_r95_m:.1f} m with the vehicle's own error ({self.own.words}), "
-            f"{self.r95_m:.1f} m for this vehicle"
-        )
+        """Both radii in words, and the GNSS accuracy that is in the absolute one."""
+        return radii_text(self.absolute_r95_m, self.r95_m, self.own)
 
 
 def utc_text(unix_s: float) -> str:

@@ -18,6 +18,7 @@ import msgspec
 from companion.config.presets import CONFIG_FOLDERS
 from companion.config.schema import CompanionConfig
 from companion.demo.simulator_process import STOP_TIMEOUT_S, SimulatorProcess
+from companion.domain import radii_text
 from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
@@ -270,10 +271,11 @@ class DemoResult:
             return f"NOT LOCALISED ({self.ended}): no measurement was used"
         head = "LOCALISED" if self.is_localised else f"NOT LOCALISED ({self.ended})"
         east, north = self.estimate.position_enu_m
+        found = self.estimate
+        radii = radii_text(found.absolute_r95_m, found.r95_m, found.own, decimals=2)
         return (
-            f"{head}: east {east:.2f} m, north {north:.2f} m, R95 {self.estimate.r95_m:.2f} m, "
-            f"absolute {self.estimate.absolute_r95_m:.2f} m (own place "
-            f"{self.estimate.own.words}), error against the truth {self.error_m:.2f} m\n"
+            f"{head}: east {east:.2f} m, north {north:.2f} m, {radii}, "
+            f"error against the truth {self.error_m:.2f} m\n"
             f"after {self.time_s:.1f} s and {self._report['distance_m']:.0f} m of flight, "
             f"{self.wall_s:.1f} s of real time"
         )

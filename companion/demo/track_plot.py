@@ -98,13 +98,13 @@ def _zoom(axes: Axes, flight: PlottedFlight) -> None:
     east, north = flight.truth_enu_m
     axes.set_xlim(east - 1.6 * half_m, east + 1.6 * half_m)
     axes.set_ylim(north - half_m, north + half_m)
-    axes.set_title(f"Around the emitter, R95 {flight.final.r95_m:.2f} m")
+    axes.set_title(f"Around the emitter, relative R95 {flight.final.r95_m:.2f} m")
 
 
 def _draw_error(axes: Axes, flight: PlottedFlight) -> None:
     time_s, east, north, r95 = np.array(flight.estimates).T
     errors = np.hypot(east - flight.truth_enu_m[0], north - flight.truth_enu_m[1])
-    axes.semilogy(time_s, r95, color=ESTIMATE, linewidth=1.2, label="R95 (claimed)")
+    axes.semilogy(time_s, r95, color=ESTIMATE, linewidth=1.2, label="relative R95 (claimed)")
     axes.semilogy(time_s, errors, color=VEHICLE, linewidth=1.2, label="error (true)")
     axes.set_xlabel("time, s")
     axes.set_ylabel("m")

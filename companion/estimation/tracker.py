@@ -302,7 +302,7 @@ class TargetTracker:
     def _shared_sigmas(self) -> SharedSigmas:
         """What is not known of what all measurements share, as told or configured."""
         params, own = self._filter.params, self.own or UNTOLD
-        if params.model.antenna == AZIMUTH and not own.is_told:
+        if params.model.antenna == AZIMUTH and self.own is None:
             return SharedSigmas()  # the paper's world, in which places and heights are known
         lag_s = params.stamp_lag_sigma_s
         lag_s = (UNTOLD_LAG_S if self.antenna is not None else 0.0) if lag_s is None else lag_s

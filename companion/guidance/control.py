@@ -70,7 +70,7 @@ class Reporting:
         head = self._head(flown, now_s)
         if head is not None and flown is not None:
             if head is SETTLED:
-                text = f"stop radius out of reach: R95 settled at {flown.r95_m:.2g} m"
+                text = f"stop radius out of reach: relative R95 settled at {flown.r95_m:.2g} m"
                 context.announce(Severity.NOTICE, text)
             self._report(context.tracker, flown, head)
             if context.emitters.report_current():

@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import asdict, replace
 
-from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint
+from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint, radii_text
 from companion.estimation.integrity.target_motion import TargetMotion
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
@@ -37,15 +37,14 @@ def radius_fields(estimate: TargetEstimate) -> dict[str, object]:
 
 def radii_of(estimate: TargetEstimate) -> str:
     """Both radii in words."""
-    return f"R95 {estimate.r95_m:.1f} m, absolute {estimate.absolute_r95_m:.1f} m"
+    return radii_text(estimate.absolute_r95_m, estimate.r95_m)
 
 
 def radius_texts(estimate: TargetEstimate) -> list[str]:
-    """For whom which radius holds, and whether the vehicle knew how well it knew its place."""
-    own, r95_m, absolute_m = estimate.own, estimate.r95_m, estimate.absolute_r95_m
-    texts = [f"R95 {r95_m:.1f} m for this vehicle, {absolute_m:.1f} m for others"]
+    """Both radii, and the GNSS accuracy that is in the absolute one where none was reported."""
+    own, texts = estimate.own, [radii_of(estimate)]
     if not own.is_told:
-        texts.append(f"own place's accuracy not told: counted as {own.horizontal_m:.3g} m")
+        texts.append(f"GNSS accuracy not reported: assuming {own.horizontal_m:.3g} m")
     return texts
 
 
@@ -121,10 +120,11 @@ def result_of(
 ) -> tuple[ReportResult, str]:
     """The result of the flight, in degrees where the origin is known, and the text about it.
 
-    Degrees are for others, too: with them goes the absolute radius.
+    The radius is the absolute one, because the text is for everybody.
     """
     if origin is None:
-        return ReportResult(estimate, None, None, emitter_id), f"{head} R95 {estimate.r95_m:.1f} m"
+        text = f"{head} R95 {estimate.absolute_r95_m:.1f} m"
+        return ReportResult(estimate, None, None, emitter_id), text
     place = (*estimate.position_enu_m, target_height_m)
     latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
     text = f"{head} {latitude_deg:.7f} {longitude_deg:.7f} R95 {estimate.absolute_r95_m:.1f} m"

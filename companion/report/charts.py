@@ -93,9 +93,11 @@ def flight_map(layers: MapLayers) -> Markup:
         drawing.cross(place, "truth", name)
     for name, points in by_name.items():
         last = points[-1]
-        drawing.circle(last.place_enu_m, last.r95_m, "radius", f"{name}, R95 {last.r95_m:.2f} m")
+        drawing.circle(
+            last.place_enu_m, last.r95_m, "radius", f"{name}, R95 {last.r95_m:.2f} m relative"
+        )
         if last.absolute_r95_m is not None:
-            about = f"{name}, absolute R95 {last.absolute_r95_m:.2f} m"
+            about = f"{name}, R95 {last.absolute_r95_m:.2f} m absolute"
             drawing.circle(last.place_enu_m, last.absolute_r95_m, "absolute", about)
         drawing.cross(last.place_enu_m, "place", name)
     return Markup(drawing.svg())

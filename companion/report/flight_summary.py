@@ -9,6 +9,7 @@ from typing import Annotated, TypeVar
 
 import msgspec
 
+from companion.domain import OwnAccuracy, radii_text
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
 from companion.guard.gate import GuardReason
@@ -53,6 +54,13 @@ class EstimatePoint(
     """None: the log does not separate emitters."""
     absolute_r95_m: Metres | None = None
     """None: the log is older than the absolute radius."""
+
+    @property
+    def radii(self) -> str:
+        """Both radii in words."""
+        if self.absolute_r95_m is None:
+            return f"R95 {self.r95_m:.1f} m relative to vehicle"
+        return radii_text(self.absolute_r95_m, self.r95_m)
 
 
 class _WaypointLine(msgspec.Struct):
@@ -184,17 +192,17 @@ def _read(value: object, kind: type[T]) -> T | None:
         return None
 
 
-def radii_text(r95_m: float, line: Line) -> str:
-    """The radius of a result, and the absolute one with what it counts of the own place.
+def radii_of_line(r95_m: float, line: Line) -> str:
+    """Both radii of a result, and the GNSS accuracy that is in the absolute one.
 
     A log that is older than the absolute radius has the relative one only.
     """
     absolute_m = _read(line.get("absolute_r95_m"), float)
     own_m = _read(line.get("own_sigma_m"), float)
     if absolute_m is None or own_m is None:
-        return f"R95 {r95_m:.2f} m"
-    told = "told" if line.get("own_sigma_told") is True else "not told"
-    return f"R95 {r95_m:.2f} m, absolute {absolute_m:.2f} m (own place {own_m:.2f} m, {told})"
+        return f"R95 {r95_m:.2f} m relative to vehicle"
+    own = OwnAccuracy(own_m, is_told=line.get("own_sigma_told") is True)
+    return radii_text(absolute_m, r95_m, own, decimals=2)
 
 
 def event_text(kind: str, line: Line) -> str:
@@ -207,6 +215,6 @@ def event_text(kind: str, line: Line) -> str:
         r95_m = _read(line.get("r95_m"), float) or 0.0
         emitter_id = line.get("emitter_id")
         emitter = "" if emitter_id is None else f"emitter {emitter_id}, "
-        return f"reported: {emitter}{line.get('state')}, {radii_text(r95_m, line)}"
+        return f"reported: {emitter}{line.get('state')}, {radii_of_line(r95_m, line)}"
     fields = {name: value for name, value in line.items() if name not in ("t_s", "kind")}
     return ", ".join(f"{name} {value}" for name, value in fields.items())

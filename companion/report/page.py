@@ -43,7 +43,7 @@ from companion.report.flight_summary import (
     EventRow,
     FlightSummary,
     Line,
-    radii_text,
+    radii_of_line,
     summarize_events,
 )
 
@@ -189,12 +189,12 @@ def verdict_of(summary: FlightSummary) -> str:
     """The flight in one phrase."""
     if summary.results:
         told = [(result.get("r95_m"), result) for result in summary.results]
-        texts = [radii_text(r95_m, result) for r95_m, result in told if isinstance(r95_m, float)]
+        texts = [radii_of_line(r95_m, result) for r95_m, result in told if isinstance(r95_m, float)]
         return f"localised, {'; '.join(texts)}" if texts else "localised"
     if summary.last is None:
         is_silent = bool(summary.links) and not summary.links[-1].get("refused")
         return "the emitter was never heard" if is_silent else "no measurement was used"
-    return f"not reported: {summary.last.state}, R95 {summary.last.r95_m:.1f} m"
+    return f"not reported: {summary.last.state}, {summary.last.radii}"
 
 
 def _figures(summary: FlightSummary, facts: FlightFacts) -> list[tuple[str, str]]:
@@ -285,7 +285,9 @@ def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | N
     residuals = _known((p.time_s, p.range_innovation_m) for p in points)
     metres = "metres over seconds"
     return [
-        over_time.draw("R95", f"{metres}, logarithmic", TimeCurve(radii, "radius"), is_log=True),
+        over_time.draw(
+            "R95, relative", f"{metres}, logarithmic", TimeCurve(radii, "radius"), is_log=True
+        ),
         over_time.draw("Range offset", metres, TimeCurve(offsets, "radius")),
         over_time.draw("Range residuals", metres, TimeCurve(residuals, "residual", is_dotted=True)),
         histogram(

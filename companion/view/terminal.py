@@ -135,7 +135,7 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
     estimate = status.estimate
     if estimate is None:
         nothing = Text("nothing heard yet", "dim")
-        names = ("R95", "absolute", "offsets")
+        names = ("R95", "relative", "offsets")
         return [("estimate", nothing), *((name, Text("-")) for name in names)]
     east, north = estimate.position_enu_m
     where = Text(estimate.state.value, STATE_STYLE[estimate.state])
@@ -151,11 +151,12 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
         f"range {estimate.range_offset_m:+.2f} m, "
         f"bearing {math.degrees(estimate.bearing_offset_rad):+.2f} deg"
     )
-    absolute = f"{estimate.absolute_r95_m:6.2f} m  with the own place's {estimate.own.words}"
+    absolute = Text(f"{estimate.absolute_r95_m:6.2f} m  ", "bold")
+    absolute.append(f"absolute ({estimate.own.words})", "default")
     return [
         ("estimate", where),
-        ("R95", bar),
-        ("absolute", Text(absolute)),
+        ("R95", absolute),
+        ("relative", bar),
         ("offsets", Text(offsets)),
     ]
 

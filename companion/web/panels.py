@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 from nicegui import ui
 
+from companion.domain import radii_text
 from companion.geometry.polygons import CHI2_95_TWO
 
 REPLAYED = "#6b21a8"
@@ -87,7 +88,7 @@ class Numbers:
     """The figures that decide."""
 
     NAMES = (
-        *("absolute", "time to go", "position", "grid", "place", "offsets", "reflected"),
+        *("relative", "time to go", "position", "grid", "place", "offsets", "reflected"),
         *("vehicle", "battery", "next", "fence"),
     )
 
@@ -95,6 +96,7 @@ class Numbers:
         with _panel("Estimate").props("id=estimate-panel"):
             with ui.row().classes("items-baseline gap-x-3 gap-y-0 beside-copy"):
                 self._r95 = ui.label("R95 -").classes("text-3xl numbers").props("id=r95")
+                ui.label("absolute").classes("muted").props("id=r95-kind")
                 self._state = ui.label("nothing heard yet").classes("text-base font-bold")
                 self._state.props("id=estimate-state")
                 self._copy = copy_button("value-position", "value-grid")
@@ -117,7 +119,7 @@ class Numbers:
         estimate = picture["estimate"]
         if estimate is not None:
             self._state.set_text(str(estimate["words"]))
-            self._r95.set_text(f"R95 {estimate['r95_m']:.2f} m")
+            self._r95.set_text(f"R95 {estimate['absolute_r95_m']:.2f} m")
         guard = "; ".join(picture["guard"])
         self._guard.set_text(f"guard: {guard}" if guard else "")
 
@@ -129,7 +131,7 @@ def _of_estimate(picture: Json) -> dict[str, str]:
     east, north = estimate["place"]
     return {
         **_on_earth(estimate, picture.get("frame")),
-        "absolute": f"R95 {estimate['absolute_r95_m']:.2f} m (own place {estimate['own_words']})",
+        "relative": f"{estimate['r95_m']:.2f} m to vehicle ({estimate['own_words']})",
         "place": f"{east:.1f} m east, {north:.1f} m north",
         "offsets": f"range {estimate['range_offset_m']:+.2f} m, "
         f"bearing {math.degrees(estimate['bearing_offset_rad']):+.1f}°",
@@ -259,8 +261,8 @@ class EmitterList(_ChangingLines):
         """Show a moment."""
         lines = []
         for emitter in picture.get("emitters", []):
-            r95_m, absolute_m = emitter.get("r95_m"), emitter.get("absolute_r95_m")
-            known = "" if r95_m is None else f", R95 {r95_m:.1f} m, absolute {absolute_m:.1f} m"
+            radii = emitter.get("absolute_r95_m"), emitter.get("r95_m")
+            known = "" if None in radii else f", {radii_text(*radii)}"
             lines.append(f"{emitter['name']}: {emitter['state']}{known}")
         self._show(lines, lambda line: ui.label(line).classes("numbers"))
 
@@ -299,7 +301,7 @@ class TextList(_ChangingLines):
 
 
 CURVES = (
-    ("r95_m", "R95, m", "log"),
+    ("r95_m", "R95 relative, m", "log"),
     ("range_innovation", "Range residual, m", "value"),
     ("range_offset_m", "Range offset, m", "value"),
     ("nis", "NIS, expected: 95 % below 6", "value"),

@@ -33,8 +33,8 @@ STEPS = (
     Step(
         "#estimate-panel",
         "How sure it is",
-        "R95 is the radius that holds the emitter in 95 of 100 cases. The absolute one counts "
-        "for people who walk there.",
+        "R95 is the radius that holds the emitter in 95 of 100 cases. The large number "
+        "holds for everybody; the relative one for the vehicle, in this flight.",
     ),
     Step(
         "#age-panel",

@@ -27,6 +27,9 @@ REACQUIRE_RATE_PER_S = 1.0
 """How fast the drift of a loss goes once there is a fix again."""
 GOOD_RATIO, BLIND_RATIO = 0.05, 0.6
 PERFECT = NavigationParams()
+RTK_SIGMA_M, RTK_HEIGHT_SIGMA_M = 0.02, 0.04
+"""What a receiver without an error of its own reports: ZED-F9P, 0.01 m + 1 ppm, its base 10 km off;
+heights twice as much."""
 
 
 class Estimator:
@@ -94,12 +97,19 @@ class Estimator:
         return self.navigation.fix if self.error is None else self.error.fix
 
     @property
-    def told_accuracy_m(self) -> tuple[float, float] | None:
-        """Horizontal and vertical accuracy that it tells, one sigma; None: it has no error."""
-        if self.error is None:
-            return None
-        ratio = self.navigation.told_ratio if self.navigation.tells_accuracy else 0.0
-        return (ratio * self.error.sigma_m, ratio * self.error.height_sigma_m)
+    def told_accuracy_m(self) -> tuple[float, float]:
+        """Horizontal and vertical accuracy that it reports, one sigma; 0: unknown.
+
+        Without an error of its own it is a receiver with RTK, and what jitters is its noise.
+        """
+        ratio, noise_m = self.navigation.told_ratio, self._noise_m
+        if not self.navigation.tells_accuracy:
+            return (0.0, 0.0)
+        if self.error is None or self.error.sigma_m == 0.0:
+            sigmas_m = (math.hypot(RTK_SIGMA_M, noise_m), math.hypot(RTK_HEIGHT_SIGMA_M, noise_m))
+        else:
+            sigmas_m = (self.error.sigma_m, self.error.height_sigma_m)
+        return (ratio * sigmas_m[0], ratio * sigmas_m[1])
 
     @property
     def local_enu_m(self) -> PositionEnu:

@@ -133,7 +133,7 @@ def global_position_int(vehicle: SimVehicle) -> Fields | None:
 def gps_raw_int(vehicle: SimVehicle) -> Fields:
     """A good fix (horizontal and vertical dilution 0.9 and 1.2, 14 satellites), or none.
 
-    Accuracies, one sigma in millimetres, are 0 (unknown) where the navigation has no error.
+    Accuracies are one sigma, in millimetres; 0 is unknown.
     """
     if not vehicle.estimator.receiver_has_fix(0):
         return (boot_us(vehicle), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, *[UINT16_MAX] * 4, 0)
@@ -141,8 +141,8 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
     speed, course = to_int16(1e2 * math.hypot(v_east, v_north)), math.atan2(v_east, v_north)
     place = to_e7(vehicle.geodetic)
     fix, motion = FIX_TYPES[vehicle.estimator.fix], (speed, _centidegrees(course))
-    told = vehicle.estimator.told_accuracy_m or (0.0, 0.0)
-    h_acc_mm, v_acc_mm = (round(1e3 * accuracy_m) for accuracy_m in told)
+    accuracy_m = vehicle.estimator.told_accuracy_m
+    h_acc_mm, v_acc_mm = (round(1e3 * sigma_m) for sigma_m in accuracy_m)
     return (boot_us(vehicle), fix, *place, 90, 120, *motion, 14, 0, h_acc_mm, v_acc_mm)
 
 

@@ -38,9 +38,9 @@ class FixChange(Params, frozen=True):
 
 
 class NavigationParams(Params, frozen=True):
-    """The errors of the vehicle's own place and heading; by default none."""
+    """The errors of the vehicle's position and heading; by default none, as with RTK."""
 
-    fix: FixName = "3d"
+    fix: FixName = "rtk_fixed"
     sigma_m: NonNegative = 0.0
     """Horizontal, per axis."""
     time_constant_s: Positive = 300.0

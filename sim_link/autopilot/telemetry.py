@@ -165,8 +165,8 @@ def estimator_status(vehicle: SimVehicle) -> Fields:
     is_good, ratio = vehicle.estimator.is_position_valid, vehicle.estimator.test_ratio
     ratios = (ratio("velocity"), ratio("position"), ratio("height"), ratio("compass"))
     flags = GOOD_ESTIMATE if is_good else BLIND_ESTIMATE
-    told = vehicle.estimator.told_accuracy_m or (0.3, 0.4)
-    accuracy = (told[0] if is_good else 50.0, told[1])
+    horizontal_m, vertical_m = vehicle.estimator.told_accuracy_m
+    accuracy = (horizontal_m if is_good else 50.0, vertical_m)
     return (boot_us(vehicle), flags, *ratios, 0.0, 0.0, *accuracy)
 
 

@@ -35,6 +35,7 @@ needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt i
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=3600.0))
 """Is never content with what it found: a browser may take its time to press a button."""
+CANONICAL = Scenario()
 SPEED = 4.0
 SLOWLY = 0.2
 """For what must be seen before the flight goes on."""
@@ -99,8 +100,8 @@ def live_flight(
     *,
     begins: bool = True,
     config: CompanionConfig = AUTO,
+    scenario: Scenario = CANONICAL,
 ) -> Iterator[LiveFlight]:
-    scenario = Scenario()
     settings = settings or web_settings(str(free_port()), is_control_on=True)
     truth = scenario.emitter.position_enu_m[:2]
     view = WebView(settings, config, (truth[0], truth[1]))

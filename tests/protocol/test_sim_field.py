@@ -112,13 +112,13 @@ def test_px4s_estimator_tells_it_in_metres() -> None:
     assert status.pos_vert_accuracy == pytest.approx(3.0)
 
 
-def test_a_vehicle_without_errors_tells_what_it_always_did() -> None:
+def test_a_vehicle_without_errors_reports_what_a_receiver_with_rtk_does() -> None:
     station = GroundStation()
     station.run(3.0)
     fix = station.last(mavlink.MAVLink_gps_raw_int_message)
-    assert (fix.fix_type, fix.h_acc, fix.v_acc) == (3, 0, 0)
+    assert (fix.fix_type, fix.h_acc, fix.v_acc) == (6, 20, 40)
     status = station.last(mavlink.MAVLink_estimator_status_message)
-    assert status.pos_horiz_accuracy == pytest.approx(0.3)
+    assert status.pos_horiz_accuracy == pytest.approx(0.02)
 
 
 def test_a_change_of_the_fix_moves_the_belief_at_once_and_the_truth_after_it() -> None:

@@ -153,7 +153,7 @@ class InputWatch(Watch):
         if age_s <= params.degraded_after_s:
             return None
         if self.coasting_sigma_m(estimate, age_s) > params.coast_sigma_max_m:
-            text = f"estimate too uncertain to coast: R95 {estimate.r95_m:.0f} m"
+            text = f"estimate too uncertain to coast: relative R95 {estimate.r95_m:.0f} m"
             return Finding(Verdict.HOLD, Reason.ESTIMATE_VAGUE, text)
         text = f"no ranging for {params.degraded_after_s:g} s: coasting, slower"
         return Finding(Verdict.SLOW, Reason.RANGING_AGES, text)

@@ -112,7 +112,7 @@ def state_line(runner: StepRunner, situation: FlightSituation) -> str:
     if vehicle.height_m is not None:
         parts.append(f"height {vehicle.height_m:.1f} m")
     if estimate.r95_m is not None:
-        parts.append(f"{estimate.state}, R95 {estimate.r95_m:.2f} m")
+        parts.append(f"{estimate.state}, relative R95 {estimate.r95_m:.2f} m")
     return ", ".join(parts)
 
 
@@ -126,7 +126,7 @@ def flight_line(result: MissionResult, number: int, total: int) -> str:
     line += f"{result.record.ended_s:.1f} s"
     last = result.last_estimate
     if last is not None:
-        line += f", error {result.error_m(last):.2f} m, R95 {last.r95_m:.2f} m"
+        line += f", error {result.error_m(last):.2f} m, relative R95 {last.r95_m:.2f} m"
     return f"{line}, {result.how}, {result.times_real_time:.0f}x"
 
 

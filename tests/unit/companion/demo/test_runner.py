@@ -106,7 +106,7 @@ def test_a_computer_that_is_too_busy_is_announced_with_the_speed_that_it_keeps_u
         tell=told.append,
     )
     watch.update(endpoint, 1.0)
-    clock.speed = 2.0
+    clock.speed = 2.0  # as the pacer lowers it
     watch.update(endpoint, 2.0)
     watch.update(endpoint, 3.0)
     assert [event.text for event in told] == ["this computer is too busy for 4x: going on at 2x"]
@@ -124,7 +124,8 @@ def test_the_end_says_both_radii_and_whose_error_the_absolute_one_has() -> None:
     report = {"emitter": {"enu_m": [52.0, 41.5, 0.0]}, "distance_m": 153.0}
     options: Any = SimpleNamespace(speed=4.0)
     said = DemoResult(options, watch, endpoint, report).summary
-    assert "R95 0.33 m, absolute 0.34 m (own place 0.02 m), error against the truth 0.50 m" in said
+    radii = "R95 0.34 m absolute, 0.33 m relative to vehicle (GNSS 0.02 m)"
+    assert f"{radii}, error against the truth 0.50 m" in said
 
 
 @pytest.mark.parametrize("scenario", [(), ("--scenario", "field/phone_ftm")])

@@ -53,13 +53,13 @@ def test_degrees_come_with_the_radius_of_who_walks_there() -> None:
     _, text = result_of(told, LocalOrigin(47.4, 8.54, 488.0), 0.0)
     assert text.startswith("LOCALISED 47.4000")
     assert text.endswith(" R95 16.0 m")
-    assert result_of(told, None, 0.0)[1] == "LOCALISED R95 5.0 m"
-    assert radius_texts(told) == ["R95 5.0 m for this vehicle, 16.0 m for others"]
+    assert result_of(told, None, 0.0)[1] == "LOCALISED R95 16.0 m"
+    assert radius_texts(told) == ["R95 16.0 m absolute, 5.0 m relative to vehicle"]
 
 
 @pytest.mark.parametrize("sigma_m", [3.0, 12.5, 999.0])
 def test_what_is_not_told_is_said_in_one_text(sigma_m: float) -> None:
     vague = replace(ESTIMATE, own=OwnAccuracy(sigma_m, sigma_m), r95_m=999.9, absolute_r95_m=999.9)
     radii, own = radius_texts(vague)
-    assert own == f"own place's accuracy not told: counted as {sigma_m:g} m"
+    assert own == f"GNSS accuracy not reported: assuming {sigma_m:g} m"
     assert max(len(radii), len(own)) <= 50

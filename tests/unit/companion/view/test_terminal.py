@@ -42,7 +42,7 @@ def test_the_screen_says_what_the_operator_asks(flown: Loop) -> None:
     assert estimate is not None
     assert flown.phase.value in text
     assert f"{estimate.r95_m:.2f} m" in text
-    assert f"{estimate.absolute_r95_m:.2f} m  with the own place's 3.00 m, not told" in text
+    assert f"{estimate.absolute_r95_m:.2f} m  absolute (GNSS 0.02 m)" in text
     assert "about 42 s" in text
     assert "autopilot 0." in text
     assert re.search(r"ranging \d+\.\d s", text)
@@ -114,7 +114,7 @@ def test_plain_lines_come_now_and_then_and_only_in_flight(
         for tenth in range(300):
             view.update(flown.companion, flown.now_s + 0.1 * tenth)
         assert len(caplog.records) == 2
-        assert re.search(r"R95 [\d.]+ m, absolute [\d.]+ m", caplog.records[0].message)
+        assert re.search(r"R95 [\d.]+ m absolute, [\d.]+ m relative", caplog.records[0].message)
         waiting = Loop(CompanionConfig(), seed=1)
         waiting.run(1.0)
         PlainView().update(waiting.companion, waiting.now_s)

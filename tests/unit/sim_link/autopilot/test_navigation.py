@@ -76,10 +76,27 @@ def test_without_sizes_there_is_no_error_and_nothing_is_drawn() -> None:
     estimator = Estimator(ORIGIN, GpsParams(), 0.0, rng)
     estimator.step(0.0, (1.0, 2.0, 3.0), 0.02)
     assert estimator.error is None
-    assert estimator.told_accuracy_m is None
     assert estimator.reported_enu_m == (1.0, 2.0, 3.0)
     assert rng.standard_normal() == untouched.standard_normal()
     assert not NavigationParams(compass_error_deg=5.0).errs_in_place
+
+
+@pytest.mark.parametrize(
+    ("noise_m", "changes", "told"),
+    [
+        (0.0, {}, (0.02, 0.04)),
+        (0.3, {}, (math.hypot(0.02, 0.3), math.hypot(0.04, 0.3))),
+        (0.0, {"told_ratio": 0.5}, (0.01, 0.02)),
+        (0.3, {"tells_accuracy": False}, (0.0, 0.0)),
+    ],
+)
+def test_without_an_error_it_is_a_receiver_with_rtk(
+    noise_m: float, changes: dict[str, float], told: tuple[float, float]
+) -> None:
+    params = NavigationParams(**changes)  # type: ignore[arg-type]
+    estimator = Estimator(ORIGIN, GpsParams(), noise_m, np.random.default_rng(1), params)
+    assert estimator.told_accuracy_m == pytest.approx(told)
+    assert estimator.fix == "rtk_fixed"
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def test_a_vague_estimate_is_not_coasted_on() -> None:
     flight.fly(1.9)
     assert flight.is_in(Phase.NORMAL)
     seconds_until(flight, Phase.HOLD)
-    assert flight.texts[-1] == "hold: estimate too uncertain to coast: R95 60 m"
+    assert flight.texts[-1] == "hold: estimate too uncertain to coast: relative R95 60 m"
     assert Phase.DEGRADED.value not in [record["new"] for record in flight.records("phase")]
 
 
