@@ -26,8 +26,9 @@ from typing import Any
 import nicegui
 import uvicorn
 from fastapi import FastAPI, Request
+from fastapi.datastructures import QueryParams
 from fastapi.responses import PlainTextResponse, Response
-from nicegui import ui
+from nicegui import Client, ui
 from nicegui.element import Element
 
 from companion.view.history import History, HistoryPart, HistoryReader
@@ -180,8 +181,30 @@ Receive = Callable[[], Awaitable[Any]]
 Send = Callable[[Any], Awaitable[None]]
 
 
-class HostCheck:
-    """Refuses requests that foreign pages may have caused; see `companion.web.settings`."""
+PAGE = "/"
+MOST_PAGES = 24
+"""Open browsers; each costs the page's process some 0.6 MB."""
+MOST_LOADING = 8
+"""Pages that were asked for and whose browser has not connected: the oldest gives way."""
+FULL = "Too many browsers have this page open: close one of them."
+HEADERS = {
+    b"x-frame-options": b"DENY",
+    b"content-security-policy": b"default-src 'self'; img-src 'self' data: blob:; "
+    b"font-src 'self' data:; style-src 'self' 'unsafe-inline'; "
+    b"script-src 'self' 'unsafe-inline' 'unsafe-eval'; object-src 'none'; base-uri 'self'; "
+    b"form-action 'none'; frame-ancestors 'none'",
+    b"referrer-policy": b"no-referrer",
+    b"x-content-type-options": b"nosniff",
+}
+"""Of every answer: no other site frames it, and none learns the token from a link. NiceGUI has its
+scripts in the page, and Vue compiles templates in the browser."""
+
+
+class AccessGate:
+    """Refuses what foreign pages may have caused, and who may not look, before a page is made.
+
+    See `companion.web.settings` for the rules.
+    """
 
     def __init__(self, app: Any, access: Access) -> None:
         self._app = app
@@ -189,13 +212,24 @@ class HostCheck:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on, or refuse."""
-        if scope["type"] in ("http", "websocket") and not self._is_ours(scope):
-            if scope["type"] == "http":
-                await PlainTextResponse("wrong host", 421)(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": 1008})
-            return
-        await self._app(scope, receive, send)
+        if scope["type"] == "http":
+            refusal = self._refusal(scope)
+            await (self._app if refusal is None else refusal)(scope, receive, _with_headers(send))
+        elif scope["type"] == "websocket" and not self._is_ours(scope):
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await self._app(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> Response | None:
+        if not self._is_ours(scope):
+            return PlainTextResponse("wrong host", 421)
+        if scope["path"] != PAGE:
+            return None
+        client = scope.get("client")
+        token = QueryParams(scope["query_string"]).get("token")
+        if not self._access.may_view("" if client is None else client[0], token):
+            return PlainTextResponse(REFUSED, 403)
+        return PlainTextResponse(FULL, 503) if len(Client.instances) >= MOST_PAGES else None
 
     def _is_ours(self, scope: Scope) -> bool:
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
@@ -205,23 +239,50 @@ class HostCheck:
         return self._access.is_origin_ours(headers.get(b"origin"), host)
 
 
+def _with_headers(send: Send) -> Send:
+    async def sent(message: Any) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message.get("headers", ()), *HEADERS.items()]
+        await send(message)
+
+    return sent
+
+
+class LoadingPages:
+    """Pages whose browser has not connected yet; those that never do go first."""
+
+    def __init__(self) -> None:
+        self._clients: dict[str, Client] = {}
+
+    def add(self, client: Client) -> None:
+        """Take in a new one, and let the oldest go where there are too many."""
+        self._clients[client.id] = client
+        client.on_connect(lambda: self._clients.pop(client.id, None))
+        client.on_delete(lambda: self._clients.pop(client.id, None))
+        if len(self._clients) > MOST_LOADING:
+            next(iter(self._clients.values())).delete()
+
+
 def build_app(
     hub: PictureFeed, access: Access, tiles: Path | None, press: Callable[[str], None]
 ) -> FastAPI:
     """The web application."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    app.add_middleware(HostCheck, access=access)
+    app.add_middleware(AccessGate, access=access)
     zooms = None if tiles is None else zooms_of(tiles)
+    loading = LoadingPages()
 
-    @ui.page("/", title="Companion" if hub.scene.get("replay") is None else "Companion: replay")
-    def page(request: Request, token: str | None = None) -> PlainTextResponse | None:
+    @ui.page(PAGE, title="Companion" if hub.scene.get("replay") is None else "Companion: replay")
+    def page(request: Request, token: str | None = None) -> None:
         client = "" if request.client is None else request.client.host
-        if not access.may_view(client, token):
-            return PlainTextResponse(REFUSED, 403)
         may_press = access.may_control(client, token)
         Page(hub, tile_zooms=zooms, press=press if may_press else None)
         ui.context.client.on_connect(lambda: _tell(VIEWED))
-        return None
+        loading.add(ui.context.client)
+
+    @nicegui.app.exception_handler(404)
+    def nothing(_request: Request, _error: Exception) -> PlainTextResponse:
+        return PlainTextResponse("nothing is here", 404)  # NiceGUI's own is a page for each
 
     if tiles is not None:
         _add_tiles(app, access, tiles)

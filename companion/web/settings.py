@@ -15,6 +15,7 @@ import ipaddress
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 from urllib.parse import urlsplit
 
 from companion.errors import ConfigError
@@ -70,11 +71,21 @@ class Access:
         """
         if not is_loopback(self.host):
             return True
-        return urlsplit(f"//{host_header}").hostname in {name.strip("[]") for name in LOCAL_NAMES}
+        names = {name.strip("[]") for name in LOCAL_NAMES}
+        return _parsed(f"//{host_header}", "hostname") in names
 
     def is_origin_ours(self, origin: str | None, host_header: str) -> bool:
         """Whether a WebSocket is of a page of this host; browsers always say (RFC 6455, 10.2)."""
-        return origin is None or urlsplit(origin).netloc == host_header
+        return origin is None or _parsed(origin, "netloc") == host_header
+
+
+def _parsed(address: str, part: Literal["hostname", "netloc"]) -> str | None:
+    """A part of an address; None where there is none, or the address is no address at all."""
+    try:
+        found: str | None = getattr(urlsplit(address), part)
+    except ValueError:
+        return None
+    return found
 
 
 NO_TILE = bytes.fromhex(

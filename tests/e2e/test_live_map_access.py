@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import resource
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,6 +30,9 @@ from tests.e2e.live_map_rig import (
 )
 from tests.ports import free_port
 
+MOST_MB = 10.0
+"""Kept, eighty pages have 50 MB and three hundred refusals 13 MB."""
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
@@ -53,6 +57,28 @@ def test_a_name_that_a_stranger_points_at_us_is_refused(tmp_path: Path) -> None:
         until_up(live.settings.url)
         assert status(live.settings.url, Host="evil.example") == 421
         assert status(live.settings.url) == 200
+
+
+def resident_mb(process_id: int) -> float:
+    """Memory of a process that is in RAM."""
+    pages = int(Path(f"/proc/{process_id}/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+@pytest.mark.slow
+def test_requests_that_no_browser_follows_cost_no_memory(tmp_path: Path) -> None:
+    settings = web_settings(f"0.0.0.0:{free_port()}", is_control_on=True)
+    with live_flight(tmp_path, settings) as live:
+        base = f"http://127.0.0.1:{settings.port}/"
+        until_up(base)
+        page = live.view.process.process_id
+        kinds = {f"{base}?token={settings.token}": 80, base: 300, f"{base}nowhere": 300}
+        for url, count in kinds.items():
+            codes = {status(url) for _ in range(20)}
+            before_mb = resident_mb(page)
+            codes |= {status(url) for _ in range(count)}
+            assert len(codes) == 1
+            assert resident_mb(page) - before_mb < MOST_MB, url
 
 
 async def received(address: str) -> str:

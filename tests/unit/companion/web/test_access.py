@@ -60,6 +60,7 @@ def test_control_without_a_token_never_leaves_this_computer() -> None:
         ("evil.example:8080", False),
         ("127.0.0.1.evil.example", False),
         ("", False),
+        ("[::1", False),
     ],
 )
 def test_a_name_that_somebody_points_at_us_is_refused_on_loopback(header: str, ours: bool) -> None:
@@ -72,3 +73,4 @@ def test_a_socket_from_another_site_is_refused() -> None:
     assert access.is_origin_ours(None, "127.0.0.1:8080")
     assert not access.is_origin_ours("http://evil.example", "127.0.0.1:8080")
     assert not access.is_origin_ours("null", "127.0.0.1:8080")
+    assert not access.is_origin_ours("http://[::1", "127.0.0.1:8080")
