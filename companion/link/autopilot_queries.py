@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.flight.fencing import Fencing
-from companion.link.conversion.clock_sync import ClockSync
+from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
 from companion.link.fence_download import FenceDownload
 from companion.link.intake import AutopilotBinding, RateLimit
 from companion.link.outbound import Ids, VehicleCommand
@@ -368,6 +368,8 @@ class Px4FailsafeCheck:
             self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
 
 
+PACE_AGAIN_S = 60.0
+"""An autopilot that runs at another speed is named this often."""
 SHORTEST_PATIENCE_S = min(patience_s for _, patience_s in PATIENCE_S.values())
 TEXTS_PER_S = 0.2
 
@@ -389,6 +391,7 @@ class AutopilotQueries:
         self._asks_mode = False
         self._stale: tuple[str, ...] = ()
         self._may_tell = RateLimit(TEXTS_PER_S)
+        self._next_pace_text_s = -math.inf
 
     def receive(self, message: Message, now_s: float) -> list[Announce]:
         """Take in a message of the autopilot; what the operator is to be told."""
@@ -427,7 +430,26 @@ class AutopilotQueries:
         self._asks_mode = True
 
     def new_texts(self, now_s: float) -> list[Announce]:
-        """What the operator is to be told about streams, while others still flow."""
+        """Texts that are due now on the autopilot's clock and its streams."""
+        return self._pace_texts(now_s) + self._stream_texts(now_s)
+
+    def _pace_texts(self, now_s: float) -> list[Announce]:
+        pace = self.clock.pace.wrong(now_s)
+        if pace is None or now_s < self._next_pace_text_s:
+            return []
+        self._next_pace_text_s = now_s + PACE_AGAIN_S
+        if abs(pace - 1.0) > MAX_PACE:
+            text = (
+                f"autopilot's clock runs at {pace:.2g} times real time: start the companion with "
+                f"--speed {pace:.2g}, or the autopilot in real time"
+            )
+        else:
+            how = "slow: its computer is too busy" if pace < 1.0 else "fast: check its simulator"
+            text = f"autopilot's clock runs {100.0 * abs(pace - 1.0):.0f} % {how}"
+        return [Announce(Severity.WARNING, text)]
+
+    def _stream_texts(self, now_s: float) -> list[Announce]:
+        """Streams that stopped while others still flow."""
         stale = self.freshness.stale(now_s)
         stopped = [name for name in stale if name not in self._stale]
         heard_s = self._binding.heard_s

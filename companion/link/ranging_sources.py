@@ -93,10 +93,12 @@ class MavlinkRanging:
         own_offset_s = clock.timebase.offset_at_s(measured_at_s)
         vehicle_offset_s = self._vehicle_clock.offset_at_s(measured_at_s)
         self._on_vehicle_clock.discard(sender)
+        clock.timebase.known_rate = None
         if own_offset_s is not None and vehicle_offset_s is not None:
             later_s = own_offset_s - vehicle_offset_s
             if -CLOCK_TOLERANCE_S <= later_s <= MAX_LINK_DELAY_S:
                 self._on_vehicle_clock.add(sender)
+                clock.timebase.known_rate = self._vehicle_clock.wild_rate
                 measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
         measurement = ranging_from_message(message, measured_at_s)
         return [] if measurement is None else [measurement]

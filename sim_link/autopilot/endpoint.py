@@ -190,6 +190,7 @@ class SimEndpoint:
         self._unread.clear()
         for chunk in unread:
             self.receive(chunk, now_s)
+        self._send_all(self._services.clocks.due(now_s - self._started_s))
         last_step = self._last_step(now_s)
         if last_step - self._next_step > MAX_CATCH_UP_S / STEP_S:
             self._next_step = last_step
@@ -207,8 +208,9 @@ class SimEndpoint:
         return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)
 
     def next_timer_s(self) -> float:
-        """The time of the next physics step; never before the end of a stall."""
-        return max(self._started_s + self._next_step * STEP_S, self._stalled_until_s)
+        """The time of the next physics step or answer; never before the end of a stall."""
+        next_s = min(self._next_step * STEP_S, self._services.clocks.next_s())
+        return max(self._started_s + next_s, self._stalled_until_s)
 
     def take_output(self) -> list[Chunk]:
         """The frames to send, in order; taken once."""

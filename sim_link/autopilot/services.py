@@ -150,8 +150,12 @@ class Services:
         self.addressing = Addressing(
             vehicle.system_id, is_known=is_known if firmware.answers_for_others else None
         )
-        self._clocks = Clocks(
-            self.addressing, firmware.names_timesync_target, firmware.answers_ping
+        self.clocks = Clocks(
+            self.addressing,
+            vehicle.clock.read_s,
+            names_targets=firmware.names_timesync_target,
+            answers_ping=firmware.answers_ping,
+            dated_back_baud=firmware.timesync_dated_back_baud,
         )
         self._parameters = Parameters(flavour.parameters, firmware.parameters, self._texts)
         has_home_item = firmware.first_mission_item == 1
@@ -177,7 +181,7 @@ class Services:
 
     def _handlers_by_type(self) -> dict[type[Message], Handler]:
         """What takes each message; what it returns is answered on the sender's channel."""
-        flavour, clocks = self._vehicle.flavour, self._clocks
+        flavour, clocks = self._vehicle.flavour, self.clocks
 
         def take_setpoint(message: TargetMessage, _partner: Partner, now_s: float) -> None:
             """A setpoint is for the flavour."""
@@ -186,9 +190,7 @@ class Services:
         return {
             **dict.fromkeys((LocalTarget, GlobalTarget, AttitudeTarget), take_setpoint),
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
-            mavlink.MAVLink_timesync_message: lambda message, partner, now_s: clocks.timesync(
-                message, partner, self._vehicle.clock.read_s(now_s)
-            ),
+            mavlink.MAVLink_timesync_message: clocks.timesync,
             mavlink.MAVLink_ping_message: lambda message, partner, _: clocks.ping(message, partner),
             mavlink.MAVLink_manual_control_message: self._take_manual_control,
             mavlink.MAVLink_rc_channels_override_message: self._take_rc_override,
@@ -199,6 +201,7 @@ class Services:
     def handle(self, message: Message, channel: Channel, now_s: float) -> list[Outgoing]:
         """Answer a message that arrived at `now_s` seconds since boot."""
         partner = partner_of(message, channel)
+        self.clocks.count(message, partner)
         if self._firmware.rejects_for_others and self._is_for_nobody(message):
             return [self._commands.reject(message, partner)]
         if not self.addressing.is_for_us(message):

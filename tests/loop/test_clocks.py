@@ -99,6 +99,39 @@ def test_an_autopilot_that_stood_still_is_guided_on(flavour: FlavourName, still_
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
+def test_an_autopilot_that_stands_still_in_pieces_is_guided_on(flavour: FlavourName) -> None:
+    pieces = ((18.0, 0.06), (18.3, 0.2), (18.7, 1.1))
+    check(
+        flight(flavour, *(AutopilotStall(start_s=at_s, duration_s=for_s) for at_s, for_s in pieces))
+    )
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("seconds", [6.0, 20.0])
+def test_a_busy_computer_of_the_autopilot_is_named_and_ends_nothing(
+    flavour: FlavourName, seconds: float
+) -> None:
+    loop = flight(flavour, ClockRate(rate=0.9, start_s=18.0, duration_s=seconds))
+    check(loop)
+    assert loop.said("% slow: its computer is too busy")
+    assert not loop.said("measurements rejected")
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_an_autopilot_at_twice_real_time_is_named_and_flown_on_when_it_slows_down(
+    flavour: FlavourName,
+) -> None:
+    loop = flight(flavour, ClockRate(rate=2.0, start_s=18.0, duration_s=6.0))
+    assert loop.said(
+        "autopilot's clock runs at 2 times real time: start the companion with --speed 2"
+    )
+    resumed_s = [time_s for time_s, text in loop.notes.texts if text == "flying the plan"]
+    assert resumed_s[-1] <= 18.0 + 6.0 + 3.0
+    assert len(loop.notes.results) == 1
+    assert loop.error_m <= 1.5
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
 def test_slow_clocks_slip_too(flavour: FlavourName) -> None:
     rng = random.Random(4)
     for seed, rate in enumerate((0.95, 0.988, 1.05)):

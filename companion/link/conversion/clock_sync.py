@@ -39,17 +39,24 @@ DEVIATION_S = 0.05
 """Farther from what was foretold than this, and than five sigma, is another clock."""
 RESET_AFTER = 5
 MAX_RATE = 0.06
-"""No clock that is worth following gains or loses more, seconds per second."""
+"""Few clocks gain or lose more, seconds per second; what scatter alone shows is cut to this ..."""
+MAX_PACE = 0.25
+"""... and what exchanges on a straight line show to this: a simulated autopilot on a busy computer
+was 10 % slow for seconds. What is beyond runs at another speed than we do, and is not followed."""
+PACE_WINDOW_S = 3.0
 CRYSTAL = 1e-4
 """How well a clock runs as a rule, one sigma; and what that changes by, per root second."""
 SURPRISE = 3.0
 BUSY = 0.03
-"""Two exchanges that are off by more than so many sigma, to one side, are of a clock that runs as
-the computer of a simulated autopilot lets it: anything is possible then, one sigma."""
+"""What the rate may be as long as nothing is known of it, one sigma: the clock of a simulated
+autopilot runs as its computer lets it. So also after two exchanges, to one side, that are off by
+more than `SURPRISE` sigma."""
 SIGNIFICANT = 4.0
 """A rate smaller than so many sigma is none."""
 OFFSET_NOISE_S = 1e-5
 EXCHANGE_SIGMA_S = 5e-4
+MEDIAN_OF_CHORD = 0.6745 * math.sqrt(1.5)
+"""Median distance, in sigma, of a normal value from the middle of two others."""
 KNOWN_SIGMA_S = 0.02
 PROMPT_S = 1.0
 """An answer that came sooner shows that the link is not slow ..."""
@@ -93,13 +100,19 @@ class OffsetFilter:
         offset_s: Our time minus the other's at the first exchange.
         at_s: When that was, on our clock.
         sigma_s: Of that exchange.
+        before: Filter of the same clock before it slipped, which changed its rate by nothing.
     """
 
-    def __init__(self, offset_s: float, at_s: float, sigma_s: float) -> None:
-        self.rate = 0.0
+    def __init__(
+        self, offset_s: float, at_s: float, sigma_s: float, before: OffsetFilter | None = None
+    ) -> None:
+        self.rate: float = 0.0 if before is None else before.rate
         """Seconds that the offset grows a second."""
         self._offset_s, self._at_s = offset_s, at_s
-        self._offset_var, self._covar, self._rate_var = sigma_s**2, 0.0, CRYSTAL**2
+        self._offset_var, self._covar = sigma_s**2, 0.0
+        self._rate_var: float = CRYSTAL**2 if before is None else before._rate_var
+        self.max_rate = MAX_RATE
+        """No rate beyond is taken from exchanges."""
         self._surprise_s = 0.0
         """By how much the exchange before was off, if that was much."""
 
@@ -113,11 +126,12 @@ class OffsetFilter:
 
     @property
     def steady_rate(self) -> Rate:
-        """The rate, if it is more than can be by chance."""
+        """The rate, if it is more than can be by chance; and what it may be more."""
         sigma = math.sqrt(self._rate_var)
-        if abs(self.rate) <= SIGNIFICANT * sigma:
-            return NO_RATE
-        return Rate(self.rate, DRIFT_ALLOWANCE + 2.0 * sigma)
+        if abs(self.rate) > SIGNIFICANT * sigma:
+            return Rate(self.rate, DRIFT_ALLOWANCE + 2.0 * sigma)
+        is_crystal = sigma <= SIGNIFICANT * CRYSTAL
+        return NO_RATE if is_crystal else Rate(0.0, DRIFT_ALLOWANCE + 2.0 * sigma)
 
     def _foretold(self, passed_s: float) -> tuple[float, float]:
         """Variance of the offset, and its covariance with the rate, so much later."""
@@ -146,12 +160,68 @@ class OffsetFilter:
         gain, rate_gain = offset_var / innovation_var, covar / innovation_var
         self._offset_s = self.at_s(at_s) + gain * innovation_s
         rate = self.rate + rate_gain * innovation_s
-        self.rate = min(MAX_RATE, max(-MAX_RATE, rate))
+        self.rate = min(self.max_rate, max(-self.max_rate, rate))
         self._at_s = max(self._at_s, at_s)
         self._rate_var += CRYSTAL**2 * passed_s - rate_gain * covar
         self._offset_var = (1.0 - gain) * offset_var
         self._covar = (1.0 - gain) * covar
         return True
+
+
+class ExchangeScatter:
+    """Spread of offsets beside the line through their neighbours, which no steady rate causes.
+
+    ArduPilot's answers are dated back by what waits in its receive buffer (`DATED_BACK_S`), by
+    another amount each time, which no round trip shows.
+    """
+
+    def __init__(self) -> None:
+        self._last: deque[tuple[float, float]] = deque(maxlen=3)
+        self._beside_s: deque[float] = deque(maxlen=BEST_OF)
+
+    def add(self, at_s: float, offset_s: float) -> None:
+        """Take in an exchange."""
+        self._last.append((at_s, offset_s))
+        if len(self._last) < 3:
+            return
+        (first_s, first), (middle_s, middle), (last_s, last) = self._last
+        share = 0.5 if last_s <= first_s else (middle_s - first_s) / (last_s - first_s)
+        self._beside_s.append(abs(middle - first - share * (last - first)))
+
+    @property
+    def sigma_s(self) -> float:
+        """One sigma of an offset."""
+        if len(self._beside_s) < RESET_AFTER:
+            return max(self._beside_s, default=0.0)
+        return statistics.median(self._beside_s) / MEDIAN_OF_CHORD
+
+
+class ClockPace:
+    """How many seconds the autopilot's clock goes on in one of ours, if not in one."""
+
+    def __init__(self) -> None:
+        self._exchanges: deque[tuple[float, float]] = deque(maxlen=MAX_OPEN)
+
+    def add(self, at_s: float, remote_s: float) -> None:
+        """Take in an exchange: our time in its middle, and the autopilot's."""
+        if self._exchanges and at_s <= self._exchanges[-1][0]:
+            return
+        self._exchanges.append((at_s, remote_s))
+        while at_s - self._exchanges[0][0] > PACE_WINDOW_S:
+            self._exchanges.popleft()
+
+    def wrong(self, now_s: float) -> float | None:
+        """The pace where that is clearly not 1; None: it is, or no straight line shows it."""
+        recent = self._exchanges
+        if len(recent) < RESET_AFTER or now_s - recent[-1][0] > PACE_WINDOW_S:
+            return None
+        span_s = recent[-1][0] - recent[0][0]
+        if span_s < PACE_WINDOW_S / 2.0:
+            return None
+        line = statistics.linear_regression(*zip(*recent, strict=True))
+        beside_s = max(abs(r - line.intercept - line.slope * t) for t, r in recent)
+        is_straight = beside_s <= DEVIATION_S / 2.0
+        return line.slope if is_straight and abs(line.slope - 1.0) > MAX_RATE else None
 
 
 class ClockSync:
@@ -169,6 +239,8 @@ class ClockSync:
         self.round_trip_s: float | None = None
         """The best of the last exchanges; None before the first."""
         self._filter: OffsetFilter | None = None
+        self._scatter = ExchangeScatter()
+        self.pace = ClockPace()
         self._used = 0
         self._agreed_s: deque[float] = deque(maxlen=RESET_AFTER)
         """When the last exchanges were that agreed with what was foretold."""
@@ -233,6 +305,9 @@ class ClockSync:
         middle_s = (sent_s + now_s) / 2.0
         spread_s = statistics.median(self._round_trips_s) - self.round_trip_s
         sigma_s = EXCHANGE_SIGMA_S + slower_s / 2.0 + spread_s / 6.0
+        self.pace.add(middle_s, message.tc1 / NS_PER_S)
+        self._scatter.add(middle_s, middle_s - message.tc1 / NS_PER_S)
+        sigma_s = math.hypot(sigma_s, self._scatter.sigma_s)
         self._take(middle_s - message.tc1 / NS_PER_S, middle_s, sigma_s)
 
     def lateness(self, now_s: float) -> Lateness:
@@ -253,6 +328,7 @@ class ClockSync:
         self._round_trips_s.clear()
         self.round_trip_s = None
         self._filter = None
+        self._scatter, self.pace = ExchangeScatter(), ClockPace()
         self._used = 0
         self._agreed_s.clear()
         self._deviating.clear()
@@ -274,6 +350,7 @@ class ClockSync:
             first_sigma_s = sigma_s + (self.round_trip_s or 0.0) / 4.0
             self._filter, self._used = OffsetFilter(offset_s, at_s, first_sigma_s), 1
             return
+        self._filter.max_rate = MAX_RATE if self.pace.wrong(at_s) is None else MAX_PACE
         if self._filter.update(offset_s, at_s, sigma_s):
             self._used += 1
             self._agreed_s.append(at_s)
@@ -282,13 +359,14 @@ class ClockSync:
         self._agreed_s.clear()
         if self._deviating:
             first_s, first_offset_s = self._deviating[0]
-            allowed_s = DEVIATION_S + MAX_RATE * abs(at_s - first_s)
+            allowed_s = DEVIATION_S + MAX_PACE * abs(at_s - first_s)
             if abs(offset_s - first_offset_s) > allowed_s:
                 self._deviating.clear()
         self._deviating.append((at_s, offset_s))
         if len(self._deviating) >= RESET_AFTER:
             (begun_s, begun_offset_s), *others = self._deviating
-            self._filter, self._used = OffsetFilter(begun_offset_s, begun_s, sigma_s), 1
+            self._filter = OffsetFilter(begun_offset_s, begun_s, sigma_s, self._filter)
+            self._used = 1
             for later_s, later_offset_s in others:
                 self._filter.update(later_offset_s, later_s, sigma_s)
             self._deviating.clear()

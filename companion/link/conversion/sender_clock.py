@@ -183,6 +183,12 @@ class Timebase:
             return None
         return self._offset_s + self.rate.growth * (time_s - self._updated_s)
 
+    def raise_to(self, offset_s: float, now_s: float) -> None:
+        """Correct an offset that is less than it can be, as after a rate that was wrong."""
+        known_s = self.offset_at_s(now_s)
+        if self._offset_s is not None and known_s is not None:
+            self._offset_s += max(0.0, offset_s - known_s)
+
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
         raw_s, remote_s = remote_s, self._unwrapped(remote_s)
@@ -312,6 +318,10 @@ class SenderClock:
 
 
 CLOCK_TOLERANCE_S = 0.03
+DATED_BACK_S = 0.09
+"""ArduPilot dates a TIMESYNC request back by what waits in its receive buffer, 10 bit a byte at
+57,600 baud, on TCP and UDP, too: by 3 to 27 ms as observed, by 512 bytes at most (AP_HAL_SITL
+`UARTDriver::receive_time_constraint_us`). Stamps then seem to arrive before they were sent."""
 ONE_SLIP_S = 5.0
 """Stamps and exchange show the same slip within this time."""
 LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
@@ -333,7 +343,8 @@ class VehicleClock:
         self._is_same_clock = False
         """Whether the exchange was once of the clock that stamps."""
         self._delay_s = 0.0
-        """The shortest way of a stamp, when both agreed last."""
+        """The shortest way of a stamp, when both agreed last; negative where answers are dated
+        back."""
         self._apart_since_s: float | None = None
         self._resets = sync.resets
         self._slipped_s = -math.inf
@@ -350,6 +361,12 @@ class VehicleClock:
         if by_arrival_s is None or by_exchange_s is None:
             return by_arrival_s
         return by_exchange_s if self._is_way(by_arrival_s - by_exchange_s) else by_arrival_s
+
+    @property
+    def wild_rate(self) -> Rate | None:
+        """Its rate by the exchange of times, where arrivals alone cannot show it; else None."""
+        rate = self._stamps.timebase.known_rate
+        return rate if rate is not None and abs(rate.growth) > MAX_RATE else None
 
     @property
     def is_wild(self) -> bool:
@@ -399,12 +416,14 @@ class VehicleClock:
             self._stamps.timebase.known_rate = self._apart_since_s = None
             return False
         delay_s = by_arrival_s - offset_s
-        if self._is_way(delay_s):
-            self._is_same_clock, self._delay_s, self._apart_since_s = True, delay_s, None
-        self._stamps.timebase.known_rate = self.sync.rate if self._is_same_clock else None
         half_s = round_trip_s / 2.0 + CLOCK_TOLERANCE_S
-        if not self._is_same_clock or -half_s <= delay_s <= round_trip_s + half_s:
-            self._apart_since_s = None
+        if not self._is_same_clock and -DATED_BACK_S <= delay_s <= round_trip_s + half_s:
+            self._is_same_clock, self._delay_s = True, delay_s
+        self._stamps.timebase.known_rate = self.sync.rate if self._is_same_clock else None
+        shortest_s = min(0.0, self._delay_s) - half_s
+        if not self._is_same_clock or shortest_s <= delay_s <= round_trip_s + half_s:
+            self._apart_since_s, self._delay_s = None, max(-half_s, delay_s)
+            self._stamps.timebase.raise_to(offset_s - half_s, now_s)
             return self._note_gain(now_s)
         if self._apart_since_s is None:
             self._apart_since_s = now_s

@@ -145,6 +145,8 @@ class Firmware(NamedTuple):
     empty_calibration: CommandResult
     """Of no sensor."""
     names_timesync_target: bool
+    timesync_dated_back_baud: int | None
+    """Baud rate by which the arrival of a TIMESYNC request is dated back; null: it is not."""
     answers_ping: bool
     tells_mode_at_once: bool
     """An extra HEARTBEAT on every change of mode."""

@@ -9,7 +9,12 @@ from dataclasses import dataclass
 import pytest
 
 from companion.link.conversion.clock_sync import NO_RATE, ClockSync
-from companion.link.conversion.sender_clock import ClockStep, SenderClock, VehicleClock
+from companion.link.conversion.sender_clock import (
+    CLOCK_TOLERANCE_S,
+    ClockStep,
+    SenderClock,
+    VehicleClock,
+)
 from companion.mav.addressing import TargetedTimesync
 from companion.mav.dialect import Message, mavlink
 
@@ -17,6 +22,8 @@ UP_S = 100.0
 """How long the autopilot was up when it was first heard."""
 TICK_S = 0.05
 DELAY_S = 0.004
+ARDUPILOT_BACK_S = (0.005, 0.027)
+"""How far an ArduCopter 4.5 dated its answers back."""
 GOOD_S = 0.03
 """A reading that errs by less is good: a quarter of a metre at the fastest flight."""
 
@@ -34,7 +41,14 @@ class Reading:
 class Autopilot:
     """Stamps 20 times a second and answers TIMESYNC, by a clock that a test may bend."""
 
-    def __init__(self, *, rate: float = 1.0, answers: bool = True, jitter_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        *,
+        rate: float = 1.0,
+        answers: bool = True,
+        jitter_s: float = 0.0,
+        dated_back_s: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         self.sync = ClockSync()
         self.clock = VehicleClock(self.sync)
         self.remote_s = UP_S
@@ -43,6 +57,7 @@ class Autopilot:
         self.now_s = 0.0
         self._rng = random.Random(7)
         self._jitter_s = jitter_s
+        self._dated_back_s = dated_back_s
         self._answers: list[tuple[float, Message]] = []
 
     def run(self, seconds: float) -> list[Reading]:
@@ -70,7 +85,8 @@ class Autopilot:
         question = self.sync.due(self.now_s, 1, 1)
         if self.answers and isinstance(question, TargetedTimesync):
             way_s = DELAY_S + self._rng.uniform(0.0, self._jitter_s)
-            tc1 = round(1e9 * (self.remote_s + self.rate * DELAY_S))
+            back_s = self._rng.uniform(*self._dated_back_s) if any(self._dated_back_s) else 0.0
+            tc1 = round(1e9 * (self.remote_s + self.rate * DELAY_S - back_s))
             answer = mavlink.MAVLink_timesync_message(tc1, question.ts1)
             self._answers.append((self.now_s + DELAY_S + way_s, answer))
 
@@ -102,6 +118,42 @@ def test_without_an_exchange_the_rate_is_known_by_arrival(rate: float) -> None:
     readings = autopilot.run(60.0)
     assert worst_s(readings) < GOOD_S
     assert steps(readings) == []
+
+
+@pytest.mark.parametrize("dated_back_s", [(0.0, 0.0), ARDUPILOT_BACK_S])
+@pytest.mark.parametrize("rate", [0.5, 0.9, 1.1, 2.0, 3.0])
+def test_a_clock_at_another_pace_is_named(rate: float, dated_back_s: tuple[float, float]) -> None:
+    autopilot = Autopilot(dated_back_s=dated_back_s)
+    autopilot.run(20.0)
+    assert autopilot.sync.pace.wrong(autopilot.now_s) is None
+    autopilot.rate = rate
+    autopilot.run(6.0)
+    assert autopilot.sync.pace.wrong(autopilot.now_s) == pytest.approx(rate, abs=0.02)
+    autopilot.rate = 1.0
+    autopilot.run(6.0)
+    assert autopilot.sync.pace.wrong(autopilot.now_s) is None
+    assert worst_s(autopilot.run(10.0)) < 2.0 * GOOD_S
+
+
+@pytest.mark.parametrize("seconds", [3.0, 6.0, 20.0])
+def test_a_clock_that_is_ten_percent_slow_for_seconds_is_followed(seconds: float) -> None:
+    autopilot = Autopilot()
+    autopilot.run(20.0)
+    autopilot.rate = 0.9
+    autopilot.run(seconds)
+    autopilot.rate = 1.0
+    autopilot.run(2.0)
+    assert worst_s(autopilot.run(30.0)) < 2.0 * GOOD_S
+
+
+@pytest.mark.parametrize("piece_s", [-0.06, -0.7, 1.0])
+def test_a_slip_is_no_pace(piece_s: float) -> None:
+    autopilot = Autopilot()
+    autopilot.run(20.0)
+    autopilot.remote_s += piece_s
+    for _ in range(12):
+        autopilot.run(0.5)
+        assert autopilot.sync.pace.wrong(autopilot.now_s) is None
 
 
 def test_a_rate_that_changes_is_followed() -> None:
@@ -147,6 +199,40 @@ def test_a_clock_that_stood_still_is_one_that_slipped(still_s: float) -> None:
     autopilot.run(20.0)
     autopilot.stand_still(still_s)
     during = autopilot.run(2.5)
+    assert worst_s(autopilot.run(30.0)) < GOOD_S
+    assert set(steps(during)) == {ClockStep.SLIP}
+
+
+@pytest.mark.parametrize("rate", [0.95, 0.988, 1.0, 1.05])
+def test_answers_that_are_dated_back_bend_no_stamp(rate: float) -> None:
+    autopilot = Autopilot(rate=rate, dated_back_s=ARDUPILOT_BACK_S)
+    autopilot.run(15.0)
+    readings = autopilot.run(120.0)
+    assert worst_s(readings) < DELAY_S + CLOCK_TOLERANCE_S
+    assert steps(readings) == []
+
+
+@pytest.mark.parametrize("still_s", [0.2, 0.5, 0.7, 1.2, 3.0, 12.0])
+@pytest.mark.parametrize("seen_s", [4.0, 20.0])
+def test_a_clock_that_stood_still_is_found_out_though_answers_are_dated_back(
+    still_s: float, seen_s: float
+) -> None:
+    autopilot = Autopilot(dated_back_s=ARDUPILOT_BACK_S)
+    autopilot.run(seen_s)
+    autopilot.stand_still(still_s)
+    during = autopilot.run(3.0)
+    assert worst_s(autopilot.run(30.0)) < GOOD_S
+    assert set(steps(during)) == {ClockStep.SLIP}
+
+
+@pytest.mark.parametrize("dated_back_s", [(0.0, 0.0), ARDUPILOT_BACK_S])
+def test_a_slip_that_comes_in_pieces_is_followed(dated_back_s: tuple[float, float]) -> None:
+    autopilot = Autopilot(dated_back_s=dated_back_s)
+    autopilot.run(20.0)
+    for piece_s, after_s in ((0.06, 0.3), (0.2, 0.15), (1.1, 0.0)):
+        autopilot.stand_still(piece_s)
+        autopilot.run(after_s)
+    during = autopilot.run(3.0)
     assert worst_s(autopilot.run(30.0)) < GOOD_S
     assert set(steps(during)) == {ClockStep.SLIP}
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from companion.mav.addressing import TargetedTimesync, targets_of_frame
@@ -81,3 +83,19 @@ def test_a_ping_with_a_target_is_an_answer_and_never_answered(targets: tuple[int
 
 def test_ardupilot_does_not_answer_a_ping() -> None:
     assert ARDUPILOT.ping(received(mavlink.MAVLink_ping_message(123, 7, 0, 0)), STATION) is None
+
+
+def test_ardupilot_dates_an_answer_back_by_what_waits_in_its_buffer() -> None:
+    clocks = Clocks(Addressing(1), names_targets=False, dated_back_baud=57_600)
+    request = received(timesync())
+    assert clocks.timesync(request, STATION, 2.5) is None
+    behind = received(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
+    clocks.count(behind, STATION)
+    assert clocks.due(2.501) == []
+    (answer,) = clocks.due(clocks.next_s())
+    waiting = len(request.get_msgbuf()) + len(behind.get_msgbuf())
+    assert isinstance(answer.message, mavlink.MAVLink_timesync_message)
+    assert answer.message.ts1 == 77
+    assert answer.message.tc1 / 1e9 == pytest.approx(2.5 - waiting * 10 / 57_600)
+    assert answer.to == STATION.channel
+    assert clocks.next_s() == math.inf
