@@ -446,22 +446,34 @@ class VibrationReported(Event):
             r"^class FixReported\(Event\):\n(.*\n)+?\n\n",
         ),
         Edit(
-            "companion/link/inbound.py",
+            "companion/link/conversion/health_reports.py",
             "    VibrationReported,\n",
-            r"^from companion.guidance.events import \(\n",
+            r"^    TransmitterRated,\n",
+        ),
+        Edit(
+            "companion/link/conversion/health_reports.py",
+            "        others = [*_place_rated(message, now_s), *_vibration(message, now_s)]\n"
+            "        return [*([] if event is None else [event]), *others]\n",
+            r"^        return \[.*\*_place_rated\(message, now_s\)\]\n",
+            is_instead=True,
+        ),
+        Edit(
+            "companion/link/conversion/health_reports.py",
+            '''
+
+def _vibration(message: Message, now_s: float) -> list[Event]:
+    """How much the airframe shakes, where the message reports that."""
+    if not isinstance(message, mavlink.MAVLink_vibration_message):
+        return []
+    worst = max(message.vibration_x, message.vibration_y, message.vibration_z)
+    return [VibrationReported(now_s, worst)]
+''',
         ),
         Edit(
             "companion/link/inbound.py",
             "",
             r"^        mavlink.MAVLINK_MSG_ID_VIBRATION,\n",
             is_instead=True,
-        ),
-        Edit(
-            "companion/link/inbound.py",
-            "            case mavlink.MAVLink_vibration_message() as v:\n"
-            "                worst = max(v.vibration_x, v.vibration_y, v.vibration_z)\n"
-            "                return VibrationReported(now_s, worst)\n",
-            r"^    def _health_event\((.*\n)+?        match message:\n",
         ),
     ),
     5: (
@@ -554,7 +566,11 @@ STEP: Steps = {
 ''',
             r"^class LandStep\((.*\n)+?\n\n",
         ),
-        Edit("sim_link/lab/mission/script.py", '"stand", ', r"^StepWord = Literal\[\n    "),
+        Edit(
+            "sim_link/lab/mission/script.py",
+            '"stand", ',
+            r"^StepWord = Literal\[(.*\n)+?    (?=\"hold\")",
+        ),
         Edit(
             "sim_link/lab/mission/script.py",
             "    stand: StandStep | UnsetType | None = UNSET\n",
