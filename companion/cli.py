@@ -169,9 +169,13 @@ def _views(
 
 
 def _web_view(
-    settings: WebSettings, config: CompanionConfig, truth_enu_m: tuple[float, float] | None = None
+    settings: WebSettings,
+    config: CompanionConfig,
+    truth_enu_m: tuple[float, float] | None = None,
+    *,
+    outlives: bool = False,
 ) -> WebView:
-    page = WebView(settings, config, truth_enu_m)
+    page = WebView(settings, config, truth_enu_m, outlives=outlives)
     print(f"live map: {page.url}", file=sys.stderr)
     return page
 
@@ -340,13 +344,15 @@ def _demo(arguments: argparse.Namespace) -> int:
         plot=None if arguments.no_plot else arguments.plot,
     )
     settings = _web_settings(arguments)
+    pages: list[WebView] = []
 
     def make_views(config: CompanionConfig, truth_enu_m: tuple[float, float]) -> list[FlightView]:
         """The screen, and the map with the emitter's true place for comparison."""
-        page = [] if settings is None else [_web_view(settings, config, truth_enu_m)]
-        if page and not arguments.no_browser:
-            open_page(page[0].url)
-        return [*page, _console_view()]
+        if settings is not None:
+            pages.append(_web_view(settings, config, truth_enu_m, outlives=True))
+            if not arguments.no_browser:
+                open_page(pages[0].url)
+        return [*pages, _console_view()]
 
     def report(directory: Path) -> None:
         """Always: nothing flies that would wait for the end."""
@@ -355,7 +361,17 @@ def _demo(arguments: argparse.Namespace) -> int:
             open_page(path.resolve().as_uri())
 
     config = load_config(arguments.config or preset)
-    is_found = run_demo(options, config, make_views, report)
+    try:
+        is_found = run_demo(options, config, make_views, report)
+        for page in pages:
+            if page.process.viewers:
+                print(
+                    "live map: stays until its browser is closed; Ctrl-C ends it", file=sys.stderr
+                )
+            page.await_left()
+    finally:
+        for page in pages:
+            page.process.close()
     return 0 if is_found else EXIT_FAILED
 
 

@@ -186,6 +186,11 @@ class SessionContext:
             self.enter(Trigger.STOP, now_s)
         return True
 
+    @property
+    def is_launch_wanted(self) -> bool:
+        """True while the vehicle is to take off by itself, and nothing has forbidden it."""
+        return self.params.engage == "auto" and not self.has_launched
+
     def begin_launch(self, now_s: float) -> None:
         """Launch the vehicle, which is tried only once."""
         self.has_launched = True

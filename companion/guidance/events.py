@@ -278,22 +278,19 @@ class AutopilotFenceChanged(Event):
     """The autopilot shows that its fence is another one now; which one is not read yet."""
 
 
-@dataclass(frozen=True, slots=True)
-class ControlGranted(Event):
-    """The operator gives control back after a yield (MAV_CMD_NAV_GUIDED_ENABLE to us)."""
-
-
 class OperatorCommand(Enum):
     """What the operator may ask for beside the mode switch."""
 
     HOLD = "hold"
     RESUME = "resume"
     RETURN = "return"
+    GRANT = "grant"
+    """Give control again after a yield: MAV_CMD_NAV_GUIDED_ENABLE to us, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class OperatorAsked(Event):
-    """A button of the live map was pressed and confirmed."""
+    """A button of the live map was pressed and confirmed, or a station sent a grant."""
 
     command: OperatorCommand
 

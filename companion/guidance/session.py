@@ -228,6 +228,10 @@ class GuidanceSession:
         """Whether the process may end."""
         return self.phase is Phase.STOPPED
 
+    def objection_to(self, command: events.OperatorCommand) -> str | None:
+        """Return why an operator's command would do nothing now, in a few words, or None."""
+        return self._watches.operator.objection(command)
+
     def objection_to_change(self, when: When) -> str | None:
         """Why a parameter may not be changed now, in words, or None."""
         if when is When.NEVER:

@@ -21,7 +21,7 @@ from typing import Protocol
 from companion.domain import Autopilot
 from companion.errors import ConfigError
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.events import ControlGranted, Retuned
+from companion.guidance.events import OperatorAsked, OperatorCommand, Retuned
 from companion.guidance.session_params import Tuning, When
 from companion.link import outbound
 from companion.link.executor import SessionExecutor
@@ -230,6 +230,7 @@ class CommandHandler:
         self._parameters = parameters
         self._outlet = executor.outlet
         self._limit = RateLimit(COMMANDS_PER_S, COMMANDS_PER_S)
+        self._text_limit = RateLimit(REFUSALS_PER_S, REFUSAL_BURST)
 
     def receive(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> None:
         """Answer a command to this very component, whose sender may or may not give control."""
@@ -239,11 +240,7 @@ class CommandHandler:
             return
         result = mavlink.MAV_RESULT_UNSUPPORTED
         if message.command == mavlink.MAV_CMD_NAV_GUIDED_ENABLE:
-            has_fence = self._executor.session.fencing.refusal is None
-            result = mavlink.MAV_RESULT_DENIED
-            if may_grant and message.param1 == 1.0 and has_fence:
-                result = mavlink.MAV_RESULT_ACCEPTED
-                self._executor.handle(ControlGranted(now_s), now_s)
+            result = self._grant(message, now_s, may_grant=may_grant)
         is_version_wanted = _wants_version(message)
         if is_version_wanted:
             result = mavlink.MAV_RESULT_ACCEPTED
@@ -255,6 +252,24 @@ class CommandHandler:
         if is_version_wanted:
             version = outbound.autopilot_version(CAPABILITY[self._parameters.encoding])
             self._outlet.broadcast(version, now_s, is_droppable=True)
+
+    def _grant(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> int:
+        """Grant control, or refuse it with a text; the MAV_RESULT."""
+        result, refusal = mavlink.MAV_RESULT_DENIED, None
+        if not may_grant:
+            refusal = "only from the vehicle's own link"
+        elif message.param1 != 1.0:
+            refusal = "parameter 1 must be 1"
+        else:
+            refusal = self._executor.session.objection_to(OperatorCommand.GRANT)
+            result = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+        if refusal is None:
+            self._executor.handle(OperatorAsked(now_s, OperatorCommand.GRANT), now_s)
+            return int(mavlink.MAV_RESULT_ACCEPTED)
+        if self._text_limit.acquire(now_s):
+            text = f"GRANT refused: {refusal}"
+            self._outlet.announce(Announce(Severity.WARNING, text, must_pass=True), now_s)
+        return int(result)
 
 
 def _wants_version(message: AddressedCommand) -> bool:

@@ -55,7 +55,7 @@ def _while_waiting(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
 
 
 def _in_standby(endpoint: CompanionEndpoint, status: GuidanceStatus, guided: str) -> str:
-    if endpoint.session.params.engage == "auto":
+    if endpoint.session.context.is_launch_wanted:
         return "Stand clear: it is about to take off by itself."
     if not status.is_armed:
         return f"Arm, take off, and switch to {guided} to give control."
@@ -86,5 +86,5 @@ def _while_holding(status: GuidanceStatus) -> str:
 def _after_yielding(endpoint: CompanionEndpoint, guided: str) -> str:
     authority = endpoint.session.authority
     if authority.grant_reason is not None:
-        return f"You fly. To search again: {GRANT_HOW}, then switch to {guided}."
+        return f"You fly. To search again: {GRANT_HOW}, then switch the mode."
     return f"You fly. To search again: stay in another mode until ready, then switch to {guided}."

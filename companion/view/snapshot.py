@@ -18,6 +18,7 @@ from companion.estimation.target_estimate import aside_of_m
 from companion.geometry.coordinates import combined
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
+from companion.guidance.events import OperatorCommand
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
@@ -55,6 +56,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "phase_text": _phase_text(status),
         "phase_detail": status.detail,
         "next_step": next_step(endpoint, status),
+        "objections": {each.value: session.objection_to(each) for each in OperatorCommand},
         "mode": vehicle.name_of(status.mode),
         "is_armed": status.is_armed,
         "is_link_lost": status.is_link_lost and endpoint.binding.heard_s is not None,

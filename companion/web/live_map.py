@@ -3,8 +3,10 @@
 Theory of operation. A browser, or ten, or one that stalled, must not be felt by the control tick.
 So the page lives in another process: pictures go down a pipe as JSON lines, a few times a second,
 and only when the pipe has room; what does not fit is not queued, because a newer picture replaces
-it anyway. Buttons come back up another pipe. If the child dies, the flight goes on without a map.
-The listening socket is opened here, before the flight, so that a taken port is an error at once.
+it anyway. Buttons come back up another pipe. If the child dies, it is started again, at ever longer
+intervals; meanwhile the browser itself says that its page is not live. The listening socket is
+opened here, before the flight, so that a taken port is an error at once, and kept, so that browsers
+find the next child.
 
 The collector listens where the flight log does, so nothing is measured twice; its lists are
 bounded. Track and curves are not in the pictures, of which any may be lost: the collector has them
@@ -39,7 +41,7 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
 from companion.view.history import CurveHistory, FlightTrack, History, HistoryPart, HistoryReader
 from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
-from companion.web.settings import VIEWED, WebSettings
+from companion.web.settings import LEFT, VIEWED, WebSettings
 
 TEXTS = 50
 MARKS = 12
@@ -59,7 +61,8 @@ class Collector(FlightView):
         self.marks: deque[Sample] = deque(maxlen=MARKS)
         self._track, self._curve = FlightTrack(), CurveHistory()
         self._origin_deg: tuple[object, object] | None = None
-        self._readers = {"track": HistoryReader(), "curve": HistoryReader()}
+        self._starts = 0
+        self._readers: dict[str, HistoryReader] = {}
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Take in an event of the flight log."""
@@ -84,8 +87,11 @@ class Collector(FlightView):
         """Take in a text for the operator."""
         self.texts.append((now_s, severity.name.lower(), text))
 
-    def next_parts(self) -> dict[str, HistoryPart[Any]]:
-        """Return what the page lacks of track and curves."""
+    def next_parts(self, starts: int) -> dict[str, HistoryPart[Any]]:
+        """Return what the page lacks of track and curves: all, where it started once more."""
+        if starts != self._starts:
+            self._starts = starts
+            self._readers = {"track": HistoryReader(), "curve": HistoryReader()}
         histories: dict[str, History[Any]] = {"track": self._track, "curve": self._curve}
         return {name: self._readers[name].next_part(each) for name, each in histories.items()}
 
@@ -97,6 +103,13 @@ PICTURE_PERIOD_S = 0.25
 MAX_LINE = 1_000_000
 """More than this without a line's end is no button."""
 END_S = 2.0
+LAST_WAIT_S = 0.02
+REAP_S = 0.01
+"""What a child that was killed may take to be gone: the control tick comes next."""
+RESTART_S, LONGEST_RESTART_S = 1.0, 30.0
+"""How long after its end the child is started again: doubled each time ..."""
+LASTED_S = 60.0
+"""... until one has lasted for this long."""
 COMMANDS = {command.value: command for command in OperatorCommand}
 FAR_AWAY = ("192.0.2.1", 9)
 """An address that nobody has (RFC 5737): the way to it leaves by the network's own address."""
@@ -113,29 +126,47 @@ class WebProcess:
         if find_spec("nicegui") is None:
             command = how_to_install("companion-guidance[web]")
             raise CompanionError(f"--web needs the extra web: {command}")
-        listener = listening_socket(settings)
-        first = {"fd": listener.fileno(), "settings": settings, "scene": scene}
+        self._listener = listening_socket(settings)
+        fd = self._listener.fileno()
+        self._first = _line({"fd": fd, "settings": settings, "scene": scene})
+        self._next_s = 0.0
+        self._is_over = False
+        self._restart_s: float | None = None
+        """Monotonic, when the child that ended is started again; None: it runs."""
+        self._patience_s = RESTART_S
+        self.starts = 0
+        self.dropped = 0
+        """Pictures that the child was too slow for."""
+        self.is_viewed = False
+        """Whether a browser has opened the page."""
+        self.viewers = 0
+        """Browsers that have the page open now; one that is closed counts for some seconds more."""
+        self._start()
+
+    def _start(self) -> None:
         self._child = subprocess.Popen(
             [sys.executable, "-m", "companion.web"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            pass_fds=(listener.fileno(),),
+            pass_fds=(self._listener.fileno(),),
         )
-        listener.close()
         assert self._child.stdin is not None
         assert self._child.stdout is not None
         self.process_id = self._child.pid
         self._down, self._up = self._child.stdin.fileno(), self._child.stdout.fileno()
         os.set_blocking(self._down, False)
         os.set_blocking(self._up, False)
-        self._unsent = _line(first)
-        self._received = b""
-        self._next_s = 0.0
-        self._is_over = False
-        self.dropped = 0
-        """Pictures that the child was too slow for."""
-        self.is_viewed = False
-        """Whether a browser has opened the page."""
+        self._unsent, self._received = self._first, b""
+        self._started_s, self._restart_s = time.monotonic(), None
+        self.starts += 1
+        self.viewers = 0
+
+    def _start_again(self) -> None:
+        try:
+            self._start()
+        except OSError as error:  # no memory, no file descriptors: later, perhaps
+            log.warning("the live map cannot be started again: %s", error.strerror)
+            self._restart_s = time.monotonic() + LONGEST_RESTART_S
 
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
@@ -143,7 +174,13 @@ class WebProcess:
         """Send a picture if one is due and may and can be sent; the buttons pressed meanwhile."""
         if self._is_over:
             return []
+        if self._restart_s is not None:
+            if may_send and time.monotonic() >= self._restart_s:
+                self._start_again()
+            return []
         self._flush()
+        if self._restart_s is not None:
+            return []
         if may_send and now_s >= self._next_s:
             self._next_s = now_s + PICTURE_PERIOD_S
             if self._unsent:
@@ -156,15 +193,44 @@ class WebProcess:
     def close(self) -> None:
         """End the child; it ends by itself when its pipe does."""
         self._is_over = True
-        for pipe in (self._child.stdin, self._child.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
+        self._listener.close()
+        self._close_pipes()
         try:
             self._child.wait(END_S)
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
+
+    def send_last(self, picture: Mapping[str, object]) -> None:
+        """Send a picture that none follows, and wait for a moment until it is on its way."""
+        if self._is_over or self._restart_s is not None:
+            return
+        self._unsent += _line(picture)
+        give_up_s = time.monotonic() + END_S
+        while self._unsent and time.monotonic() < give_up_s:
+            self._flush()
+            time.sleep(LAST_WAIT_S)
+
+    def _close_pipes(self) -> None:
+        for pipe in (self._child.stdin, self._child.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+
+    def _note_end(self) -> None:
+        """The child ended: start it again after a while."""
+        self._close_pipes()
+        self._child.kill()  # it may have closed only its pipe
+        with suppress(subprocess.TimeoutExpired):
+            self._child.wait(REAP_S)
+        self._unsent, self.viewers = b"", 0
+        now_s = time.monotonic()
+        if now_s - self._started_s >= LASTED_S:
+            self._patience_s = RESTART_S
+        self._restart_s = now_s + self._patience_s
+        text = "the live map's process ended; it is started again in %g s, and the flight goes on"
+        log.warning(text, self._patience_s)
+        self._patience_s = min(2.0 * self._patience_s, LONGEST_RESTART_S)
 
     def _flush(self) -> None:
         try:
@@ -174,18 +240,23 @@ class WebProcess:
         except BlockingIOError:
             pass
         except OSError:
-            self._is_over = True
-            log.warning("the live map ended; the flight goes on without it")
+            self._note_end()
 
     def _buttons(self) -> list[OperatorCommand]:
+        if self._restart_s is not None:
+            return []
         try:
             data = os.read(self._up, 65536)
         except (BlockingIOError, OSError):
+            return []
+        if not data:
+            self._note_end()
             return []
         *lines, self._received = (self._received + data).split(b"\n")
         self._received = self._received[-MAX_LINE:]
         names = [line.decode("utf-8", errors="replace").strip() for line in lines]
         self.is_viewed = self.is_viewed or VIEWED in names
+        self.viewers += names.count(VIEWED) - names.count(LEFT)
         return [COMMANDS[name] for name in names if name in COMMANDS]
 
 
@@ -248,9 +319,13 @@ class WebView(Collector):
         config: CompanionConfig,
         truth_enu_m: tuple[float, float] | None = None,
         replayed: ReplayedFlight | None = None,
+        *,
+        outlives: bool = False,
     ) -> None:
-        """`replayed` is a flight that is over; None: it is being flown."""
+        """`replayed` is a flight that is over; None: it is flown, and the page may outlive it."""
         super().__init__()
+        self._outlives = outlives
+        self._last: tuple[CompanionEndpoint, float] | None = None
         self._settings = settings
         self._time_to_go = TimeToGo()
         self._replayed = replayed
@@ -265,6 +340,7 @@ class WebView(Collector):
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Called at every wake-up of the flight; costs nothing unless a picture is due."""
+        self._last = (endpoint, now_s)
         has_room = endpoint.next_timer_s() - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
         for command in self.process.update(now_s, make, may_send=has_room):
@@ -275,7 +351,18 @@ class WebView(Collector):
         self.process.update(clock_s, lambda: self._picture(endpoint, now_s))
 
     def close(self) -> None:
-        """End the page."""
+        """End the page, or leave it with the last moment where it outlives the flight."""
+        if self._last is None or not self._outlives:
+            self.process.close()
+            return
+        self.process.send_last({**self._picture(*self._last), "is_over": True})
+
+    def await_left(self) -> None:
+        """End a page that outlived its flight once its last browser has left, or by Ctrl-C."""
+        with suppress(KeyboardInterrupt):
+            while self.process.viewers > 0:
+                self.process.update(0.0, dict, may_send=False)
+                time.sleep(PICTURE_PERIOD_S)
         self.process.close()
 
     def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
@@ -286,7 +373,7 @@ class WebView(Collector):
             "time_to_go_s": self._time_to_go.of_flight(endpoint, now_s),
             "texts": list(self.texts),
             "marks": list(self.marks),
-            **self.next_parts(),
+            **self.next_parts(self.process.starts),
             "found": self._found(endpoint, now_s),
         }
 

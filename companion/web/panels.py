@@ -63,7 +63,9 @@ class PhaseBar:
     def show(self, picture: Json) -> None:
         """Show a moment."""
         is_lost = picture["is_link_lost"]
-        self._phase.set_text(("AUTOPILOT LOST: " if is_lost else "") + picture["phase_text"])
+        is_over = picture.get("is_over", False)
+        head = "FLIGHT OVER: " if is_over else "AUTOPILOT LOST: " if is_lost else ""
+        self._phase.set_text(head + picture["phase_text"])
         self._detail.set_text(picture["phase_detail"])
         self._next.set_text(picture["next_step"])
         armed = "armed" if picture["is_armed"] else "disarmed"
@@ -72,13 +74,6 @@ class PhaseBar:
             clock = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
             self._time.set_text(f"{clock}, {picture['t_s']:.0f} s")
         self._colour(BAD if is_lost else PHASE_COLOURS.get(picture["phase"], QUIET))
-
-    def silent(self, for_s: float) -> None:
-        """Say that nothing comes from the companion any more."""
-        self._phase.set_text(f"COMPANION SILENT for {for_s:.0f} s")
-        self._detail.set_text("what you see is old")
-        self._next.set_text("Watch the vehicle, and take over with the mode switch if in doubt.")
-        self._colour(BAD)
 
     def _colour(self, colour: str) -> None:
         self._bar.style(f"background: {colour}; color: white")
@@ -218,12 +213,13 @@ class AgeBars:
 
     def show(self, picture: Json) -> None:
         """Show a moment."""
-        is_over = picture["phase"] == "finished"
+        is_over = picture.get("is_over", False)
+        is_found = picture["phase"] == "finished"
         for name, (bar, label) in self._bars.items():
             age_s, limit_s = picture["ages_s"].get(name), self._old_after_s[name]
             share = 0.0 if age_s is None else min(1.0, age_s / limit_s)
             colour = "negative" if share >= 1.0 else "warning" if share > 0.6 else "positive"
-            if is_over and name == "ranging":
+            if is_over or (is_found and name == "ranging"):
                 colour = "grey"  # nothing is measured any more, and nothing flown on it
             bar.set_value(round(share, 2))  # 4e-14 is no number to a screen reader
             bar.props(f"color={colour}")

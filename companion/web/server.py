@@ -17,9 +17,7 @@ import os
 import signal
 import socket
 import sys
-import time
 from collections.abc import Awaitable, Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +30,7 @@ from nicegui import Client, ui
 from nicegui.element import Element
 
 from companion.view.history import History, HistoryPart, HistoryReader
+from companion.web.command_buttons import CommandButtons, Press
 from companion.web.panels import (
     AgeBars,
     Charts,
@@ -42,7 +41,7 @@ from companion.web.panels import (
     RadioList,
     TextList,
 )
-from companion.web.settings import VIEWED, Access, WebSettings, tile, zooms_of
+from companion.web.settings import LEFT, VIEWED, Access, WebSettings, tile, zooms_of
 from companion.web.tour import Tour
 
 
@@ -86,16 +85,8 @@ class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(
 
 
 REFRESH_S = 0.3
-STALE_S = 2.0
-"""Seconds without a picture after which the page says that the companion is silent."""
 STYLE = Path(__file__).with_name("style.css")
-BUTTONS = (
-    ("hold", "HOLD", "#b45309", "Hold in place until RESUME?"),
-    ("resume", "RESUME", "#15803d", "Fly the search again?"),
-    ("return", "RETURN", "#b91c1c", "Return to home? The companion gives the vehicle up."),
-)
-
-Press = Callable[[str], None]
+LIVE_WATCH = Path(__file__).with_name("live_watch.js")
 
 
 class Page:
@@ -105,19 +96,19 @@ class Page:
         self, hub: PictureFeed, *, tile_zooms: tuple[int, int] | None, press: Press | None
     ) -> None:
         self._hub = hub
-        self._shown, self._shown_at_s = -1, time.monotonic()
+        self._shown = -1
         ui.dark_mode(None)
         ui.add_css(STYLE)
         ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
+        ui.add_head_html(f"<script>{LIVE_WATCH.read_text(encoding='utf-8')}</script>")
         self._phase = PhaseBar(hub.scene.get("replay"))
         with ui.row().classes("w-full gap-2 halves"):
             with ui.column().classes("gap-1 map-half"):
                 self._map = SearchMap(hub.scene, tile_zooms)
-                with ui.row().classes("w-full items-center justify-end gap-2 buttons"):
+                with ui.row().classes("w-full items-start justify-end gap-2 buttons"):
                     Tour()
                     self._handoff = HandoffButton()
-                    if press is not None:
-                        _buttons(press)
+                    self._commands = None if press is None else CommandButtons(press)
             with ui.column().classes("gap-2 side"):
                 self._numbers = Numbers()
                 self._ages = AgeBars(hub.scene)
@@ -128,12 +119,12 @@ class Page:
         ui.timer(REFRESH_S, self._refresh)
 
     def _refresh(self) -> None:
-        hub, now_s = self._hub, time.monotonic()
+        hub = self._hub
+        if self._commands is not None:
+            self._commands.look()
         if hub.version == self._shown:
-            if now_s - self._shown_at_s > STALE_S:
-                self._phase.silent(now_s - self._shown_at_s)
             return
-        self._shown, self._shown_at_s = hub.version, now_s
+        self._shown = hub.version
         picture: dict[str, Any] = hub.picture
         self._phase.show(picture)
         self._map.show(hub)
@@ -143,32 +134,10 @@ class Page:
         self._radios.show(picture)
         self._handoff.show(picture)
         self._texts.show(picture)
+        if self._commands is not None:
+            self._commands.show(picture)
+        ui.run_javascript(f"pictureHeard({json.dumps(picture.get('is_over', False))})")
         self._charts.show(hub.curve.items)
-
-
-def _buttons(press: Press) -> None:
-    for name, label, colour, question in BUTTONS:
-        dialog = _confirmation(question, label, colour, partial(press, name))
-        button = ui.button(label, color=colour, on_click=dialog.open)
-        button.props(f"id=button-{name} unelevated text-color=white").classes("press")
-
-
-def _confirmation(
-    question: str, label: str, colour: str, confirmed: Callable[[], None]
-) -> ui.dialog:
-    with ui.dialog() as dialog, ui.card():
-        ui.label(question)
-        with ui.row():
-
-            def do() -> None:
-                dialog.close()
-                confirmed()
-
-            sure = ui.button(label, color=colour, on_click=do).classes("press")
-            sure.props(f"id=confirm-{label.lower()} unelevated text-color=white")
-            cancel = ui.button("Cancel", color=None, on_click=dialog.close)
-            cancel.props("flat").classes("press plain")
-    return dialog
 
 
 NICENESS = 19
@@ -249,18 +218,32 @@ def _with_headers(send: Send) -> Send:
 
 
 class LoadingPages:
-    """Pages whose browser has not connected yet; those that never do go first."""
+    """Pages and their browsers; of those whose browser has not connected the oldest goes first."""
 
     def __init__(self) -> None:
         self._clients: dict[str, Client] = {}
+        self._viewing: set[str] = set()
 
     def add(self, client: Client) -> None:
         """Take in a new one, and let the oldest go where there are too many."""
         self._clients[client.id] = client
-        client.on_connect(lambda: self._clients.pop(client.id, None))
-        client.on_delete(lambda: self._clients.pop(client.id, None))
+        client.on_connect(lambda: self._connected(client.id))
+        client.on_delete(lambda: self._deleted(client.id))
         if len(self._clients) > MOST_LOADING:
             next(iter(self._clients.values())).delete()
+
+    def _connected(self, client_id: str) -> None:
+        """Report a browser once, however often its connection comes back."""
+        self._clients.pop(client_id, None)
+        if client_id not in self._viewing:
+            self._viewing.add(client_id)
+            _tell(VIEWED)
+
+    def _deleted(self, client_id: str) -> None:
+        self._clients.pop(client_id, None)
+        if client_id in self._viewing:
+            self._viewing.remove(client_id)
+            _tell(LEFT)
 
 
 def build_app(
@@ -277,7 +260,6 @@ def build_app(
         client = "" if request.client is None else request.client.host
         may_press = access.may_control(client, token)
         Page(hub, tile_zooms=zooms, press=press if may_press else None)
-        ui.context.client.on_connect(lambda: _tell(VIEWED))
         loading.add(ui.context.client)
 
     @nicegui.app.exception_handler(404)

@@ -56,7 +56,7 @@ class Access:
         return self.is_view_open or self.has_token(given)
 
     def may_control(self, client_host: str, given: str | None) -> bool:
-        """Whether a client may press HOLD, RESUME and RETURN."""
+        """Whether a client may press HOLD, RESUME, RETURN and GRANT."""
         if not self.is_control_on:
             return False
         if self.token is None:
@@ -115,8 +115,8 @@ def tile(folder: Path, zoom: int, x: int, y: int) -> bytes:
         return NO_TILE
 
 
-VIEWED = "viewed"
-"""The line by which the page's process reports that a browser has opened the page."""
+VIEWED, LEFT = "viewed", "left"
+"""The lines by which the page's process reports that a browser has opened the page, or left it."""
 LOOPBACK = "127.0.0.1"
 MIN_TOKEN = 8
 """Characters; a shorter one is guessed."""

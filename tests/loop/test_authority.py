@@ -155,9 +155,8 @@ def test_a_mode_that_flaps_is_left_alone(flavour: FlavourName) -> None:
     loop.run(13.0)
     assert watched.foreign_s is not None
     assert watched.late == []
-    later = loop.setpoints_since(watched.foreign_s + TICK_S)
-    assert all(each.time_s > watched.foreign_s + 9.0 for each in later)
     assert loop.phase not in IN_CONTROL
+    assert sum("in control" in text for text in loop.notes.texts) <= 2
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ LATCHING_PHASES = {
     Phase.HANDBACK: Trigger.HANDED_BACK,
     Phase.LAUNCHING: Trigger.LAUNCH_FAILED,
 }
-FAILSAFE_REASON, ID_CONFLICT_REASON = "failsafe", "id conflict"
+FAILSAFE_REASON, ID_CONFLICT_REASON, FLAPS_REASON = "failsafe", "id conflict", "mode flaps"
 
 
 class Authority:
@@ -65,6 +65,8 @@ class Authority:
         self._aside_s: float | None = None
         """Since when another mode is shown without a failsafe."""
         self._given_s = -math.inf
+        self._is_given_again = False
+        """Control was given after another mode, without a grant."""
         self._newest: HeartbeatReceived | None = None
         self._id_conflict_s = -math.inf
 
@@ -72,6 +74,9 @@ class Authority:
         """Apply a trigger; the phase that was left, or None if nothing changed."""
         if trigger is Trigger.GRANTED:
             self._must_leave_offboard, self.grant_reason = False, None
+            self._is_given_again = False
+        elif trigger is Trigger.MODE_LEFT:
+            self._is_given_again = True
         left = self.phase
         phase = next_phase(left, trigger)
         if phase is Phase.YIELD:
@@ -93,6 +98,8 @@ class Authority:
         reason = GRANT_REASONS.get(trigger)
         if trigger in CHOICES and self.has_id_conflict(now_s):
             reason = ID_CONFLICT_REASON
+        if left in IN_CONTROL and self._is_given_again and now_s - self._given_s < REGAIN_QUIET_S:
+            reason = reason or FLAPS_REASON
         if trigger in CHOICES and self._newest is not None and self._newest.is_failsafe:
             reason = FAILSAFE_REASON
         self.grant_reason = self.grant_reason or reason
@@ -174,7 +181,7 @@ class Authority:
     def note_disarmed(self, mode: FlightMode) -> None:
         """The flight ended; offboard left over from it does not count for the next one."""
         self._must_leave_offboard = mode is FlightMode.OFFBOARD
-        self.grant_reason = None
+        self.grant_reason, self._is_given_again = None, False
 
     def forget_autopilot(self) -> None:
         """The autopilot restarted: its next heartbeat is a first one again."""

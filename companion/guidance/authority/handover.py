@@ -85,8 +85,7 @@ class LaunchPermit:
     @property
     def is_wanted(self) -> bool:
         """Whether the vehicle is to be launched by itself, and nothing forbade it."""
-        context = self._context
-        return context.params.engage == "auto" and not context.has_launched
+        return self._context.is_launch_wanted
 
     @property
     def is_given(self) -> bool:
@@ -159,8 +158,6 @@ class Handover:
                 self._note_landed(event)
             case events.RequestAnswered():
                 self._note_answer(event)
-            case events.ControlGranted():
-                self._take_grant(event.time_s)
             case events.AutopilotRestarted():
                 self._begin_anew(event.time_s)
             case events.ControlStalled():
@@ -285,12 +282,6 @@ class Handover:
             context.enter(Trigger.HANDED_BACK, event.time_s)
         elif context.phase is Phase.FINISHED and event.outcome is not events.Outcome.ACCEPTED:
             context.announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
-
-    def _take_grant(self, now_s: float) -> None:
-        context = self._context
-        if context.enter(Trigger.GRANTED, now_s):
-            text = f"control granted: switch to {context.vehicle.guided_name}"
-            context.announce(Severity.NOTICE, text)
 
     def take_origin(self, event: events.OriginSet) -> bool:
         """Let the vehicle take an origin in; whether it moved.

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import R95_OF_SIGMA, BatteryLevel, FlightMode, TargetEstimate
+from companion.domain import R95_OF_SIGMA, BatteryLevel, TargetEstimate
 from companion.estimation.screening.measurement_screen import Objection
 from companion.guidance import events
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
@@ -22,6 +22,7 @@ from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
 from companion.guidance.health.fence_watch import FenceWatch
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
+from companion.guidance.health.operator_commands import OperatorCommandWatch
 from companion.guidance.health.position_jumps import JumpWatch
 from companion.guidance.messages import Rarely
 
@@ -157,46 +158,6 @@ class InputWatch(Watch):
             return Finding(Verdict.HOLD, Reason.ESTIMATE_VAGUE, text)
         text = f"no ranging for {params.degraded_after_s:g} s: coasting, slower"
         return Finding(Verdict.SLOW, Reason.RANGING_AGES, text)
-
-
-HELD = Finding(Verdict.HOLD, Reason.OPERATOR_HOLDS, "operator requested hold")
-RETURNS = Finding(
-    Verdict.HAND_BACK, Reason.OPERATOR_RETURNS, "operator requested return", FlightMode.RETURN
-)
-
-
-class OperatorCommandWatch(Watch):
-    """Remembers the operator's last command while the companion is in control.
-
-    It ends with the control it was given under: who gives the mode again wants to fly.
-    """
-
-    def __init__(self, context: SessionContext) -> None:
-        self._context = context
-        self._finding: Finding | None = None
-
-    def handle(self, event: events.Event) -> None:
-        """Take in a command; without control there is nothing to hold or to return."""
-        if not isinstance(event, events.OperatorAsked) or self._context.phase not in IN_CONTROL:
-            return
-        match event.command:
-            case events.OperatorCommand.HOLD:
-                self._finding = HELD
-            case events.OperatorCommand.RESUME:
-                self._finding = None
-            case events.OperatorCommand.RETURN:
-                self._finding = RETURNS
-
-    def tick(self, now_s: float) -> None:
-        """Forget a command when the control it was given under has ended."""
-        del now_s
-        if self._context.phase not in IN_CONTROL:
-            self._finding = None
-
-    def finding(self, now_s: float) -> Finding | None:
-        """What the operator wants instead of the plan."""
-        del now_s
-        return self._finding
 
 
 class Watches:

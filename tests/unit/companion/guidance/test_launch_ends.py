@@ -13,11 +13,12 @@ from companion.guidance.commands import Arm, SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     BatteryReported,
-    ControlGranted,
     ControlStalled,
     EstimatorRated,
     FixReported,
     HeartbeatReceived,
+    OperatorAsked,
+    OperatorCommand,
     Outcome,
     RequestAnswered,
     RequestKind,
@@ -52,7 +53,7 @@ def test_a_failsafe_during_the_launch_ends_it_until_a_grant(autopilot: Autopilot
     assert_left_alone(flight)
     flight.show(FlightMode.POSITION)
     assert_left_alone(flight)
-    flight.give(ControlGranted(flight.now_s))
+    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.HOLD)
 

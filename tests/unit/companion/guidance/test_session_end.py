@@ -9,7 +9,8 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
-    ControlGranted,
+    OperatorAsked,
+    OperatorCommand,
     Outcome,
     RequestKind,
     StopRequested,
@@ -133,7 +134,7 @@ def test_granted_before_the_mode_was_left_the_setpoint_stays_where_it_is() -> No
     flight.fly_until_reported()
     flight.follows = False
     east_m, north_m, up_m = flight.place
-    flight.give(ControlGranted(flight.now_s))
+    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
     granted_s = flight.now_s
     assert flight.is_in(Phase.STANDBY)
     for tick in range(10):

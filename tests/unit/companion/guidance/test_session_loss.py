@@ -11,7 +11,8 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
-    ControlGranted,
+    OperatorAsked,
+    OperatorCommand,
 )
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import FOREIGN_MODES, silent_since
@@ -28,7 +29,7 @@ def test_any_other_mode_means_silence_from_that_very_event_on(
     flight.show(mode, is_failsafe=is_failsafe)
     assert flight.is_in(Phase.YIELD)
     assert flight.has_withdrawn
-    flight.fly(60.0 if is_failsafe else 2.0)
+    flight.fly(60.0 if is_failsafe else 1.95)
     assert silent_since(flight, lost_s)
     assert flight.asked_modes() == []
 
@@ -64,7 +65,7 @@ def test_a_mode_that_was_chosen_is_switched_back_without_a_grant(autopilot: Auto
     flight.in_control()
     flight.show(FlightMode.POSITION)
     lost_s = flight.now_s
-    flight.fly(2.0)
+    flight.fly(1.95)
     assert silent_since(flight, lost_s)
     flight.fly(0.1)
     assert flight.is_in(Phase.STANDBY)
@@ -84,7 +85,7 @@ def test_a_grant_makes_ready_and_the_mode_switch_engages() -> None:
     flight = ScriptedFlight().in_control()
     flight.show(FlightMode.POSITION)
     flight.fly(1.0)
-    flight.give(ControlGranted(flight.now_s))
+    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
     assert flight.is_in(Phase.STANDBY)
     granted_s = flight.now_s
     flight.fly(1.0)
@@ -147,7 +148,7 @@ def test_a_grant_is_enough_for_a_vehicle_found_in_offboard() -> None:
     flight.show(FlightMode.OFFBOARD)
     flight.locate()
     flight.fly(3.0)
-    flight.give(ControlGranted(flight.now_s))
+    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
     flight.fly(1.2)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
 

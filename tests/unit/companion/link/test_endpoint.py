@@ -149,18 +149,29 @@ def test_a_grant_is_accepted_and_told_to_its_sender() -> None:
 def test_a_grant_that_is_none_is_denied(p1: float) -> None:
     wire = Wire().ready(OFFBOARD)
     wire.say(heartbeat(is_armed=True, status=4))
-    (ack,) = wire.say(command(GRANT, p1), sender=MavCodec(255, 190))
+    said, ack = wire.say(command(GRANT, p1), sender=MavCodec(255, 190))
+    assert isinstance(said, mavlink.MAVLink_statustext_message)
+    assert said.text == "GRANT refused: parameter 1 must be 1"
     assert isinstance(ack, Ack)
-    assert ack.result == 2
+    assert ack.result == mavlink.MAV_RESULT_DENIED
     assert wire.endpoint.session.phase is Phase.YIELD
 
 
-def test_a_grant_is_denied_while_the_fence_is_refused() -> None:
+def test_a_grant_that_would_do_nothing_is_rejected_with_the_reason() -> None:
+    wire = Wire().ready(OFFBOARD)
+    said, ack = wire.say(command(GRANT, 1.0), sender=MavCodec(255, 190))
+    assert isinstance(said, mavlink.MAVLink_statustext_message)
+    assert said.text == "GRANT refused: in control already"
+    assert isinstance(ack, Ack)
+    assert ack.result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+
+
+def test_a_grant_is_rejected_while_the_fence_is_refused() -> None:
     made = Wire().ready()
     torn = AutopilotFenceRead(0.0, problem="item 3: torn", is_unusable=True)
     made.endpoint.session.handle(torn)
     (ack,) = [m for m in made.say(command(GRANT, 1.0)) if isinstance(m, Ack)]
-    assert ack.result == mavlink.MAV_RESULT_DENIED
+    assert ack.result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
     assert made.endpoint.session.fencing.refusal == "the autopilot's fence: item 3: torn"
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from companion.domain import EstimateState
+from companion.domain import EstimateState, FlightMode
+from companion.guidance.authority.handover import GRANT_HOW
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session import GuidanceStatus
 from companion.view.next_step import next_step
@@ -68,3 +69,20 @@ def test_a_search_is_told_by_the_state_of_its_estimate(flown: Loop, state: Estim
     told_now = told(flown, phase=Phase.NORMAL, estimate=replace(estimate, state=state))
     assert ("two places" in told_now) is (state is EstimateState.AMBIGUOUS)
     assert ("report" in told_now) is (state is EstimateState.LOCALISED)
+
+
+def test_after_a_launched_flight_was_taken_over_it_is_not_about_to_take_off() -> None:
+    loop = Loop(seed=1)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
+    loop.choose(FlightMode.HOLD)
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 2.0)
+    assert "stay in another mode until ready" in told(loop)
+    loop.run_until(lambda: loop.phase is Phase.STANDBY, 5.0)
+    assert told(loop).startswith("Switch to offboard mode to give control.")
+
+
+def test_where_a_grant_is_needed_it_says_how(flown: Loop) -> None:
+    flown.companion.session.authority.demand_grant("failsafe")
+    text = told(flown, phase=Phase.YIELD)
+    assert GRANT_HOW in text
+    assert len(text.split()) <= MOST_WORDS

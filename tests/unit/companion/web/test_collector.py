@@ -32,10 +32,10 @@ def test_the_curve_is_sent_once_and_has_at_most_two_points_a_second() -> None:
     collector = Collector()
     for tick in range(100):
         collector.record("estimate", estimate(0.1 * tick), 0.1 * tick)
-    points, _ = collector.next_parts()["curve"]
+    points, _ = collector.next_parts(1)["curve"]
     assert 18 <= len(points) <= 21
     assert points[0]["range_innovation"] == 2.0
-    assert collector.next_parts()["curve"].items == []
+    assert collector.next_parts(1)["curve"].items == []
 
 
 def test_the_track_is_of_the_log_and_of_one_frame() -> None:
@@ -43,13 +43,13 @@ def test_the_track_is_of_the_log_and_of_one_frame() -> None:
     for east_m in range(5):
         collector.record("position", {"position_enu_m": (float(east_m), 0.0, 20.0)}, 1.0)
     collector.record("position", {"position_enu_m": (4.0, 9.0, 20.0)}, 2.0)
-    assert collector.next_parts()["track"].items == [(0.0, 0.0), (4.0, 0.0)]
+    assert collector.next_parts(1)["track"].items == [(0.0, 0.0), (4.0, 0.0)]
     origin = {"latitude_deg": 47.0, "longitude_deg": 8.0, "altitude_m": 488.0}
     collector.record("origin", origin, 3.0)
-    assert collector.next_parts()["track"] == ([], True)
+    assert collector.next_parts(1)["track"] == ([], True)
     collector.record("position", {"position_enu_m": (1.0, 1.0, 20.0)}, 4.0)
     collector.record("origin", {**origin, "altitude_m": 489.0}, 5.0)
-    assert collector.next_parts()["track"] == ([(1.0, 1.0)], False)
+    assert collector.next_parts(1)["track"] == ([(1.0, 1.0)], False)
 
 
 def test_other_records_are_not_shown_and_an_estimate_without_a_place_has_no_mark() -> None:
@@ -57,4 +57,4 @@ def test_other_records_are_not_shown_and_an_estimate_without_a_place_has_no_mark
     collector.record("link", {"setpoints": 3}, 1.0)
     collector.record("estimate", {"r95_m": 4.0}, 2.0)
     assert not collector.marks
-    assert len(collector.next_parts()["curve"].items) == 1
+    assert len(collector.next_parts(1)["curve"].items) == 1

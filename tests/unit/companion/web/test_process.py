@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import socket
 import subprocess
 import sys
+from time import sleep
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -74,6 +77,38 @@ def test_beside_the_network_the_address_is_the_way_out(monkeypatch: pytest.Monke
     monkeypatch.setattr(socket.socket, "getsockname", Mock(return_value=("192.168.1.7", 4)))
     settings = web_settings("0.0.0.0:8080", token="12345678")
     assert announced_url(settings) == "http://192.168.1.7:8080/?token=12345678"
+
+
+def test_a_page_that_ends_is_started_again_ever_more_slowly(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its process ends as soon as it begins; the flight goes on, and the port stays taken."""
+    now_s, started_s = 0.0, []
+
+    def start(_: object, **pipes: Any) -> subprocess.Popen[bytes]:
+        started_s.append(now_s)
+        return Popen(["true"], **pipes)
+
+    Popen = subprocess.Popen
+    monkeypatch.setattr("companion.web.live_map.subprocess.Popen", start)
+    monkeypatch.setattr("companion.web.live_map.time.monotonic", lambda: now_s)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    process = WebProcess(web_settings(str(port)), {})
+    try:
+        for _ in range(150):
+            assert process.update(now_s, dict) == []
+            sleep(0.005)  # its pipe closes in real time
+            now_s += 1.0
+        with pytest.raises(CompanionError, match="another program"):
+            listening_socket(web_settings(str(port)))
+    finally:
+        process.close()
+    gaps_s = [later - earlier for earlier, later in itertools.pairwise(started_s)]
+    assert len(gaps_s) >= 6
+    for gap_s, least_s in zip(gaps_s, [1, 2, 4, 8, 16, 30, 30], strict=False):
+        assert least_s <= gap_s <= least_s + 5
 
 
 @pytest.mark.slow

@@ -15,10 +15,11 @@ from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     AutopilotRestarted,
     BatteryReported,
-    ControlGranted,
     HeartbeatReceived,
     IdConflictHeard,
     LandedStateChanged,
+    OperatorAsked,
+    OperatorCommand,
     Outcome,
     RequestAnswered,
     RequestKind,
@@ -111,7 +112,7 @@ def test_what_a_failsafe_took_is_given_by_a_grant_alone(
     flight.show(FlightMode.RETURN, is_failsafe=True)
     flight.fly(5.0)
     if is_granted:
-        flight.give(ControlGranted(flight.now_s))
+        flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
     flight.show(FlightMode.HOLD)
     flight.fly(3.0)
     assert f"grant needed, failsafe: {GRANT_HOW}" in flight.texts
@@ -186,7 +187,7 @@ def test_what_was_not_left_by_choice_needs_a_grant_and_says_so(
     assert acts(flight, ended_s) == 0
     assert flight.texts.count(f"grant needed, {reason}: {GRANT_HOW}") == 1
     assert flight.texts[-1] == f"{flight.guided_name} ignored: {reason}; {GRANT_HOW}"
-    flight.give(ControlGranted(flight.now_s))
+    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
     flight.fly(1.1)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
 
@@ -231,7 +232,7 @@ def test_a_battery_that_was_handed_back_for_is_so_once_in_a_flight() -> None:
     flight.fly(0.1)
     for _ in range(2):  # handed back, and then ended early with the report
         flight.show(FlightMode.RETURN)
-        flight.give(ControlGranted(flight.now_s))
+        flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
         flight.show(FlightMode.OFFBOARD)
         flight.fly(1.0)
     assert flight.is_in(Phase.HOLD)
@@ -275,6 +276,20 @@ def test_a_mode_that_flaps_is_left_alone(autopilot: Autopilot, period_s: float) 
         flight.show(FlightMode.POSITION)
     assert flight.is_in(Phase.YIELD)
     assert acts(flight, lost_s) == 0
+
+
+def test_a_mode_that_flaps_too_slowly_for_its_heartbeats_needs_a_grant() -> None:
+    """PX4 shows one a second, and refuses OFFBOARD unseen until it is streamed to."""
+    flight = flying()
+    flight.show(FlightMode.POSITION)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(0.7)
+    assert flight.is_in(Phase.NORMAL)
+    flight.show(FlightMode.POSITION)
+    flight.fly(5.0)
+    assert flight.is_in(Phase.YIELD)
+    assert f"grant needed, mode flaps: {GRANT_HOW}" in flight.texts
 
 
 def test_offboard_given_again_too_soon_is_explained_once() -> None:
@@ -489,6 +504,6 @@ def test_giving_way_is_silence_until_the_mode_is_given_again() -> None:
     gave_s = flight.now_s
     flight.fly(20.0)
     assert acts(flight, gave_s) == 0
-    flight.give(ControlGranted(flight.now_s))
+    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
     flight.fly(1.1)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)

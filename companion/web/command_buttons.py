@@ -1,0 +1,93 @@
+"""HOLD, RESUME, RETURN and GRANT on the page: grey with the reason, confirmed, and answered."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+Press = Callable[[str], None]
+
+BUTTONS = (
+    ("hold", "HOLD", "#b45309", "Hold in place until RESUME?"),
+    ("resume", "RESUME", "#15803d", "Fly the search again?"),
+    ("return", "RETURN", "#b91c1c", "Return to home? The companion gives the vehicle up."),
+    (
+        "grant",
+        "GRANT",
+        "#1f4e79",
+        "Let the companion fly again, once you give it the mode? After a failsafe in OFFBOARD a "
+        "PX4 goes back to it at once, and the search goes on.",
+    ),
+)
+ANSWER_S = 1.0
+"""An answer that takes longer is reported as missing ..."""
+FORGOTTEN_S = 10.0
+"""... and after this long not waited for any more."""
+
+
+class CommandButtons:
+    """The buttons; `press` sends a button's name to the companion."""
+
+    def __init__(self, press: Press) -> None:
+        self._press = press
+        self._shown_s = 0.0
+        """Of the flight, the moment that is shown."""
+        self._buttons: dict[str, tuple[ui.button, ui.label]] = {}
+        self._awaited: dict[str, tuple[float, float, bool]] = {}
+        """By label: when it was pressed, of the flight and monotonic, and whether it is missed."""
+        for name, label, colour, question in BUTTONS:
+            dialog = _confirmation(question, label, colour, partial(self._send, name, label))
+            with ui.column().classes("command gap-0 items-center"):
+                button = ui.button(label, color=colour, on_click=dialog.open).classes("press")
+                button.props(f"id=button-{name} unelevated text-color=white")
+                reason = ui.label("").classes("muted reason").props(f"id=reason-{name}")
+            self._buttons[name] = (button, reason)
+
+    def show(self, picture: Mapping[str, Any]) -> None:
+        """Show what would do something now, and the answers to what was pressed."""
+        self._shown_s = picture["t_s"]
+        for name, (button, reason) in self._buttons.items():
+            objection = picture["objections"][name]
+            button.set_enabled(objection is None)
+            reason.set_text(objection or "")
+        for time_s, _, text in picture["texts"]:
+            label = text.partition(" ")[0]
+            if label in self._awaited and time_s >= self._awaited[label][0]:
+                del self._awaited[label]
+                ui.notify(text, type="negative" if " refused" in text else "positive")
+
+    def look(self) -> None:
+        """Say that an answer is missing, which no picture would."""
+        now_s = time.monotonic()
+        for label, (flight_s, pressed_s, is_missed) in list(self._awaited.items()):
+            if now_s - pressed_s > FORGOTTEN_S:
+                del self._awaited[label]
+            elif now_s - pressed_s > ANSWER_S and not is_missed:
+                self._awaited[label] = (flight_s, pressed_s, True)
+                ui.notify(f"{label}: no answer from the companion yet", type="warning")
+
+    def _send(self, name: str, label: str) -> None:
+        self._awaited[label] = (self._shown_s, time.monotonic(), False)
+        self._press(name)
+
+
+def _confirmation(
+    question: str, label: str, colour: str, confirmed: Callable[[], None]
+) -> ui.dialog:
+    with ui.dialog() as dialog, ui.card():
+        ui.label(question)
+        with ui.row():
+
+            def do() -> None:
+                dialog.close()
+                confirmed()
+
+            sure = ui.button(label, color=colour, on_click=do).classes("press")
+            sure.props(f"id=confirm-{label.lower()} unelevated text-color=white")
+            cancel = ui.button("Cancel", color=None, on_click=dialog.close)
+            cancel.props("flat").classes("press plain")
+    return dialog
