@@ -177,7 +177,7 @@ def listed_parameters(station: Any) -> dict[str, float]:
     return values
 
 
-def test_mavproxy_and_pymavlink_list_and_set_the_companions_parameters(tmp_path: Path) -> None:
+def test_mavproxy_and_pymavlink_set_the_companions_parameters_and_grant(tmp_path: Path) -> None:
     vehicle, own = free_port(), free_port()
     links = ("--connect", f"udpout:127.0.0.1:{vehicle}", "--gcs", f"udpout:127.0.0.1:{own}")
     simulator = connected("px4", tmp_path, vehicle, "--share-ports")
@@ -188,6 +188,8 @@ def test_mavproxy_and_pymavlink_list_and_set_the_companions_parameters(tmp_path:
         mavproxy.ask("param set CMP_SPEED 3", "AP: parameter CMP_SPEED: 5 -> 3")
         mavproxy.ask("param fetch CMP_SPEED", r"CMP_SPEED = 3\.0")
         mavproxy.ask("param set CMP_SPEED 30", "CMP_SPEED: 30 is above the configuration's 5")
+        mavproxy.ask("long NAV_GUIDED_ENABLE 1", "AP: GRANT refused: not needed")
+        mavproxy.expect("NAV_GUIDED_ENABLE: TEMPORARILY_REJECTED")
         hear_text(station, "CMP_SPEED: 30 is above")  # what was sent before is read by now
         assert listed_parameters(station)["CMP_SPEED"] == 3.0
         station.mav.param_set_send(1, 191, b"CMP_ALTITUDE", 25.0, 9)
