@@ -10,7 +10,7 @@ from typing import Any, NoReturn, TypeAlias
 
 from companion import __version__
 from companion.errors import ConfigError
-from companion.radio_tools import radio_commands
+from companion.radio_tools.options import add_radio
 from companion.setup_tools.options import add_config, add_setup, add_tiles
 
 MAX_SECONDS = 300.0
@@ -205,7 +205,7 @@ def _add_radio(commands: Commands) -> None:
         help="list, watch, record and calibrate radios",
         description="Radios with formats of their own: which there are, and what they say.",
     )
-    radio_commands.add_arguments(radio)
+    add_radio(radio)
 
 
 def _add_setup(commands: Commands) -> None:

@@ -28,44 +28,13 @@ from companion.io.logs.radio_recording import (
 )
 from companion.link.interface import LinkRole
 from companion.link.radio_stage import RadioSettings, RadioSetup, RadioStage
-from companion.radio_tools.calibration import TEST_NAMES, CalibrationRun, RunWindow, calibrate
+from companion.radio_tools.calibration import CalibrationRun, RunWindow, calibrate
 from companion.radio_tools.calibration_text import as_json, verdict, yaml_to_paste
+from companion.radio_tools.options import TEST_NAMES
 from companion.radio_tools.recorder import record_radios
 from companion.replay.walk_replay import read_walk
 
 EXIT_REFUSED = 1
-DESCRIPTION = """\
-Find a radio's offset, scale, sign, mount, lag and noise from a recording of it about a known
-point: a turn, a line, a circle and a blocked run. Prints a verdict, and YAML for the radio's
-`settings` and for `estimation.filter`. Exit code 1: something was refused, with the reason."""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `companion radio calibrate` understands."""
-    text = "recording of `companion radio record`; with --radio it is written first"
-    parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help=text)
-    text = "a ranging walk as of `companion replay`, with target_x_m and target_y_m"
-    parser.add_argument("--from-csv", metavar="FILE", type=Path, dest="csv", help=text)
-    text = "where the emitter is, in degrees and metres above mean sea level (default: home's)"
-    parser.add_argument("--point", metavar="LAT,LON[,AMSL]", help=text)
-    text = "the same in metres east, north and up of the autopilot's origin"
-    parser.add_argument("--point-enu", metavar="E,N,U", help=text)
-    parser.add_argument("--emitter", metavar="ID", help="its id, where there are several")
-    text = f"what FILE contains, {', '.join(TEST_NAMES)}, and when, in seconds; repeatable"
-    parser.add_argument(
-        "--test", metavar="NAME[@FROM-TO]", action="append", default=[], dest="tests", help=text
-    )
-    text = "record this radio first, NAME[:KEY=VALUE,...]@URL; repeatable"
-    parser.add_argument(
-        "--radio", metavar="RADIO", action="append", default=[], dest="radios", help=text
-    )
-    parser.add_argument("--connect", metavar="URL", dest="link", help="link to the autopilot")
-    parser.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
-    text = "record so long (default: Ctrl-C)"
-    parser.add_argument("--seconds", metavar="S", type=float, help=text)
-    text = "listen beyond this machine, too"
-    parser.add_argument("--insecure", action="store_true", dest="is_insecure", help=text)
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write all figures as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:

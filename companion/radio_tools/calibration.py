@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from companion.radio_tools.bearing_fit import (
     fit_bearings,
 )
 from companion.radio_tools.clustered_fit import NORMAL_975, Figure, Flags, Labels, Vector
+from companion.radio_tools.options import FieldTestName
 from companion.radio_tools.pose_track import FieldTests, PoseTrack, find_tests
 from companion.radio_tools.range_fit import (
     LEAST_SPEED_MPS,
@@ -35,8 +35,6 @@ from companion.radio_tools.range_fit import (
 )
 from companion.radio_tools.range_lag import MOST_LAG_S, fit_lag, scan_lag
 
-FieldTestName = Literal["turn", "line", "circle", "blocked"]
-TEST_NAMES: tuple[FieldTestName, ...] = get_args(FieldTestName)
 LEAST_VALUES = 20
 LEAST_DISTANCES = 4
 BLOCK_S = 5.0

@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 
@@ -21,47 +20,6 @@ from companion.radio_tools import calibrate
 from companion.radio_tools.recorder import record_radios
 from companion.radio_tools.watching import WatchingEndpoint
 from companion.radios.catalogue import known_radios, radio_kind
-
-COMMANDS = "{list,watch,record,calibrate}"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What `companion radio` understands."""
-    commands = parser.add_subparsers(dest="radio_command", metavar=COMMANDS, required=True)
-    commands.add_parser("list", help="every radio that can be chosen, and what it gives")
-    watch = commands.add_parser(
-        "watch",
-        help="show what a radio says, live",
-        description="Show what radios say: rate, range, bearing, scatter, and what is refused.",
-    )
-    watch.add_argument("radios", metavar="RADIO", nargs="*", help="NAME[:KEY=VALUE,...]@URL")
-    _add_common(watch)
-    record = commands.add_parser(
-        "record",
-        help="keep what radios send, and where the vehicle is meanwhile",
-        description="Keep the bytes of radios with their times and, where connected, the vehicle's "
-        "position and attitude. `companion replay FILE` runs it through the estimator.",
-    )
-    record.add_argument("file", metavar="FILE", type=Path)
-    record.add_argument(
-        "--radio", metavar="RADIO", action="append", default=[], dest="radios", help="as in flight"
-    )
-    record.add_argument("--connect", metavar="URL", dest="link", help="link to the autopilot")
-    _add_common(record)
-    fitted = commands.add_parser(
-        "calibrate",
-        help="find offset, scale, sign, mount, lag and noise from a recording about a known point",
-        description=calibrate.DESCRIPTION,
-    )
-    calibrate.add_arguments(fitted)
-
-
-def _add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--config", metavar="FILE", type=Path, help="companion configuration")
-    text = "end after so many seconds (default: Ctrl-C)"
-    parser.add_argument("--seconds", metavar="S", type=float, help=text)
-    text = "listen beyond this machine, too"
-    parser.add_argument("--insecure", action="store_true", dest="is_insecure", help=text)
 
 
 def run(arguments: argparse.Namespace) -> int:
