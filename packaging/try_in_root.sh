@@ -33,7 +33,7 @@ mkdir -p "$root/tmp/home"
 files >"$root/tmp/before"
 cp "$package" "$root/tmp/companion.deb"
 began_s=$(date +%s)
-inside 'dpkg --install /tmp/companion.deb'
+inside 'dpkg --install /tmp/companion.deb' >/dev/null
 echo "installed after $(($(date +%s) - began_s)) s"
 inside 'cd /tmp && companion demo --no-plot '"${DEMO_ARGS:-}"' --json /tmp/demo.json >/tmp/demo.log 2>&1' ||
     { tail -5 "$root/tmp/demo.log"; exit 1; }
@@ -45,14 +45,15 @@ inside "set -e; cd /tmp; sim-link >sim.log & until grep -q listening /tmp/sim.lo
     grep -x 'COMPANION_OPTIONS=--connect $link' /etc/companion/service.env
     companion config show --changed --config /etc/companion/companion.yaml >/dev/null
     companion doctor --connect $link --config /etc/companion/companion.yaml
-    companion setup --remove"
+    companion setup --remove" >"$root/tmp/setup.log" 2>&1 || { cat "$root/tmp/setup.log"; exit 1; }
+grep 'fit to fly' "$root/tmp/setup.log"
 changed=$(inside 'dpkg --verify companion-guidance')
 if [ -n "$changed" ]; then
     echo "the setup was removed, but the package is not as it was: $changed" >&2
     exit 1
 fi
 echo "set up, examined, and the setup undone: the package is as it was"
-inside 'getent passwd companion; id -nG companion; dpkg --purge companion-guidance'
+inside 'id -nG companion; dpkg --purge companion-guidance' >/dev/null
 if inside 'getent passwd companion' >/dev/null; then
     echo "purged, but the user companion is still there" >&2
     exit 1
