@@ -56,6 +56,8 @@ class Belief:
     """Best first; empty before the first measurement."""
     own: OwnAccuracy | None = None
     """Of the vehicle's place, at the worst; None: nobody kept it."""
+    raised_m: float = 0.0
+    """By how much the vehicle's heights were moved since the heights here were true."""
 
     def problem(self, size: int) -> str | None:
         """Why nothing can begin from it in a tracker with a state of `size` components, or None."""
@@ -66,6 +68,8 @@ class Belief:
         own = self.own
         if own is not None and not (0.0 < own.horizontal_m < math.inf > own.vertical_m >= 0.0):
             return "an impossible accuracy of the own place"
+        if not abs(self.raised_m) <= MAX_COORDINATE_M:
+            return "an impossible height"
         problems = (_problem(place, size) for place in self.places)
         return next((problem for problem in problems if problem is not None), None)
 
@@ -75,6 +79,7 @@ def belief_of(
     emitter_id: int | None,
     measurements: int,
     own: OwnAccuracy | None = None,
+    raised_m: float = 0.0,
 ) -> Belief | None:
     """The belief in some hypotheses, best first; None without any."""
     if not hypotheses:
@@ -88,7 +93,7 @@ def belief_of(
         )
         for hypothesis in hypotheses[:MAX_PLACES]
     )
-    return Belief(emitter_id, measurements, places, own)
+    return Belief(emitter_id, measurements, places, own, raised_m)
 
 
 def hypotheses_of(

@@ -8,8 +8,7 @@ both are kept. A range with a bearing needs only one.
 When the vehicle's own navigation jumps, hypotheses and measurements move along. All that was
 measured is relative to the vehicle, so the target, and every place that it was seen from, move by
 as much as the reported position; bearings that are measured from the heading turn against it, and
-so does their offset. A known height of the target stays: it does not depend on where the vehicle
-believes to be.
+so does their offset. Heights do not move here: the tracker keeps to those of before a step.
 """
 
 from __future__ import annotations
@@ -204,43 +203,33 @@ def _distance2(a: FilterState, b: FilterState) -> float:
     return float((nn * e * e - 2.0 * en * e * n + ee * n * n) / (ee * nn - en * en))
 
 
-JUMP_SIGMA_M = 0.2
 JUMP_SIGMA_RAD = math.radians(2.0)
-"""How well a jump is known."""
+"""How well a jump of the heading is known."""
 
 
-def state_step(params: FilterParams, shift_enu_m: PositionEnu, turn_rad: float) -> Vector:
+def state_step(params: FilterParams, shift_en_m: Point, turn_rad: float) -> Vector:
     """By how much a state (n,) moves in a jump; bearings turn by `turn_rad`, counter-clockwise."""
     step = np.zeros(len(params.prior[0]))
-    step[EAST], step[NORTH], step[BEARING_OFFSET] = *shift_enu_m[:2], turn_rad
-    height = params.model.height_index
-    if height >= 0:
-        step[height] = shift_enu_m[2]
+    step[EAST], step[NORTH], step[BEARING_OFFSET] = *shift_en_m, turn_rad
     return step
 
 
-def shift_hypothesis(hypothesis: Hypothesis, step: Vector) -> Hypothesis:
-    """The hypothesis after a jump."""
+def shift_hypothesis(hypothesis: Hypothesis, step: Vector, sigma_m: float) -> Hypothesis:
+    """The hypothesis after a jump that is known to `sigma_m` per axis."""
     state = hypothesis.state
     mean = state.mean + step
     mean[BEARING_OFFSET] = wrap_pi(float(mean[BEARING_OFFSET]))
-    doubt = np.where(step == 0.0, 0.0, JUMP_SIGMA_M**2)
+    doubt = np.where(step == 0.0, 0.0, sigma_m**2)
     if step[BEARING_OFFSET] != 0.0:
         doubt[BEARING_OFFSET] = JUMP_SIGMA_RAD**2
     covariance = state.covariance + np.diag(doubt)
     return replace(hypothesis, state=FilterState.of(state.time_s, mean, covariance))
 
 
-def shift_rows(
-    rows: Matrix, shift_enu_m: PositionEnu, step: Vector, params: FilterParams
-) -> Matrix:
+def shift_rows(rows: Matrix, shift_en_m: Point, step: Vector, params: FilterParams) -> Matrix:
     """Measurements as they would have been made after a jump, of the same shape."""
-    east_m, north_m, up_m = shift_enu_m
     after = np.array(rows)
-    after[:, 0] += east_m
-    after[:, 1] += north_m
-    if params.model.height_index >= 0:
-        after[:, 2] += up_m
+    after[:, :2] += shift_en_m
     if params.model.antenna == AZIMUTH:
         after[:, VALUES + BEARING] += step[BEARING_OFFSET]
         return after

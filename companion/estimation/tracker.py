@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 
@@ -133,6 +133,9 @@ class TargetTracker:
         err by the same for minutes, so a time of a worse fix is not made good by a better one."""
         self._best_own_m = math.inf
         """How well at the best: satellites of another fix err by something else."""
+        self.raised_m = 0.0
+        """By how much the vehicle's heights were moved since the target's place was begun: what is
+        kept here stays about the zero of before, where a known height of the target holds."""
         self.integrity = TrackIntegrity()
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
@@ -171,6 +174,7 @@ class TargetTracker:
         """
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
+        sensor_enu_m = self._about_kept_zero(sensor_enu_m)
         reason = self._screen.admit(measurement, sensor_enu_m, now_s)
         if reason is not None or sensor_enu_m is None:
             return self.reject(reason or RejectReason.NO_POSITION)
@@ -198,6 +202,11 @@ class TargetTracker:
             mean = self.hypotheses[0].state.mean
             self.watch.look(self._optimizer.map, mean, estimate.r95_m, at_s)
         return report
+
+    def _about_kept_zero(self, sensor_enu_m: PositionEnu | None) -> PositionEnu | None:
+        if sensor_enu_m is None or self.raised_m == 0.0:
+            return sensor_enu_m
+        return (*sensor_enu_m[:2], sensor_enu_m[2] - self.raised_m)
 
     def _rate_own(self, own: OwnAccuracy | None) -> None:
         self.own = own if self.own in (None, own) else self.own.or_worse(own)
@@ -325,6 +334,7 @@ class TargetTracker:
         self._forget_place()
         self._screen.clear()
         self.last_accepted_s = None
+        self.raised_m = 0.0
         self.own, self._best_own_m = None, math.inf
 
     def _forget_place(self) -> None:
@@ -335,23 +345,29 @@ class TargetTracker:
         self._told_antenna = ToldAntennaWatch()
         self._optimizer.clear()
 
-    def move(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
+    def move(self, shift_enu_m: PositionEnu, turn_rad: float, sigma_m: float = 0.0) -> None:
         """The vehicle's navigation jumped: what is known moves along, see `hypotheses`.
 
         Bearings that are measured from the heading turn counter-clockwise; those of a radio that
-        knows north itself do not.
+        knows north itself do not. The shift is known to `sigma_m` per axis.
         """
         turn_rad = turn_rad if self._screen.has_body_bearings else 0.0
-        step = state_step(self._filter.params, shift_enu_m, turn_rad)
-        self.hypotheses = tuple(shift_hypothesis(h, step) for h in self.hypotheses)
-        self._optimizer.move(shift_enu_m, step)
-        self.watch.move(shift_enu_m, step, self._filter.params)
+        step = state_step(self._filter.params, shift_enu_m[:2], turn_rad)
+        self.raised_m += shift_enu_m[2]
+        self.hypotheses = tuple(shift_hypothesis(h, step, sigma_m) for h in self.hypotheses)
+        self._optimizer.move(shift_enu_m[:2], step)
+        self.watch.move(shift_enu_m[:2], step, self._filter.params)
         self._screen.forget_motion()
+
+    @property
+    def target_height_m(self) -> float:
+        """The height that is configured for the target, about the vehicle's present zero."""
+        return self.params.filter.target_height_m + self.raised_m
 
     @property
     def belief(self) -> Belief | None:
         """What would be worth knowing after a restart; None before the first measurement."""
-        return belief_of(self.hypotheses, self.emitter_id, self.accepted, self.own)
+        return belief_of(self.hypotheses, self.emitter_id, self.accepted, self.own, self.raised_m)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Begin again, with doubt, from what was believed; or say why not, and change nothing."""
@@ -364,6 +380,7 @@ class TargetTracker:
         self.restart()
         self.emitter_id = belief.emitter_id
         self.own = belief.own or UNTOLD
+        self.raised_m = belief.raised_m
         self.hypotheses = hypotheses_of(belief, age_s, now_s, params)
         if len(self.hypotheses) == 1:
             self._optimizer.begin_from(self.hypotheses[0])
@@ -373,7 +390,7 @@ class TargetTracker:
         """Where the target is believed to be, or None before the first measurement."""
         if not self.hypotheses:
             return None
-        return estimate_of(
+        estimate = estimate_of(
             self.hypotheses,
             self._filter.params.model,
             self.params.localised_r95_m,
@@ -382,6 +399,9 @@ class TargetTracker:
             is_diverged=self.integrity.is_recovering(self.accepted),
             shared=self._shared._replace(own=self.own or UNTOLD),
         )
+        if self.raised_m == 0.0:
+            return estimate
+        return replace(estimate, height_m=estimate.height_m + self.raised_m)
 
     def objection(self, now_s: float) -> Objection | None:
         """Why the estimate must not be flown on, although there is one; None: it may."""
@@ -395,7 +415,8 @@ class TargetTracker:
         if self._optimizer.window.has_bearings or not self.hypotheses:
             return 0.0
         mean = self.hypotheses[0].state.mean
-        return abs(sensor_up_m - target_height_m(mean, self._filter.params.model))
+        target_up_m = target_height_m(mean, self._filter.params.model) + self.raised_m
+        return abs(sensor_up_m - target_up_m)
 
     @property
     def antenna_shown(self) -> str | None:

@@ -130,7 +130,7 @@ class Reporting:
         context = self._context
         if not context.emitters.is_single:
             head = f"{head} emitter {tracker.emitter_id}:"
-        height_m, origin = tracker.params.filter.target_height_m, context.vehicle.origin
+        height_m, origin = tracker.target_height_m, context.vehicle.origin
         result, text = result_of(estimate, origin, height_m, tracker.emitter_id, head)
         context.report(result)
         for each in (text, *radius_texts(estimate)):

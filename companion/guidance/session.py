@@ -145,8 +145,9 @@ class GuidanceSession:
         """What is known of the vehicle and its surroundings after an event."""
         match event:
             case events.OriginSet():
-                if self.handover.take_origin(event):
+                if self._watches.jumps.take_origin(event):
                     self._watches.echo.frame_moved(event.time_s)
+                self.handover.take_origin(event)
             case events.HomeSet():
                 self.handover.take_home(event)
             case events.VehicleMoved():

@@ -119,7 +119,7 @@ def _antenna_view(endpoint: CompanionEndpoint, now_s: float) -> Json | None:
         return None
     roll_pitch = attitude.tilt_rad or (0.0, 0.0)
     axes = antenna_axes_enu((*roll_pitch, attitude.yaw_ned_rad), antenna.mount_deg)
-    height_m = state.position_enu_m[2] - params.target_height_m
+    height_m = state.position_enu_m[2] - session.tracker.target_height_m
     half_rad = math.radians(0.5 * antenna.field_of_view_deg)
     turns = (2.0 * math.pi * i / VIEW_CORNERS for i in range(VIEW_CORNERS))
     edge = [

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
 from companion.estimation.window.map_kernels import SEQUENCE, Row, hold_at_bounds, row_vector
@@ -37,6 +36,7 @@ from companion.estimation.window.sandwich import (
     pooled_variability,
 )
 from companion.estimation.window.window_map import WindowMap
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 SPANS_S = (10.0, 20.0, 40.0)
@@ -122,10 +122,10 @@ class MotionWatch:
             self._rows.append(row_vector(row, time_s))
             self._left -= 1
 
-    def move(self, shift_enu_m: PositionEnu, step: Vector, params: FilterParams) -> None:
+    def move(self, shift_en_m: Point, step: Vector, params: FilterParams) -> None:
         """Move all along with the vehicle's navigation, which jumped; see `hypotheses`."""
         if self._rows:
-            rows = shift_rows(np.array(self._rows), shift_enu_m, step, params)
+            rows = shift_rows(np.array(self._rows), shift_en_m, step, params)
             self._rows = deque(rows, maxlen=MAX_COUNT)
 
     def is_due(self, now_s: float) -> bool:

@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.domain import PositionEnu
 from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
 from companion.estimation.hypotheses import Hypothesis, shift_rows
@@ -188,12 +187,12 @@ class WindowOptimizer:
         """Take a hypothesis for what was measured before the first measurement."""
         self._older = as_evidence(hypothesis, self._filter_params)
 
-    def move(self, shift_enu_m: PositionEnu, step: Vector) -> None:
+    def move(self, shift_en_m: Point, step: Vector) -> None:
         """Move all evidence along with the vehicle's navigation, which jumped."""
         self.latest.clear()
         self._older = self._older.moved(step)
         window = self.window
-        window.rows = shift_rows(window.rows, shift_enu_m, step, self.kept_as)
+        window.rows = shift_rows(window.rows, shift_en_m, step, self.kept_as)
 
     def begin_with_latest(self) -> None:
         """Forget what led to an estimate that was given up, all but the latest measurements."""

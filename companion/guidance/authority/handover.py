@@ -120,7 +120,7 @@ class LaunchPermit:
 
 
 SETTLE_S = 2.0
-"""How long a frame or a home that moved must be stable."""
+"""How long a home that moved must be stable."""
 HAND_BACK_S = 1.4
 """How long the autopilot may take to confirm its mode: we end within 1.5 s of the request ..."""
 LONGEST_HAND_BACK_S = 1.9
@@ -283,21 +283,13 @@ class Handover:
         elif context.phase is Phase.FINISHED and event.outcome is not events.Outcome.ACCEPTED:
             context.announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
 
-    def take_origin(self, event: events.OriginSet) -> bool:
-        """Let the vehicle take an origin in; whether it moved.
-
-        One that moved has moved every local position: start anew in the new frame.
-        """
+    def take_origin(self, event: events.OriginSet) -> None:
+        """Let the vehicle take an origin in, in whose frame it is already."""
         context = self._context
-        step_m = context.vehicle.origin_step_m(event.origin)
-        has_moved = step_m > ORIGIN_STEP_M
-        if has_moved:
-            self._move_frame(event, step_m)
         if event.origin != context.vehicle.origin:
             context.record("origin", **asdict(event.origin))
             self._tell_fit(event)
         context.vehicle.handle(event)
-        return has_moved
 
     def _tell_fit(self, event: events.OriginSet) -> None:
         """Once for each place that the autopilot tells of its origin."""
@@ -307,18 +299,6 @@ class Handover:
             self._fitted_at = place
             text = f"global position {event.off_m:.1f} m from the local one: places are fitted"
             self._context.warn(text)
-
-    def _move_frame(self, event: events.OriginSet, step_m: float) -> None:
-        context = self._context
-        context.vehicle.move_frame(event.origin)
-        context.forget_target()
-        context.steering.forget_setpoint()
-        finding = Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved")
-        context.record_finding(finding, event.time_s)
-        context.passing.hold(finding, event.time_s + SETTLE_S)
-        context.enter(Trigger.INPUT_LOST, event.time_s)
-        text = f"local origin moved {step_m:.0f} m: fence kept in place, estimate reset"
-        context.warn(text)
 
     def take_home(self, event: events.HomeSet) -> None:
         """Let the vehicle take a home in; one that moves in flight is held on, and told.

@@ -102,7 +102,7 @@ class FlightPlan:
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
     ) -> PlanRequest:
         fence, tracker = self._guard.limits.fence, self._emitters.current
-        hypotheses, height_m = tracker.hypotheses, tracker.params.filter.target_height_m
+        hypotheses, height_m = tracker.hypotheses, tracker.target_height_m
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
             estimate=estimate,
@@ -193,6 +193,13 @@ class Steering:
     def reasons(self) -> tuple[GuardReason, ...]:
         """Why it is not where the planner wanted it."""
         return () if self._last is None else self._last.reasons
+
+    def shift(self, shift_enu_m: PositionEnu) -> None:
+        """The local frame moved: the setpoint is the same place in the new one."""
+        if self._last is not None:
+            e, n, u = self._last.position_enu_m
+            place = (e + shift_enu_m[0], n + shift_enu_m[1], u + shift_enu_m[2])
+            self._last = replace(self._last, position_enu_m=place)
 
     def forget_setpoint(self) -> None:
         """The next setpoint starts where the vehicle is."""

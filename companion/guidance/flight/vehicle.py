@@ -219,13 +219,20 @@ class VehicleView:
             return 0.0
         return math.hypot(*self.frame.zero_of(origin))
 
-    def move_frame(self, origin: LocalOrigin) -> None:
-        """Drop every local position but home, which is turned into the frame of a new origin.
+    def move_frame(self, origin: LocalOrigin, shift_enu_m: PositionEnu | None) -> None:
+        """Turn every local position into the frame of a new origin, which moves them by a shift.
 
-        From an origin that is nowhere near, home is dropped, too: there is no height above it.
+        None: into a frame that is nowhere near; then every one but home is dropped, and that, too,
+        if it is too far away: there is no height above it.
         """
         home, kept, before = self.reported_home_enu_m, self.home_enu_m, self.origin
-        self.forget_frame()
+        track = self.track
+        if shift_enu_m is None:
+            self.forget_frame()
+        else:
+            self.shift(shift_enu_m)
+            self.home_enu_m = self.reported_home_enu_m = None
+        self.track, self.frame = track, origin
         if before is None or home is None or kept is None:
             return
         turned = origin.enu_from_geodetic(*before.geodetic_from_enu(kept))

@@ -8,6 +8,10 @@ as much: then the old measurements agree with the new ones, and it does not matt
 positions was the right one. The vehicle stays until its navigation was steady for a while, and what
 is measured until then is not fused. Navigation that keeps jumping is handed back.
 
+A local frame that gets another origin is such a step that is known exactly: the origin tells it,
+so it leaves no doubt, and the setpoint moves along as well. Its first positions may overtake it;
+what has moved by them already is not moved again.
+
 For fence and ground it does matter which one was right. Until it is steady nothing moves, wherever
 the vehicle seems to be; and if it then seems to be so far outside that coming back could lead out
 on the other side, or so much higher that the ground may be where the floor seems to be, it is not
@@ -26,7 +30,9 @@ from companion.geometry.coordinates import wrap_pi
 from companion.guard.gate import GuardLimits, Motion
 from companion.guidance.authority.state_machine import HAS_VEHICLE, IN_CONTROL, Trigger
 from companion.guidance.context import SessionContext
-from companion.guidance.events import VehicleMoved, YawMeasured
+from companion.guidance.events import OriginSet, VehicleMoved, YawMeasured
+from companion.guidance.flight.fencing import FARTHEST_STEP_M
+from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.tracking.vehicle_track import is_plausible
 
@@ -47,6 +53,13 @@ STEADY_S = 2.0
 """So long there must be no jump."""
 PATIENCE_S = 5.0
 """Jumps that go on for longer than this are handed back."""
+
+
+NO_STEP: PositionEnu = (0.0, 0.0, 0.0)
+
+
+def _less(a: PositionEnu, b: PositionEnu) -> PositionEnu:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def _unexplained_m(before: VehicleState, after: VehicleState, dt_s: float) -> PositionEnu | None:
@@ -136,7 +149,9 @@ class JumpWatch(Watch):
         self._first_s = -math.inf
         self._last_s = -math.inf
         self._jumped_m: PositionEnu | None = None
-        """All that the position jumped by since it was steady; None: nobody doubts it."""
+        """All that the position jumped by since it was steady; None: it is not doubted."""
+        self._newest: tuple[float, PositionEnu] | None = None
+        """When the position jumped last, and by how much."""
         self._arrived_s = -math.inf
 
     @property
@@ -204,7 +219,8 @@ class JumpWatch(Watch):
             return  # flown while they were on their way, stamped by a clock that slipped
         before_s = track.latest.time_s
         self._context.vehicle.shift(jump_m)
-        self._move_targets(jump_m, 0.0)
+        self._move_targets(jump_m, 0.0, noise_m)
+        self._newest = (event.time_s, jump_m)
         self._context.steering.forget_setpoint()
         (e, n, u), (de, dn, du) = self._jumped_m or (0.0, 0.0, 0.0), jump_m
         self._jumped_m = (e + de, n + dn, u + du)
@@ -220,13 +236,61 @@ class JumpWatch(Watch):
         if jump_rad is None:
             return
         track.turn(jump_rad)
-        self._move_targets((0.0, 0.0, 0.0), -jump_rad)
+        self._move_targets(NO_STEP, -jump_rad, 0.0)
         text = f"own heading jumped by {math.degrees(jump_rad):.0f} deg"
         self._hold(text, before_s, event.time_s)
 
-    def _move_targets(self, shift_enu_m: PositionEnu, turn_rad: float) -> None:
+    def take_origin(self, event: OriginSet) -> bool:
+        """Whether the local frame moved with its origin; then all that is held in it moves along.
+
+        To a frame that is nowhere near nothing is taken.
+        """
+        context, frame = self._context, self._context.vehicle.frame
+        step_m = context.vehicle.origin_step_m(event.origin)
+        if frame is None or step_m <= ORIGIN_STEP_M:
+            return False
+        is_near = step_m <= FARTHEST_STEP_M
+        if is_near:
+            self._shift_frame(event, event.origin.zero_of(frame))
+        else:
+            context.vehicle.move_frame(event.origin, None)
+            context.forget_target()
+            context.steering.forget_setpoint()
+        finding = Finding(Verdict.HOLD, Reason.FRAME_MOVED, "the local frame moved")
+        context.record_finding(finding, event.time_s)
+        context.passing.hold(finding, event.time_s + STEADY_S)
+        context.enter(Trigger.INPUT_LOST, event.time_s)
+        text = f"local origin moved {step_m:.0f} m: fence kept in place"
+        context.warn(f"{text}, estimate moved along" if is_near else f"{text}, estimate reset")
+        return True
+
+    def _shift_frame(self, event: OriginSet, shift_enu_m: PositionEnu) -> None:
+        """Move all by a shift, but for what the positions of the new frame have moved already."""
+        context = self._context
+        moved_m = self._moved_by(shift_enu_m, event.time_s)
+        rest_m = _less(shift_enu_m, moved_m)
+        is_moved = moved_m != NO_STEP
+        context.vehicle.move_frame(event.origin, NO_STEP if is_moved else rest_m)
+        self._move_targets(rest_m, 0.0, 0.0)
+        if is_moved and self._jumped_m is not None:
+            left_m = _less(self._jumped_m, moved_m)
+            self._jumped_m = None if math.hypot(*left_m) <= LEAST_STEP_M else left_m
+        elif not is_moved:
+            context.steering.shift(rest_m)
+        context.flight_plan.forget()
+        context.believe(context.tracker.estimate(event.time_s))
+
+    def _moved_by(self, shift_enu_m: PositionEnu, now_s: float) -> PositionEnu:
+        """What of a shift the newest jump was, if it was just now and that shift."""
+        if self._newest is None or now_s - self._newest[0] > STEADY_S:
+            return NO_STEP
+        least_m = max(LEAST_STEP_M, NOISE_SIGMAS * self._noise.sigma_m)
+        newest_m, self._newest = self._newest[1], None
+        return newest_m if math.dist(newest_m, shift_enu_m) <= least_m else NO_STEP
+
+    def _move_targets(self, shift_enu_m: PositionEnu, turn_rad: float, sigma_m: float) -> None:
         for tracker in self._context.emitters.trackers:
-            tracker.move(shift_enu_m, turn_rad)
+            tracker.move(shift_enu_m, turn_rad, sigma_m)
 
     def _hold(self, text: str, before_s: float, now_s: float) -> None:
         context = self._context

@@ -162,7 +162,7 @@ def test_what_was_measured_moves_along_with_the_navigation() -> None:
     watch = MotionWatch(PARAMS, 2.0)
     rows = rows_of(np.random.default_rng(4), 30.0)
     watched(watch, rows[:150])
-    watch.move((5.0, -3.0, 0.0), np.array([5.0, -3.0, 0.0, 0.0]), PARAMS)
+    watch.move((5.0, -3.0), np.array([5.0, -3.0, 0.0, 0.0]), PARAMS)
     rows[150:, :2] += [5.0, -3.0]
     seen = watched(watch, rows[150:], truth() + np.array([5.0, -3.0, 0.0, 0.0]))
     assert seen
