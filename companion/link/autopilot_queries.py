@@ -444,8 +444,10 @@ class AutopilotQueries:
                 f"--speed {pace:.2g}, or the autopilot in real time"
             )
         else:
-            how = "slow: its computer is too busy" if pace < 1.0 else "fast: check its simulator"
-            text = f"autopilot's clock runs {100.0 * abs(pace - 1.0):.0f} % {how}"
+            how = " % slow: its computer is too busy"
+            if pace > 1.0:
+                how = " % fast: check its simulator"
+            text = f"autopilot's clock runs {100.0 * abs(pace - 1.0):.0f}{how}"
         return [Announce(Severity.WARNING, text)]
 
     def _stream_texts(self, now_s: float) -> list[Announce]:
