@@ -298,6 +298,32 @@ class Autopilot(Enum):
 PROJECTIONS = {Autopilot.PX4: Projection.SPHERE, Autopilot.ARDUPILOT: Projection.FLAT}
 
 
+class VehicleClass(Enum):
+    """Kind of vehicle, from HEARTBEAT.type; the value is what its operator calls it.
+
+    Flown are those that hover and take position setpoints as a multicopter does. A VTOL is not: it
+    flies on like a fixed wing after a transition, which the position setpoint does not show.
+    """
+
+    MULTICOPTER = "multicopter"
+    COAXIAL = "coaxial helicopter"
+    HELICOPTER = "helicopter"
+    FIXED_WING = "fixed wing"
+    VTOL = "VTOL"
+    ROVER = "rover"
+    BOAT = "boat"
+    SUBMARINE = "submarine"
+    AIRSHIP = "airship"
+    TRACKER = "antenna tracker"
+    UNSET = "vehicle without a frame class"
+    OTHER = "vehicle of another class"
+
+    @property
+    def is_flown(self) -> bool:
+        """Whether vehicles of this class are flown."""
+        return self in (VehicleClass.MULTICOPTER, VehicleClass.COAXIAL, VehicleClass.HELICOPTER)
+
+
 class FlightMode(Enum):
     """Flight modes by what they do, whatever the autopilot calls them."""
 

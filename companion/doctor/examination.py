@@ -33,6 +33,7 @@ from companion.doctor.probe import DoctorProbe
 from companion.doctor.radio_check import check_radios, look_at_radios
 from companion.domain import Autopilot
 from companion.errors import CompanionError
+from companion.guidance.flight.vehicle import class_refusal
 from companion.io.files import write_bytes_atomic
 from companion.io.links.transports import Transport
 from companion.io.shell import Clock, Shell
@@ -236,10 +237,17 @@ def _nobody(link: LinkFacts, config: CompanionConfig) -> CheckResult:
         return fail(
             "autopilot", f"{text}; {link.unproved_frames} frames not signed with our key", fix
         )
+    if link.other_autopilots and config.vehicle.system_id is None:
+        heard = ", ".join(str(number) for number in link.other_autopilots)
+        text = f"{link.name}: systems {heard} are autopilots on this link"
+        return fail("vehicle.system_id", text, "set it to yours: until then none is flown")
     if link.other_autopilots:
         heard = ", ".join(str(number) for number in link.other_autopilots)
         fix = f"set vehicle.system_id ({config.vehicle.system_id}) to one of them"
         return fail("autopilot", f"{text}, but system {heard}", fix)
+    if link.unfit:
+        heard = ", ".join(link.unfit)
+        return fail("autopilot", f"{text}, but {heard}", "these fly nothing: check the autopilot")
     if link.bytes_received:
         fix = "check the protocol and the serial speed"
         return fail("autopilot", f"{text}; {link.bytes_received} bytes that are not MAVLink", fix)
@@ -249,10 +257,19 @@ def _nobody(link: LinkFacts, config: CompanionConfig) -> CheckResult:
 def _check_identity(facts: AutopilotFacts) -> CheckResult:
     ids = f"system {facts.system_id}, component {facts.component_id}"
     state = "armed" if facts.is_armed else "disarmed"
-    text = f"{facts.autopilot.value}, {ids}, {state}, in {facts.mode}"
+    kind = f"{facts.autopilot.value} {facts.vehicle_class.value}"
+    text = f"{kind}, {ids}, {state}, in {facts.mode}"
+    refusal = class_refusal(facts.vehicle_class)
+    if refusal is not None:
+        return fail("autopilot", f"{text}: {refusal}", _class_fix(facts))
     if facts.autopilot is Autopilot.OTHER:
         return fail("autopilot", text, "only PX4 and ArduPilot modes are understood")
     return ok("autopilot", text)
+
+
+def _class_fix(facts: AutopilotFacts) -> str:
+    parameter = "FRAME_CLASS" if facts.autopilot is Autopilot.ARDUPILOT else "MAV_TYPE"
+    return f"fly it by hand; if it is a multicopter, set {parameter}"
 
 
 def _check_company(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
 
-from companion.domain import Autopilot
+from companion.domain import Autopilot, VehicleClass
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
 from companion.link.quality import RadioStatus
@@ -35,6 +35,7 @@ class AutopilotFacts:
     """What the autopilot said."""
 
     autopilot: Autopilot
+    vehicle_class: VehicleClass
     system_id: int
     component_id: int
     mode: str
@@ -74,6 +75,8 @@ class LinkFacts:
     other_autopilots: tuple[int, ...]
     other_companions: tuple[int, ...]
     """System ids under which another component 191 spoke."""
+    unfit: tuple[str, ...]
+    """Senders that fly nothing: ids and kind."""
     bytes_received: int
     bad_frames: int
     """That failed their checksum or made no sense."""

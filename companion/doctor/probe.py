@@ -26,16 +26,17 @@ from companion.link.autopilot_queries import (
     StreamRequester,
     hears_transmitter,
 )
+from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.fence_download import FenceDownload
 from companion.link.inbound import origin_of
-from companion.link.intake import Authenticity, AutopilotBinding
+from companion.link.intake import Authenticity
 from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import SequenceMonitor
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.endpoint import Chunk, OneShotEndpoint
-from companion.mav.flight_modes import autopilot_of, mode_of, other_mode_name
+from companion.mav.flight_modes import autopilot_of, class_of, mode_of, other_mode_name
 from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw
 
 HEARTBEAT_PERIOD_S = 1.0
@@ -145,6 +146,7 @@ class DoctorProbe(OneShotEndpoint):
             autopilot=None if self._binding.system_id is None else self._autopilot_facts(),
             other_autopilots=tuple(sorted(self._autopilots - {self._binding.system_id})),
             other_companions=tuple(sorted(self._companions)),
+            unfit=tuple(self._binding.unfit_names()),
             bytes_received=self._bytes,
             bad_frames=self._codec.counters.bad_crc + self._codec.undecodable,
             unproved_frames=self._codec.unproved,
@@ -159,6 +161,7 @@ class DoctorProbe(OneShotEndpoint):
         fix = self._newest_of(mavlink.MAVLink_gps_raw_int_message)
         return AutopilotFacts(
             autopilot=binding.autopilot,
+            vehicle_class=class_of(heartbeat),
             system_id=binding.system_id or 0,
             component_id=binding.component_id,
             mode=mode_name(mode, binding.autopilot, other),

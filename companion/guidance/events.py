@@ -16,6 +16,7 @@ from companion.domain import (
     LandedState,
     PositionEnu,
     RangingMeasurement,
+    VehicleClass,
     VehicleState,
 )
 from companion.estimation.belief import Belief
@@ -90,6 +91,7 @@ class HeartbeatReceived(OrderedEvent):
     """The motors were stopped for good: kill switch, flight termination."""
     other_mode: str = ""
     """What its operator calls the mode, where it is unknown."""
+    vehicle_class: VehicleClass = VehicleClass.MULTICOPTER
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +255,9 @@ class RequestAnswered(OrderedEvent):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotRestarted(Event):
-    """The autopilot's clock began anew."""
+    """The autopilot's clock began anew, or another autopilot was bound in its place."""
+
+    is_other: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,3 +350,11 @@ class MemoryRecalled(Event):
 @dataclass(frozen=True, slots=True)
 class IdConflictHeard(Event):
     """Somebody else, such as a second companion, sends under our own system and component id."""
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityDoubted(Event):
+    """Frames of the autopilot's ids may be another vehicle's, or that doubt is over."""
+
+    problem: str | None
+    """In words; None: there is no doubt any more."""

@@ -166,6 +166,8 @@ class GuidanceSession:
             case events.AutopilotClockSlipped():
                 self.vehicle.track.clear()
                 self.context.warn("autopilot's clock slipped: its stamps are read anew")
+            case events.IdentityDoubted(problem=str(problem)):
+                self.handover.leave(problem, event.time_s)
             case events.Retuned():
                 self.context.retune(event.tuning)
             case events.ProcessNoted():

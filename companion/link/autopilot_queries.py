@@ -26,9 +26,10 @@ from dataclasses import dataclass
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.flight.fencing import Fencing
+from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
 from companion.link.fence_download import FenceDownload
-from companion.link.intake import AutopilotBinding, RateLimit
+from companion.link.intake import RateLimit
 from companion.link.outbound import Ids, VehicleCommand
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.param_encoding import name_of

@@ -16,9 +16,11 @@ from dataclasses import asdict
 
 from companion.domain import RangingMeasurement
 from companion.guidance import events
+from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
 from companion.guidance.messages import health_fields
 from companion.guidance.session import GuidanceSession
-from companion.link.autopilot_queries import AutopilotQueries
+from companion.link.autopilot_queries import AutopilotQueries, request_message
+from companion.link.binding import AutopilotBinding
 from companion.link.executor import SessionExecutor
 from companion.link.gcs_services import (
     AddressedCommand,
@@ -28,7 +30,7 @@ from companion.link.gcs_services import (
     TunableBook,
 )
 from companion.link.inbound import UNREAD
-from companion.link.intake import Authenticity, AutopilotBinding, Intake
+from companion.link.intake import Authenticity, Intake
 from companion.link.interface import (
     EndpointParams,
     InputRecorder,
@@ -56,6 +58,11 @@ __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
 _NAMES = ("DO_REPOSITION", "OVERRIDE_GOTO", "DO_CHANGE_ALTITUDE", "DO_ORBIT")
 FLIGHT_COMMANDS = {getattr(mavlink, f"MAV_CMD_{name}"): name for name in _NAMES}
 """By which a ground station sends a vehicle somewhere."""
+SIGNS = (
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+)
+"""What an address is asked for that may be the autopilot's now."""
 RECORD_PERIOD_S = 10.0
 """How often the health of the links goes to the event log."""
 
@@ -117,6 +124,9 @@ class CompanionEndpoint:
         stages = [source for source in self._sources.values() if isinstance(source, RadioStage)]
         self.radios = tuple(RadioWatch(stage) for stage in stages)
         """In the order of their links."""
+        self._binds = 0
+        self._problem: str | None = None
+        """Of the binding, as the session knows it."""
         self._next_timer_s = -math.inf
         self._next_record_s = -math.inf
 
@@ -148,11 +158,14 @@ class CompanionEndpoint:
         if self._recorder is not None:
             self._recorder.tick(now_s)
         self.shield.tick(now_s)
+        self._note_control(now_s)
+        self._note_binding(now_s)
         for intake in self._intakes:
             intake.budget.renew()
         signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
         radios = [text for radio in self.radios for text in radio.tick(now_s)]
-        for text in (*signing, *links, *radios, *self._queries.new_texts(now_s)):
+        streams = () if self.binding.is_doubted else self._queries.new_texts(now_s)
+        for text in (*signing, *links, *radios, *streams):
             self.outlet.announce(text, now_s)
         self.outlet.announce_due(now_s)
         stalled_s = self._health.tick(now_s)
@@ -253,10 +266,13 @@ class CompanionEndpoint:
         message = self._intakes[chunk.link].codec.decode_proved(frame)
         if message is None or not self.authenticity.is_proved(frame):
             return
-        if binding.recognise(message, chunk.peer, now_s):
-            if not was_bound:
-                self.executor.bind(now_s)
+        is_ours = binding.recognise(message, chunk.peer, now_s)
+        self._note_binding(now_s)
+        if is_ours:
+            phase = self.session.phase
             self.executor.receive(message, now_s)
+            if self.session.phase is not phase:
+                self._note_control(now_s)
         is_peer = chunk.peer == binding.peer
         if is_peer and isinstance(message, ParamRequest | AddressedCommand):
             self._serve_station(message, now_s, may_grant=True)
@@ -264,6 +280,23 @@ class CompanionEndpoint:
         is_here = message.get_srcSystem() == binding.system_id
         if is_here and (binding.is_keyed or is_peer) and isinstance(message, RangingMessage):
             self._receive_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
+
+    def _note_control(self, now_s: float) -> None:
+        """Tell the binding whether we have the vehicle."""
+        session = self.session
+        has_vehicle = session.phase in HAS_VEHICLE or session.phase is Phase.LAUNCHING
+        is_armed = session.vehicle.is_armed
+        self.binding.note_control(now_s, is_in_control=has_vehicle, is_armed=is_armed)
+
+    def _note_binding(self, now_s: float) -> None:
+        """Tell the session which autopilot is ours now, and what is doubted of it."""
+        binding = self.binding
+        if binding.binds != self._binds:
+            self._binds = binding.binds
+            self.executor.bind(now_s)
+        if binding.problem != self._problem:
+            self._problem = binding.problem
+            self.executor.handle(events.IdentityDoubted(now_s, binding.problem), now_s)
 
     def _serve_station(self, message: Message | None, now_s: float, *, may_grant: bool) -> None:
         """What ground stations may ask of us, directly or by way of the autopilot."""
@@ -290,6 +323,9 @@ class CompanionEndpoint:
         given_up = self._queries.fence.check_silence(now_s)
         if given_up is not None:
             self.executor.handle(given_up, now_s)
+        for peer in self.binding.take_unproved(now_s):
+            for number in SIGNS:
+                self.outlet.ask_elsewhere(request_message(number, self.outlet.target_ids), peer)
         vehicle = self.session.vehicle
         is_mode_wanted = vehicle.mode_watch.is_in_doubt and not vehicle.is_link_lost(now_s)
         for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):

@@ -16,8 +16,9 @@ from companion.guidance.events import (
 from companion.guidance.session import GuidanceSession
 from companion.link import outbound
 from companion.link.autopilot_queries import AutopilotQueries
+from companion.link.binding import AutopilotBinding
 from companion.link.inbound import VehicleInbound
-from companion.link.intake import AutopilotBinding, RateLimit
+from companion.link.intake import RateLimit
 from companion.link.interface import Journal, VehicleParams
 from companion.link.outbound import RequestClient
 from companion.link.outlet import Outlet
@@ -78,11 +79,17 @@ class SessionExecutor:
     # What the autopilot says
 
     def bind(self, now_s: float) -> None:
-        """Take up the autopilot that was just heard first."""
-        autopilot, system_id = self.binding.autopilot, self.binding.system_id or 1
+        """Take up the autopilot that was just bound, perhaps in place of another one."""
+        bound = self.binding.bound
+        assert bound is not None
+        if self.binding.binds > 1:
+            self.handle(self.inbound.begin_again(now_s), now_s)
+        autopilot, system_id = bound.autopilot, bound.ids[0]
         self.outlet.adopt(system_id)
-        self.journal.record("bound", {"autopilot": autopilot.value, "system_id": system_id}, now_s)
-        text = f"autopilot heard: {autopilot.value}, system {system_id}"
+        kind = bound.vehicle_class.value
+        fields = {"autopilot": autopilot.value, "class": kind, "system_id": system_id}
+        self.journal.record("bound", fields, now_s)
+        text = f"autopilot heard: {autopilot.value}, {kind}, system {system_id}"
         self.journal.text(commands.Severity.INFO, text, now_s)
         if autopilot is Autopilot.OTHER:
             text = "unknown autopilot: only PX4 and ArduPilot modes are understood"
@@ -90,10 +97,11 @@ class SessionExecutor:
 
     def note_unread(self, frame: bytes, peer: Address | None, now_s: float) -> None:
         """Take in that there was a frame which nobody reads."""
-        if self.binding.hear(sender_of(frame), peer, now_s):
+        sequence = sequence_of(frame)
+        if self.binding.hear(sender_of(frame), peer, now_s, sequence):
             if self._queries.stopper is not None:
                 self._queries.stopper.hear(message_id(frame), now_s)
-            self._health.sequence.take(sequence_of(frame), now_s)
+            self._health.sequence.take(sequence, now_s)
 
     def receive(self, message: Message, now_s: float) -> None:
         """Take in a message of the autopilot."""

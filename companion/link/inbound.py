@@ -6,6 +6,7 @@ Source: MAVLink common, messages 0, 1, 30, 32, 33, 49, 85, 242, 245.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from companion.domain import Autopilot, FlightMode, LandedState, VehicleState
 from companion.geometry.coordinates import LocalOrigin, enu_from_ned
@@ -26,7 +27,7 @@ from companion.link.conversion.geodesy_fit import GeodesyFit
 from companion.link.conversion.health_reports import HealthReports
 from companion.link.conversion.sender_clock import ClockStep, VehicleClock
 from companion.mav.dialect import Message, mavlink
-from companion.mav.flight_modes import autopilot_of, mode_of, other_mode_name
+from companion.mav.flight_modes import autopilot_of, class_of, mode_of, other_mode_name
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 FAILSAFE_STATES = (
@@ -84,6 +85,11 @@ class VehicleInbound:
         """Messages that came after a newer one of their kind."""
         self._autopilot = Autopilot.OTHER
         self._restart(0.0)
+
+    def begin_again(self, now_s: float) -> AutopilotRestarted:
+        """Another autopilot is bound: forget all of the one before."""
+        self.clock.restart()
+        return replace(self._restart(now_s), is_other=True)
 
     def _restart(self, now_s: float) -> AutopilotRestarted:
         self._origin: LocalOrigin | None = None
@@ -213,6 +219,7 @@ class VehicleInbound:
             is_terminated=status in ENDED_STATES,
             other_mode=other_mode_name(message, autopilot) if is_other else "",
             order=order,
+            vehicle_class=class_of(message),
         )
         return [event]
 

@@ -30,16 +30,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from enum import IntEnum
 
-from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
+from companion.link.binding import AutopilotBinding
 from companion.link.texts import CAUSE_PERIOD_S
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.flight_modes import autopilot_of
 from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, SIGNATURE_LENGTH, message_id
 from companion.mav.signing import LinkSigning, SignatureVerdict, Signing, is_signed
 
@@ -64,86 +62,6 @@ class RateLimit:
             return False
         self._left -= 1.0
         return True
-
-
-PEER_SILENCE_S = 3.0
-"""The autopilot must be silent this long before the same ids are believed from a new address."""
-MOST_OTHERS = 3
-"""Other autopilots than this many are not remembered: anybody can invent any number."""
-KEYED_SILENCE_S = 0.5
-"""The same where every frame is proved: so long that two ways to one autopilot do not alternate."""
-
-
-@dataclass(slots=True)
-class AutopilotBinding:
-    """The first autopilot heard, for good: other systems, stations and payloads are not it.
-
-    Other stations' heartbeats are forwarded by autopilots, so system, component and the
-    `autopilot` field decide, and the address once it is known.
-    """
-
-    wanted_system_id: int | None = None
-    is_keyed: bool = False
-    """Whether every frame that comes here was proved to be from somebody with our key."""
-    system_id: int | None = None
-    component_id: int = 0
-    autopilot: Autopilot = Autopilot.OTHER
-    peer: Address | None = None
-    heard_s: float | None = None
-    unknown_senders: int = 0
-    """Frames that carried the autopilot's ids from another address."""
-    moves: int = 0
-    """How often the autopilot's address changed."""
-    others: list[int] = field(default_factory=list)
-    """Other autopilots that were heard, while none was asked for: their systems."""
-
-    @property
-    def is_bound(self) -> bool:
-        """Whether an autopilot was heard."""
-        return self.system_id is not None
-
-    @property
-    def silence_s(self) -> float:
-        """How long the autopilot must be silent before another address is believed."""
-        return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
-
-    def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
-        """Whether a message comes from the bound autopilot; binds to the first one."""
-        if isinstance(message, mavlink.MAVLink_heartbeat_message):
-            self._maybe_bind(message, peer)
-        return self.hear((message.get_srcSystem(), message.get_srcComponent()), peer, now_s)
-
-    def hear(self, ids: tuple[int, int], peer: Address | None, now_s: float) -> bool:
-        """The same of a frame that is no HEARTBEAT, by its sender."""
-        if not self.is_bound or ids != (self.system_id, self.component_id):
-            return False
-        if peer != self.peer:
-            if self.heard_s is not None and now_s - self.heard_s < self.silence_s:
-                self.unknown_senders += 1
-                return False
-            self.peer = peer
-            self.moves += 1
-        self.heard_s = now_s
-        return True
-
-    def _maybe_bind(
-        self, heartbeat: mavlink.MAVLink_heartbeat_message, peer: Address | None
-    ) -> None:
-        autopilot = autopilot_of(heartbeat)
-        system_id = heartbeat.get_srcSystem()
-        if autopilot is None or system_id == 0:
-            return
-        if self.is_bound:
-            is_new = system_id not in (self.system_id, *self.others)
-            if is_new and self.wanted_system_id is None and len(self.others) < MOST_OTHERS:
-                self.others.append(system_id)
-            return
-        if self.wanted_system_id not in (None, system_id):
-            return
-        self.system_id = system_id
-        self.component_id = heartbeat.get_srcComponent()
-        self.autopilot = autopilot
-        self.peer = peer
 
 
 MAX_SOURCES = 64

@@ -19,12 +19,12 @@ from collections.abc import Sequence
 from companion.guidance.authority.control_authority import ID_CONFLICT_S
 from companion.guidance.commands import Announce, Severity
 from companion.link import outbound
-from companion.link.intake import AutopilotBinding
+from companion.link.binding import AutopilotBinding
 from companion.link.interface import Journal, LinkRole
 from companion.link.texts import TextGate
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.endpoint import Chunk
+from companion.mav.endpoint import Address, Chunk
 from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2
 
 KEPT = 1024
@@ -126,6 +126,12 @@ class Outlet:
         self._journal.frame(data, now_s)
         peer = self._binding.peer
         self._output.append(Chunk(self._vehicle_link, data, peer, is_droppable=is_droppable))
+
+    def ask_elsewhere(self, message: Message, peer: Address | None) -> None:
+        """Queue a question for an address that is not the autopilot's, or not yet."""
+        data = self._codec.encode(message)
+        self.own_frames.record_sent(data)
+        self._output.append(Chunk(self._vehicle_link, data, peer, is_droppable=True))
 
     def broadcast(self, message: Message, now_s: float, *, is_droppable: bool = False) -> None:
         """Queue a message for everybody: the autopilot, and stations on links of their own."""

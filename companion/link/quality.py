@@ -30,7 +30,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from companion.guidance.commands import Announce, Severity
-from companion.link.intake import AutopilotBinding, Intake, RateLimit
+from companion.link.binding import AutopilotBinding
+from companion.link.intake import Intake, RateLimit
 from companion.link.interface import LinkParams
 from companion.link.radio_stage import RadioStage
 from companion.link.texts import CAUSE_PERIOD_S
@@ -272,19 +273,18 @@ class LinkAlarms:
     def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:
         self._binding = binding
         self._intakes = intakes
-        self._others = 0
+        self._others: set[int] = set()
         self._moves, self._senders, self._floods = CounterNews(), CounterNews(), CounterNews()
 
     def tick(self, now_s: float) -> list[Announce]:
         """What is news."""
         binding, texts = self._binding, []
         dropped = sum(intake.budget.dropped_unread for intake in self._intakes)
-        for other in binding.others[self._others :]:
-            texts.append(
-                f"another autopilot is on this link, system {other}; ours is {binding.system_id} "
-                "(vehicle.system_id chooses)"
-            )
-        self._others = len(binding.others)
+        for other in binding.others if binding.is_committed else ():
+            if other not in self._others:
+                text = f"another autopilot is on this link, system {other}"
+                texts.append(f"{text}; ours is {binding.system_id} (vehicle.system_id chooses)")
+                self._others.add(other)
         if self._moves.take(binding.moves, now_s):
             place = "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"
             texts.append(f"the autopilot is heard from another address now: {place}")

@@ -1,12 +1,15 @@
-"""Flight modes on the wire, for PX4 and ArduCopter.
+"""Flight modes on the wire by autopilot and class of vehicle, and which HEARTBEAT is a vehicle's.
 
-PX4 packs `main << 16 | sub << 24` into HEARTBEAT.custom_mode (PX4 `px4_custom_mode.h`);
-ArduCopter sends its mode number (ArduPilot `ArduCopter/mode.h`).
+PX4 packs `main << 16 | sub << 24` into HEARTBEAT.custom_mode, the same for every class (PX4
+`px4_custom_mode.h`). ArduPilot sends a number that each of its firmwares counts for itself: 4 is
+GUIDED on Copter and ACRO on Plane, where 17, Copter's BRAKE, is QSTABILIZE (ArduPilot `mode.h` of
+each vehicle; the names are those of the ardupilotmega dialect). So a number means a mode only
+together with HEARTBEAT.type, and of a class that is not flown no mode is known as ours.
 """
 
 from __future__ import annotations
 
-from companion.domain import ARDUPILOT_NAMES, Autopilot, FlightMode
+from companion.domain import ARDUPILOT_NAMES, Autopilot, FlightMode, VehicleClass
 from companion.mav.dialect import mavlink
 
 PX4_MAIN_AND_SUB: dict[FlightMode, tuple[int, int]] = {
@@ -23,15 +26,79 @@ PX4_MAIN_AND_SUB: dict[FlightMode, tuple[int, int]] = {
     FlightMode.OFFBOARD: (6, 0),
     FlightMode.STABILIZED: (7, 0),
 }
-_ARDUCOPTER_NAMES = (
-    "STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE MODE_8 LAND MODE_10 DRIFT MODE_12 SPORT "
-    "FLIP AUTOTUNE POSHOLD BRAKE THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG "
-    "SYSTEMID AUTOROTATE AUTO_RTL"
+
+OFFBOARD_NUMBER = 30
+"""The number that all ArduPilot vehicles reserve for an external controller's mode; Copter has none
+by itself, a script may register one, which flies as GUIDED does (ArduPilot #28939, #28110)."""
+
+
+def _numbered(names: str) -> dict[int, str]:
+    """A table from `number:NAME` words."""
+    pairs = (word.split(":") for word in names.split())
+    return {int(number): name for number, name in pairs}
+
+
+ARDUCOPTER_NAMES = _numbered(
+    "0:STABILIZE 1:ACRO 2:ALT_HOLD 3:AUTO 4:GUIDED 5:LOITER 6:RTL 7:CIRCLE 9:LAND 11:DRIFT "
+    "13:SPORT 14:FLIP 15:AUTOTUNE 16:POSHOLD 17:BRAKE 18:THROW 19:AVOID_ADSB 20:GUIDED_NOGPS "
+    "21:SMART_RTL 22:FLOWHOLD 23:FOLLOW 24:ZIGZAG 25:SYSTEMID 26:AUTOROTATE 27:AUTO_RTL 28:TURTLE"
 )
-ARDUCOPTER_NAMES = dict(enumerate(_ARDUCOPTER_NAMES.split()))
 """By number, also of modes that are no `FlightMode`."""
+ARDUPLANE_NAMES = _numbered(
+    "0:MANUAL 1:CIRCLE 2:STABILIZE 3:TRAINING 4:ACRO 5:FLY_BY_WIRE_A 6:FLY_BY_WIRE_B 7:CRUISE "
+    "8:AUTOTUNE 10:AUTO 11:RTL 12:LOITER 13:TAKEOFF 14:AVOID_ADSB 15:GUIDED 16:INITIALIZING "
+    "17:QSTABILIZE 18:QHOVER 19:QLOITER 20:QLAND 21:QRTL 22:QAUTOTUNE 23:QACRO 24:THERMAL "
+    "25:LOITER_ALT_QLAND 26:AUTOLAND"
+)
+ARDUROVER_NAMES = _numbered(
+    "0:MANUAL 1:ACRO 3:STEERING 4:HOLD 5:LOITER 6:FOLLOW 7:SIMPLE 8:DOCK 9:CIRCLE 10:AUTO 11:RTL "
+    "12:SMART_RTL 15:GUIDED 16:INITIALIZING"
+)
+ARDUSUB_NAMES = _numbered(
+    "0:STABILIZE 1:ACRO 2:ALT_HOLD 3:AUTO 4:GUIDED 7:CIRCLE 9:SURFACE 16:POSHOLD 19:MANUAL "
+    "20:MOTORDETECT 21:SURFTRAK"
+)
+TRACKER_NAMES = _numbered("0:MANUAL 1:STOP 2:SCAN 3:SERVO_TEST 4:GUIDED 10:AUTO 16:INITIALIZING")
+ARDUPILOT_MODE_NAMES: dict[VehicleClass, dict[int, str]] = {
+    VehicleClass.MULTICOPTER: ARDUCOPTER_NAMES,
+    VehicleClass.COAXIAL: ARDUCOPTER_NAMES,
+    VehicleClass.HELICOPTER: ARDUCOPTER_NAMES,
+    VehicleClass.UNSET: ARDUCOPTER_NAMES,
+    VehicleClass.FIXED_WING: ARDUPLANE_NAMES,
+    VehicleClass.VTOL: ARDUPLANE_NAMES,
+    VehicleClass.ROVER: ARDUROVER_NAMES,
+    VehicleClass.BOAT: ARDUROVER_NAMES,
+    VehicleClass.SUBMARINE: ARDUSUB_NAMES,
+    VehicleClass.TRACKER: TRACKER_NAMES,
+}
 _NUMBER = {name: number for number, name in ARDUCOPTER_NAMES.items()}
 ARDUCOPTER_NUMBER = {mode: _NUMBER[name] for mode, name in ARDUPILOT_NAMES.items()}
+
+_CLASSES = {
+    VehicleClass.MULTICOPTER: (
+        "QUADROTOR HEXAROTOR OCTOROTOR TRICOPTER DODECAROTOR DECAROTOR GENERIC_MULTIROTOR"
+    ),
+    VehicleClass.COAXIAL: "COAXIAL",
+    VehicleClass.HELICOPTER: "HELICOPTER",
+    VehicleClass.FIXED_WING: "FIXED_WING",
+    VehicleClass.VTOL: (
+        "VTOL_DUOROTOR VTOL_QUADROTOR VTOL_TILTROTOR VTOL_RESERVED2 VTOL_RESERVED3 VTOL_RESERVED4 "
+        "VTOL_RESERVED5 VTOL_GYRODYNE"
+    ),
+    VehicleClass.ROVER: "GROUND_ROVER GROUND_QUADRUPED",
+    VehicleClass.BOAT: "SURFACE_BOAT",
+    VehicleClass.SUBMARINE: "SUBMARINE",
+    VehicleClass.AIRSHIP: "AIRSHIP FREE_BALLOON",
+    VehicleClass.TRACKER: "ANTENNA_TRACKER",
+    VehicleClass.UNSET: "GENERIC",
+    VehicleClass.OTHER: "ROCKET FLAPPING_WING KITE PARAFOIL SPACECRAFT_ORBITER",
+}
+CLASS_OF_TYPE: dict[int, VehicleClass] = {
+    getattr(mavlink, f"MAV_TYPE_{name}"): vehicle_class
+    for vehicle_class, names in _CLASSES.items()
+    for name in names.split()
+}
+"""Of every MAV_TYPE that an autopilot may be of; the others are stations and components."""
 
 _PX4_MODE = {packed: mode for mode, packed in PX4_MAIN_AND_SUB.items()}
 _ARDUCOPTER_MODE = {number: mode for mode, number in ARDUCOPTER_NUMBER.items()}
@@ -51,21 +118,36 @@ def px4_mode(main: int, sub: int) -> FlightMode | None:
     return _PX4_MODE.get((main, sub))
 
 
+def class_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> VehicleClass:
+    """Class of the vehicle whose autopilot sent a HEARTBEAT."""
+    return CLASS_OF_TYPE.get(heartbeat.type, VehicleClass.OTHER)
+
+
 def autopilot_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> Autopilot | None:
-    """Whose HEARTBEAT it is, or None if the sender is no autopilot (a station, a payload)."""
+    """Which autopilot sent a HEARTBEAT; None if its sender flies nothing.
+
+    By type stations, gimbals, cameras, onboard computers, ADS-B receivers and the like are none,
+    whatever their `autopilot` says. MAV_AUTOPILOT_INVALID is "no autopilot", and GENERIC is what
+    many components send in its place. An antenna tracker runs ArduPilot, but moves only itself.
+    """
+    vehicle_class = CLASS_OF_TYPE.get(heartbeat.type)
+    if vehicle_class in (None, VehicleClass.TRACKER):
+        return None
     match heartbeat.autopilot:
         case mavlink.MAV_AUTOPILOT_PX4:
             return Autopilot.PX4
         case mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
             return Autopilot.ARDUPILOT
-        case mavlink.MAV_AUTOPILOT_INVALID:
+        case mavlink.MAV_AUTOPILOT_INVALID | mavlink.MAV_AUTOPILOT_GENERIC:
             return None
     return Autopilot.OTHER
 
 
 def mode_of(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) -> FlightMode:
-    """The mode that an autopilot's HEARTBEAT shows."""
+    """The mode that an autopilot's HEARTBEAT shows; unknown of a class that is not flown."""
     custom_mode = heartbeat.custom_mode
+    if not class_of(heartbeat).is_flown:
+        return FlightMode.UNKNOWN
     if autopilot is Autopilot.ARDUPILOT:
         return _ARDUCOPTER_MODE.get(custom_mode, FlightMode.UNKNOWN)
     if autopilot is Autopilot.PX4:
@@ -74,17 +156,24 @@ def mode_of(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) 
 
 
 def other_mode_name(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) -> str:
-    """What an operator calls the mode of a HEARTBEAT that is no `FlightMode`."""
+    """Name by which an operator knows the mode of a HEARTBEAT that is no `FlightMode`."""
     number = heartbeat.custom_mode
     if autopilot is Autopilot.ARDUPILOT:
-        return ARDUCOPTER_NAMES.get(number, f"MODE_{number}")
-    return f"mode {number >> 16 & 0xFF}/{number >> 24 & 0xFF}"
+        names = ARDUPILOT_MODE_NAMES.get(class_of(heartbeat), {})
+        return names.get(number, "OFFBOARD" if number == OFFBOARD_NUMBER else f"MODE_{number}")
+    main, sub = number >> 16 & 0xFF, number >> 24 & 0xFF
+    mode = px4_mode(main, sub) if autopilot is Autopilot.PX4 else None
+    return f"mode {main}/{sub}" if mode is None else mode.value
 
 
 def set_mode_params(
     mode: FlightMode, autopilot: Autopilot, *, is_armed: bool
 ) -> tuple[float, float, float]:
-    """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE; a `KeyError` for a mode that there is not."""
+    """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE for a vehicle of a class that is flown.
+
+    Raises:
+        KeyError: The autopilot has no such mode.
+    """
     base_mode = CUSTOM_MODE_ENABLED
     if is_armed:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED

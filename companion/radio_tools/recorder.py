@@ -34,9 +34,10 @@ from companion.io.shell import Clock, Shell
 from companion.io.state.vehicle_lock import VehicleLock, state_directory
 from companion.link import outbound
 from companion.link.autopilot_queries import StreamFreshness, StreamRequester
+from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.inbound import VehicleInbound
-from companion.link.intake import Authenticity, AutopilotBinding
+from companion.link.intake import Authenticity
 from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import SequenceMonitor
 from companion.mav.codec import MavCodec
@@ -86,6 +87,7 @@ class PoseListener:
     def due(self, now_s: float) -> list[Chunk]:
         """What to send now."""
         self._authenticity.advance(now_s)
+        self.binding.note_control(now_s, is_in_control=False, is_armed=False)
         messages: list[Message | None] = []
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S

@@ -31,11 +31,13 @@ from sim_link.autopilot.aircraft import Occurrence
 from sim_link.autopilot.incidents import (
     AutopilotStall,
     IncidentRecord,
+    OtherComponent,
     StationRates,
     StationRecord,
     VehicleReboot,
     WindChange,
 )
+from sim_link.autopilot.other_components import OtherComponentSender
 from sim_link.autopilot.other_station import CHANNEL, station_orders
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, LinkSetup, Outgoing
@@ -99,6 +101,8 @@ class SimEndpoint:
         self._schedule = IncidentSchedule(scenario.incidents)
         self._stalled_until_s = -math.inf
         self._unread: deque[Chunk] = deque(maxlen=MOST_UNREAD)
+        self._others: list[tuple[float, OtherComponentSender]] = []
+        """Other components on the links, and until when."""
         self._boot(started_s, parameters, parameters_name)
 
     def _boot(
@@ -151,6 +155,9 @@ class SimEndpoint:
         elif isinstance(incident, StationRecord):
             if now_s >= self._started_s:
                 self._obey_station(incident, now_s - self._started_s)
+        elif isinstance(incident, OtherComponent):
+            sender = OtherComponentSender(incident.component, self._scenario.system_id, now_s)
+            self._others.append((now_s + incident.duration_s, sender))
         elif now_s >= self._started_s:
             apply_to_vehicle(incident, self.vehicle, now_s - self._started_s)
             if isinstance(incident, WindChange) and incident.duration_s < math.inf:
@@ -192,6 +199,7 @@ class SimEndpoint:
             self.receive(chunk, now_s)
         self._send_all(self._services.clocks.due(now_s - self._started_s))
         last_step = self._last_step(now_s)
+        self._step_others(now_s)
         if last_step - self._next_step > MAX_CATCH_UP_S / STEP_S:
             self._next_step = last_step
         if self.links.signing is not None:
@@ -203,6 +211,13 @@ class SimEndpoint:
             if self._next_step <= self._last_step(now_s):  # no reboot
                 self._step(self._next_step * STEP_S)
                 self._next_step += 1
+
+    def _step_others(self, now_s: float) -> None:
+        """What other components send; it is not the autopilot's, and needs none of its services."""
+        self._others = [(end_s, each) for end_s, each in self._others if now_s < end_s]
+        for _, sender in self._others:
+            for frame in sender.frames(now_s):
+                self._output += [Chunk(link, frame) for link in range(len(self._links))]
 
     def _last_step(self, now_s: float) -> int:
         return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, Positive
+from sim_link.autopilot.other_components import ComponentName
 from sim_link.world.environment import Coordinate
 from sim_link.world.point_mass import Share, WindSpeed
 
@@ -201,6 +202,12 @@ class StationHome(StationRecord, frozen=True, tag="station_home"):
     up_m: Coordinate = 0.0
 
 
+class OtherComponent(IncidentRecord, frozen=True, tag="component"):
+    """Another component is heard on the vehicle's links: a gimbal, a router, MAVROS, and so on."""
+
+    component: ComponentName = "gimbal"
+
+
 Incident = (
     PilotMode
     | Failsafe
@@ -221,6 +228,7 @@ Incident = (
     | StationParameter
     | StationRates
     | StationHome
+    | OtherComponent
 )
 
 KEYS_OF_0_1 = {"time_s": "start_s", "for_s": "duration_s"}

@@ -12,6 +12,7 @@ import msgspec
 from companion.domain import Autopilot, NonNegative, Params, Positive
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
+from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.protocols.addressing import LinkMode
@@ -57,6 +58,8 @@ class AutopilotParams(Params, frozen=True):
     """Which autopilot is simulated; clients may set what is a default of its own parameters."""
 
     flavour: FlavourName = "px4"
+    vehicle_type: VehicleTypeName = "quadrotor"
+    """Class that it says it is, with the modes of that class; it moves as a multicopter."""
     ready_after_s: NonNegative = 2.0
     """Seconds after boot until it can be armed."""
     offboard_loss_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 1.0

@@ -14,6 +14,7 @@ from companion.mav.addressing import IdentifiedMissionCurrent
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from sim_link.autopilot import motion_messages as motion
 from sim_link.autopilot.aircraft import CELLS
+from sim_link.autopilot.flavours.vehicle_types import MAV_TYPE
 from sim_link.autopilot.motion_messages import (
     INT16_MAX,
     UINT16_MAX,
@@ -52,7 +53,8 @@ BLIND_ESTIMATE = flags_of("ESTIMATOR", "ATTITUDE VELOCITY_VERT POS_VERT_ABS CONS
 
 def heartbeat(vehicle: SimVehicle) -> Fields:
     """Of the autopilot."""
-    kind = (mavlink.MAV_TYPE_QUADROTOR, vehicle.flavour.firmware.autopilot)
+    vehicle_type = MAV_TYPE[vehicle.scenario.autopilot.vehicle_type]
+    kind = (vehicle_type, vehicle.flavour.firmware.autopilot)
     return (*kind, *vehicle.flavour.heartbeat_state(vehicle.time_s), MAVLINK_VERSION)
 
 

@@ -166,6 +166,8 @@ def load(path: Path) -> Golden:
     # most were recorded when an antenna could not be told yet, and was believed an azimuth's
     believed = raw["facts"]["config"]["estimation"]["filter"]
     believed.setdefault("antenna", {"kind": "azimuth"})
+    # and when the first autopilot heard was bound at once, as one of a configured system still is
+    raw["facts"]["config"]["vehicle"]["system_id"] = 1
     return msgspec.convert(raw, Golden)
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import msgspec
+
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode, PositionEnu
 from companion.flight_setup import build_endpoint
@@ -154,6 +156,12 @@ class OwnRadio(Observer):
             self._flight.post(data, Lane.RANGING)
 
 
+def of_system(config: CompanionConfig, system_id: int) -> CompanionConfig:
+    """The configuration of a companion that need not listen for which vehicles there are."""
+    vehicle = msgspec.structs.replace(config.vehicle, system_id=system_id)
+    return msgspec.structs.replace(config, vehicle=vehicle)
+
+
 def run_until(flight: Flight, condition: Callable[[], bool], limit_s: float) -> float:
     """Let time pass until a condition holds, or raise a TimeoutError; how long it took."""
     started_s = flight.now_s
@@ -196,7 +204,12 @@ class Loop:
         payload_source: Radio | None = None,
         payload_period_s: float = 0.1,
         make_companion: MakeCompanion = build_endpoint,
+        *,
+        listens: bool = False,
     ) -> None:
+        scenario = scenario or Scenario()
+        if config.vehicle.system_id is None and not listens:
+            config = of_system(config, scenario.system_id)
         schedule = faults.schedule() if isinstance(faults, LinkFaults) else faults
         self.wire = FaultyLink(schedule or Schedule(), seed)
         self.notes = MemoryJournal()
@@ -208,7 +221,7 @@ class Loop:
 
         self.flight = Flight(
             config,
-            scenario or Scenario(),
+            scenario,
             seed,
             self.notes,
             wire=self.wire,

@@ -32,6 +32,7 @@ CHOICES = frozenset({Trigger.MODE_LOST, Trigger.PILOT_TOOK})
 GRANT_REASONS = {
     Trigger.HANDED_BACK: "handed back",
     Trigger.GIVE_WAY: "second source of setpoints",
+    Trigger.NOT_OURS: "another vehicle",
     Trigger.LANDED: "landed",
     Trigger.LAUNCH_FAILED: "takeoff aborted",
     Trigger.YIELD_RECALLED: "silent before the restart",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from companion.domain import FlightMode, LandedState
+from companion.domain import FlightMode, LandedState, VehicleClass
 from companion.guidance import events
 from companion.guidance.authority.control_authority import (
     GRANT_REASONS,
@@ -23,7 +23,7 @@ from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigg
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView
+from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView, class_refusal
 from companion.guidance.health.findings import Finding, Reason, Verdict
 
 MISSING_PATIENCE_S = 10.0
@@ -49,6 +49,8 @@ class WaitingReason:
         return text
 
     def _text(self, now_s: float) -> str | None:
+        if self._vehicle.objection is not None:
+            return f"no control: {self._vehicle.objection}"
         if self._authority.has_id_conflict(now_s):
             return "id conflict: another system uses our ids; stop one"
         missing = self._vehicle.missing(now_s)
@@ -97,9 +99,13 @@ class LaunchPermit:
     def tick(self, now_s: float) -> None:
         """Look, while waiting and in standby."""
         context, vehicle = self._context, self._context.vehicle
-        if not self.is_wanted:
+        if not self.is_wanted or vehicle.objection is not None:
             return
-        if vehicle.is_armed or vehicle.landed in FLIES:
+        if vehicle.vehicle_class is VehicleClass.HELICOPTER:
+            context.forbid_launch()
+            text = "no automatic takeoff: a helicopter's rotor is spun up by its pilot"
+            context.warn(f"{text}; switch to {vehicle.guided_name}")
+        elif vehicle.is_armed or vehicle.landed in FLIES:
             context.forbid_launch()
             found = "armed" if vehicle.is_armed else "in the air"
             text = f"no automatic takeoff: vehicle was found {found}"
@@ -159,7 +165,7 @@ class Handover:
             case events.RequestAnswered():
                 self._note_answer(event)
             case events.AutopilotRestarted():
-                self._begin_anew(event.time_s)
+                self._begin_anew(event)
             case events.ControlStalled():
                 self._note_stall(event)
             case events.IdConflictHeard():
@@ -174,6 +180,10 @@ class Handover:
         context.authority.observe(event)
         if context.authority.has_let_go and not had_let_go:
             context.withdraw()
+        refusal = class_refusal(event.vehicle_class)
+        if refusal is not None:
+            self.leave(refusal, now_s)
+            return
         launch = context.launch if context.phase is Phase.LAUNCHING else None
         objection = None if launch is None else launch.observe(event, context.vehicle.height_m)
         if event.is_terminated or not event.is_armed:
@@ -186,6 +196,14 @@ class Handover:
             self._offboard(now_s)
         elif launch is None:
             self._foreign(event)
+
+    def leave(self, why: str, now_s: float) -> None:
+        """Silence: what is heard there is not, or not any more, the vehicle that was given."""
+        context, left = self._context, self._context.phase
+        if not context.enter(Trigger.NOT_OURS, now_s):
+            return
+        if left is not Phase.STANDBY:  # the text of waiting says the same
+            context.announce(Severity.ERROR, f"control ended: {why}")
 
     def _note_landed(self, event: events.LandedStateChanged) -> None:
         """Landing means that somebody else decides."""
@@ -229,6 +247,8 @@ class Handover:
         if not context.vehicle.is_mode_known(now_s):
             return  # it may be over
         self._tell_why_it_does_not_count()
+        if context.vehicle.objection is not None:
+            return
         if not (context.authority.may_begin and context.vehicle.obeys_setpoints):
             return
         is_launched = context.phase is Phase.LAUNCHING
@@ -335,15 +355,15 @@ class Handover:
         elif fencing.is_ready:
             context.announce(Severity.INFO, f"fence: {fencing.words}")
 
-    def _begin_anew(self, now_s: float) -> None:
-        context = self._context
+    def _begin_anew(self, event: events.AutopilotRestarted) -> None:
+        context, now_s = self._context, event.time_s
         context.fencing.forget()
         context.vehicle.forget()
         context.forget_target()
         context.authority.forget_autopilot()
         context.enter(Trigger.RESTARTED, now_s)
-        text = "autopilot restarted: give the mode again to resume"
-        context.warn(text)
+        if not event.is_other:
+            context.warn("autopilot restarted: give the mode again to resume")
 
     def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
         """What asks the autopilot for a mode waits until it is known who flies: perhaps a pilot."""

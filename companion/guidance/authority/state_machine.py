@@ -29,9 +29,10 @@ operator gave it, the mode is known to be of the present (`ModeWatch`), the fenc
 nobody else sends under our ids; `Handover` asks all of these. In auto, `Launch` leads up to it.
 Kept: at every tick `ControlTick` asks the `Watches` for the worst that is wrong: SLOW (DEGRADED),
 HOLD, HAND_BACK or GIVE_WAY; nothing wrong is NORMAL.
-Lost: by what the autopilot shows (MODE_LOST, LANDED, DISARMED, RESTARTED: `Handover`), by a verdict
-(GIVE_UP, GIVE_WAY, PILOT_TOOK), by a stop, or by the report. `Authority` says what has to be shown
-before the mode counts as given again, and what needs a grant.
+Lost: by what the autopilot shows (MODE_LOST, LANDED, DISARMED, RESTARTED: `Handover`), by what the
+link shows of its identity (NOT_OURS), by a verdict (GIVE_UP, GIVE_WAY, PILOT_TOOK), by a stop, or
+by the report. `Authority` says what has to be shown before the mode counts as given again, and what
+needs a grant.
 
 Three rules stand above the table: a lost mode is never asked for again; what was asked and not
 answered is withdrawn when control ends; and a setpoint leaves only in STREAMING phases, from the
@@ -95,6 +96,7 @@ class Trigger(Enum):
     GIVE_WAY = "somebody else commands"
     PILOT_TOOK = "the pilot moves the sticks"
     MODE_LEFT = "another mode was chosen, and stays"
+    NOT_OURS = "the vehicle is not one to fly, or not the one that was given"
     RESTARTED = "the autopilot restarted"
     STOP = "asked to stop"
     HANDED_BACK = "the hand-back is over"
@@ -121,6 +123,8 @@ _ROWS: tuple[tuple[Iterable[Phase], Trigger, Phase], ...] = (
     ({Phase.WAITING}, Trigger.READY, Phase.STANDBY),
     ({Phase.STANDBY}, Trigger.FENCE_LOST, Phase.WAITING),
     ({Phase.STANDBY}, Trigger.ID_CONFLICT, Phase.WAITING),
+    ({Phase.STANDBY}, Trigger.NOT_OURS, Phase.WAITING),
+    (HAS_VEHICLE | {Phase.LAUNCHING}, Trigger.NOT_OURS, Phase.YIELD),
     ({Phase.STANDBY}, Trigger.LAUNCH, Phase.LAUNCHING),
     ({Phase.LAUNCHING}, Trigger.LAUNCH_FAILED, Phase.YIELD),
     ({Phase.STANDBY, Phase.LAUNCHING}, Trigger.MODE_GIVEN, Phase.HOLD),

@@ -20,6 +20,7 @@ from companion.domain import (
     FlightMode,
     LandedState,
     PositionEnu,
+    VehicleClass,
 )
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
@@ -39,6 +40,13 @@ def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:
 def shown_mode(heartbeat: events.HeartbeatReceived) -> str:
     """The mode of a HEARTBEAT in those words."""
     return mode_name(heartbeat.mode, heartbeat.autopilot, heartbeat.other_mode)
+
+
+def class_refusal(vehicle_class: VehicleClass) -> str | None:
+    """Why vehicles of a class are not flown, in words; None: they are."""
+    if vehicle_class.is_flown:
+        return None
+    return f"only multicopters are flown: this is a {vehicle_class.value}"
 
 
 MODE_UNKNOWN_AFTER_S = 10.0
@@ -139,6 +147,8 @@ class VehicleView:
         self.home_enu_m: PositionEnu | None = None
         """Its height stays while it is kept."""
         self.reported_home_enu_m: PositionEnu | None = None
+        self.identity_problem: str | None = None
+        """Why it may be another vehicle than before, or one of two, in words."""
         self.battery_pct: float | None = None
         self.landed = LandedState.UNKNOWN
         self.heard_s: float | None = None
@@ -170,6 +180,8 @@ class VehicleView:
                 self.battery_pct = event.charge_pct
             case events.LandedStateChanged():
                 self.landed = event.landed
+            case events.IdentityDoubted():
+                self.identity_problem = event.problem
             case events.TimerFired():
                 self.heard_s = event.heard_s
                 self.mode_watch.tick(event.time_s)
@@ -295,6 +307,18 @@ class VehicleView:
         return self.autopilot is not Autopilot.ARDUPILOT or self.landed is LandedState.IN_AIR
 
     @property
+    def vehicle_class(self) -> VehicleClass | None:
+        """Class of the vehicle; None as long as it is not heard."""
+        return None if self.heartbeat is None else self.heartbeat.vehicle_class
+
+    @property
+    def objection(self) -> str | None:
+        """Why this vehicle is not to be flown at all, in words: its class, or doubtful identity."""
+        vehicle_class = self.vehicle_class
+        refusal = None if vehicle_class is None else class_refusal(vehicle_class)
+        return refusal or self.identity_problem
+
+    @property
     def wants_prestream(self) -> bool:
         """Whether setpoints must flow before offboard can be entered.
 
@@ -325,7 +349,8 @@ class VehicleView:
     def is_usable(self, now_s: float) -> bool:
         """Whether it can be guided at all: heard, positioned, with a home."""
         return (
-            self.is_mode_known(now_s)
+            self.objection is None
+            and self.is_mode_known(now_s)
             and self.home_enu_m is not None
             and (self.origin is not None or not self._needs_origin)
             and self.is_position_fresh(now_s)

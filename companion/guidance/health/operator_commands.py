@@ -51,6 +51,8 @@ class OperatorCommandWatch(Watch):
         context, phase = self._context, self._context.phase
         if context.fencing.refusal is not None:
             return "no control without a fence"
+        if context.vehicle.objection is not None:
+            return context.vehicle.objection
         if phase in IN_CONTROL:
             return "in control already"
         if phase is Phase.STANDBY:

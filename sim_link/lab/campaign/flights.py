@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -19,6 +19,8 @@ from companion.link.interface import Journal, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
+from sim_link.autopilot.other_components import ComponentName
 from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults import fault_models as faults
@@ -235,6 +237,8 @@ UNIT_FACTORS = (0.001, 0.01, 180.0 / math.pi, 100.0, 1000.0)
 MUTED = ("LOCAL_POSITION_NED", "HEARTBEAT", "ATTITUDE", "HOME_POSITION", "EXTENDED_SYS_STATE")
 DIRECTIONS: tuple[Direction, ...] = ("both", "to_companion", "to_vehicle")
 FIELDS: tuple[RangingField, ...] = ("both", "range", "bearing")
+COMPONENTS = get_args(ComponentName)
+TYPES = get_args(VehicleTypeName)
 JUMP_M = 7.0
 EARLIEST_S, LATEST_S = 2.0, 30.0
 SHORTEST_S, LONGEST_S = 0.3, 15.0
@@ -337,6 +341,17 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
     lambda d: faults.ReplayedFrames(rate_hz=d.spread(10.0, 500.0)),
     lambda d: faults.UnsignedFrames(rate_hz=d.spread(10.0, 500.0)),
     lambda d: faults.ForeignFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda d: incidents.OtherComponent(component=d.one(COMPONENTS)),
+    lambda d: faults.OtherVehicle(
+        system_id=d.one((1, 1, 2)),
+        has_own_address=d.happens(0.5),
+        vehicle_type=d.one(TYPES),
+        flavour=d.one(("same", "px4", "ardupilot")),
+        uptime_s=d.spread(1.0, 5000.0),
+        east_m=d.number(-80.0, 80.0),
+        north_m=d.number(-80.0, 80.0),
+        is_offboard=d.happens(0.7),
+    ),
 )
 """One per kind of fault in the order of `Fault`, but for the transmitter, which nobody holds."""
 

@@ -29,6 +29,7 @@ from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import IncidentRecord, PilotMode, VehicleReboot
 from sim_link.autopilot.scenario import Scenario
+from sim_link.lab.lockstep.neighbours import Neighbour
 from sim_link.lab.lockstep.observer import (
     Frame,
     Lane,
@@ -148,6 +149,8 @@ class Flight:
         self._suspended_until_s = 0.0
         self._socket: deque[tuple[Chunk, bool, bool]] = deque()
         self._socket_bytes = 0
+        self.neighbours: list[Neighbour] = []
+        """Other vehicles that are heard now."""
         self.sim = makers.simulator(scenario, seed, 0.0)
         self.start_companion()
 
@@ -166,6 +169,9 @@ class Flight:
         if self.sim.next_timer_s() <= now_s:
             self.sim.handle_timer(now_s)
             self.observers.tell("stepped", self.sim.vehicle, now_s)
+        for neighbour in self.neighbours:
+            if neighbour.sim.next_timer_s() <= now_s:
+                neighbour.step(now_s)
         if self.is_companion_up and self._companion_due_s() <= now_s:
             self._wake_companion()
             self.companion.handle_timer(now_s)
@@ -181,6 +187,8 @@ class Flight:
         due_s = self.sim.next_timer_s()
         if self.is_companion_up:
             due_s = min(due_s, self._companion_due_s())
+        for neighbour in self.neighbours:
+            due_s = min(due_s, neighbour.sim.next_timer_s())
         if self._queue:
             due_s = min(due_s, self._queue[0][0])
         return max(0.0, due_s)
@@ -257,13 +265,40 @@ class Flight:
                 continue
             self._tell("vehicle_sent", chunk.data, Lane.TO_COMPANION)
             self.post(chunk.data, Lane.TO_COMPANION)
+        self._hear_neighbours()
         if not self.is_companion_up:
             return
         for chunk in self.companion.take_output():
             self._tell("sent", chunk.data, Lane.TO_VEHICLE)
-            self.post(chunk.data, Lane.TO_VEHICLE)
+            self._reach_neighbours(chunk)
+            if chunk.peer not in self._other_peers:
+                self.post(chunk.data, Lane.TO_VEHICLE)
         if self.companion.is_finished:
             self._end_companion()
+
+    def _hear_neighbours(self) -> None:
+        for neighbour in self.neighbours:
+            for chunk in neighbour.sim.take_output():
+                if chunk.data[COMPONENT_BYTE] != radio_payload.COMPONENT_ID:
+                    self.attack(Chunk(0, chunk.data, neighbour.peer))
+
+    @property
+    def _other_peers(self) -> set[Address]:
+        return {each.peer for each in self.neighbours if each.peer != VEHICLE_PEER}
+
+    def _reach_neighbours(self, chunk: Chunk) -> None:
+        """What the companion sends to another vehicle's address, or to all, arrives there."""
+        for neighbour in self.neighbours:
+            if chunk.peer in (None, neighbour.peer):
+                for each in frames_in(chunk.data):
+                    frame = Frame(self.now_s, each, Lane.TO_VEHICLE)
+                    self.observers.tell("neighbour_heard", frame, neighbour)
+                neighbour.sim.receive(Chunk(0, chunk.data, None), self.now_s)
+
+    def add_neighbour(self, neighbour: Neighbour) -> None:
+        """Another vehicle is heard from now on, until its end."""
+        self.neighbours.append(neighbour)
+        self.at(neighbour.end_s, lambda: self.neighbours.remove(neighbour))
 
     def _tell(self, what: str, data: bytes, lane: Lane) -> None:
         """Tell who looks at it of the frames in a datagram."""

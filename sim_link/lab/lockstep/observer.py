@@ -16,6 +16,7 @@ from companion.mav import framing
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message
 from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.lab.lockstep.neighbours import Neighbour
 
 Delivery = tuple[float, bytes]
 
@@ -102,6 +103,9 @@ class Observer:
 
     def vehicle_heard(self, frame: Frame) -> None:
         """This reached the vehicle, which has not read it yet."""
+
+    def neighbour_heard(self, frame: Frame, neighbour: Neighbour) -> None:
+        """This reached another vehicle than ours."""
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
         """The vehicle moved by a physics step."""

@@ -43,6 +43,7 @@ from sim_link.autopilot.flavours.base import (
     FenceState,
     HeartbeatState,
 )
+from sim_link.autopilot.flavours.vehicle_types import IGNORES_LOCAL_SETPOINTS, shown_number
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
@@ -70,6 +71,8 @@ class ArduPilotFlavour(AutopilotFlavour):
         super().__init__(aircraft, parameters)
         self.guided = Guided()
         self.copter_mode: CopterMode = STABILIZE
+        self.chosen_number: int | None = None
+        """Of a class that is no Copter's: the mode that was asked for last, as it numbers it."""
         self.commanded_mps: dict[int, float] = {}
         """By SPEED_TYPE, until the mode changes."""
         self._failsafes = CopterFailsafes(aircraft, parameters)
@@ -214,7 +217,8 @@ class ArduPilotFlavour(AutopilotFlavour):
 
         GUIDED's angles (SET_ATTITUDE_TARGET) are not simulated: nothing moves.
         """
-        if isinstance(message, AttitudeTarget):
+        is_deaf = self.aircraft.scenario.autopilot.vehicle_type in IGNORES_LOCAL_SETPOINTS
+        if is_deaf or isinstance(message, AttitudeTarget):
             return
         target = target_from(message, self.aircraft)
         self.setpoints.take(None if target is None else target.setpoint, now_s)
@@ -334,4 +338,6 @@ class ArduPilotFlavour(AutopilotFlavour):
             status = mavlink.MAV_STATE_CRITICAL
         elif self.is_armed and not self.aircraft.body.is_on_ground:
             status = mavlink.MAV_STATE_ACTIVE
-        return HeartbeatState(base_mode, self.copter_mode.number, status)
+        kind = self.aircraft.scenario.autopilot.vehicle_type
+        number = shown_number(kind, self.copter_mode.number, self.chosen_number)
+        return HeartbeatState(base_mode, number, status)

@@ -34,6 +34,7 @@ from sim_link.autopilot.flavours.base import (
     set_home,
     terminate,
 )
+from sim_link.autopilot.flavours.vehicle_types import ARDUPILOT_TABLES, WireMode
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.message_streams import cast_to_uint32
@@ -113,6 +114,10 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     base, number = command.whole(1), cast_to_uint32(command.params[1]) & 0xFF
     if base is None or not base & CUSTOM_MODE_ENABLED:
         return DENIED
+    kind = flavour.aircraft.scenario.autopilot.vehicle_type
+    table = ARDUPILOT_TABLES.get(kind)
+    if table is not None:
+        return _set_class_mode(flavour, table, number, now_s)
     mode = MODES.get(number)
     if mode is not None:
         return flavour.choose(mode, now_s)
@@ -121,6 +126,20 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     text = f"No such mode {number}" if name is None else refused
     flavour.aircraft.say(WARNING, text)
     return FAILED
+
+
+def _set_class_mode(
+    flavour: ArduPilotFlavour, table: Mapping[int, WireMode], number: int, now_s: float
+) -> int:
+    """A mode by the number of a firmware that is not Copter."""
+    wanted = table.get(number)
+    if wanted is None or wanted.copter_number is None:
+        flavour.aircraft.say(WARNING, f"No such mode {number}")
+        return FAILED
+    result = flavour.choose(MODES[wanted.copter_number], now_s)
+    if result == ACCEPTED:
+        flavour.chosen_number = number
+    return result
 
 
 def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:

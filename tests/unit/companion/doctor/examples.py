@@ -11,7 +11,7 @@ from companion.doctor.findings import (
     PlaceFacts,
     StreamRate,
 )
-from companion.domain import Autopilot
+from companion.domain import Autopilot, VehicleClass
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import GeoArea, GeoFence
 from companion.geometry.polygons import Corners
@@ -63,6 +63,7 @@ HOST = HostFacts(
 )
 PX4 = AutopilotFacts(
     autopilot=Autopilot.PX4,
+    vehicle_class=VehicleClass.MULTICOPTER,
     system_id=1,
     component_id=1,
     mode="hold",
@@ -87,6 +88,7 @@ LINK = LinkFacts(
     autopilot=PX4,
     other_autopilots=(),
     other_companions=(),
+    unfit=(),
     bytes_received=50_000,
     bad_frames=0,
     unproved_frames=0,

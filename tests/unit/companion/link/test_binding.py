@@ -1,12 +1,21 @@
+"""Which autopilot is bound: candidates, listening, addresses."""
+
 from __future__ import annotations
 
 import pytest
 
 from companion.domain import Autopilot
-from companion.link.intake import AutopilotBinding
+from companion.link.binding import LISTEN_S, VANISHED_S, AutopilotBinding
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, NOBODY, PEER, PX4, STRANGER, heartbeat
+
+NO_VEHICLES = """
+GCS GIMBAL CAMERA ONBOARD_CONTROLLER ADSB ANTENNA_TRACKER FLARM ODID BATTERY WINCH CHARGING_STATION
+PARACHUTE SERVO LOG OSD GPS
+"""
+TYPE = {name: getattr(mavlink, f"MAV_TYPE_{name}") for name in NO_VEHICLES.split()}
+ANY_AUTOPILOT = (PX4, ARDUPILOT, NOBODY, mavlink.MAV_AUTOPILOT_GENERIC)
 
 
 def from_system(message: Message, system: int = 1, component: int = 1) -> Message:
@@ -14,20 +23,71 @@ def from_system(message: Message, system: int = 1, component: int = 1) -> Messag
     return received
 
 
+def component(kind: int, autopilot: int) -> Message:
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 4, 3)
+
+
 ATTITUDE = from_system(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
 
 
+class Heard:
+    """A binding and the heartbeats that it hears every second."""
+
+    def __init__(self, wanted_system_id: int | None = None) -> None:
+        self.binding = AutopilotBinding(wanted_system_id)
+        self.now_s = 0.0
+        self.is_in_control = False
+
+    def hear(self, *ids: tuple[int, int], seconds: int = 1, autopilot: int = PX4) -> Heard:
+        for _ in range(seconds):
+            for system, number in ids:
+                self.binding.recognise(
+                    from_system(heartbeat(autopilot), system, number), PEER, self.now_s
+                )
+            self.now_s += 1.0
+            self.binding.note_control(
+                self.now_s, is_in_control=self.is_in_control, is_armed=self.is_in_control
+            )
+        return self
+
+    @property
+    def ids(self) -> tuple[int, int] | None:
+        return None if self.binding.bound is None else self.binding.bound.ids
+
+
 def bound() -> AutopilotBinding:
-    binding = AutopilotBinding()
+    binding = AutopilotBinding(wanted_system_id=1)
     assert binding.recognise(from_system(heartbeat()), PEER, 10.0)
     return binding
 
 
-@pytest.mark.parametrize(("system", "component"), [(255, 190), (1, 158), (1, 191), (7, 100)])
-def test_stations_and_payloads_do_not_bind(system: int, component: int) -> None:
+@pytest.mark.parametrize("kind", TYPE.values(), ids=TYPE)
+@pytest.mark.parametrize("autopilot", ANY_AUTOPILOT)
+def test_what_flies_nothing_does_not_bind_whatever_its_autopilot(kind: int, autopilot: int) -> None:
     binding = AutopilotBinding()
-    assert not binding.recognise(from_system(heartbeat(NOBODY), system, component), PEER, 0.0)
+    for second in range(20):
+        for ids in ((1, 154), (1, 1), (255, 190)):
+            message = from_system(component(kind, autopilot), *ids)
+            assert not binding.recognise(message, PEER, float(second))
     assert not binding.is_bound
+
+
+@pytest.mark.parametrize("kind", range(50))
+@pytest.mark.parametrize("autopilot", [NOBODY, mavlink.MAV_AUTOPILOT_GENERIC])
+def test_no_autopilot_and_the_generic_one_do_not_bind(kind: int, autopilot: int) -> None:
+    binding = AutopilotBinding(wanted_system_id=1)
+    for second in range(8):
+        binding.recognise(from_system(component(kind, autopilot)), PEER, float(second))
+    assert not binding.is_bound
+
+
+def test_a_gimbal_before_the_autopilot_is_named_and_the_autopilot_bound() -> None:
+    heard = Heard()
+    gimbal = from_system(component(TYPE["GIMBAL"], 0), 1, 154)
+    heard.binding.recognise(gimbal, PEER, 0.0)
+    heard.now_s = 1.5
+    assert heard.hear((1, 1), seconds=4).ids == (1, 1)
+    assert heard.binding.unfit_names() == ["1/154 (gimbal)"]
 
 
 def test_nothing_but_a_heartbeat_binds() -> None:
@@ -38,26 +98,85 @@ def test_nothing_but_a_heartbeat_binds() -> None:
 
 @pytest.mark.parametrize(
     ("number", "kind"),
-    [(PX4, Autopilot.PX4), (ARDUPILOT, Autopilot.ARDUPILOT), (0, Autopilot.OTHER)],
+    [(PX4, Autopilot.PX4), (ARDUPILOT, Autopilot.ARDUPILOT), (4, Autopilot.OTHER)],
 )
-def test_the_first_autopilot_binds_for_good(number: int, kind: Autopilot) -> None:
-    binding = AutopilotBinding()
-    assert binding.recognise(from_system(heartbeat(number), 4, 1), PEER, 0.0)
-    assert (binding.system_id, binding.autopilot, binding.peer) == (4, kind, PEER)
-    assert not binding.recognise(from_system(heartbeat(PX4), 5, 1), PEER, 1.0)
-    assert not binding.recognise(from_system(heartbeat(PX4), 4, 2), PEER, 1.0)
-    assert binding.system_id == 4
+def test_the_only_autopilot_is_bound_once_others_had_time_to_speak(
+    number: int, kind: Autopilot
+) -> None:
+    heard = Heard().hear((4, 1), seconds=int(LISTEN_S) - 1, autopilot=number)
+    assert heard.ids is None
+    heard.hear((4, 1), seconds=2, autopilot=number)
+    assert heard.ids == (4, 1)
+    assert (heard.binding.autopilot, heard.binding.peer) == (kind, PEER)
 
 
-def test_only_the_wanted_system_binds() -> None:
-    binding = AutopilotBinding(wanted_system_id=3)
-    assert not binding.recognise(from_system(heartbeat(), 1), PEER, 0.0)
-    assert binding.recognise(from_system(heartbeat(), 3), PEER, 0.0)
+@pytest.mark.parametrize("first", [1, 2])
+def test_two_systems_are_waited_for_and_named(first: int) -> None:
+    heard = Heard().hear((first, 1)).hear((1, 1), (2, 1), seconds=30)
+    assert heard.ids is None
+    expected = "systems 1 and 2 are autopilots on this link: set vehicle.system_id"
+    assert heard.binding.problem == expected
 
 
-@pytest.mark.parametrize(("silence_s", "is_believed"), [(0.1, False), (2.9, False), (3.0, True)])
-def test_an_address_is_taken_over_only_after_silence(silence_s: float, is_believed: bool) -> None:
+def test_when_one_of_two_vanishes_the_other_is_bound() -> None:
+    heard = Heard().hear((1, 1), (2, 1), seconds=5).hear((2, 1), seconds=int(VANISHED_S) + 2)
+    assert heard.ids == (2, 1)
+    assert heard.binding.problem is None
+
+
+def test_one_that_comes_later_makes_it_wait_again() -> None:
+    heard = Heard().hear((2, 1), seconds=20).hear((1, 1), (2, 1))
+    assert heard.ids == (2, 1)
+    assert heard.binding.problem is not None
+
+
+def test_one_that_comes_in_control_changes_nothing() -> None:
+    heard = Heard().hear((2, 1), seconds=5)
+    heard.is_in_control = True
+    heard.hear((2, 1)).hear((1, 1), (2, 1), seconds=30)
+    assert heard.ids == (2, 1)
+    assert heard.binding.problem is None
+    assert heard.binding.others == [1]
+
+
+def test_what_vanished_is_replaced_while_not_in_control() -> None:
+    heard = Heard().hear((2, 1), seconds=5).hear((1, 1), seconds=int(VANISHED_S) + 2)
+    assert heard.ids == (1, 1)
+    assert heard.binding.binds == 2
+
+
+def test_what_vanished_in_control_is_not_replaced() -> None:
+    heard = Heard().hear((2, 1), seconds=5)
+    heard.is_in_control = True
+    heard.hear((2, 1)).hear((1, 1), seconds=60)
+    assert heard.ids == (2, 1)
+
+
+@pytest.mark.parametrize("wanted", [None, 1])
+def test_component_1_is_preferred_and_taken_up_later(wanted: int | None) -> None:
+    together = Heard(wanted).hear((1, 2)).hear((1, 1), (1, 2), seconds=6)
+    assert together.ids == (1, 1)
+    late = Heard(wanted).hear((1, 2), seconds=6)
+    assert late.ids == (1, 2)
+    assert late.hear((1, 2), (1, 1), seconds=4).ids == (1, 1)
+
+
+def test_only_the_wanted_system_binds_and_at_once() -> None:
+    heard = Heard(wanted_system_id=3).hear((1, 1), (2, 1), seconds=5)
+    assert heard.ids is None
+    assert heard.hear((3, 1)).ids == (3, 1)
+    assert heard.binding.problem is None
+
+
+def test_the_systems_of_others_are_no_concern_of_a_configured_one() -> None:
+    heard = Heard(wanted_system_id=3).hear((3, 1), (1, 1), seconds=5)
+    assert (heard.binding.problem, heard.binding.others) == (None, [])
+
+
+@pytest.mark.parametrize("silence_s", [0.1, 2.9, 3.0])
+def test_an_address_is_taken_over_only_after_silence(silence_s: float) -> None:
     binding = bound()
+    is_believed = silence_s >= 3.0
     assert binding.recognise(ATTITUDE, STRANGER, 10.0 + silence_s) == is_believed
     assert binding.peer == (STRANGER if is_believed else PEER)
     assert binding.unknown_senders == (0 if is_believed else 1)

@@ -57,7 +57,7 @@ def fly(wire: Wire, duration_s: float) -> None:
 
 
 def test_it_speaks_with_the_vehicles_system_id_as_component_191() -> None:
-    wire = Wire()
+    wire = Wire(system_id=42)
     wire.say(heartbeat(), sender=MavCodec(42, 1))
     wire.wait(2.0)
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in wire.sent} == {(42, 191)}

@@ -10,7 +10,6 @@ from companion.config.schema import CompanionConfig
 from companion.guidance.authority.state_machine import Phase
 from companion.link.executor import TEXT_BURST
 from companion.link.gcs_services import COMMANDS_PER_S, REQUEST_CAPABILITIES
-from companion.link.intake import MOST_OTHERS
 from companion.link.interface import VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
@@ -136,13 +135,38 @@ def test_strangers_with_the_autopilots_ids_are_told_rarely() -> None:
     assert said == ["1 frames with the autopilot's ids from elsewhere were ignored"]
 
 
-def test_another_autopilot_on_the_link_is_ignored_and_told_once() -> None:
-    wire = Wire().ready()
+def listening() -> Wire:
+    """Nothing is configured: system 1 was bound, because it was the only one."""
+    wire = Wire(system_id=None)
+    for _ in range(4):
+        wire.say(heartbeat())
+        wire.wait(1.0)
+    return wire.ready()
+
+
+def test_two_systems_without_a_configured_id_are_named_once_and_not_flown() -> None:
+    wire = listening()
     for _ in range(50):
         for system in (2, 3):
             wire.say(heartbeat(), sender=MavCodec(system, 1))
         wire.say(wire.position())
         wire.wait(0.05)
+    assert wire.endpoint.session.phase is Phase.WAITING
+    said = [text for text in wire.journal.texts if "autopilots" in text]
+    assert said == [
+        "no control: systems 1 and 2 are autopilots on this link: set vehicle.system_id"
+    ]
+
+
+def test_in_control_another_autopilot_is_ignored_and_told_once() -> None:
+    wire = listening()
+    wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    for _ in range(50):
+        for system in (2, 3):
+            wire.say(heartbeat(), sender=MavCodec(system, 1))
+        wire.say(wire.position())
+        wire.wait(0.05)
+    assert wire.endpoint.session.phase is Phase.HOLD
     assert wire.endpoint.binding.system_id == 1
     assert [text for text in wire.journal.texts if "another autopilot" in text] == [
         f"another autopilot is on this link, system {system}; ours is 1 (vehicle.system_id chooses)"
@@ -151,11 +175,11 @@ def test_another_autopilot_on_the_link_is_ignored_and_told_once() -> None:
 
 
 def test_a_stranger_who_is_every_autopilot_makes_few_texts() -> None:
-    wire = Wire().ready()
+    wire = listening()
     for system in range(2, 250):
         wire.say(heartbeat(), sender=MavCodec(system, 1))
         wire.wait(0.05)
-    assert sum("another autopilot" in text for text in wire.journal.texts) == MOST_OTHERS
+    assert sum("autopilots on this link" in text for text in wire.journal.texts) == 1
 
 
 def test_whoever_asked_for_a_system_is_told_of_no_other() -> None:
@@ -163,12 +187,19 @@ def test_whoever_asked_for_a_system_is_told_of_no_other() -> None:
     wire.say(heartbeat(), sender=MavCodec(2, 1))
     wire.wait(0.1)
     assert not [text for text in wire.journal.texts if "another autopilot" in text]
+    assert wire.endpoint.session.phase is Phase.STANDBY
 
 
 def test_a_restarted_router_is_followed_after_silence_and_told() -> None:
     wire = Wire().ready()
+    wire.say(wire.position(), peer=PEER)
     wire.wait(3.0)
-    wire.say(heartbeat(custom_mode=HOLD), peer=("127.0.0.1", 40_001))
+    moved = ("127.0.0.1", 40_001)
+    wire.say(heartbeat(custom_mode=HOLD), peer=moved)
+    assert wire.endpoint.binding.peer == PEER  # ids alone prove nothing
+    wire.wait(0.1)
+    assert moved in {chunk.peer for chunk in wire.raw}  # so it is asked
+    wire.say(wire.position(), peer=moved)
     wire.wait(0.1)
     assert wire.endpoint.binding.peer == ("127.0.0.1", 40_001)
     assert any("another address now: 127.0.0.1:40001" in text for text in wire.journal.texts)
@@ -176,8 +207,9 @@ def test_a_restarted_router_is_followed_after_silence_and_told() -> None:
 
 def test_with_a_key_the_address_is_followed_at_once() -> None:
     wire = keyed_wire().ready()
+    wire.say(wire.position())
     wire.wait(0.5)
-    wire.say(heartbeat(custom_mode=HOLD), peer=STRANGER)
+    wire.say(wire.position(), peer=STRANGER)
     assert wire.endpoint.binding.peer == STRANGER
 
 

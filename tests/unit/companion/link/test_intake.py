@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.link.intake import HEARTBEATS, KNOWN, AutopilotBinding, Intake, Resource
+from companion.link.binding import AutopilotBinding
+from companion.link.intake import HEARTBEATS, KNOWN, Intake, Resource
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
@@ -20,7 +21,7 @@ class Link:
     """A link whose autopilot is known."""
 
     def __init__(self) -> None:
-        binding = AutopilotBinding()
+        binding = AutopilotBinding(wanted_system_id=1)
         self.codec = MavCodec(1, 191)
         self.intake = Intake(self.codec, binding)
         self._sender = MavCodec(1, 1)

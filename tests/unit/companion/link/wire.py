@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TypeVar
 
+import msgspec
+
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.guidance.commands import ReportResult, Severity
@@ -81,7 +83,10 @@ def origin(latitude: int = 47 * E7, longitude: int = 8 * E7, altitude: int = 488
 
 
 class Wire:
-    """One endpoint and its autopilot, system 1 component 1."""
+    """One endpoint and its autopilot, system 1 component 1.
+
+    That system is configured, so that it is bound at once; None: it is listened for.
+    """
 
     def __init__(
         self,
@@ -91,10 +96,15 @@ class Wire:
         gcs_links: int = 0,
         signing: Signing | None = None,
         started_unix_s: float = 0.0,
+        system_id: int | None = 1,
     ) -> None:
         self.journal = Journal()
+        config = config or CompanionConfig()
+        if config.vehicle.system_id is None and system_id is not None:
+            vehicle = msgspec.structs.replace(config.vehicle, system_id=system_id)
+            config = msgspec.structs.replace(config, vehicle=vehicle)
         self.endpoint = build_endpoint(
-            config or CompanionConfig(),
+            config,
             self.journal,
             link_specs(links, gcs_links),
             signing=signing,

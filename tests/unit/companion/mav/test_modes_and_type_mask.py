@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import pytest
 
-from companion.domain import Autopilot, FlightMode
+from companion.domain import Autopilot, FlightMode, VehicleClass
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import (
-    ARDUCOPTER_NAMES,
     ARDUCOPTER_NUMBER,
+    ARDUPILOT_MODE_NAMES,
+    CLASS_OF_TYPE,
     PX4_MAIN_AND_SUB,
     autopilot_of,
     mode_of,
@@ -71,20 +72,60 @@ def test_arducopter_numbers_are_those_of_its_own_dialect(mode: FlightMode, enum_
     assert ARDUCOPTER_NUMBER[mode] == getattr(ardupilotmega, enum_name)
 
 
-def test_every_arducopter_mode_has_the_name_of_its_own_dialect() -> None:
+@pytest.mark.parametrize(
+    ("enum_name", "vehicle_class"),
+    [
+        ("COPTER_MODE", VehicleClass.MULTICOPTER),
+        ("COPTER_MODE", VehicleClass.HELICOPTER),
+        ("PLANE_MODE", VehicleClass.FIXED_WING),
+        ("PLANE_MODE", VehicleClass.VTOL),
+        ("ROVER_MODE", VehicleClass.ROVER),
+        ("ROVER_MODE", VehicleClass.BOAT),
+        ("SUB_MODE", VehicleClass.SUBMARINE),
+        ("TRACKER_MODE", VehicleClass.TRACKER),
+    ],
+)
+def test_every_mode_of_ardupilot_has_the_name_of_its_own_dialect(
+    enum_name: str, vehicle_class: VehicleClass
+) -> None:
     from pymavlink.dialects.v20 import ardupilotmega
 
-    modes = ardupilotmega.enums["COPTER_MODE"]
-    named = {number: f"COPTER_MODE_{name}" for number, name in ARDUCOPTER_NAMES.items()}
-    unnamed = {8, 10, 12}
-    assert {n: entry.name for n, entry in modes.items() if n in named} == {
-        n: name for n, name in named.items() if n not in unnamed
-    }
+    entries = ardupilotmega.enums[enum_name].items()
+    names = {number: entry.name.removeprefix(f"{enum_name}_") for number, entry in entries}
+    assert {n: name for n, name in names.items() if name != "ENUM_END"} == (
+        ARDUPILOT_MODE_NAMES[vehicle_class]
+    )
+
+
+@pytest.mark.parametrize("number", range(31))
+@pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.ARDUPILOT])
+@pytest.mark.parametrize("vehicle_type", [1, 0, 5, 10, 11, 12, 16, 19, 20, 21, 22, 23, 24, 25, 28])
+def test_no_number_of_a_class_that_is_not_flown_is_a_mode_of_ours(
+    number: int, autopilot: Autopilot, vehicle_type: int
+) -> None:
+    for custom_mode in (number, number << 16, 4 << 16 | number << 24):
+        message = mavlink.MAVLink_heartbeat_message(vehicle_type, 3, 129, custom_mode, 4, 3)
+        assert mode_of(message, autopilot) is FlightMode.UNKNOWN
+
+
+def test_the_same_number_has_the_name_of_its_class() -> None:
+    plane = mavlink.MAVLink_heartbeat_message(1, 3, 129, 4, 4, 3)
+    assert other_mode_name(plane, Autopilot.ARDUPILOT) == "ACRO"
+    plane.custom_mode = 17
+    assert other_mode_name(plane, Autopilot.ARDUPILOT) == "QSTABILIZE"
+
+
+def test_every_mav_type_is_a_class_or_flies_nothing() -> None:
+    flown = {number for number, each in CLASS_OF_TYPE.items() if each.is_flown}
+    assert flown == {2, 3, 4, 13, 14, 15, 29, 35, 43}
+    nothing = {entry for entry in mavlink.enums["MAV_TYPE"] if entry not in CLASS_OF_TYPE}
+    assert {6, 18, 26, 27, 30} <= nothing
 
 
 def test_a_mode_without_a_name_is_told_by_its_number() -> None:
     assert other_mode_name(heartbeat(21, 3), Autopilot.ARDUPILOT) == "SMART_RTL"
     assert other_mode_name(heartbeat(99, 3), Autopilot.ARDUPILOT) == "MODE_99"
+    assert other_mode_name(heartbeat(30, 3), Autopilot.ARDUPILOT) == "OFFBOARD"
     assert other_mode_name(heartbeat(0x0804_0000), Autopilot.PX4) == "mode 4/8"
 
 
@@ -98,7 +139,8 @@ def test_an_unknown_autopilot_has_unknown_modes() -> None:
         (mavlink.MAV_AUTOPILOT_PX4, Autopilot.PX4),
         (mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, Autopilot.ARDUPILOT),
         (mavlink.MAV_AUTOPILOT_INVALID, None),
-        (mavlink.MAV_AUTOPILOT_GENERIC, Autopilot.OTHER),
+        (mavlink.MAV_AUTOPILOT_GENERIC, None),
+        (mavlink.MAV_AUTOPILOT_OPENPILOT, Autopilot.OTHER),
     ],
 )
 def test_the_autopilot_is_told_from_its_heartbeat(number: int, autopilot: Autopilot | None) -> None:

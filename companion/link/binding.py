@@ -1,0 +1,402 @@
+"""Which autopilot is ours, and for how long its frames go on as one vehicle's.
+
+Theory of operation. Every HEARTBEAT of an autopilot makes its sender a candidate; stations,
+gimbals, cameras, companion computers and whatever else flies nothing never are. Where no system id
+is configured, nothing is bound before all candidates had the time to show themselves, and two
+systems are waited out, or for the operator's choice. Of one system component 1 is preferred.
+
+What is bound is more than its ids: the kind of vehicle, the address, and the course of its clock,
+place and sequence (`companion.link.identity`). Frames that contradict it are withheld, and
+`problem` says what is doubted; it ends when the old course goes on alone. An address may change, as
+after a router's restart, if the course goes on at the new one. While the companion has no control,
+and the vehicle is not one that it left in the air, another autopilot may take the place of one that
+vanished.
+
+Source: MAVLink developer guide, "MAVLink Id Assignment" (listen for two systems for 3 s) and
+"Heartbeat/Connection Protocol".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from companion.domain import Autopilot, FlightMode, VehicleClass
+from companion.link.identity import (
+    DOUBT_S,
+    IdentityCourse,
+    Sign,
+    SignVerdict,
+    exchange_sign_of,
+    sign_of,
+)
+from companion.mav.dialect import Message, mavlink, result_words
+from companion.mav.endpoint import Address
+from companion.mav.flight_modes import autopilot_of, class_of, mode_of
+
+LISTEN_S = 3.0
+"""So long candidates are listened for (MAVLink guide, see above)."""
+VANISHED_S = 10.0
+"""A candidate that was silent for this long is not there any more."""
+MOST_CANDIDATES = 8
+MOST_ADDRESSES = 8
+"""More are not remembered: anybody can invent any number."""
+PEER_SILENCE_S = 3.0
+"""The autopilot must be silent this long before the same ids are believed from a new address."""
+KEYED_SILENCE_S = 0.5
+"""The same where every frame is proved: so long that two ways to one autopilot do not alternate."""
+PROOF_PERIOD_S = 0.5
+"""How often an address is asked for a sign of its vehicle."""
+
+Ids = tuple[int, int]
+
+
+@dataclass(slots=True)
+class Candidate:
+    """An autopilot that was heard."""
+
+    ids: Ids
+    autopilot: Autopilot
+    vehicle_class: VehicleClass
+    vehicle_type: int
+    """MAV_TYPE."""
+    peer: Address | None
+    first_s: float
+    heard_s: float
+
+
+@dataclass(slots=True)
+class AutopilotBinding:
+    """The autopilot that is ours, if any is.
+
+    Other stations' heartbeats are forwarded by autopilots, so system, component and kind decide,
+    and the address once it is known.
+    """
+
+    wanted_system_id: int | None = None
+    is_keyed: bool = False
+    """Whether every frame that comes here was proved to be from somebody with our key."""
+    bound: Candidate | None = None
+    peer: Address | None = None
+    heard_s: float | None = None
+    binds: int = 0
+    """How often an autopilot was bound."""
+    problem: str | None = None
+    """Why no vehicle may be flown now, in words."""
+    is_in_control: bool = False
+    is_committed: bool = False
+    """It is, or was when it was heard last, in the air after the companion had control."""
+    unknown_senders: int = 0
+    """Frames that carried the autopilot's ids from another address."""
+    moves: int = 0
+    """How often the autopilot's address changed."""
+    unfit: dict[Ids, int] = field(default_factory=dict)
+    """Senders of HEARTBEATs that fly nothing, and their MAV_TYPE."""
+    _candidates: dict[Ids, Candidate] = field(default_factory=dict)
+    _course: IdentityCourse = field(default_factory=IdentityCourse)
+    _exchange: IdentityCourse = field(default_factory=IdentityCourse)
+    _doubted_s: float = 0.0
+    _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
+    """Courses of the same ids at other addresses."""
+    _unproved: dict[Address | None, float] = field(default_factory=dict)
+    """Addresses that may be the autopilot's now, and when they were asked for a sign."""
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether an autopilot is bound."""
+        return self.bound is not None
+
+    @property
+    def system_id(self) -> int | None:
+        """Its system id."""
+        return None if self.bound is None else self.bound.ids[0]
+
+    @property
+    def component_id(self) -> int:
+        """Its component id."""
+        return 0 if self.bound is None else self.bound.ids[1]
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """Its kind."""
+        return Autopilot.OTHER if self.bound is None else self.bound.autopilot
+
+    @property
+    def others(self) -> list[int]:
+        """Systems of other autopilots that were heard, where none is configured."""
+        ours = self.system_id
+        if self.wanted_system_id is not None or ours is None:
+            return []
+        return sorted({system for system, _ in self._candidates} - {ours})
+
+    def unfit_names(self) -> list[str]:
+        """Senders of HEARTBEATs that fly nothing, as ids and kind."""
+        return [
+            f"{system}/{component} ({result_words('MAV_TYPE', number, 'MAV_TYPE_')})"
+            for (system, component), number in sorted(self.unfit.items())
+        ]
+
+    @property
+    def silence_s(self) -> float:
+        """How long the autopilot must be silent before another address is believed."""
+        return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
+
+    def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
+        """Whether a message is of the bound autopilot, and to be read; may bind to one."""
+        ids = (message.get_srcSystem(), message.get_srcComponent())
+        if isinstance(message, mavlink.MAVLink_heartbeat_message):
+            self._note_heartbeat(message, ids, peer, now_s)
+        if self.bound is None or ids != self.bound.ids:
+            return False
+        sign = sign_of(message)
+        if peer != self.peer:
+            return self._take_elsewhere(message, sign, peer, now_s)
+        self.heard_s = now_s
+        self._course.note_sequence(message.get_seq(), now_s)
+        exchange = exchange_sign_of(message)
+        if isinstance(message, mavlink.MAVLink_heartbeat_message):
+            self._compare_kind(message, now_s)
+            if self._course.is_out_of_sequence and not self.is_in_control and _gives(message):
+                return False  # it may be another vehicle's: the next one is as good
+        elif exchange is not None:
+            self._take_exchange(exchange, now_s)
+        if sign is not None and not self._take_sign(sign, now_s):
+            return False
+        return not self.is_doubted
+
+    def hear(self, ids: Ids, peer: Address | None, now_s: float, sequence: int) -> bool:
+        """The same of a frame that is not decoded."""
+        if self.bound is None or ids != self.bound.ids:
+            return False
+        if peer != self.peer:
+            self.unknown_senders += not self._is_silent(now_s)
+            return False
+        self.heard_s = now_s
+        self._course.note_sequence(sequence, now_s)
+        return True
+
+    def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
+        """A control tick: whether the companion has the vehicle, and whether it is armed."""
+        self.is_in_control = is_in_control
+        self.is_committed = is_in_control or (self.is_committed and is_armed)
+        self._choose(now_s)
+        is_over = now_s - self._doubted_s > DOUBT_S and not self._is_silent(now_s)
+        if self.is_doubted and is_over:
+            self.problem = None
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether frames are withheld, because they may be another vehicle's."""
+        return self.problem is not None and not self._is_of_choice
+
+    def take_unproved(self, now_s: float) -> list[Address | None]:
+        """Addresses to be asked now for a sign of their vehicle."""
+        due = [at for at, asked_s in self._unproved.items() if now_s - asked_s >= PROOF_PERIOD_S]
+        self._unproved.update(dict.fromkeys(due, now_s))
+        return due
+
+    # Candidates
+
+    def _note_heartbeat(
+        self,
+        heartbeat: mavlink.MAVLink_heartbeat_message,
+        ids: Ids,
+        peer: Address | None,
+        now_s: float,
+    ) -> None:
+        autopilot = autopilot_of(heartbeat)
+        if autopilot is None or 0 in ids:
+            if len(self.unfit) < MOST_CANDIDATES:
+                self.unfit[ids] = heartbeat.type
+            return
+        if self.wanted_system_id not in (None, ids[0]):
+            return
+        known = self._candidates.get(ids)
+        if known is None:
+            self._drop_vanished(now_s)
+            if len(self._candidates) < MOST_CANDIDATES:
+                kind = (autopilot, class_of(heartbeat), heartbeat.type)
+                self._candidates[ids] = Candidate(ids, *kind, peer, now_s, now_s)
+        else:
+            known.heard_s = now_s
+            if known is not self.bound:
+                known.autopilot, known.vehicle_class = autopilot, class_of(heartbeat)
+                known.vehicle_type, known.peer = heartbeat.type, peer
+        self._choose(now_s)
+
+    def _drop_vanished(self, now_s: float) -> None:
+        for ids, each in list(self._candidates.items()):
+            if now_s - each.heard_s > VANISHED_S and each is not self.bound:
+                del self._candidates[ids]
+
+    def _choose(self, now_s: float) -> None:
+        """Bind, wait or bind again, by the candidates that are there."""
+        here = [each for each in self._candidates.values() if now_s - each.heard_s <= VANISHED_S]
+        systems = sorted({each.ids[0] for each in here})
+        if self.is_committed:
+            return
+        if len(systems) > 1:
+            if self.problem is None:
+                names = ", ".join(map(str, systems[:-1])) + f" and {systems[-1]}"
+                self.problem = f"systems {names} are autopilots on this link: set vehicle.system_id"
+            return
+        if self._is_of_choice:
+            self.problem = None
+        if not here:
+            return
+        best = min(here, key=lambda each: (each.ids[1] != 1, each.ids[1]))
+        if best is self.bound:
+            return
+        is_clear = self.wanted_system_id is not None and best.ids[1] == 1
+        if is_clear or now_s - min(each.first_s for each in here) >= LISTEN_S:
+            self._bind(best)
+
+    @property
+    def _is_of_choice(self) -> bool:
+        """Whether the problem is that an id has to be chosen, not that frames are doubted."""
+        return self.problem is not None and self.problem.startswith("systems ")
+
+    def _bind(self, candidate: Candidate) -> None:
+        self.bound, self.peer, self.heard_s = candidate, candidate.peer, candidate.heard_s
+        self.binds += 1
+        self.problem = None
+        self._course, self._exchange = IdentityCourse(), IdentityCourse()
+        self._elsewhere.clear()
+        self._unproved.clear()
+
+    # The course of what is bound
+
+    def _is_silent(self, now_s: float) -> bool:
+        return self.heard_s is None or now_s - self.heard_s >= self.silence_s
+
+    def _doubt(self, problem: str, now_s: float) -> None:
+        self._doubted_s = now_s
+        if self.problem is None or self._is_of_choice:
+            self.problem = problem
+
+    @property
+    def _name(self) -> str:
+        assert self.bound is not None
+        return f"{self.bound.ids[0]}/{self.bound.ids[1]}"
+
+    def _compare_kind(self, heartbeat: mavlink.MAVLink_heartbeat_message, now_s: float) -> None:
+        """HEARTBEAT.type and autopilot never change while a vehicle is in use."""
+        bound = self.bound
+        assert bound is not None
+        kind = (autopilot_of(heartbeat) or Autopilot.OTHER, heartbeat.type)
+        if kind == (bound.autopilot, bound.vehicle_type):
+            return
+        if self.is_committed:
+            now = f"{kind[0].value} {class_of(heartbeat).value}"
+            was = f"{bound.autopilot.value} {bound.vehicle_class.value}"
+            change = now if now != was else f"type {kind[1]}, it was {bound.vehicle_type}"
+            self._doubt(f"{self._name} is another vehicle now: {change}", now_s)
+            return
+        bound.autopilot, bound.vehicle_type = kind
+        bound.vehicle_class = class_of(heartbeat)
+        self._bind(bound)
+
+    def _take_sign(self, sign: Sign, now_s: float) -> bool:
+        """Follow the course by a sign; whether it is to be read."""
+        match self._course.take(sign, now_s, is_cautious=not self.is_in_control):
+            case SignVerdict.GOES_ON:
+                return True
+            case SignVerdict.WITHHELD:
+                return False
+            case SignVerdict.TWO:
+                difference = self._course.difference
+                self._doubt(f"two vehicles send as {self._name}: {difference}", now_s)
+            case SignVerdict.ANOTHER:
+                is_long = now_s - self._course.other_since_s >= LISTEN_S
+                if is_long and not self.is_committed:
+                    assert self.bound is not None
+                    self._bind(self.bound)
+                    return False
+                difference = self._course.difference
+                self._doubt(f"{self._name} is another vehicle now: {difference}", now_s)
+        return False
+
+    def _take_exchange(self, sign: Sign, now_s: float) -> None:
+        """Two clocks that answer are two vehicles; one that changes is not told by its answers."""
+        course = self._exchange
+        match course.take(sign, now_s, is_cautious=not self.is_in_control):
+            case SignVerdict.TWO:
+                problem = f"two vehicles send as {self._name}: {course.difference}"
+                self._doubt(problem, now_s)
+            case SignVerdict.ANOTHER:
+                course.adopt_other()
+
+    def _take_elsewhere(
+        self, message: Message, sign: Sign | None, peer: Address | None, now_s: float
+    ) -> bool:
+        """A frame with the autopilot's ids from another address; whether that is ours now."""
+        is_silent = self._is_silent(now_s)
+        self.unknown_senders += not is_silent
+        course = self._course_at(peer)
+        if course is None:
+            return False
+        course.note_sequence(message.get_seq(), now_s)
+        if sign is not None:
+            course.take(sign, now_s)
+        if not is_silent:
+            self._compare_senders(course, sign, peer, now_s)
+            return False
+        if self._course.main is None or (sign is not None and self._is_proof(sign, now_s)):
+            self._move(peer, now_s)
+            return self.problem is None
+        if sign is None:
+            self._unproved.setdefault(peer, -PROOF_PERIOD_S)
+        elif course.is_steady:
+            how = self._course.describe(sign, now_s)
+            self._doubt(f"{self._name} at {_words(peer)} is another vehicle: {how}", now_s)
+            is_gone = self.heard_s is not None and now_s - self.heard_s > VANISHED_S
+            if is_gone and not self.is_committed and self.bound is not None:
+                self.bound.peer = peer
+                self._bind(self.bound)
+        return False
+
+    def _course_at(self, peer: Address | None) -> IdentityCourse | None:
+        course = self._elsewhere.get(peer)
+        if course is None and len(self._elsewhere) < MOST_ADDRESSES:
+            course = self._elsewhere[peer] = IdentityCourse()
+        return course
+
+    def _is_proof(self, sign: Sign, now_s: float) -> bool:
+        """Whether a sign of another address shows our vehicle there, or its restart."""
+        is_ours = self._course.is_of_main(sign, now_s)
+        return is_ours or self._course.is_young_beside(sign, now_s)
+
+    def _move(self, peer: Address | None, now_s: float) -> None:
+        self.peer, self.heard_s = peer, now_s
+        self.moves += 1
+        self._elsewhere.clear()
+        self._unproved.clear()
+
+    def _compare_senders(
+        self, course: IdentityCourse, sign: Sign | None, peer: Address | None, now_s: float
+    ) -> None:
+        """Two addresses that both send are two vehicles if their courses differ.
+
+        In control only ours is heard: a stranger who forges frames must not end a flight.
+        """
+        if self.is_in_control or sign is None or not course.is_steady:
+            return
+        if self._course.is_of_main(sign, now_s):
+            return
+        pair = f"{_words(self.peer)} and {_words(peer)}"
+        text = f"two vehicles send as {self._name}, {pair}"
+        self._doubt(f"{text}: {self._course.describe(sign, now_s)}", now_s)
+
+
+def _gives(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
+    """Whether a HEARTBEAT could give control."""
+    autopilot = autopilot_of(heartbeat)
+    is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    return (
+        is_armed
+        and autopilot is not None
+        and (mode_of(heartbeat, autopilot) is FlightMode.OFFBOARD)
+    )
+
+
+def _words(peer: Address | None) -> str:
+    return "the line" if peer is None else f"{peer[0]}:{peer[1]}"

@@ -1,0 +1,307 @@
+"""Whether frames under one pair of ids go on as those of one vehicle.
+
+Theory of operation. System and component ids are not an identity: two vehicles of a fleet may leave
+their factory as 1/1, and a router may bring both by one address. A vehicle shows that it is the
+same by going on: `time_boot_ms` grows as our own clock does, its place is one that it can have
+reached, and its sequence numbers follow each other. `IdentityCourse` follows that at one address.
+
+A stamp that contradicts the course begins another one beside it, and is withheld until it is clear
+which of these it was. Held back frames are late, but never come again and again in between. A
+clock that slips, and a restart, leave the old course for good: a slip is by seconds and stays in
+place or in sequence, a restarted clock shows no more time than has passed. All else that leaves the
+old course for good is another vehicle in its place. And where frames return to the old course
+several times, two vehicles send. Place alone is no proof of two, because a bad estimator may flip
+between two places: then the sequence numbers must be those of two counters, too.
+
+Source: MAVLink common, `time_boot_ms`; MAVLink developer guide, "Packet Loss" (one counter a
+component and channel).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from companion.mav.dialect import Message, mavlink
+
+WRAP_S = 2**32 / 1000.0
+"""`time_boot_ms` starts again at zero after 49.7 days."""
+AHEAD_S = 3.0
+"""No delay makes a stamp early: what is ahead by more is another clock, or one that slipped."""
+LATE_S = 10.0
+"""Later than this no link delivers while it also delivers promptly."""
+SLIP_S = 10.0
+"""No autopilot that flies stands still for longer than this."""
+YOUNG_S = 5.0
+"""A restarted clock may show so much more than the time since its sender was heard last."""
+SPEED_MPS, NEAR_M = 25.0, 10.0
+"""How fast a multicopter may be carried on by the wind, and what its estimator may jump by."""
+JITTER_S = 1.0
+"""How unevenly frames of one clock may arrive."""
+CONFIRM_STAMPS, CONFIRM_S = 3, 0.3
+"""So often, and for so long, another course must go on alone before the old one counts as left."""
+SPAN_S = 1.0
+"""A course that others return from must have gone on for so long."""
+RETURNS, FEWEST_RETURNS, RETURNS_WITHIN_S = 3, 2, 5.0
+"""So many returns to the old course within the time are two senders; the fewer where nothing is
+lost yet by waiting."""
+FAR_STEP, BACK_STEP = 16, 240
+"""Sequence numbers of one counter that follow each other step by less than the one, or, overtaken,
+by more than the other, modulo 256, where not a whole burst was lost."""
+BREAKS = 6
+"""So many far steps within the time are two counters."""
+DOUBT_S = 5.0
+"""Doubt is over when for so long nothing contradicted the course that goes on."""
+
+Place = tuple[float, float, float]
+
+
+class Sign(NamedTuple):
+    """What a message shows of its sender."""
+
+    stamp_s: float
+    """Since its boot."""
+    place_ned_m: Place | None = None
+
+
+STAMPED = (
+    mavlink.MAVLink_local_position_ned_message
+    | mavlink.MAVLink_attitude_message
+    | mavlink.MAVLink_global_position_int_message
+    | mavlink.MAVLink_system_time_message
+)
+
+
+def exchange_sign_of(message: Message) -> Sign | None:
+    """The clock in the answer to a question for the time, ours or another component's.
+
+    It may be another one than that of `time_boot_ms`. Whoever sends nothing else answers our
+    questions, so this shows two vehicles of which one is nearly silent.
+    """
+    if isinstance(message, mavlink.MAVLink_timesync_message) and message.tc1 > 0:
+        return Sign(message.tc1 / 1e9)
+    return None
+
+
+def sign_of(message: Message) -> Sign | None:
+    """The sign in a message; None: it has none, or its sender does not know the time."""
+    if not isinstance(message, STAMPED) or not message.time_boot_ms:
+        return None
+    place: Place | None = None
+    if isinstance(message, mavlink.MAVLink_local_position_ned_message):
+        place = (message.x, message.y, message.z)
+        if not all(map(math.isfinite, place)):
+            place = None
+    return Sign(message.time_boot_ms / 1000.0, place)
+
+
+@dataclass(slots=True)
+class Track:
+    """Clock and place of one sender, as its last signs show them."""
+
+    offset_s: float
+    """Our time minus its own, with the shortest delay."""
+    first_s: float
+    first_offset_s: float
+    heard_s: float
+    stamp_s: float
+    count: int = 1
+    """Of its signs."""
+    place_ned_m: Place | None = None
+    place_s: float = -math.inf
+
+    @classmethod
+    def begin(cls, sign: Sign, now_s: float) -> Track:
+        """The track of a first sign."""
+        offset_s = now_s - sign.stamp_s
+        place_s = -math.inf if sign.place_ned_m is None else now_s
+        place = sign.place_ned_m
+        return cls(offset_s, now_s, offset_s, now_s, sign.stamp_s, 1, place, place_s)
+
+    def late_s(self, sign: Sign, now_s: float) -> float:
+        """How much later a sign comes than the promptest one; negative: it is ahead of that."""
+        late_s = now_s - sign.stamp_s - self.offset_s
+        return late_s - WRAP_S * round(late_s / WRAP_S)
+
+    def away_m(self, sign: Sign) -> float:
+        """Distance of a sign from the last place; 0 where one of the two is not known."""
+        if sign.place_ned_m is None or self.place_ned_m is None:
+            return 0.0
+        return math.dist(sign.place_ned_m, self.place_ned_m)
+
+    def reaches(self, sign: Sign, now_s: float) -> bool:
+        """Whether the vehicle can have flown from the last place to that of a sign."""
+        return self.away_m(sign) <= NEAR_M + SPEED_MPS * max(0.0, now_s - self.place_s)
+
+    def goes_on(self, sign: Sign, now_s: float) -> bool:
+        """Whether a sign is the next one of this sender, whose time does not stand still."""
+        is_later = sign.stamp_s > self.stamp_s or now_s == self.heard_s
+        return is_later and abs(self.late_s(sign, now_s)) <= JITTER_S and self.reaches(sign, now_s)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether its clock ran as ours did for a while; a stamp that stands still does not."""
+        span_s = self.heard_s - self.first_s
+        return span_s >= SPAN_S and abs(self.offset_s - self.first_offset_s) <= 0.5 * span_s
+
+    def take(self, sign: Sign, now_s: float) -> None:
+        """Follow a sign; the least delay is forgotten slowly, as clocks drift."""
+        late_s = self.late_s(sign, now_s)
+        self.offset_s += min(late_s, 0.1 * max(0.0, now_s - self.heard_s))
+        self.heard_s, self.stamp_s = now_s, sign.stamp_s
+        self.count += 1
+        if sign.place_ned_m is not None:
+            self.place_ned_m, self.place_s = sign.place_ned_m, now_s
+
+
+class SignVerdict(Enum):
+    """What a sign is."""
+
+    GOES_ON = "of the same vehicle"
+    WITHHELD = "of another clock, perhaps"
+    ANOTHER = "of another vehicle in its place"
+    TWO = "of one of two vehicles"
+
+
+class IdentityCourse:
+    """One vehicle's frames at one address, and what contradicts that they are one vehicle's."""
+
+    def __init__(self) -> None:
+        self.main: Track | None = None
+        self.other: Track | None = None
+        self.difference = ""
+        """How the other course differs, in words."""
+        self.is_out_of_sequence = False
+        """Whether the last frame's number was far from that of the frame before."""
+        self._sequence: int | None = None
+        self._breaks: deque[float] = deque(maxlen=BREAKS)
+        self._returns: deque[float] = deque(maxlen=RETURNS)
+        self._run, self.other_since_s = 0, 0.0
+        """Signs of the other course since the last one of this one, and when they began."""
+
+    def note_sequence(self, sequence: int, now_s: float) -> None:
+        """Note the number of any frame, before its sign is taken."""
+        before = sequence if self._sequence is None else self._sequence
+        self.is_out_of_sequence = FAR_STEP < (sequence - before) % 256 < BACK_STEP
+        if self.is_out_of_sequence:
+            self._breaks.append(now_s)
+        self._sequence = sequence
+
+    def take(self, sign: Sign, now_s: float, *, is_cautious: bool = False) -> SignVerdict:
+        """Judge a sign, and follow it; cautiously, of two clocks less is enough to see two."""
+        main = self.main
+        if main is None:
+            self.main = Track.begin(sign, now_s)
+            return SignVerdict.GOES_ON
+        late_s = main.late_s(sign, now_s)
+        is_of_clock = -AHEAD_S <= late_s <= LATE_S
+        if is_of_clock and main.reaches(sign, now_s):
+            main.take(sign, now_s)
+            is_telling = sign.place_ned_m is not None or self._clocks_s > AHEAD_S
+            is_return = self._run > 0 and is_telling
+            if not is_return:
+                return SignVerdict.GOES_ON
+            return self._note_return(now_s, is_cautious=is_cautious)
+        self._follow_other(sign, now_s)
+        if self._is_left(now_s):
+            return self._judge_other(sign, is_of_clock, now_s)
+        is_restart = late_s > LATE_S and self._is_young(sign, now_s)
+        return SignVerdict.GOES_ON if is_of_clock or is_restart else SignVerdict.WITHHELD
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether one clock was followed for a while."""
+        return self.main is not None and self.main.is_steady
+
+    def adopt_other(self) -> None:
+        """The other course is the vehicle's."""
+        self.main, self.other, self._run = self.other, None, 0
+        self._returns.clear()
+
+    def is_of_main(self, sign: Sign, now_s: float) -> bool:
+        """Whether a sign, of whatever address, continues this course."""
+        main = self.main
+        return main is None or (
+            -AHEAD_S <= main.late_s(sign, now_s) <= LATE_S and main.reaches(sign, now_s)
+        )
+
+    def describe(self, sign: Sign, now_s: float) -> str:
+        """How far a sign is off this course."""
+        assert self.main is not None
+        late_s = abs(self.main.late_s(sign, now_s))
+        if late_s > AHEAD_S:
+            return f"boot clocks {late_s:.0f} s apart"
+        return f"places {self.main.away_m(sign):.0f} m apart"
+
+    def is_young_beside(self, sign: Sign, now_s: float) -> bool:
+        """Whether a sign may be of this vehicle after a restart."""
+        return self.main is not None and self._is_young(sign, now_s)
+
+    def _is_young(self, sign: Sign, now_s: float) -> bool:
+        assert self.main is not None
+        return sign.stamp_s <= now_s - self.main.heard_s + YOUNG_S
+
+    @property
+    def _clocks_s(self) -> float:
+        """How far the clocks of both courses are apart."""
+        if self.main is None or self.other is None:
+            return 0.0
+        return abs(self.other.offset_s - self.main.offset_s)
+
+    def _follow_other(self, sign: Sign, now_s: float) -> None:
+        if self.other is None or not self.other.goes_on(sign, now_s):
+            self.other, self._run = Track.begin(sign, now_s), 0
+        else:
+            self.other.take(sign, now_s)
+        if self._run == 0:
+            self.other_since_s = now_s
+        self._run += 1
+
+    def _note_return(self, now_s: float, *, is_cautious: bool) -> SignVerdict:
+        """Frames came back from the other course to this one."""
+        self._run = 0
+        assert self.main is not None
+        other, clocks_s = self.other, self._clocks_s
+        if other is None or now_s - other.heard_s > SPAN_S:
+            return SignVerdict.GOES_ON
+        if not (other.is_steady or (is_cautious and other.count > 1)):
+            return SignVerdict.GOES_ON
+        self._returns.append(now_s)
+        enough = FEWEST_RETURNS if is_cautious else RETURNS
+        lately = [at_s for at_s in self._returns if now_s - at_s <= RETURNS_WITHIN_S]
+        is_often = len(lately) >= enough
+        are_two_counters = len(self._breaks) == BREAKS and now_s - self._breaks[0] <= (
+            RETURNS_WITHIN_S
+        )
+        if not is_often or not (clocks_s > AHEAD_S or are_two_counters):
+            return SignVerdict.GOES_ON
+        self.difference = f"boot clocks {clocks_s:.0f} s apart"
+        if clocks_s <= AHEAD_S and other.place_ned_m and self.main.place_ned_m:
+            away_m = math.dist(other.place_ned_m, self.main.place_ned_m)
+            self.difference = f"places {away_m:.0f} m apart"
+        return SignVerdict.TWO
+
+    def _is_left(self, now_s: float) -> bool:
+        is_often = self._run >= CONFIRM_STAMPS
+        return is_often and now_s - self.other_since_s >= CONFIRM_S
+
+    def _judge_other(self, sign: Sign, is_of_clock: bool, now_s: float) -> SignVerdict:
+        """The old course was left: by a slip, a restart or a jump, or by another vehicle."""
+        main, other = self.main, self.other
+        assert main is not None
+        assert other is not None
+        left_s = main.place_s if is_of_clock else main.heard_s
+        is_in_sequence = not any(broken_s >= left_s for broken_s in self._breaks)
+        is_near = main.reaches(sign, now_s)
+        late_s, silent_s = main.late_s(sign, now_s), other.first_s - main.heard_s
+        is_slip = abs(late_s) <= SLIP_S and is_near
+        is_jump = is_of_clock and is_in_sequence
+        is_held_up = is_in_sequence and is_near and 0.0 <= late_s <= silent_s + LATE_S
+        if is_slip or is_jump or is_held_up or self._is_young(sign, now_s):
+            self.adopt_other()
+            return SignVerdict.GOES_ON
+        self.difference = self.describe(sign, now_s)
+        return SignVerdict.ANOTHER

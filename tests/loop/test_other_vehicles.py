@@ -1,0 +1,290 @@
+"""Other vehicles on the link, by address, by id and by class: none of them is ever flown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import msgspec
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.domain import FlightMode, PositionEnu
+from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.link.identity import DOUBT_S
+from companion.mav.dialect import mavlink
+from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
+from sim_link.autopilot.incidents import PilotMode
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.faults.fault_models import LinkBlackout, OtherVehicle
+from sim_link.lab.faults.injector import Injector
+from sim_link.lab.lockstep.neighbours import Neighbour
+from sim_link.lab.lockstep.observer import Frame, Observer
+from tests.loop.loop_helpers import Loop
+
+FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
+SETPOINTS = (
+    mavlink.MAVLink_set_position_target_local_ned_message,
+    mavlink.MAVLink_set_position_target_global_int_message,
+)
+ASKING = (
+    mavlink.MAV_CMD_DO_SET_MODE,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+)
+
+
+@dataclass
+class Reached(Observer):
+    """Setpoints and requests that reached another vehicle with its ids, and when."""
+
+    setpoints: list[float] = field(default_factory=list)
+    requests: list[float] = field(default_factory=list)
+
+    def neighbour_heard(self, frame: Frame, neighbour: Neighbour) -> None:
+        message = frame.message
+        target = getattr(message, "target_system", None)
+        if target not in (0, neighbour.setup.system_id):
+            return
+        if isinstance(message, SETPOINTS):
+            self.setpoints.append(frame.time_s)
+        if isinstance(message, mavlink.MAVLink_command_long_message) and message.command in ASKING:
+            self.requests.append(frame.time_s)
+
+
+class Sky(Loop):
+    """A flight and whoever else is in the air."""
+
+    def __init__(
+        self,
+        flavour: FlavourName,
+        *,
+        listens: bool = False,
+        vehicle_type: VehicleTypeName = "quadrotor",
+    ) -> None:
+        autopilot = AutopilotParams(flavour=flavour, vehicle_type=vehicle_type)
+        super().__init__(CompanionConfig(), Scenario(autopilot=autopilot), listens=listens)
+        self.injector = Injector(self.flight, self.wire, self.operator)
+        self.reached = Reached()
+        self.flight.observers.append(self.reached)
+
+    def rise(self) -> Sky:
+        """Take off, the operator's way."""
+        self.run(4.0)
+        is_px4 = self.flight.scenario.autopilot.flavour == "px4"
+        if not is_px4:
+            self.choose(FlightMode.OFFBOARD)
+        self.operator.arm()
+        up_m = 12.0 + (self.flight.scenario.origin.altitude_m if is_px4 else 0.0)
+        self.command(mavlink.MAV_CMD_NAV_TAKEOFF, *[math.nan if is_px4 else 0.0] * 6, up_m)
+        self.run(10.0)
+        return self
+
+    def in_control(self) -> Sky:
+        self.rise().give()
+        assert self.phase in IN_CONTROL, self.notes.texts
+        return self
+
+    def give(self) -> None:
+        """Leave the mode for long enough, and give it again."""
+        if self.phase is Phase.YIELD:
+            self.choose(FlightMode.LAND)
+            self.run(0.5)
+            self.grant()
+            self.run(2.0)
+        self.choose(FlightMode.OFFBOARD)
+        self.run(2.0)
+
+    @property
+    def is_copter(self) -> bool:
+        return self.flight.scenario.autopilot.flavour == "ardupilot"
+
+    def add(self, *faults: OtherVehicle | LinkBlackout) -> None:
+        for fault in faults:
+            self.injector.add(fault)
+
+    @property
+    def said_of_identity(self) -> list[str]:
+        parts = ("control ended", "no control", "another vehicle")
+        return [text for _, text in self.notes.texts if any(part in text for part in parts)]
+
+    @property
+    def other_moved_m(self) -> float:
+        (other,) = self.flight.neighbours
+        return math.dist(other.place_enu_m, other.setup.place_enu_m)
+
+
+OURS_1_1 = OtherVehicle(system_id=1)
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("silent_s", [4.0, 7.0, 20.0])
+def test_a_neighbour_with_our_ids_at_another_address_is_not_flown_while_ours_is_silent(
+    flavour: FlavourName, silent_s: float
+) -> None:
+    """qgroundcontrol#14812: 542 setpoints went to the neighbour."""
+    sky = Sky(flavour).in_control()
+    sky.add(OURS_1_1)
+    sky.run(2.0)
+    assert sky.phase in IN_CONTROL  # ours is heard: whoever else sends is ignored
+    sky.add(LinkBlackout(duration_s=silent_s))
+    sky.run(silent_s)
+    assert sky.phase is Phase.YIELD
+    assert sky.reached.setpoints == sky.reached.requests == []
+    assert sky.other_moved_m < 1.0
+    (text,) = [text for text in sky.said_of_identity if "control ended" in text]
+    assert "1/1 at 127.0.0.1:18000 is another vehicle: boot clocks" in text
+    sky.run(6.0)
+    assert sky.companion.binding.peer != ("127.0.0.1", 18000)  # ours came back, and is heard
+    assert sky.reached.setpoints == []
+    sky.give()
+    assert sky.phase not in IN_CONTROL  # two send as 1/1: never
+    assert sky.companion.binding.problem is not None
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("uptime_s", [0.5, 30.0, 500.0, 90_000.0])
+def test_two_vehicles_with_our_ids_by_one_address_are_never_flown(
+    flavour: FlavourName, uptime_s: float
+) -> None:
+    sky = Sky(flavour)
+    sky.add(msgspec.structs.replace(OURS_1_1, has_own_address=False, uptime_s=uptime_s))
+    sky.rise().give()
+    sky.run(2.0)
+    assert sky.phase not in IN_CONTROL
+    assert [text for _, text in sky.notes.texts if "in control" in text] == []
+    twos = [text for text in sky.said_of_identity if "two vehicles send as 1/1" in text]
+    assert len(twos) == 1, sky.notes.texts
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_control_ends_within_a_moment_when_a_second_vehicle_appears_by_our_address(
+    flavour: FlavourName,
+) -> None:
+    sky = Sky(flavour).in_control()
+    sky.add(msgspec.structs.replace(OURS_1_1, has_own_address=False))
+    began_s = sky.now_s
+    sky.run(4.0)
+    assert sky.phase not in IN_CONTROL
+    assert max(sky.reached.setpoints, default=began_s) < began_s + 2.0
+    sky.give()
+    assert sky.phase not in IN_CONTROL
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("uptime_s", [100.0, 500.0])
+def test_a_neighbour_in_place_of_ours_behind_one_address_is_not_flown(
+    flavour: FlavourName, uptime_s: float
+) -> None:
+    sky = Sky(flavour).in_control()
+    sky.add(LinkBlackout(direction="to_companion"))
+    sky.run(2.0)
+    sky.add(msgspec.structs.replace(OURS_1_1, has_own_address=False, uptime_s=sky.now_s + uptime_s))
+    began_s = sky.now_s
+    sky.run(10.0)
+    assert sky.phase not in IN_CONTROL
+    assert max(sky.reached.setpoints, default=began_s) < began_s + 1.0
+    (text,) = [text for text in sky.said_of_identity if "control ended" in text]
+    assert "1/1 is another vehicle now: boot clocks" in text
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_ours_is_flown_again_when_the_other_has_gone_and_the_mode_is_given(
+    flavour: FlavourName,
+) -> None:
+    sky = Sky(flavour).in_control()
+    other = msgspec.structs.replace(OURS_1_1, has_own_address=False, duration_s=5.0)
+    sky.add(other)
+    sky.run(5.0)
+    assert sky.phase not in IN_CONTROL
+    sky.run(DOUBT_S + 2.0)
+    assert sky.phase not in IN_CONTROL  # not by itself
+    sky.give()
+    assert sky.phase in IN_CONTROL, sky.notes.texts
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("is_first", [True, False])
+def test_two_systems_and_no_configured_id_wait_and_are_named(
+    flavour: FlavourName, is_first: bool
+) -> None:
+    """dronekit#1158: 106 setpoints went to the neighbour that was heard first."""
+    sky = Sky(flavour, listens=True)
+    sky.add(OtherVehicle(start_s=0.0 if is_first else 6.0))
+    sky.rise().give()
+    assert sky.phase is Phase.WAITING
+    assert sky.reached.setpoints == sky.reached.requests == []
+    text = "no control: systems 1 and 2 are autopilots on this link: set vehicle.system_id"
+    assert sky.said_of_identity == [text]
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("has_own_address", [True, False])
+@pytest.mark.parametrize("other", FLAVOURS)
+def test_a_configured_id_is_flown_beside_others(
+    flavour: FlavourName, has_own_address: bool, other: FlavourName
+) -> None:
+    sky = Sky(flavour)
+    sky.add(OtherVehicle(has_own_address=has_own_address, flavour=other))
+    sky.in_control()
+    sky.run(5.0)
+    assert sky.phase in IN_CONTROL
+    assert sky.reached.setpoints == sky.reached.requests == []
+    assert sky.said_of_identity == []
+
+
+REFUSED: dict[VehicleTypeName, str] = {
+    "plane": "fixed wing",
+    "quadplane": "VTOL",
+    "tiltrotor": "VTOL",
+    "tailsitter": "VTOL",
+    "rover": "rover",
+    "boat": "boat",
+    "sub": "submarine",
+    "generic": "vehicle without a frame class",
+}
+FLOWN: tuple[VehicleTypeName, ...] = (
+    *("hexarotor", "octorotor", "tricopter", "dodecarotor", "decarotor"),
+    *("coaxial", "helicopter"),
+)
+
+
+def place(sky: Sky) -> PositionEnu:
+    return sky.sim.vehicle.body.position_enu_m
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("vehicle_type", REFUSED)
+def test_a_class_that_is_not_flown_is_named_and_neither_flown_nor_asked(
+    flavour: FlavourName, vehicle_type: VehicleTypeName
+) -> None:
+    """ArduPilot/mavlink#61: a plane in ACRO (4) was "in GUIDED", and was asked for QSTABILIZE."""
+    sky = Sky(flavour, vehicle_type=vehicle_type)
+    sky.run(4.0)
+    for mode in (FlightMode.ACRO, FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.OFFBOARD):
+        sky.flight.apply_incident(PilotMode(mode=mode))
+        sky.run(2.0)
+    assert sky.setpoints == []
+    assert not [number for _, number in sky.commands if number in ASKING]
+    text = f"no control: only multicopters are flown: this is a {REFUSED[vehicle_type]}"
+    assert [said for said in sky.said_of_identity] == [text]
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("vehicle_type", FLOWN)
+def test_a_class_that_hovers_is_flown(flavour: FlavourName, vehicle_type: VehicleTypeName) -> None:
+    sky = Sky(flavour, vehicle_type=vehicle_type).in_control()
+    assert sky.said_of_identity == []
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_class_that_changes_in_flight_ends_control(flavour: FlavourName) -> None:
+    sky = Sky(flavour).in_control()
+    scenario = sky.sim.vehicle.scenario
+    autopilot = msgspec.structs.replace(scenario.autopilot, vehicle_type="plane")
+    sky.sim.vehicle.scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
+    began_s = sky.now_s
+    sky.run(3.0)
+    assert sky.phase not in IN_CONTROL
+    assert not [sent for sent in sky.setpoints if sent.time_s > began_s + 1.1]
+    assert len([text for text in sky.said_of_identity if "control ended" in text]) == 1
