@@ -288,7 +288,8 @@ def _replay(arguments: argparse.Namespace) -> int:
 
     if settings is not None:
         speed = arguments.speed or 1.0
-        replay = replay_on_map(arguments.file, config, print, settings, speed, report)
+        say = partial(print, flush=True)  # it is waited for, perhaps by a script
+        replay = replay_on_map(arguments.file, config, say, settings, speed, report)
     else:
         pace = None if arguments.speed is None else Pace(arguments.speed)
         replay = replay_flight(arguments.file, config, print, pace)

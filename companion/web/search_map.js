@@ -50,6 +50,7 @@ export default {
     this.still = L.layerGroup().addTo(this.map);
     this.moving = L.layerGroup().addTo(this.map);
     L.control.scale({ imperial: false }).addTo(this.map);
+    this.addCursor();
     this.addButtons();
     this.addLegend();
     this.useColours();
@@ -113,6 +114,22 @@ export default {
       control.addTo(this.map);
       this.follow(true);
     },
+    addCursor() { // degrees under the mouse, or where a finger was
+      const box = L.DomUtil.create("div", "cursor");
+      box.title = "Latitude and longitude under the mouse";
+      const control = L.control({ position: "bottomleft" });
+      control.onAdd = () => box;
+      control.addTo(this.map);
+      this.map.on("mousemove click", ({ latlng }) => {
+        const place = this.hasTiles ? [latlng.lat, latlng.lng] : this.degrees(latlng);
+        box.textContent = this.origin ? place.map((each) => each.toFixed(6)).join(", ") : "";
+      });
+    },
+    degrees({ lat: north, lng: east }) {
+      const [lat, lon] = this.origin || [0, 0];
+      const scale = METRES_PER_DEGREE * Math.cos((lat * Math.PI) / 180);
+      return [lat + north / METRES_PER_DEGREE, lon + east / scale];
+    },
     addLegend() {
       const box = L.DomUtil.create("details", "legend");
       box.open = this.$el.clientWidth >= 800 && this.$el.clientHeight >= 500; // covers a smaller map
@@ -147,9 +164,7 @@ export default {
     at(point) {
       const [east, north] = point;
       if (!this.hasTiles) return [north, east];
-      const [lat, lon] = this.origin || [0, 0];
-      const scale = METRES_PER_DEGREE * Math.cos((lat * Math.PI) / 180);
-      return [lat + north / METRES_PER_DEGREE, lon + east / scale];
+      return this.degrees({ lat: north, lng: east });
     },
     line(points, style) {
       return L.polyline(points.map(this.at), { interactive: false, smoothFactor: 0.5, ...style });

@@ -122,6 +122,8 @@ class Page:
         hub = self._hub
         if self._commands is not None:
             self._commands.look()
+        if hub.version == 0:
+            return  # a replay begins when a browser is there
         if hub.version == self._shown:
             return
         self._shown = hub.version

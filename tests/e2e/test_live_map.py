@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from subprocess import PIPE
 
 import msgspec
 import pytest
@@ -224,6 +225,22 @@ def test_hostile_texts_are_shown_as_texts(browser: Browser, tmp_path: Path) -> N
         assert watched.page.title() == "Companion"
 
 
+def test_a_replay_that_no_browser_opens_ends_by_ctrl_c(tmp_path: Path) -> None:
+    fly(PLANS["two_emitters"], tmp_path)
+    options = ["replay", str(tmp_path / "0"), "--web", str(free_port())]
+    command = [sys.executable, "-m", "companion", *options]
+    with subprocess.Popen(command, text=True, stdout=PIPE, stderr=PIPE) as replay:
+        try:
+            assert replay.stdout is not None
+            lines = iter(replay.stdout.readline, "")
+            assert any("waits for a browser" in line for line in lines)
+            replay.send_signal(signal.SIGINT)
+            said = replay.communicate(timeout=PATIENCE_S)[1].splitlines()
+        finally:
+            replay.kill()
+    assert (replay.returncode, said) == (1, ["companion: interrupted"])
+
+
 def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ended(
     browser: Browser, tmp_path: Path
 ) -> None:
@@ -233,7 +250,7 @@ def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ende
     options = ["replay", str(tmp_path / "0"), "--web", str(port), "--speed", "50"]
     options += ["--web-tiles", str(with_tile(tmp_path))]
     command = [sys.executable, "-m", "companion", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as replay:
+    with subprocess.Popen(command, text=True, stdout=PIPE, stderr=PIPE) as replay:
         try:
             assert replay.stdout is not None
             url = f"http://127.0.0.1:{port}/"
@@ -256,6 +273,7 @@ def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ende
             expect(watched.page.locator("#phase")).not_to_contain_text("SILENT")
             assert watched.complaints == []
             replay.send_signal(signal.SIGINT)
-            assert replay.wait(timeout=PATIENCE_S) == 0
+            assert replay.communicate(timeout=PATIENCE_S)[1] == ""
+            assert replay.returncode == 0
         finally:
             replay.kill()

@@ -100,4 +100,8 @@ def test_the_position_is_copied_in_degrees_and_as_mgrs(
         truth = origin.geodetic_from_enu((*estimate.position_enu_m, 0.0))
         assert (latitude_deg, longitude_deg) == pytest.approx(truth[:2], abs=2e-3)
         assert grid.split()[0][-1].isalpha()
+        left, top, width, height = box_of(page, "path.estimate")
+        page.mouse.move(left + width / 2, top + height / 2)
+        under_mouse = page.locator(".cursor").inner_text().split(", ")
+        assert list(map(float, under_mouse)) == pytest.approx(truth[:2], abs=2e-4)
         assert watched.complaints == []
