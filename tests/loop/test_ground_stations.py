@@ -19,7 +19,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.observer import frames_in
-from tests.loop.loop_helpers import AUTO, run_until, said
+from tests.loop.loop_helpers import AUTO, of_system, run_until, said
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 STATION = (255, 190)
@@ -52,7 +52,7 @@ class WatchedFlight:
         scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
         self.notes = MemoryJournal()
         self.flight = Flight(
-            config, scenario, 1, self.notes, makers=Makers(simulator=StationBehind)
+            of_system(config, 1), scenario, 1, self.notes, makers=Makers(simulator=StationBehind)
         )
         assert isinstance(self.flight.sim, StationBehind)
         self.sim = self.flight.sim

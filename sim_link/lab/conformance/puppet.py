@@ -20,7 +20,8 @@ PLACE = (473_977_420, 85_455_940, 488_000)
 HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
 """A companion that compiles its kernels for the first time takes half a minute."""
-SETTLE_S = 2.0
+SETTLE_S = 5.0
+"""Until it knows the vehicle: it may listen 3 s for two systems (MAVLink guide, id assignment)."""
 UNKNOWN_COMMAND = 31_999
 SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mav.PREARM
 

@@ -16,7 +16,7 @@ from companion.io.links.transports import FlightLink, UdpBind
 from companion.io.logs.log_files import read_tlog
 from companion.io.shell import Clock
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import VEHICLE_ONLY
+from companion.link.interface import VEHICLE_ONLY, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.endpoint import Chunk
 from tests.ports import free_port
@@ -54,6 +54,7 @@ def test_a_slow_start_does_not_shift_them(tmp_path: Path, monkeypatch: pytest.Mo
     reader = pytest.importorskip("mcap.reader")
     monkeypatch.setattr(run, "prepare", lambda _: time.sleep(SLOW_START_S))
     config = CompanionConfig(
+        vehicle=VehicleParams(system_id=1),
         log=LogConfig(directory=str(tmp_path / "logs"), mcap=True),
         process=ProcessConfig(state_directory=str(tmp_path / "state"), checkpoint=False),
     )
