@@ -22,6 +22,7 @@ from companion.guidance.authority.launch import LaunchView
 from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase, Trigger
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, Topic
 from companion.guidance.context import SessionContext
+from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.health.findings import Verdict
 from companion.guidance.health.watches import Watches
@@ -289,7 +290,9 @@ class ControlTick:
         if reason is not None:
             context.warn(reason, Topic.READINESS)
         authority = context.authority
-        is_ready = context.vehicle.is_usable(now_s) and context.fencing.is_ready
+        vehicle, fencing = context.vehicle, context.fencing
+        is_ready = vehicle.is_usable(now_s) and fencing.is_ready
+        is_ready = is_ready and not missing_inputs(vehicle, fencing, now_s)
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)
             guided = f"ready: switch to {context.vehicle.guided_name} to give control"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from companion.domain import EstimateState
 from companion.guidance.authority.handover import GRANT_HOW
 from companion.guidance.authority.state_machine import Phase
+from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.session import GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 
@@ -47,7 +48,7 @@ def _while_waiting(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
     if status.detail:  # it says what to do already
         return "Switch to another mode, for example Hold or Loiter. Then it can be given control."
     session = endpoint.session
-    missing = [*session.vehicle.missing(status.time_s), *session.fencing.missing]
+    missing = missing_inputs(session.vehicle, session.fencing, status.time_s)
     if not missing:
         return "Wait a moment: the autopilot is nearly ready."
     names = " and ".join(dict.fromkeys(missing))

@@ -20,9 +20,10 @@ from companion.guidance.authority.control_authority import (
     hand_back_mode,
 )
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
-from companion.guidance.commands import Severity
+from companion.guidance.commands import Severity, Topic
 from companion.guidance.context import SessionContext
 from companion.guidance.flight.fencing import Fencing
+from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView, class_refusal
 from companion.guidance.health.findings import Finding, Reason, Verdict
 
@@ -53,8 +54,7 @@ class WaitingReason:
             return f"no control: {self._vehicle.objection}"
         if self._authority.has_id_conflict(now_s):
             return "id conflict: another system uses our ids; stop one"
-        missing = self._vehicle.missing(now_s)
-        missing += [part for part in self._fencing.missing if part not in missing]
+        missing = missing_inputs(self._vehicle, self._fencing, now_s)
         if self._vehicle.heartbeat is None or not missing:
             self._missing_since_s = None
         if not missing:
@@ -141,6 +141,7 @@ class Handover:
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._has_flown = False
+        self._missing_told: list[str] = []
         """Whether it was in the air since control began."""
         self._was_told = False
         """Whether it was announced that offboard does not count ..."""
@@ -249,6 +250,7 @@ class Handover:
         self._tell_why_it_does_not_count()
         if context.vehicle.objection is not None:
             return
+        self._tell_what_is_missing(now_s)
         if not (context.authority.may_begin and context.vehicle.obeys_setpoints):
             return
         is_launched = context.phase is Phase.LAUNCHING
@@ -264,6 +266,17 @@ class Handover:
             context.record_finding(CHECKING, now_s)
             text = f"in control: autopilot is in {context.vehicle.guided_name}"
             context.announce(Severity.NOTICE, text)
+
+    def _tell_what_is_missing(self, now_s: float) -> None:
+        """Why nothing follows from the mode that the operator gave before it was ready."""
+        context = self._context
+        missing = missing_inputs(context.vehicle, context.fencing, now_s)
+        if missing == self._missing_told or context.phase is not Phase.WAITING:
+            return
+        self._missing_told = missing
+        if missing:
+            name, parts = context.vehicle.guided_name, " and ".join(missing)
+            context.warn(f"{name} without control: waiting for {parts}", Topic.READINESS)
 
     def _tell_why_it_does_not_count(self) -> None:
         context = self._context

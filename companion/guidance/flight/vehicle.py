@@ -352,22 +352,17 @@ class VehicleView:
             self.objection is None
             and self.is_mode_known(now_s)
             and self.home_enu_m is not None
-            and (self.origin is not None or not self._needs_origin)
+            and self.has_origin
             and self.is_position_fresh(now_s)
             and not self.is_link_lost(now_s)
         )
 
-    def missing(self, now_s: float) -> list[str]:
-        """What is not there yet, in words, of what guiding it takes."""
-        parts = {
-            "the autopilot": self.heartbeat is not None and not self.is_link_lost(now_s),
-            self._position_wanted(now_s): self.is_position_fresh(now_s),
-            "a home position": self.home_enu_m is not None,
-            "the origin": self.origin is not None or not self._needs_origin,
-        }
-        return [name for name, is_there in parts.items() if not is_there]
+    @property
+    def has_origin(self) -> bool:
+        """Whether the origin is known, where setpoints need it."""
+        return self.origin is not None or not self._needs_origin
 
-    def _position_wanted(self, now_s: float) -> str:
+    def position_wanted(self, now_s: float) -> str:
         """A position, or a younger one than a slow link brings."""
         latest = self.track.latest
         if latest is None or now_s - latest.time_s > LINK_LOST_S + STALE_STATE_S:

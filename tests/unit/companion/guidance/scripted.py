@@ -101,6 +101,8 @@ class ScriptedFlight:
         self.has_heartbeat = True
         self.has_position = True
         self.has_ranging = True
+        self.reports_landed = autopilot is Autopilot.ARDUPILOT
+        """Whether it says by itself that it is in the air where it is `ready`."""
         self._rng = random.Random(1)
         self.log: list[tuple[float, Command]] = []
         self.r95_history: list[tuple[float, float]] = []
@@ -236,6 +238,8 @@ class ScriptedFlight:
         """In the air in hold, with everything known."""
         self.is_armed = True
         self.heartbeat()
+        if self.session.vehicle.landed is LandedState.UNKNOWN and self.reports_landed:
+            self.report_landed(LandedState.IN_AIR)
         self.locate()
         self.fly(1.0)
         return self
