@@ -331,6 +331,7 @@ def _is_expected(name: str, facts: AutopilotFacts) -> bool:
         "EKF_STATUS_REPORT": facts.autopilot is Autopilot.ARDUPILOT,
         "POSITION_TARGET_LOCAL_NED": facts.is_armed,
         "RC_CHANNELS": facts.has_rc is not False,
+        "GPS2_RAW": False,  # only where a second receiver is fitted
     }
     return expected.get(name, True)
 

@@ -17,6 +17,8 @@ from sim_link.autopilot.protocols.addressing import Addressing, Outgoing, Partne
 NS_PER_S = 1_000_000_000
 LOOP_S = 0.0025
 """ArduCopter looks at its links so often: SCHED_LOOP_RATE is 400 Hz."""
+ROUNDING_S = 1e-9
+"""Times since boot and since the simulator began differ by less, but they differ."""
 RECEIVE_BUFFER = 512
 """Bytes of a port that can wait to be read: AP_HAL_SITL `UARTDriver`, `_readbuffer`."""
 BITS_PER_BYTE = 10
@@ -130,7 +132,8 @@ class Clocks:
 
     def due(self, now_s: float) -> list[Outgoing]:
         """Answers that waited for the autopilot's loop."""
-        ready = [each for each in self._waiting if now_s >= each.arrived_s + LOOP_S]
+        until_s = now_s + ROUNDING_S
+        ready = [each for each in self._waiting if until_s >= each.arrived_s + LOOP_S]
         self._waiting = self._waiting[len(ready) :]
         outgoing = []
         for each in ready:
