@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
@@ -52,7 +53,14 @@ examples:
 
 
 class ComplaintParser(argparse.ArgumentParser):
-    """Raises what argparse would print, so that every complaint is one line."""
+    """Raises what argparse would print, so that every complaint is one line.
+
+    What begins with a minus and a digit is a value, as a southern latitude: no option does.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""

@@ -224,9 +224,15 @@ def _local_area(area: GeoArea, origin: LocalOrigin, *, is_inside: bool) -> Corne
     )
     if area.radius_m is None:
         return corners
-    (east, north), half_rad = corners[0], math.pi / CIRCLE_CORNERS
+    half_rad = math.pi / CIRCLE_CORNERS
     radius_m = area.radius_m if is_inside else area.radius_m / math.cos(half_rad)
-    turns = [2.0 * half_rad * index for index in range(CIRCLE_CORNERS)]
+    return circle_about(corners[0], radius_m)
+
+
+def circle_about(middle: Point, radius_m: float) -> Corners:
+    """A polygon whose corners lie on a circle."""
+    east, north = middle
+    turns = [2.0 * (math.pi / CIRCLE_CORNERS) * index for index in range(CIRCLE_CORNERS)]
     return tuple(
         (east + radius_m * math.cos(turn), north + radius_m * math.sin(turn)) for turn in turns
     )

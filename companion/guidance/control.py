@@ -68,7 +68,7 @@ class Reporting:
         heard_s = context.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
         flown = context.estimate if context.phase in FLYING and is_fresh else None
-        head = self._head(flown, now_s)
+        head = self._head(flown, heard_s, now_s)
         if head is not None and flown is not None:
             if head is SETTLED:
                 text = f"stop radius out of reach: relative R95 settled at {flown.r95_m:.2g} m"
@@ -86,14 +86,16 @@ class Reporting:
             is_landing = params.on_localised == "land"
             self._finish(FlightMode.LAND if is_landing else FlightMode.RETURN, now_s)
 
-    def _head(self, flown: TargetEstimate | None, now_s: float) -> str | None:
+    def _head(
+        self, flown: TargetEstimate | None, heard_s: float | None, now_s: float
+    ) -> str | None:
         """What a report begins with that is due by now; None: none is."""
         params = self._context.params
         confirm_s, settle_s = params.stop_confirm_s, params.settle_s
         is_reached = self._stop_rule.is_met(flown, now_s, params.stop_radius_m, confirm_s)
         if settle_s is None:
             return LOCALISED if is_reached else None
-        is_settled = self._settled_rule.is_met(flown, now_s, max(settle_s, confirm_s))
+        is_settled = self._settled_rule.is_met(flown, heard_s, max(settle_s, confirm_s))
         return LOCALISED if is_reached else SETTLED if is_settled else None
 
     def _is_battery_end(self, now_s: float) -> bool:
@@ -311,6 +313,8 @@ class ControlTick:
         elif heartbeat is None or height_m is None or home is None or not vehicle.is_usable(now_s):
             launch.wait(now_s)
         else:
+            most_m = context.guard.limits.envelope.altitude_max_m
+            launch.altitude_m = min(launch.altitude_m, most_m)  # of a fence that was just read
             has_origin = vehicle.origin is not None
             view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
             context.send(*launch.tick(view))

@@ -278,6 +278,43 @@ class AutopilotFenceRead(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class FenceLimits:
+    """The autopilot's fence as far as parameters make it; None: no such limit."""
+
+    radius_m: float | None = None
+    """Horizontally, about home."""
+    altitude_max_m: float | None = None
+    """Above home."""
+    altitude_min_m: float | None = None
+    margin_m: float = 0.0
+    """How far inside the autopilot stops by itself."""
+
+    def strictest(self, other: FenceLimits) -> FenceLimits:
+        """What two allow together."""
+        return FenceLimits(
+            _least(self.radius_m, other.radius_m),
+            _least(self.altitude_max_m, other.altitude_max_m),
+            max((self.altitude_min_m, other.altitude_min_m), key=_or_lowest),
+            max(self.margin_m, other.margin_m),
+        )
+
+
+def _least(one: float | None, other: float | None) -> float | None:
+    return min((each for each in (one, other) if each is not None), default=None)
+
+
+def _or_lowest(limit: float | None) -> float:
+    return -math.inf if limit is None else limit
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotFenceLimitsRead(Event):
+    """The autopilot told parameters that are a fence."""
+
+    limits: FenceLimits
+
+
+@dataclass(frozen=True, slots=True)
 class AutopilotFenceChanged(Event):
     """The autopilot shows that its fence is another one now; which one is not read yet."""
 

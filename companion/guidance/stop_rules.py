@@ -44,20 +44,40 @@ ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
 
 
 class SettledRule:
-    """R95 of one place does not improve any more."""
+    """R95 of one place does not improve any more, though measurements come.
+
+    Only time between measurements that were accepted in flight counts: while the vehicle holds, or
+    its radio or its clock fails, nothing is learnt, and that R95 stays as it is says nothing.
+    """
 
     def __init__(self) -> None:
+        self._learnt_s = 0.0
+        """Time between accepted measurements."""
+        self._heard_s: float | None = None
+        """Of the last one; None: the vehicle held since then, or nothing was heard for long."""
         self._mark: tuple[float, float] | None = None
-        """When R95 improved last, and to what."""
+        """After how much of that time R95 improved last, and to what."""
 
     def begin_anew(self) -> None:
         """What was seen so far counts no more."""
         self._mark = None
 
-    def is_met(self, estimate: TargetEstimate | None, now_s: float, settle_s: float) -> bool:
-        """Whether it has not improved for so long; without an estimate nothing is learnt."""
-        if estimate is None:
+    def is_met(
+        self, estimate: TargetEstimate | None, heard_s: float | None, settle_s: float
+    ) -> bool:
+        """Whether it has not improved for so long; without an estimate nothing is learnt.
+
+        Args:
+            estimate: None while the plan is not flown, or no measurements come.
+            heard_s: Time of the last accepted measurement.
+            settle_s: How much time between measurements must pass without improvement.
+        """
+        if estimate is None or heard_s is None:
+            self._heard_s = None
             return False
+        if self._heard_s is not None:
+            self._learnt_s += max(0.0, heard_s - self._heard_s)
+        self._heard_s = heard_s
         r95_m = estimate.r95_m
         is_localised = estimate.state is EstimateState.LOCALISED
         if estimate.state not in ONE_PLACE or (r95_m > MOST_SETTLED_M and not is_localised):
@@ -66,5 +86,5 @@ class SettledRule:
         if self._mark is None or not (
             IMPROVED_SHARE * self._mark[1] <= r95_m <= WORSE_RATIO * self._mark[1]
         ):
-            self._mark = (now_s, r95_m)
-        return now_s - self._mark[0] >= settle_s
+            self._mark = (self._learnt_s, r95_m)
+        return self._learnt_s - self._mark[0] >= settle_s

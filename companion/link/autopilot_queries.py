@@ -29,6 +29,7 @@ from companion.guidance.flight.fencing import Fencing
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
 from companion.link.fence_download import FenceDownload
+from companion.link.fence_parameters import FenceParameters
 from companion.link.intake import RateLimit
 from companion.link.outbound import Ids, VehicleCommand
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
@@ -386,6 +387,7 @@ class AutopilotQueries:
         self._binding = binding
         self._fencing = fencing
         self.fence = FenceDownload()
+        self.fence_parameters = FenceParameters()
         self._streams = StreamRequester(self.freshness)
         self.stopper = StreamStopper() if stops_unread else None
         self._px4_check = Px4FailsafeCheck()
@@ -415,6 +417,8 @@ class AutopilotQueries:
         request = self.fence.due(
             now_s, ids, is_wanted=fencing.wants_reading, is_followed=fencing.is_followed
         )
+        if request is None and fencing.is_followed:
+            request = self.fence_parameters.due(now_s, binding.autopilot, ids)
         request = request or self._streams.due(
             now_s, ids, binding.autopilot, is_mode_wanted=is_mode_wanted
         )
@@ -439,16 +443,16 @@ class AutopilotQueries:
         if pace is None or now_s < self._next_pace_text_s:
             return []
         self._next_pace_text_s = now_s + PACE_AGAIN_S
+        off_pct = 100.0 * abs(pace - 1.0)
         if abs(pace - 1.0) > MAX_PACE:
             text = (
                 f"autopilot's clock runs at {pace:.2g} times real time: start the companion with "
                 f"--speed {pace:.2g}, or the autopilot in real time"
             )
+        elif pace < 1.0:
+            text = f"autopilot's clock runs {off_pct:.0f} % slow: its computer is too busy"
         else:
-            how = " % slow: its computer is too busy"
-            if pace > 1.0:
-                how = " % fast: check its simulator"
-            text = f"autopilot's clock runs {100.0 * abs(pace - 1.0):.0f}{how}"
+            text = f"autopilot's clock runs {off_pct:.0f} % fast: check its simulator"
         return [Announce(Severity.WARNING, text)]
 
     def _stream_texts(self, now_s: float) -> list[Announce]:
@@ -473,3 +477,4 @@ class AutopilotQueries:
         if self.stopper is not None:
             self.stopper.restart()
         self.fence.restart()
+        self.fence_parameters.restart()

@@ -8,6 +8,7 @@ from companion.domain import Autopilot
 from companion.guidance import commands
 from companion.guidance.events import (
     AutopilotFenceChanged,
+    AutopilotFenceLimitsRead,
     AutopilotRestarted,
     Event,
     RequestAnswered,
@@ -112,6 +113,9 @@ class SessionExecutor:
             self.handle(event, now_s)
         if self._queries.fence.notice(message, self.outlet.own_ids):
             self.handle(AutopilotFenceChanged(now_s), now_s)
+        parameters = self._queries.fence_parameters
+        if parameters.receive(message, self.binding.autopilot):
+            self.handle(AutopilotFenceLimitsRead(now_s, parameters.limits), now_s)
         fence = self._queries.fence.receive(message, now_s, self.outlet.own_ids)
         if fence is not None:
             self.handle(fence, now_s)

@@ -118,10 +118,15 @@ def estimate_message(
 
 
 def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
-    """NAMED_VALUE_FLOATs of an estimate, in metres about the local origin."""
+    """NAMED_VALUE_FLOATs of an estimate, in metres about the local origin, with its covariance.
+
+    All that a station behind PX4 gets: PX4 1.16 passes on no message that it does not know.
+    """
     east_m, north_m = estimate.position_enu_m
+    (var_east, covariance), (_, var_north) = estimate.covariance_m2
     values = {b"TGT_EAST": east_m, b"TGT_NORTH": north_m, b"TGT_R95": estimate.r95_m}
     values[b"TGT_R95ABS"] = estimate.absolute_r95_m
+    values |= {b"TGT_VAR_E": var_east, b"TGT_VAR_N": var_north, b"TGT_COV_EN": covariance}
     return [
         mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, value)
         for name, value in values.items()

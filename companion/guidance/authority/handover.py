@@ -157,7 +157,9 @@ class Handover:
     def handle(self, event: events.Event) -> None:
         """What an event of the autopilot or the operator means for who flies; others nothing."""
         match event:
-            case events.OriginSet() | events.AutopilotFenceRead():
+            case (
+                events.OriginSet() | events.AutopilotFenceRead() | events.AutopilotFenceLimitsRead()
+            ):
                 self._update_fence(event)
             case events.HeartbeatReceived():
                 self._note_mode(event)
@@ -351,12 +353,17 @@ class Handover:
         finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
         context.passing.hold(finding, event.time_s + SETTLE_S)
 
-    def _update_fence(self, event: events.OriginSet | events.AutopilotFenceRead) -> None:
+    def _update_fence(
+        self,
+        event: events.OriginSet | events.AutopilotFenceRead | events.AutopilotFenceLimitsRead,
+    ) -> None:
         """What the guard's fence stands on became known, or another one."""
         context, fencing = self._context, self._context.fencing
         before = (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilots)
         if isinstance(event, events.OriginSet):
             fencing.set_origin(event.origin)
+        elif isinstance(event, events.AutopilotFenceLimitsRead):
+            fencing.take_limits(event.limits)
         else:
             fencing.take(event)
         if (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilots) == before:

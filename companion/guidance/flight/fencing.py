@@ -27,11 +27,18 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from companion.geometry.coordinates import LocalOrigin
-from companion.geometry.geofence import DISTORTION, GeoFence, LocalFence, difference
+from companion.geometry.geofence import (
+    DISTORTION,
+    GeoFence,
+    LocalFence,
+    circle_about,
+    difference,
+)
 from companion.geometry.polygons import Corners, Point, area_m2
+from companion.guard.envelope import Envelope
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, GuardLimits
-from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.events import AutopilotFenceRead, FenceLimits
 
 TOLERANCE_M = 1.0
 """How far apart two borders may be that are meant to be the same."""
@@ -83,6 +90,10 @@ class Fencing:
         self._read: AutopilotFenceRead | None = None
         self._flown: tuple[GeoFence, ...] = ()
         """The autopilot's fences of this flight, the newest first; on the ground only that."""
+        self._limits = FenceLimits()
+        """The autopilot's fence by parameters; in the air the strictest of this flight."""
+        self._home_enu_m: Point | None = None
+        """What its circle is about."""
         self.is_urgent = False
         """The autopilot's fence is to be read once more, at once."""
         self._is_airborne = self._is_in_control = False
@@ -177,6 +188,18 @@ class Fencing:
         self._flown = fences
         self._settle()
 
+    def take_limits(self, limits: FenceLimits) -> None:
+        """Take in what parameters of the autopilot limit; in the air nothing gets wider."""
+        if self.is_followed:
+            self._limits = self._limits.strictest(limits) if self._is_airborne else limits
+            self._settle()
+
+    def set_home(self, home_enu_m: Point) -> None:
+        """Take in where the autopilot's home is, east and north."""
+        before, self._home_enu_m = self._home_enu_m, home_enu_m
+        if self._limits.radius_m is not None and before != home_enu_m:
+            self._settle()
+
     def doubt(self) -> None:
         """The autopilot's fence is another one now, to be read before anything is flown on it."""
         self.is_doubted = self.is_followed
@@ -203,8 +226,8 @@ class Fencing:
 
     def forget(self) -> None:
         """The autopilot restarted: its origin and its fence are not known any more; ours stays."""
-        self._origin = self._read = None
-        self._flown, self.is_doubted = (), False
+        self._origin = self._read = self._home_enu_m = None
+        self._flown, self.is_doubted, self._limits = (), False, FenceLimits()
         self._settle()
 
     @property
@@ -214,22 +237,67 @@ class Fencing:
 
     def _settle(self) -> None:
         self.refusal = self.note = None
+        self._kept_to = ""
         fence: Fence | None = None
+        envelope = self.plan.limits.envelope
         if self._is_read and self._has_origin:
             try:
                 fence = self._fence()
                 self._compare()
-                fence = self._strictest(fence)
+                fence = self._inside_circle(self._strictest(fence))
+                envelope = self._between_heights(envelope)
             except ValueError as error:
                 self.refusal = str(error)
         usable = fence if self.refusal is None else None
-        self.guard.use(replace(self.plan.limits, fence=usable))
+        self.guard.use(replace(self.plan.limits, fence=usable, envelope=envelope))
+
+    def _inside_circle(self, fence: Fence | None) -> Fence | None:
+        """A fence that also keeps to the autopilot's circle about home, if that cuts into it."""
+        radius_m, home = self._limits.radius_m, self._home_enu_m
+        if radius_m is None or home is None:
+            return fence
+        margin_m = max(self.plan.margin_m, self._limits.margin_m)
+        if fence is not None:
+            margin_m = max(fence.margin_m, margin_m)
+            if all(math.dist(home, corner) <= radius_m for corner in fence.polygon_enu_m):
+                return fence
+        self._keep_to(f"{radius_m:g} m about home")
+        circle = circle_about(home, radius_m)
+        if fence is None:
+            return Fence(circle, margin_m)
+        others = (*fence.also_inside_enu_m, circle)
+        return Fence(fence.polygon_enu_m, margin_m, fence.keep_out_enu_m, others)
+
+    def _keep_to(self, part: str) -> None:
+        """Note what of the parameters is stricter than the configuration."""
+        self._kept_to = f"{self._kept_to}, {part}" if self._kept_to else part
+        self.note = f"keeping to the autopilot's fence parameters: {self._kept_to}"
+
+    def _between_heights(self, envelope: Envelope) -> Envelope:
+        """The heights that are allowed and inside the autopilot's limits by its margin."""
+        limits = self._limits
+        most_m, least_m = envelope.altitude_max_m, envelope.altitude_min_m
+        if limits.altitude_max_m is not None:
+            most_m = min(most_m, limits.altitude_max_m - limits.margin_m)
+        if limits.altitude_min_m is not None:
+            least_m = max(least_m, limits.altitude_min_m + limits.margin_m)
+        if (least_m, most_m) == (envelope.altitude_min_m, envelope.altitude_max_m):
+            return envelope
+        if least_m >= most_m:
+            raise ValueError(
+                f"the autopilot's fence parameters leave no height: above {least_m:g} m and "
+                f"below {most_m:g} m; change them, or limits.altitude_min_m"
+            )
+        self._keep_to(f"heights from {least_m:g} to {most_m:g} m")
+        return replace(envelope, altitude_min_m=least_m, altitude_max_m=most_m)
 
     def _fence(self) -> Fence | None:
         plan, site = self.plan, self.plan.site
         if plan.policy is FencePolicy.USE:
             site = self._autopilots() or (self._flown[0] if self._flown else None)
             if site is None:
+                if self._limits.radius_m is not None:
+                    return None  # its circle is the fence
                 raise ValueError("the autopilot has no fence to use")
         if site is None or self._origin is None:
             return self._local_fence(plan.limits.fence)

@@ -38,6 +38,11 @@ class FenceWatch(Watch):
     def tick(self, now_s: float) -> None:
         """Follow who flies, and since when something is wrong."""
         context, vehicle, fencing = self._context, self._context.vehicle, self._context.fencing
+        if vehicle.reported_home_enu_m is not None:
+            before = fencing.note
+            fencing.set_home(vehicle.reported_home_enu_m[:2])
+            if fencing.note is not None and fencing.note != before:
+                context.warn(fencing.note)
         fencing.follow(
             is_airborne=vehicle.is_armed and vehicle.landed is not LandedState.ON_GROUND,
             is_in_control=context.phase in IN_CONTROL,

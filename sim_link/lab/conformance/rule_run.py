@@ -58,9 +58,7 @@ class Caretaker(PlanClient):
         for name in list(baseline.parameters):
             with suppress(Violation):  # it is told at the end
                 self.put_back(name)
-        for number in sorted(baseline.intervals):
-            self.set_interval(number, 0.0)
-        baseline.intervals.clear()
+        self.restore_intervals()
         if baseline.home is not None:
             self.set_home(baseline.home)
             baseline.home = None

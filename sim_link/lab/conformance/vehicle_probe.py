@@ -47,6 +47,8 @@ FLIGHT_HEIGHT_M = 10.0
 CLIMB_S = 40.0
 
 PADDING = 7
+Interval = mavlink.MAVLink_message_interval_message
+GET_INTERVAL = mavlink.MAV_CMD_GET_MESSAGE_INTERVAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +75,10 @@ class Baseline:
     parameters: dict[str, Parameter] = field(default_factory=dict)
     plans: dict[int, list[Any] | None] = field(default_factory=dict)
     """The items of each MAV_MISSION_TYPE; None: they could not be read."""
-    intervals: set[int] = field(default_factory=set)
-    """Messages whose rates are not the link's own any more."""
+    intervals: dict[int, float] = field(default_factory=dict)
+    """Seconds between messages whose rates are not the link's own any more, as before; -1: off."""
+    unknown_rates: set[int] = field(default_factory=set)
+    """Messages whose rates could not be read before they were changed."""
     home: tuple[int, int, float] | None = None
     start_e7: tuple[int, int] | None = None
     """Where flights begin; they come back there, or the next ones would lead ever farther away."""
@@ -92,6 +96,11 @@ class Baseline:
             + ("it could not be read before" if items is None else f"it had {len(items)} items")
             for kind, items in self.plans.items()
         ]
+        if self.unknown_rates:
+            names = ", ".join(
+                mavlink.mavlink_map[number].msgname for number in sorted(self.unknown_rates)
+            )
+            told.append(f"rates are the mode's default now, they could not be read: {names}")
         return told + (["home is not restored: set it again"] if self.home else [])
 
 
@@ -224,10 +233,42 @@ class VehicleProbe(Station):
         return self.expect(kind, where, mark=self.asked)
 
     def set_interval(self, kind: type[Message] | int, interval_s: float) -> int:
-        """SET_MESSAGE_INTERVAL (-1 stops, 0: the default) of a message or an id; its MAV_RESULT."""
+        """SET_MESSAGE_INTERVAL (-1 stops, 0: the default) of a message or an id; its MAV_RESULT.
+
+        The default is the mode's; what a start script of PX4 had set is read before and put back.
+        """
         number = kind if isinstance(kind, int) else kind.id
-        if interval_s != 0.0:
-            self.baseline.intervals.add(number)
+        intervals = self.baseline.intervals
+        before_s = None if number in intervals else self._interval_s(number)
+        result = self._set_interval(number, interval_s)
+        if result == mav.ACCEPTED and number not in intervals:
+            intervals[number] = 0.0 if before_s is None else before_s
+            if before_s is None:
+                self.baseline.unknown_rates.add(number)
+        return result
+
+    def restore_intervals(self) -> None:
+        """Set all rates that were changed to what they were."""
+        for number, interval_s in sorted(self.baseline.intervals.items()):
+            self._set_interval(number, interval_s)
+        self.baseline.intervals.clear()
+
+    def _interval_s(self, number: int) -> float | None:
+        """The interval of a message now, -1: off, by MESSAGE_INTERVAL; None: it is not told.
+
+        PX4 tells 0 of a stream that is off, as of a message that there is not.
+        """
+        if self.command(GET_INTERVAL, float(number)) != mav.ACCEPTED:
+            return None
+        try:
+            told = self.expect(Interval, lambda m: m.message_id == number, mark=self.asked)
+        except Violation:
+            return None
+        if told.interval_us > 0:
+            return float(told.interval_us) / 1e6
+        return -1.0 if told.interval_us < 0 or self.is_px4 else None
+
+    def _set_interval(self, number: int, interval_s: float) -> int:
         microseconds = interval_s * 1e6 if interval_s > 0.0 else interval_s
         return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(number), microseconds)
 
@@ -326,10 +367,27 @@ class VehicleProbe(Station):
 
     def get_ready(self) -> None:
         """Wait until it can be armed, in the mode that flights begin in."""
+        self._await_position()
         self.set_mode("hold" if self.is_px4 else "offboard")
         self.watch(mav.SysStatus, 0.2)
         self.await_prearm()
-        self.watch(mav.LocalPosition)
+
+    def _await_position(self) -> None:
+        """Wait until it knows where it is; `NotReady`: it does not.
+
+        ArduPilot reports PREARM_CHECK as good in STABILIZE, which needs no position, and refuses
+        GUIDED until its EKF has one, 18 s later.
+        """
+        self.set_interval(mav.LocalPosition, POSITION_INTERVAL_S)
+        mark = self.asked
+
+        def has_position() -> bool:
+            return any(isinstance(e.message, mav.LocalPosition) for e in self.inbox[mark:])
+
+        self.run_until(lambda: has_position() or self._is_silent(), READY_S)
+        if not has_position():
+            require(not self._is_silent(), "nothing is heard any more")
+            raise NotReady(f"no LOCAL_POSITION_NED within {READY_S:g} s: wait for its position")
 
     def _get_charged(self) -> None:
         percent = self.latest(mav.SysStatus).battery_remaining

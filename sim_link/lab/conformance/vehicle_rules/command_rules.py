@@ -9,7 +9,13 @@ from collections import Counter
 from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.rules import ASKS, CHANGES, FLIES, PX4, RuleBook, assume, require
-from sim_link.lab.conformance.vehicle_probe import ACK_S, VehicleProbe, is_ready
+from sim_link.lab.conformance.vehicle_probe import (
+    ACK_S,
+    GET_INTERVAL,
+    Interval,
+    VehicleProbe,
+    is_ready,
+)
 
 SERVICE = "MAVLink guide, Command Protocol"
 LONG_RUNNING = f"{SERVICE} (long-running commands)"
@@ -25,9 +31,7 @@ VERSION_ID = float(mav.Version.id)
 ATTITUDE_ID = float(mav.Attitude.id)
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-GET_INTERVAL = mavlink.MAV_CMD_GET_MESSAGE_INTERVAL
 CALIBRATION = mavlink.MAV_CMD_PREFLIGHT_CALIBRATION
-Interval = mavlink.MAVLink_message_interval_message
 SetMode = mavlink.MAVLink_set_mode_message
 
 
@@ -69,7 +73,15 @@ class CommandRules(VehicleProbe):
     @book.rule(f"{SERVICE}; MAVSDK fills unused parameters with NaN")
     def unused_parameters_may_be_nan(self) -> None:
         """Parameters that a command does not use may be NaN, or any number."""
-        for filler in (mav.NAN, 0.0, -1.0, math.inf, 3e38):
+        self._fill_unused(mav.NAN, 0.0, -1.0)
+
+    @book.rule(f"{SERVICE}; ArduPilot's SITL ends at an overflow (SIM_FLOAT_EXCEPT)", harms=True)
+    def unused_parameters_may_be_beyond_all_integers(self) -> None:
+        """Parameters that a command does not use may be infinite, or larger than any integer."""
+        self._fill_unused(math.inf, 3e38)
+
+    def _fill_unused(self, *fillers: float) -> None:
+        for filler in fillers:
             self.require_result(mav.ACCEPTED, mav.REQUEST, VERSION_ID, *[filler] * 5, 0.0)
 
     @book.rule(f"{MESSAGES}; {mav.OBSERVED_PX4} (the message first)")

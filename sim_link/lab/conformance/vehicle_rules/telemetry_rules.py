@@ -106,6 +106,7 @@ class StreamRules(VehicleProbe):
     @book.rule(INTERVALS)
     def stream_can_be_stopped_and_restored(self) -> None:
         """Interval -1 stops a stream and 0 restores its default."""
+        self.set_interval(mav.Attitude, 0.0)  # a start script may have set another rate
         default_hz = self._attitude_hz(5.0)
         self.set_interval(mav.Attitude, 0.1)
         require(self._attitude_hz(2.0) > 5.0, "it does not flow")

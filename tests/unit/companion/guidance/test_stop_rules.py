@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from companion.domain import EstimateState, TargetEstimate
 from companion.guidance.stop_rules import MOST_SETTLED_M, SettledRule
 
@@ -43,10 +45,22 @@ def test_a_wide_place_settles_where_nobody_asked_for_a_narrower_one() -> None:
     assert [rule.is_met(wide, t, SETTLE_S) for t in (0.0, 29.0, 30.0)] == [False, False, True]
 
 
-def test_two_places_never_settle_and_a_gap_in_between_does_no_harm() -> None:
+def test_two_places_never_settle() -> None:
     rule = SettledRule()
     two = _estimate(5.0, EstimateState.AMBIGUOUS)
     assert not any(rule.is_met(two, float(s), SETTLE_S) for s in range(100))
-    assert not rule.is_met(_estimate(5.0), 100.0, SETTLE_S)
-    assert not rule.is_met(None, 120.0, SETTLE_S)
-    assert rule.is_met(_estimate(5.0), 130.0, SETTLE_S)
+
+
+@pytest.mark.parametrize("gap_s", [1.0, 12.0, 300.0])
+def test_time_without_measurements_is_no_time_without_improvement(gap_s: float) -> None:
+    rule = SettledRule()
+    assert not any(rule.is_met(_estimate(5.0), float(s), SETTLE_S) for s in range(25))
+    assert not rule.is_met(None, 24.0, SETTLE_S)
+    again_s = 24.0 + gap_s
+    after = [rule.is_met(_estimate(5.0), again_s + s, SETTLE_S) for s in range(8)]
+    assert after == [False] * 6 + [True] * 2
+
+
+def test_a_measurement_that_is_seen_many_times_counts_once() -> None:
+    rule = SettledRule()
+    assert not any(rule.is_met(_estimate(5.0), 3.0, SETTLE_S) for _ in range(2000))

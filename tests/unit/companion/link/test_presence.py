@@ -87,7 +87,9 @@ def test_values_are_local_metres_with_names_that_fit() -> None:
     told = [on_the_wire(message) for message in named_values(ESTIMATE, 10.0)]
     values = {message.name: message.value for message in told}
     radii = {"TGT_R95": pytest.approx(6.4), "TGT_R95ABS": 7.5}
-    assert values == {"TGT_EAST": 30.0, "TGT_NORTH": -40.0, **radii}
+    (var_east, covariance), (_, var_north) = ESTIMATE.covariance_m2
+    spread = {"TGT_VAR_E": var_east, "TGT_VAR_N": var_north, "TGT_COV_EN": covariance}
+    assert values == {"TGT_EAST": 30.0, "TGT_NORTH": -40.0, **radii, **spread}
     assert all(len(name) <= 10 for name in values)
 
 
@@ -140,8 +142,16 @@ def test_once_a_second_on_all_links_and_an_icon_on_those_of_stations_only() -> N
         assert estimates[-1].north == pytest.approx(-40.0, abs=5.0)
         assert estimates[-1].east == pytest.approx(30.0, abs=5.0)
         names = [m.name for m in told if isinstance(m, NamedValue)]
-        assert set(names) == {"TGT_EAST", "TGT_NORTH", "TGT_R95", "TGT_R95ABS"}
-        assert len(names) == 4 * len(estimates)
+        assert set(names) == {
+            "TGT_EAST",
+            "TGT_NORTH",
+            "TGT_R95",
+            "TGT_R95ABS",
+            "TGT_VAR_E",
+            "TGT_VAR_N",
+            "TGT_COV_EN",
+        }
+        assert len(names) == 7 * len(estimates)
     icons = [m for m in told_on(wire, 1) if isinstance(m, Icon)]
     assert icons
     assert not [m for m in told_on(wire, 0) if isinstance(m, Icon)]

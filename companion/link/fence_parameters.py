@@ -1,0 +1,105 @@
+"""Fences that are parameters of the autopilot: a circle about home, and heights above it.
+
+ArduPilot keeps FENCE_RADIUS, FENCE_ALT_MAX and FENCE_ALT_MIN, each with a bit of FENCE_TYPE, where
+FENCE_ENABLE is 1, and stops FENCE_MARGIN inside. PX4 keeps GF_MAX_HOR_DIST and GF_MAX_VER_DIST
+where they are above 0, unless GF_ACTION is 0. None of it is an item of the fence's plan.
+
+Each parameter is asked for by its name, a few times; both autopilots tell all links of a change.
+
+Source: ArduPilot `AC_Fence.cpp` (4.5), Copter Parameter List; PX4 Parameter Reference, Geofence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from companion.domain import Autopilot
+from companion.guidance.events import FenceLimits
+from companion.mav.dialect import Message, mavlink
+from companion.mav.param_encoding import ParamEncoding, ParamType, name_of, raw_of, value_from_raw
+
+NAMES = {
+    Autopilot.ARDUPILOT: (
+        "FENCE_ENABLE",
+        "FENCE_AUTOENABLE",
+        "FENCE_TYPE",
+        "FENCE_RADIUS",
+        "FENCE_ALT_MAX",
+        "FENCE_ALT_MIN",
+        "FENCE_MARGIN",
+    ),
+    Autopilot.PX4: ("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"),
+}
+ALTITUDE_MAX, CIRCLE, ALTITUDE_MIN = 1, 2, 8
+"""Bits of FENCE_TYPE."""
+KINDS = frozenset(int(kind) for kind in ParamType)
+RESEND_S = 1.0
+TRIES = 8
+"""Of each; an autopilot that has no such parameter does not answer."""
+
+
+class FenceParameters:
+    """Asks for the parameters of the fence, and keeps what the autopilot tells of them."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """The autopilot restarted, maybe with other parameters."""
+        self._values: dict[str, float] = {}
+        self._asked: dict[str, tuple[int, float]] = {}
+        """How often each was asked for, and when last."""
+
+    def due(self, now_s: float, autopilot: Autopilot, target: tuple[int, int]) -> Message | None:
+        """The next request to send, if any."""
+        for name in NAMES.get(autopilot, ()):
+            tries, asked_s = self._asked.get(name, (0, -math.inf))
+            if name in self._values or tries >= TRIES or now_s - asked_s < RESEND_S:
+                continue
+            self._asked[name] = (tries + 1, now_s)
+            return mavlink.MAVLink_param_request_read_message(*target, name.encode(), -1)
+        return None
+
+    def receive(self, message: Message, autopilot: Autopilot) -> bool:
+        """Take in a message of the autopilot; whether its limits are others now."""
+        if not isinstance(message, mavlink.MAVLink_param_value_message):
+            return False
+        name = name_of(message)
+        if name not in NAMES.get(autopilot, ()) or message.param_type not in KINDS:
+            return False
+        is_px4 = autopilot is Autopilot.PX4
+        encoding = ParamEncoding.BYTEWISE if is_px4 else ParamEncoding.C_CAST
+        value = value_from_raw(raw_of(message), ParamType(message.param_type), encoding)
+        if not math.isfinite(value):
+            return False
+        before = self.limits
+        self._values[name] = value
+        return self.limits != before
+
+    @property
+    def limits(self) -> FenceLimits:
+        """What they say, as far as they were told."""
+        values = self._values
+        return _of_px4(values) if "GF_ACTION" in values else _of_ardupilot(values)
+
+
+def _of_ardupilot(values: Mapping[str, float]) -> FenceLimits:
+    if not (values.get("FENCE_ENABLE", 0) or values.get("FENCE_AUTOENABLE", 0)):
+        return FenceLimits()
+    parts = int(values.get("FENCE_TYPE", 0))
+    return FenceLimits(
+        radius_m=values.get("FENCE_RADIUS") if parts & CIRCLE else None,
+        altitude_max_m=values.get("FENCE_ALT_MAX") if parts & ALTITUDE_MAX else None,
+        altitude_min_m=values.get("FENCE_ALT_MIN") if parts & ALTITUDE_MIN else None,
+        margin_m=max(0.0, values.get("FENCE_MARGIN", 0.0)),
+    )
+
+
+def _of_px4(values: Mapping[str, float]) -> FenceLimits:
+    if values["GF_ACTION"] == 0:
+        return FenceLimits()
+    return FenceLimits(
+        radius_m=values.get("GF_MAX_HOR_DIST", 0.0) or None,
+        altitude_max_m=values.get("GF_MAX_VER_DIST", 0.0) or None,
+    )
