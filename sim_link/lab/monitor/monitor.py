@@ -12,8 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from companion.domain import FlightMode
+from companion.mav.dialect import mavlink
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.lab.lockstep.neighbours import Neighbour
 from sim_link.lab.lockstep.observer import Frame, Observer, overriding
 from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
 from sim_link.lab.monitor.independent_checks import Proof, SenderTrust
@@ -26,6 +28,15 @@ from sim_link.lab.monitor.scene import (
     Rules,
     TrueScene,
 )
+
+SETPOINTS = (
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+)
+VEHICLE_PEER = ("127.0.0.1", 14580)
+"""Address of the vehicle in lockstep."""
+NOTICE_S = 2.0
+"""Three returns from one clock to the other, and a second in which both ran."""
 
 TITLES = {
     kind.name: kind.title
@@ -245,6 +256,22 @@ class Monitor(FrameMonitor):
     def vehicle_heard(self, frame: Frame) -> None:
         """A frame of the companion reached the vehicle."""
         self.fence.reached(frame)
+
+    def neighbour_heard(self, frame: Frame, neighbour: Neighbour) -> None:
+        """A setpoint or a request that another vehicle obeys is never right.
+
+        Where one with our ids appears behind our own address, it takes a moment to be seen.
+        """
+        message, setup = frame.message, neighbour.setup
+        is_command = isinstance(message, mavlink.MAVLink_command_long_message)
+        is_asking = is_command and getattr(message, "command", 0) in authority_invariants.RAISES
+        is_obeyed = is_asking or frame.number in SETPOINTS
+        if not is_obeyed or getattr(message, "target_system", 0) not in (0, setup.system_id):
+            return
+        is_alike = setup.system_id == self.scene.system_id and neighbour.peer == VEHICLE_PEER
+        if frame.time_s - neighbour.began_s > (NOTICE_S if is_alike else 0.0):
+            self.scene.now_s = frame.time_s
+            self.scene.report("I3", "a setpoint or a request to another vehicle")
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
         """The vehicle moved."""
