@@ -312,7 +312,7 @@ PLANS: dict[str, Plan] = {
             (13.0, kill),
             (13.5, start),
             (15.5, partial(choose, FlightMode.HOLD)),
-            (18.0, partial(choose, FlightMode.OFFBOARD)),
+            (19.0, partial(choose, FlightMode.OFFBOARD)),
         ),
     ),
 }
