@@ -320,7 +320,7 @@ class VehicleClass(Enum):
 
     @property
     def is_flown(self) -> bool:
-        """Whether vehicles of this class are flown."""
+        """True if vehicles of this class are flown."""
         return self in (VehicleClass.MULTICOPTER, VehicleClass.COAXIAL, VehicleClass.HELICOPTER)
 
 

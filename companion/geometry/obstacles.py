@@ -41,7 +41,7 @@ Segment = tuple[Point, Point]
 
 
 class FreeSpace:
-    """Where a vehicle may be: inside a fence, if any, `margin_m` away from every border.
+    """Places open to a vehicle: inside a fence, if any, `margin_m` away from every border.
 
     `also_inside_enu_m` are further polygons that it must be inside of at the same time.
     """

@@ -255,7 +255,7 @@ class RequestAnswered(OrderedEvent):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotRestarted(Event):
-    """The autopilot's clock began anew, or another autopilot was bound in its place."""
+    """The autopilot's clock began again, or another autopilot was bound in its place."""
 
     is_other: bool = False
 
@@ -290,7 +290,7 @@ class FenceLimits:
     """How far inside the autopilot stops by itself."""
 
     def strictest(self, other: FenceLimits) -> FenceLimits:
-        """What two allow together."""
+        """Return the limits that two fences allow together."""
         return FenceLimits(
             _least(self.radius_m, other.radius_m),
             _least(self.altitude_max_m, other.altitude_max_m),
@@ -309,7 +309,7 @@ def _or_lowest(limit: float | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotFenceLimitsRead(Event):
-    """The autopilot told parameters that are a fence."""
+    """The autopilot reported parameters that are a fence."""
 
     limits: FenceLimits
 

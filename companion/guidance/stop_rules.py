@@ -65,7 +65,7 @@ class SettledRule:
     def is_met(
         self, estimate: TargetEstimate | None, heard_s: float | None, settle_s: float
     ) -> bool:
-        """Whether it has not improved for so long; without an estimate nothing is learnt.
+        """Return True if it has not improved for so long; without an estimate nothing is learnt.
 
         Args:
             estimate: None while the plan is not flown, or no measurements come.

@@ -100,7 +100,7 @@ class Pacer(SharedClock):
 
     @property
     def pace(self) -> str:
-        """What the machine keeps up with, in words."""
+        """Speed that the machine keeps up with, in words."""
         return f"{'less than ' if self._is_behind else ''}{self.speed:g}x"
 
     def environment(self, number: int) -> dict[str, str]:

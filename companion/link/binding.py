@@ -74,7 +74,7 @@ class AutopilotBinding:
 
     wanted_system_id: int | None = None
     is_keyed: bool = False
-    """Whether every frame that comes here was proved to be from somebody with our key."""
+    """True if every frame that comes here was proved to be signed with our key."""
     bound: Candidate | None = None
     peer: Address | None = None
     heard_s: float | None = None
@@ -102,7 +102,7 @@ class AutopilotBinding:
 
     @property
     def is_bound(self) -> bool:
-        """Whether an autopilot is bound."""
+        """True if an autopilot is bound."""
         return self.bound is not None
 
     @property
@@ -137,11 +137,11 @@ class AutopilotBinding:
 
     @property
     def silence_s(self) -> float:
-        """How long the autopilot must be silent before another address is believed."""
+        """Seconds that the autopilot must be silent before another address is accepted."""
         return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
 
     def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
-        """Whether a message is of the bound autopilot, and to be read; may bind to one."""
+        """Return True if a message is of the bound autopilot, and to be read; may bind to one."""
         ids = (message.get_srcSystem(), message.get_srcComponent())
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._note_heartbeat(message, ids, peer, now_s)
@@ -185,7 +185,7 @@ class AutopilotBinding:
 
     @property
     def is_doubted(self) -> bool:
-        """Whether frames are withheld, because they may be another vehicle's."""
+        """True if frames are withheld, because they may be another vehicle's."""
         return self.problem is not None and not self._is_of_choice
 
     def take_unproved(self, now_s: float) -> list[Address | None]:
@@ -252,7 +252,7 @@ class AutopilotBinding:
 
     @property
     def _is_of_choice(self) -> bool:
-        """Whether the problem is that an id has to be chosen, not that frames are doubted."""
+        """True if the problem is that an id has to be chosen, not that frames are doubted."""
         return self.problem is not None and self.problem.startswith("systems ")
 
     def _bind(self, candidate: Candidate) -> None:
@@ -316,7 +316,7 @@ class AutopilotBinding:
         return False
 
     def _take_exchange(self, sign: Sign, now_s: float) -> None:
-        """Two clocks that answer are two vehicles; one that changes is not told by its answers."""
+        """Two clocks that answer are two vehicles; a changed one does not show in its answers."""
         course = self._exchange
         match course.take(sign, now_s, is_cautious=not self.is_in_control):
             case SignVerdict.TWO:
@@ -361,7 +361,7 @@ class AutopilotBinding:
         return course
 
     def _is_proof(self, sign: Sign, now_s: float) -> bool:
-        """Whether a sign of another address shows our vehicle there, or its restart."""
+        """Return True if a sign of another address shows our vehicle there, or its restart."""
         is_ours = self._course.is_of_main(sign, now_s)
         return is_ours or self._course.is_young_beside(sign, now_s)
 
@@ -388,7 +388,7 @@ class AutopilotBinding:
 
 
 def _gives(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
-    """Whether a HEARTBEAT could give control."""
+    """Return True if a HEARTBEAT could give control."""
     autopilot = autopilot_of(heartbeat)
     is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
     return (

@@ -103,7 +103,7 @@ class FenceDownload:
         self._parameters: dict[str, bytes] = {}
 
     def notice(self, message: Message, own: Ids) -> bool:
-        """Whether a message of the autopilot shows that its fence is another one than it was.
+        """Return True if a message shows that the autopilot's fence is another one than it was.
 
         What may show it, a parameter that was not heard before, only has it read again.
         """
@@ -135,7 +135,7 @@ class FenceDownload:
         self._rest_until_s = -math.inf
 
     def _is_due_again(self, now_s: float) -> bool:
-        """Whether the fence that was read may be another one by now."""
+        """Return True if the fence that was read may be another one by now."""
         if self._fence_id and self._again_s > -math.inf:
             return self._read_id is not None and self._read_id != self._fence_id
         return now_s >= self._again_s

@@ -40,7 +40,7 @@ TRIES = 8
 
 
 class FenceParameters:
-    """Asks for the parameters of the fence, and keeps what the autopilot tells of them."""
+    """Asks for the parameters of the fence, and keeps what the autopilot reports of them."""
 
     def __init__(self) -> None:
         self.restart()
@@ -79,7 +79,7 @@ class FenceParameters:
 
     @property
     def limits(self) -> FenceLimits:
-        """What they say, as far as they were told."""
+        """Return the limits by the parameters that were reported."""
         values = self._values
         return _of_px4(values) if "GF_ACTION" in values else _of_ardupilot(values)
 

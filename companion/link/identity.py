@@ -60,7 +60,7 @@ Place = tuple[float, float, float]
 
 
 class Sign(NamedTuple):
-    """What a message shows of its sender."""
+    """Evidence of its sender in a message."""
 
     stamp_s: float
     """Since its boot."""
@@ -78,7 +78,7 @@ STAMPED = (
 def exchange_sign_of(message: Message) -> Sign | None:
     """The clock in the answer to a question for the time, ours or another component's.
 
-    It may be another one than that of `time_boot_ms`. Whoever sends nothing else answers our
+    It may be another one than that of `time_boot_ms`. A sender of nothing else answers our
     questions, so this shows two vehicles of which one is nearly silent.
     """
     if isinstance(message, mavlink.MAVLink_timesync_message) and message.tc1 > 0:
@@ -122,7 +122,7 @@ class Track:
         return cls(offset_s, now_s, offset_s, now_s, sign.stamp_s, 1, place, place_s)
 
     def late_s(self, sign: Sign, now_s: float) -> float:
-        """How much later a sign comes than the promptest one; negative: it is ahead of that."""
+        """Seconds by which a sign comes later than the promptest one; negative: ahead of that."""
         late_s = now_s - sign.stamp_s - self.offset_s
         return late_s - WRAP_S * round(late_s / WRAP_S)
 
@@ -133,17 +133,17 @@ class Track:
         return math.dist(sign.place_ned_m, self.place_ned_m)
 
     def reaches(self, sign: Sign, now_s: float) -> bool:
-        """Whether the vehicle can have flown from the last place to that of a sign."""
+        """Return True if the vehicle can have flown from the last place to that of a sign."""
         return self.away_m(sign) <= NEAR_M + SPEED_MPS * max(0.0, now_s - self.place_s)
 
     def goes_on(self, sign: Sign, now_s: float) -> bool:
-        """Whether a sign is the next one of this sender, whose time does not stand still."""
+        """Return True if a sign is the next one of this sender, whose time does not stand still."""
         is_later = sign.stamp_s > self.stamp_s or now_s == self.heard_s
         return is_later and abs(self.late_s(sign, now_s)) <= JITTER_S and self.reaches(sign, now_s)
 
     @property
     def is_steady(self) -> bool:
-        """Whether its clock ran as ours did for a while; a stamp that stands still does not."""
+        """True if its clock ran as ours did for a while; a stamp that stands still does not."""
         span_s = self.heard_s - self.first_s
         return span_s >= SPAN_S and abs(self.offset_s - self.first_offset_s) <= 0.5 * span_s
 
@@ -158,7 +158,7 @@ class Track:
 
 
 class SignVerdict(Enum):
-    """What a sign is."""
+    """Verdict on a sign."""
 
     GOES_ON = "of the same vehicle"
     WITHHELD = "of another clock, perhaps"
@@ -213,7 +213,7 @@ class IdentityCourse:
 
     @property
     def is_steady(self) -> bool:
-        """Whether one clock was followed for a while."""
+        """True if one clock was followed for a while."""
         return self.main is not None and self.main.is_steady
 
     def adopt_other(self) -> None:
@@ -222,14 +222,14 @@ class IdentityCourse:
         self._returns.clear()
 
     def is_of_main(self, sign: Sign, now_s: float) -> bool:
-        """Whether a sign, of whatever address, continues this course."""
+        """Return True if a sign, of whatever address, continues this course."""
         main = self.main
         return main is None or (
             -AHEAD_S <= main.late_s(sign, now_s) <= LATE_S and main.reaches(sign, now_s)
         )
 
     def describe(self, sign: Sign, now_s: float) -> str:
-        """How far a sign is off this course."""
+        """Describe how far a sign is off this course."""
         assert self.main is not None
         late_s = abs(self.main.late_s(sign, now_s))
         if late_s > AHEAD_S:
@@ -237,7 +237,7 @@ class IdentityCourse:
         return f"places {self.main.away_m(sign):.0f} m apart"
 
     def is_young_beside(self, sign: Sign, now_s: float) -> bool:
-        """Whether a sign may be of this vehicle after a restart."""
+        """Return True if a sign may be of this vehicle after a restart."""
         return self.main is not None and self._is_young(sign, now_s)
 
     def _is_young(self, sign: Sign, now_s: float) -> bool:
@@ -246,7 +246,7 @@ class IdentityCourse:
 
     @property
     def _clocks_s(self) -> float:
-        """How far the clocks of both courses are apart."""
+        """Seconds between the clocks of both courses."""
         if self.main is None or self.other is None:
             return 0.0
         return abs(self.other.offset_s - self.main.offset_s)

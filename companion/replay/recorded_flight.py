@@ -68,7 +68,7 @@ class Course:
 
     @property
     def size(self) -> tuple[int, int]:
-        """How many estimates and setpoints there are."""
+        """Number of estimates and setpoints."""
         return len(self.estimates), len(self.setpoints)
 
     def first(self, estimates: int, setpoints: int) -> Course:

@@ -173,7 +173,7 @@ def histogram(
     values: Sequence[float],
     cumulative: Callable[[float], float] | None = None,
 ) -> Chart | None:
-    """How often each value was seen; None: there are no values.
+    """Draw how often each value was seen; None: there are no values.
 
     A line has how often it was expected, by the `cumulative` probability: of whole bars, so that
     both have one scale, however narrow the distribution. Few values far away would squeeze all

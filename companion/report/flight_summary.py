@@ -104,7 +104,7 @@ class FlightSummary:
 
     estimates: list[EstimatePoint] = field(default_factory=list)
     track: FlightTrack = field(default_factory=FlightTrack)
-    """Where the vehicle was."""
+    """Track of the vehicle, metres about the origin."""
     measured_enu_m: list[Point] = field(default_factory=list)
     """Where the vehicle was when it measured, all that a log without positions has."""
     origin: LocalOrigin | None = None
@@ -126,7 +126,7 @@ class FlightSummary:
 
     @property
     def track_enu_m(self) -> list[Point]:
-        """Where the vehicle was."""
+        """Track of the vehicle, metres about the origin."""
         return self.track.line or self.measured_enu_m
 
     @property

@@ -172,7 +172,7 @@ def report_page(
 
 
 def _map_note(layers: MapLayers) -> str:
-    """What is drawn on the map."""
+    """Return the legend of what is drawn on the map."""
     signs = {
         "blue: the track": layers.track_enu_m,
         "red: 95 % ellipses over time, the newer the stronger, and the last R95, dashed the "
@@ -244,7 +244,7 @@ def fence_of(
 
 @dataclass(frozen=True, slots=True)
 class HuberDistribution:
-    """What the asymmetric Huber loss expects: the density exp(-loss), normalised."""
+    """Density exp(-loss) of the asymmetric Huber loss, normalised."""
 
     sigma: float
     k_long: float

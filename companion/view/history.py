@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class HistoryPart(NamedTuple, Generic[T]):
-    """What a reader lacks."""
+    """Part of a history that a reader lacks."""
 
     items: list[T]
     is_whole: bool
@@ -42,7 +42,7 @@ class History(Generic[T]):
 
 
 class HistoryReader:
-    """How much of a history somebody has."""
+    """Reader's place in a history."""
 
     def __init__(self, whole_every: int | None = None) -> None:
         """Every `whole_every`th part is the whole, should one have been lost on the way."""

@@ -307,7 +307,7 @@ class ReplayedFlight:
 
     began_unix_s: float
     words: str
-    """What the page says of it, so that nobody takes it for a live one."""
+    """Banner of the page, so that a replay is not taken for a live flight."""
 
 
 class WebView(Collector):

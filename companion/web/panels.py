@@ -135,7 +135,7 @@ def _of_estimate(picture: Json) -> dict[str, str]:
 
 
 def _on_earth(estimate: Json, frame: Json | None) -> dict[str, str]:
-    """Where the estimate is for others; empty while the origin is unknown."""
+    """Return the estimate's coordinates for others; empty while the origin is unknown."""
     if frame is None:
         return {}
     from companion.geometry.coordinates import LocalOrigin

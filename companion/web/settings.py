@@ -56,7 +56,7 @@ class Access:
         return self.is_view_open or self.has_token(given)
 
     def may_control(self, client_host: str, given: str | None) -> bool:
-        """Whether a client may press HOLD, RESUME, RETURN and GRANT."""
+        """Return True if a client may press HOLD, RESUME, RETURN and GRANT."""
         if not self.is_control_on:
             return False
         if self.token is None:

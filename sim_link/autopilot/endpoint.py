@@ -213,7 +213,7 @@ class SimEndpoint:
                 self._next_step += 1
 
     def _step_others(self, now_s: float) -> None:
-        """What other components send; it is not the autopilot's, and needs none of its services."""
+        """Send what other components send, which needs no service of the autopilot."""
         self._others = [(end_s, each) for end_s, each in self._others if now_s < end_s]
         for _, sender in self._others:
             for frame in sender.frames(now_s):

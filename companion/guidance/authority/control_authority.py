@@ -46,7 +46,7 @@ FAILSAFE_REASON, ID_CONFLICT_REASON, FLAPS_REASON = "failsafe", "id conflict", "
 
 
 class Authority:
-    """The phase, and the two latches that keep us from taking what nobody gave.
+    """The phase, and the two latches that keep us from taking control that was not given.
 
     The operator's rule is in docs/flying.md, "Who flies".
     """
@@ -161,7 +161,7 @@ class Authority:
             self._must_leave_offboard = False
 
     def _is_aside(self, heartbeat: HeartbeatReceived) -> bool:
-        """Whether another mode has been shown for long enough to be a choice."""
+        """Return True if another mode has been shown for long enough to be a choice."""
         if self._aside_s is None:
             return False
         return not heartbeat.is_armed or heartbeat.time_s - self._aside_s >= REGAIN_QUIET_S
@@ -191,12 +191,12 @@ class Authority:
 
     @property
     def is_found_unfree(self) -> bool:
-        """Whether offboard or a failsafe is shown that another mode has to end first."""
+        """True if offboard or a failsafe is shown that another mode has to end first."""
         return self._must_leave_offboard and self._aside_s is None
 
     @property
     def may_begin(self) -> bool:
-        """Whether the vehicle is free for us to get ready."""
+        """True if the vehicle is free for us to get ready."""
         return not self._must_leave_offboard and self.grant_reason is None
 
 

@@ -270,7 +270,7 @@ class Handover:
             context.announce(Severity.NOTICE, text)
 
     def _tell_what_is_missing(self, now_s: float) -> None:
-        """Why nothing follows from the mode that the operator gave before it was ready."""
+        """Announce why nothing follows from a mode that was given before it was ready."""
         context = self._context
         missing = missing_inputs(context.vehicle, context.fencing, now_s)
         if missing == self._missing_told or context.phase is not Phase.WAITING:

@@ -149,12 +149,12 @@ class Fencing:
 
     @property
     def is_followed(self) -> bool:
-        """Whether changes of the autopilot's fence matter."""
+        """True if changes of the autopilot's fence matter."""
         return self.plan.policy is not FencePolicy.IGNORE
 
     @property
     def wants_reading(self) -> bool:
-        """Whether the autopilot is to be asked for its fence, once more if it did not help.
+        """True if the autopilot is to be asked for its fence, once more if it did not help.
 
         And when control begins: not every autopilot shows that its fence was changed.
         """
@@ -205,7 +205,7 @@ class Fencing:
         self.is_doubted = self.is_followed
 
     def read_again(self) -> None:
-        """What the autopilot's fence stands on may have moved: it is read once more."""
+        """Read the autopilot's fence once more: what it stands on may have moved."""
         self.is_urgent = self.is_followed
 
     def follow(self, *, is_airborne: bool, is_in_control: bool) -> None:
@@ -307,7 +307,7 @@ class Fencing:
         return Fence(local.polygon_enu_m, margin_m, keep_outs)
 
     def _strictest(self, fence: Fence | None) -> Fence | None:
-        """What a fence and those that the autopilot has had in this flight allow together."""
+        """Return what a fence and those of this flight before it allow together."""
         others = [each for each in self._flown if self._is_another(each)]
         if fence is None or self._origin is None or not others:
             return fence
@@ -323,7 +323,7 @@ class Fencing:
         return Fence(smallest, max(margins_m), tuple(keep_outs), tuple(rest))
 
     def _is_another(self, theirs: GeoFence) -> bool:
-        """Whether a fence of the autopilot limits the flight beside the guard's own."""
+        """Return True if a fence of the autopilot limits the flight beside the guard's own."""
         if self.plan.policy is FencePolicy.USE:
             return theirs is not self._flown[0]
         return self._is_in_control and self._difference(theirs) is not None

@@ -65,7 +65,7 @@ REQUIREMENTS = (
 
 
 def missing_inputs(vehicle: VehicleView, fencing: Fencing, now_s: float) -> list[str]:
-    """What of it is not there, in words; a position that a slow link brings late is named so."""
+    """Return the missing inputs in words; a position that a slow link brings late is named so."""
     texts = [row.text for row in REQUIREMENTS if not row.is_met(vehicle, fencing, now_s)]
     return [
         vehicle.position_wanted(now_s) if text == "a local position" else text for text in texts

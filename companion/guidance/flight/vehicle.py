@@ -43,7 +43,7 @@ def shown_mode(heartbeat: events.HeartbeatReceived) -> str:
 
 
 def class_refusal(vehicle_class: VehicleClass) -> str | None:
-    """Why vehicles of a class are not flown, in words; None: they are."""
+    """Return why vehicles of a class are not flown, in words; None: they are."""
     if vehicle_class.is_flown:
         return None
     return f"only multicopters are flown: this is a {vehicle_class.value}"
@@ -313,7 +313,7 @@ class VehicleView:
 
     @property
     def objection(self) -> str | None:
-        """Why this vehicle is not to be flown at all, in words: its class, or doubtful identity."""
+        """Reason not to fly this vehicle at all, in words: its class, or doubtful identity."""
         vehicle_class = self.vehicle_class
         refusal = None if vehicle_class is None else class_refusal(vehicle_class)
         return refusal or self.identity_problem
@@ -359,7 +359,7 @@ class VehicleView:
 
     @property
     def has_origin(self) -> bool:
-        """Whether the origin is known, where setpoints need it."""
+        """True if the origin is known, where setpoints need it."""
         return self.origin is not None or not self._needs_origin
 
     def position_wanted(self, now_s: float) -> str:

@@ -92,6 +92,6 @@ class OperatorCommandWatch(Watch):
             self._finding = None
 
     def finding(self, now_s: float) -> Finding | None:
-        """What the operator wants instead of the plan."""
+        """Return what the operator wants instead of the plan."""
         del now_s
         return self._finding

@@ -8,7 +8,7 @@ as much: then the old measurements agree with the new ones, and it does not matt
 positions was the right one. The vehicle stays until its navigation was steady for a while, and what
 is measured until then is not fused. Navigation that keeps jumping is handed back.
 
-A local frame that gets another origin is such a step that is known exactly: the origin tells it,
+A local frame that gets another origin is such a step that is known exactly: the origin gives it,
 so it leaves no doubt, and the setpoint moves along as well. Its first positions may overtake it;
 what has moved by them already is not moved again.
 
@@ -241,7 +241,7 @@ class JumpWatch(Watch):
         self._hold(text, before_s, event.time_s)
 
     def take_origin(self, event: OriginSet) -> bool:
-        """Whether the local frame moved with its origin; then all that is held in it moves along.
+        """Return True if the local frame moved with its origin; all that is held in it moves along.
 
         To a frame that is nowhere near nothing is taken.
         """
@@ -281,7 +281,7 @@ class JumpWatch(Watch):
         context.believe(context.tracker.estimate(event.time_s))
 
     def _moved_by(self, shift_enu_m: PositionEnu, now_s: float) -> PositionEnu:
-        """What of a shift the newest jump was, if it was just now and that shift."""
+        """Return the part of a shift that the newest jump was, if it was just now."""
         if self._newest is None or now_s - self._newest[0] > STEADY_S:
             return NO_STEP
         least_m = max(LEAST_STEP_M, NOISE_SIGMAS * self._noise.sigma_m)

@@ -197,7 +197,7 @@ class ExchangeScatter:
 
 
 class ClockPace:
-    """How many seconds the autopilot's clock goes on in one of ours, if not in one."""
+    """Seconds that the autopilot's clock goes on in one of ours, if not one."""
 
     def __init__(self) -> None:
         self._exchanges: deque[tuple[float, float]] = deque(maxlen=MAX_OPEN)

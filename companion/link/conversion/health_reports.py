@@ -152,7 +152,7 @@ BEST_SIGMA_M, WORST_SIGMA_M = 0.01, 1000.0
 
 
 def _place_rated(message: Message, now_s: float) -> list[Event]:
-    """The accuracy of the own place that a message tells, or that its sender does not know it."""
+    """Return the position accuracy that a message reports, or that its sender does not know it."""
     match message:
         case mavlink.MAVLink_gps_raw_int_message():
             told_mm = (message.h_acc, message.v_acc) if message.fix_type in FIXES else (0, 0)

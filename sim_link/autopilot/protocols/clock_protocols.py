@@ -127,7 +127,7 @@ class Clocks:
         return None
 
     def next_s(self) -> float:
-        """When the next answer that waits is due."""
+        """Seconds since boot at which the next answer that waits is due."""
         return self._waiting[0].arrived_s + LOOP_S if self._waiting else math.inf
 
     def due(self, now_s: float) -> list[Outgoing]:

@@ -254,19 +254,19 @@ class VehicleProbe(Station):
         self.baseline.intervals.clear()
 
     def _interval_s(self, number: int) -> float | None:
-        """The interval of a message now, -1: off, by MESSAGE_INTERVAL; None: it is not told.
+        """The interval of a message now, -1: off, by MESSAGE_INTERVAL; None: it is not reported.
 
-        PX4 tells 0 of a stream that is off, as of a message that there is not.
+        PX4 reports 0 for a stream that is off, as of a message that there is not.
         """
         if self.command(GET_INTERVAL, float(number)) != mav.ACCEPTED:
             return None
         try:
-            told = self.expect(Interval, lambda m: m.message_id == number, mark=self.asked)
+            reported = self.expect(Interval, lambda m: m.message_id == number, mark=self.asked)
         except Violation:
             return None
-        if told.interval_us > 0:
-            return float(told.interval_us) / 1e6
-        return -1.0 if told.interval_us < 0 or self.is_px4 else None
+        if reported.interval_us > 0:
+            return float(reported.interval_us) / 1e6
+        return -1.0 if reported.interval_us < 0 or self.is_px4 else None
 
     def _set_interval(self, number: int, interval_s: float) -> int:
         microseconds = interval_s * 1e6 if interval_s > 0.0 else interval_s

@@ -287,7 +287,7 @@ class Flight:
         return {each.peer for each in self.neighbours if each.peer != VEHICLE_PEER}
 
     def _reach_neighbours(self, chunk: Chunk) -> None:
-        """What the companion sends to another vehicle's address, or to all, arrives there."""
+        """Deliver what the companion sends to another vehicle's address, or to all."""
         for neighbour in self.neighbours:
             if chunk.peer in (None, neighbour.peer):
                 for each in frames_in(chunk.data):

@@ -36,7 +36,7 @@ STREAMS = (
 
 @dataclass(frozen=True, slots=True)
 class NeighbourSetup:
-    """Who it is, and where."""
+    """Identity and place of a neighbour."""
 
     system_id: int
     vehicle_type: VehicleTypeName

@@ -163,7 +163,7 @@ class ProcessHarness:
 
     @property
     def is_companion_running(self) -> bool:
-        """Whether no fault keeps the companion from running."""
+        """True if no fault keeps the companion from running."""
         return not self.is_companion_down and self._now_s >= self._suspended_until_s
 
     def tick(self, now_s: float) -> None:

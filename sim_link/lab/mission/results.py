@@ -401,7 +401,7 @@ class MissionResult:
 
     @property
     def pace(self) -> str:
-        """How fast it was flown instead of as asked for; empty: as fast as that."""
+        """Speed that was flown instead of the one asked for; empty: as asked."""
         slowed_to = self.record.slowed_to
         return (
             f"this computer is too busy for {self.how}: slowed to {slowed_to}" if slowed_to else ""
