@@ -384,10 +384,17 @@ class VehicleProbe(Station):
         def has_position() -> bool:
             return any(isinstance(e.message, mav.LocalPosition) for e in self.inbox[mark:])
 
-        self.run_until(lambda: has_position() or self._is_silent(), READY_S)
+        self.run_until(lambda: has_position() or self._is_silent(), SHORT_LOOK_S)
+        if not has_position() and not self.baseline.unready:
+            what = f"LOCAL_POSITION_NED within {READY_S:g} s"
+            self.baseline.tell(f"waiting for the vehicle: {what}")
+            self.run_until(lambda: has_position() or self._is_silent(), READY_S)
         if not has_position():
+            self.baseline.unready = (
+                self.baseline.unready or f"no LOCAL_POSITION_NED within {READY_S:g} s"
+            )
             require(not self._is_silent(), "nothing is heard any more")
-            raise NotReady(f"no LOCAL_POSITION_NED within {READY_S:g} s: wait for its position")
+            raise NotReady(self.baseline.unready)
 
     def _get_charged(self) -> None:
         percent = self.latest(mav.SysStatus).battery_remaining

@@ -120,7 +120,7 @@ def test_a_vehicle_that_a_twin_flew_is_not_taken_when_that_one_dies() -> None:
     twin.beside(4.0, custom_mode=OFFBOARD)
     twin.beside(12.0, custom_mode=OFFBOARD, is_heard=False)
     assert phase_of(wire) is Phase.WAITING
-    twin.beside(2.0, is_heard=False)
+    twin.beside(4.0, is_heard=False)
     assert phase_of(wire) is Phase.STANDBY
 
 

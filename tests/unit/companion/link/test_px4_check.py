@@ -10,6 +10,12 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, Wire, heartbeat
 
+
+def name_of(request: mavlink.MAVLink_param_request_read_message) -> bytes:
+    name: bytes | str = request.param_id
+    return (name.encode() if isinstance(name, str) else name).rstrip(b"\x00")
+
+
 Request = mavlink.MAVLink_param_request_read_message
 
 
@@ -60,7 +66,7 @@ def test_ardupilot_is_not_asked() -> None:
     wire = Wire()
     wire.say(heartbeat(ARDUPILOT))
     wire.wait(10.0)
-    assert wire.of(Request) == []
+    assert PARAMETER not in {name_of(request) for request in wire.of(Request)}
 
 
 def test_the_warning_reaches_the_operator() -> None:

@@ -33,6 +33,12 @@ class Clock:
         return self.time_s
 
 
+@pytest.fixture(autouse=True)
+def _binds_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How long an autopilot is listened for before it is bound is another test's business."""
+    monkeypatch.setattr("companion.link.binding.LISTEN_S", 0.0)
+
+
 class Process:
     """One process after another on the same store and the same kernel."""
 

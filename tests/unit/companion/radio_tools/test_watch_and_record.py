@@ -103,16 +103,17 @@ def test_a_pose_is_a_position_with_the_attitude_of_its_time() -> None:
         chunk = Chunk(0, autopilot.encode(message), PEER)
         found.extend(listener.receive(chunk, now_s))
 
-    say(heartbeat(), 0.0)
-    say(origin(), 0.01)
-    say(attitude(1000, 0.2), 1.0)
-    say(local_position(1050, 3.0, 4.0, -20.0, 0.0, 0.0, 0.0), 1.05)
-    say(attitude(1100, 0.4), 1.1)
+    for second in range(4):  # a single autopilot is bound after three seconds
+        say(heartbeat(), float(second))
+    say(origin(), 3.01)
+    say(attitude(4000, 0.2), 4.0)
+    say(local_position(4050, 3.0, 4.0, -20.0, 0.0, 0.0, 0.0), 4.05)
+    say(attitude(4100, 0.4), 4.1)
     place, pose = found
     assert isinstance(place, RecordedOrigin)
     assert place.latitude_deg == 47.0
     assert isinstance(pose, TimedPose)
-    assert pose.t_s == pytest.approx(1.05, abs=0.01)
+    assert pose.t_s == pytest.approx(4.05, abs=0.01)
     assert pose.enu_m == (4.0, 3.0, 20.0)
     assert pose.yaw_rad == pytest.approx(0.3, abs=1e-3)
     assert pose.roll_rad == pytest.approx(0.01)

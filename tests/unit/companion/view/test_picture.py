@@ -23,7 +23,7 @@ def test_an_autopilot_is_lost_only_if_it_was_heard() -> None:
     companion = flight.companion
     assert companion is not None
     assert picture_of(companion, 0.0)["is_link_lost"] is False
-    flight.run(2.0)
+    flight.run(5.0)  # three seconds until the only autopilot is bound
     assert picture_of(companion, flight.now_s)["is_link_lost"] is False
     assert picture_of(companion, flight.now_s + 10.0)["is_link_lost"] is True
 
