@@ -30,7 +30,7 @@ from companion.guidance.session import GuidanceSession
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.link.endpoint import CompanionEndpoint
-from companion.link.interface import EndpointParams
+from companion.link.interface import EndpointParams, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
@@ -163,6 +163,7 @@ def flight(
 ) -> Flight:
     """Fly until every draw of the run is used."""
     config = CompanionConfig(
+        vehicle=VehicleParams(system_id=1),
         mission=SessionParams(engage="auto", altitude_m=HEIGHT_M, stop_confirm_s=1e6),
         estimation=estimation,
         planner=PlannerConfig(kind=KINDS[planner]),
