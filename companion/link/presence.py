@@ -13,6 +13,7 @@ Source: MAVLink common, NAMED_VALUE_FLOAT and ADSB_VEHICLE; `companion/mav/radio
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 from companion.domain import Autopilot, EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
@@ -38,6 +39,9 @@ ICON_FLAGS = (
     | mavlink.ADSB_FLAGS_VALID_ALTITUDE
     | mavlink.ADSB_FLAGS_VALID_CALLSIGN
 )
+FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
+
+AnyMessage = TypeVar("AnyMessage", bound=Message)
 
 
 class Presence:
@@ -92,7 +96,7 @@ def estimate_message(
     (var_east, cov_north_east), (_, var_north) = estimate.covariance_m2
     other = estimate.alternative_enu_m
     sigma_m = estimate.height_sigma_m
-    return MAVLink_target_estimate_message(
+    message = MAVLink_target_estimate_message(
         time_boot_ms(now_s),
         latitude_e7,
         longitude_e7,
@@ -115,6 +119,7 @@ def estimate_message(
         estimate.own.horizontal_m if estimate.own.is_told else math.nan,
         estimate.own.vertical_m,
     )
+    return _with_floats_that_fit(message)
 
 
 def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
@@ -128,7 +133,9 @@ def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
     values[b"TGT_R95ABS"] = estimate.absolute_r95_m
     values |= {b"TGT_VAR_E": var_east, b"TGT_VAR_N": var_north, b"TGT_COV_EN": covariance}
     return [
-        mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, value)
+        _with_floats_that_fit(
+            mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, value)
+        )
         for name, value in values.items()
     ]
 
@@ -155,6 +162,18 @@ def icon_message(
         ICON_FLAGS,
         0,
     )
+
+
+def _with_floats_that_fit(message: AnyMessage) -> AnyMessage:
+    """Return the message with each float beyond float32 at the largest one of its sign.
+
+    Ranges from one place leave the target's position across the line of sight open: its variance
+    may exceed 3.4e38 m^2, which cannot be packed.
+    """
+    for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
+        if kind == "float" and abs(value := getattr(message, name)) > FLOAT32_MAX:
+            setattr(message, name, math.copysign(FLOAT32_MAX, value))
+    return message
 
 
 def _place_e7(estimate: TargetEstimate, origin: LocalOrigin) -> tuple[int, int, int]:

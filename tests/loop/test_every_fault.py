@@ -23,6 +23,8 @@ AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 ENGAGED_S, FAULT_S, AFTER_S = 13.0, 3.0, 4.0
 WITH_TRANSMITTER = ("pilot_sticks", "rc_loss")
 SIGNED = ("forged_frames", "replayed_frames", "unsigned_frames")
+OF_ARDUPILOT = ("station_parameter",)
+"""FENCE_RADIUS, which it sets, is a parameter of ArduPilot only."""
 NAMES = sorted(KINDS)
 MISSIONS = (1, 5, 9, 14)
 
@@ -47,10 +49,14 @@ class Mark(Observer):
         return self._hash.hexdigest()
 
 
+def flavour_of(kind: str) -> FlavourName:
+    """Return the autopilot on which `kind` is tried: they take turns."""
+    return "px4" if NAMES.index(kind) % 2 and kind not in OF_ARDUPILOT else "ardupilot"
+
+
 def flown(kind: str, *faults: Fault) -> tuple[Monitored, str]:
     """The search in which `kind` is tried: autopilot, pilot and signing are chosen by it."""
-    flavour: FlavourName = "px4" if NAMES.index(kind) % 2 else "ardupilot"
-    return _flown(flavour, kind in WITH_TRANSMITTER, kind in SIGNED, faults)
+    return _flown(flavour_of(kind), kind in WITH_TRANSMITTER, kind in SIGNED, faults)
 
 
 def _flown(
@@ -72,8 +78,7 @@ def peace(flavour: FlavourName, has_rc: bool, is_signed: bool) -> str:
 
 
 def peace_of(kind: str) -> str:
-    flavour: FlavourName = "px4" if NAMES.index(kind) % 2 else "ardupilot"
-    return peace(flavour, kind in WITH_TRANSMITTER, kind in SIGNED)
+    return peace(flavour_of(kind), kind in WITH_TRANSMITTER, kind in SIGNED)
 
 
 def fault_of(kind: str) -> Fault:

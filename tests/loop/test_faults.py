@@ -128,18 +128,24 @@ def test_a_reboot_in_flight_ends_control_and_nothing_is_launched_again() -> None
 
 
 @pytest.mark.slow
-def test_an_origin_that_moves_in_flight_is_held_on_and_flown_anew() -> None:
+def test_an_origin_that_moves_in_flight_is_held_on_and_the_estimate_moves_along() -> None:
     loop = in_control()
     loop.run(4.0)
     vehicle = loop.sim.vehicle
     lat, lon, alt = vehicle.origin.geodetic_from_enu((0.0, 12.0, 0.0))
     vehicle.aircraft.set_origin(round(lat * 1e7), round(lon * 1e7), round(alt * 1e3))
     loop.is_ranging_up = False
+    before = loop.companion.session.estimate
     loop.command(REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
     loop.run(2.0)
-    assert loop.said("local origin moved 12 m")
+    assert loop.said("local origin moved 12 m: fence kept in place, estimate moved along")
     assert loop.phase is Phase.HOLD
-    assert loop.companion.session.estimate is None
+    after = loop.companion.session.estimate
+    assert before is not None
+    assert after is not None
+    east_m, north_m = before.position_enu_m
+    assert after.position_enu_m == pytest.approx((east_m, north_m - 12.0), abs=0.5)
+    assert after.measurements >= before.measurements
     held = loop.setpoints_since(loop.now_s - 1.0)
     assert len(held) == 20
     assert len({s.position_enu_m for s in held}) == 1

@@ -116,7 +116,8 @@ def test_an_estimate_that_nothing_agrees_with_any_more_is_given_up_within_second
     mission = SessionParams(engage="auto", stop_confirm_s=1e6)
     radio = WalkingRadio(elsewhere, seed=5)
     loop = Loop(CompanionConfig(mission=mission), seed=5, payload_source=radio)
-    for end_s, most_m in ((30.0, 1.0), (40.0, 60.0)):
+    # 1.3 m at 30 s; 0.3 m without the 0.15 s that count for stamps where no antenna is configured
+    for end_s, most_m in ((30.0, 1.5), (40.0, 60.0)):
         loop.run(end_s - loop.now_s)
         estimate = loop.companion.session.estimate
         assert estimate is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from companion.domain import EstimateState, OwnAccuracy, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Trigger
 from companion.link.interface import LinkParams
-from companion.link.presence import estimate_message, icon_message, named_values
+from companion.link.presence import FLOAT32_MAX, estimate_message, icon_message, named_values
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import (
     MAVLink_radio_ranging_message,
@@ -91,6 +92,24 @@ def test_values_are_local_metres_with_names_that_fit() -> None:
     spread = {"TGT_VAR_E": var_east, "TGT_VAR_N": var_north, "TGT_COV_EN": covariance}
     assert values == {"TGT_EAST": 30.0, "TGT_NORTH": -40.0, **radii, **spread}
     assert all(len(name) <= 10 for name in values)
+
+
+def test_what_is_beyond_a_float32_is_sent_as_the_largest_one() -> None:
+    huge = replace(
+        ESTIMATE,
+        covariance_m2=((1e39, -1e39), (-1e39, 1e40)),
+        r95_m=1e39,
+        absolute_r95_m=math.inf,
+        height_sigma_m=None,
+    )
+    sent = on_the_wire(estimate_message(7, huge, ORIGIN, 10.0))
+    assert (sent.var_north, sent.cov_north_east) == (FLOAT32_MAX, -FLOAT32_MAX)
+    assert sent.r95 == sent.absolute_r95 == FLOAT32_MAX
+    assert math.isnan(sent.height_std)
+    values = {m.name: m.value for m in map(on_the_wire, named_values(huge, 10.0))}
+    assert values["TGT_VAR_E"] == values["TGT_R95ABS"] == FLOAT32_MAX
+    assert values["TGT_COV_EN"] == -FLOAT32_MAX
+    assert values["TGT_EAST"] == 30.0
 
 
 def test_an_icon_is_an_obstacle_with_a_name_that_fits() -> None:
