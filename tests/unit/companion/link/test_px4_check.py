@@ -11,9 +11,9 @@ from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, Wire, heartbeat
 
 
-def name_of(request: mavlink.MAVLink_param_request_read_message) -> bytes:
+def name_of(request: mavlink.MAVLink_param_request_read_message) -> str:
     name: bytes | str = request.param_id
-    return (name.encode() if isinstance(name, str) else name).rstrip(b"\x00")
+    return (name.decode() if isinstance(name, bytes) else name).rstrip("\x00")
 
 
 Request = mavlink.MAVLink_param_request_read_message
