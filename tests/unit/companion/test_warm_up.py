@@ -116,6 +116,6 @@ def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_
     planner = Counting()
     warm_up(params, planner)
     assert set(kinds) == {(True, True), (True, False), (False, True)}
-    assert min(kinds.values()) > SMALL.window.size
+    assert min(kinds.values()) > module.SMALL_WINDOW
     assert len(planner.requests) == 3
     assert all(request.estimate is not None for request in planner.requests)
