@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -62,12 +63,20 @@ def of_a_cell(step_m: float, *, is_cut_off: bool = True) -> Coarsen:
     return coarsen
 
 
-def in_steps(step_m: float) -> Coarsen:
-    """The nearest whole step of a range."""
+def in_steps(step_m: float, step_deg: float | None = None) -> Coarsen:
+    """The nearest whole step of a range, and of the angles with it; None: angles as they are."""
 
     def coarsen(heard: RangingMeasurement) -> RangingMeasurement:
-        assert heard.range_m is not None
-        return replace(heard, range_m=step_m * round(heard.range_m / step_m))
+        rounded: dict[str, Any] = {}
+        if heard.range_m is not None:
+            rounded["range_m"] = step_m * round(heard.range_m / step_m)
+        if step_deg is not None:
+            for name in ("bearing_body_rad", "elevation_rad"):
+                angle_rad = getattr(heard, name)
+                if angle_rad is not None:
+                    steps = round(math.degrees(angle_rad) / step_deg)
+                    rounded[name] = math.radians(step_deg * steps)
+        return replace(heard, **rounded)
 
     return coarsen
 

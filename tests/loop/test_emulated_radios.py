@@ -49,8 +49,14 @@ COARSE = {
     "kraken": in_degrees,
     "kraken_xml": in_degrees,
     "uudf": in_degrees_about_an_upright,
+    "nlink_iot": in_steps(1e-3, 0.01),
+    "fira_uci": in_steps(0.01, 1.0 / 128.0),
+    "sr150": in_steps(0.01, 1.0 / 128.0),
+    "qorvo_cli": in_steps(0.01, 0.01),
 }
-"""What RADIO_RANGING is rounded to, where steps are so large that another flight comes of them."""
+"""What RADIO_RANGING is rounded to, where another flight comes of the steps.
+
+Of a tag with two axes even a millimetre may decide on which side the vehicle passes."""
 UUDF_MS = make_emulator("uudf", SEED).device_ms
 
 
