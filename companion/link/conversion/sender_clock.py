@@ -323,7 +323,8 @@ DATED_BACK_S = 0.09
 57,600 baud, on TCP and UDP, too: by 3 to 27 ms as observed, by 512 bytes at most (AP_HAL_SITL
 `UARTDriver::receive_time_constraint_us`). Stamps then seem to arrive before they were sent."""
 ONE_SLIP_S = 5.0
-"""Stamps and exchange show the same slip within this time."""
+"""Stamps and exchange show the same slip within this time, unless the stamps gained so much again
+that the clock is wild: that is another slip."""
 LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
 """How long stamps that are late are a slow link's before they are a restarted autopilot's."""
 
@@ -441,7 +442,8 @@ class VehicleClock:
         if self._resets == self.sync.resets:
             return False
         self._resets = self.sync.resets
-        if self._stamps.gained_s <= BACKWARD_S or now_s - self._slipped_s <= ONE_SLIP_S:
+        least_s = MAX_GAIN_S if now_s - self._slipped_s <= ONE_SLIP_S else BACKWARD_S
+        if self._stamps.gained_s <= least_s:
             return False  # a link that is late one way only shifts the exchange, not the stamps
         self._stamps.calm()
         self._slipped_s = now_s

@@ -246,6 +246,16 @@ def test_slips_at_any_time_are_followed_one_after_the_other() -> None:
         assert worst_s(autopilot.run(1.0)) < GOOD_S
 
 
+def test_a_slip_soon_after_another_ends_its_wildness_as_soon() -> None:
+    autopilot = Autopilot(rate=0.95)
+    autopilot.run(20.0)
+    for _ in range(2):
+        autopilot.remote_s += 5.0
+        during = autopilot.run(1.5)
+        assert steps(during) == [ClockStep.SLIP]
+        assert not autopilot.clock.is_wild
+
+
 def test_a_restart_is_still_a_restart() -> None:
     autopilot = Autopilot()
     autopilot.run(20.0)
