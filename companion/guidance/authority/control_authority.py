@@ -69,6 +69,8 @@ class Authority:
         self._is_given_again = False
         """Control was given after another mode, without a grant."""
         self._newest: HeartbeatReceived | None = None
+        self.offboard_shown_s = -math.inf
+        """When a HEARTBEAT showed offboard last, in seconds."""
         self._id_conflict_s = -math.inf
 
     def enter(self, trigger: Trigger, now_s: float) -> Phase | None:
@@ -142,6 +144,8 @@ class Authority:
         failsafe ended offboard: a mode that was chosen stays.
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
+        if is_offboard:
+            self.offboard_shown_s = heartbeat.time_s
         if is_offboard and self._newest is not None:
             self.has_come_back |= self._newest.mode is not FlightMode.OFFBOARD
         is_older, self._newest = self._is_older(heartbeat), heartbeat

@@ -232,7 +232,9 @@ class Handover:
         if left is Phase.HANDBACK:
             context.announce(Severity.NOTICE, f"handed back: autopilot is in {name}")
             return
-        if finding is not None and finding.reason is Reason.SECOND_SOURCE:
+        # Echoes after the last HEARTBEAT in offboard may be targets of the mode chosen since.
+        shown_s = context.authority.offboard_shown_s
+        if finding and finding.reason is Reason.SECOND_SOURCE and finding.since_s <= shown_s:
             context.authority.demand_grant(GRANT_REASONS[Trigger.GIVE_WAY])
         text = f"control lost: autopilot went to {name}"
         if context.authority.grant_reason is None:

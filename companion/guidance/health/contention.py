@@ -155,7 +155,9 @@ class EchoWatch(Watch):
             went_on = self._foreign_s[-1][0] - self._disputed_s >= GOES_ON_S
             is_over = now_s - self._disputed_s >= HOLD_S
             verdict = Verdict.GIVE_WAY if went_on and is_over else Verdict.HOLD
-            return Finding(verdict, Reason.SECOND_SOURCE, "second source of setpoints")
+            first_s = self._foreign_s[0][0]
+            text = "second source of setpoints"
+            return Finding(verdict, Reason.SECOND_SOURCE, text, since_s=first_s)
         if self._echo_s is None:
             return None
         if now_s - self._echo_s > MAX_LAG_S:

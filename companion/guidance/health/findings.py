@@ -7,6 +7,7 @@ this folder, and its place among the `Watches`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
@@ -74,6 +75,8 @@ class Finding:
     text: str
     mode: FlightMode = FlightMode.HOLD
     """What to ask the autopilot for when it is handed back."""
+    since_s: float = -math.inf
+    """Time of the first sign of it, in seconds; -inf where that decides nothing."""
 
 
 class Watch:

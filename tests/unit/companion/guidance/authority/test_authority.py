@@ -193,6 +193,20 @@ def test_what_was_not_left_by_choice_needs_a_grant_and_says_so(
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_targets_of_a_mode_that_was_just_chosen_are_no_second_source(autopilot: Autopilot) -> None:
+    flight = flying(autopilot)
+    flight.show(FlightMode.OFFBOARD)
+    source = Finding(
+        Verdict.HOLD, Reason.SECOND_SOURCE, "second source", since_s=flight.now_s + 0.1
+    )
+    flight.session.context.record_finding(source, flight.now_s)
+    flight.show(FlightMode.POSITION)
+    flight.fly(4.0)
+    assert not flight.is_in(Phase.YIELD)
+    assert not [text for text in flight.texts if "grant needed" in text]
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_a_pilot_who_took_over_by_the_sticks_gives_it_back_by_the_switch(
     autopilot: Autopilot,
 ) -> None:
