@@ -53,7 +53,7 @@ def test_a_bad_link_still_localises(faults: LinkFaults) -> None:
 def test_a_short_cut_is_survived() -> None:
     loop = in_control()
     loop.is_link_up = False
-    loop.run(3.0)
+    loop.run(2.5)  # back between two HEARTBEATs: setpoints arrive before the failsafe is heard
     assert loop.phase is Phase.HOLD
     assert loop.mode is FlightMode.POSITION  # the autopilot's own failsafe: it sinks
     loop.is_link_up = True

@@ -54,7 +54,10 @@ class WithinEnvelope(Invariant):
         crept_m = math.dist(origin_enu_m, self._origin_enu_m)
         is_new |= crept_m > FRAME_STEP_M
         self._origin_enu_m = origin_enu_m
-        if last is None or is_new or not self.scene.told.is_ours:
+        # One that was sent before it could answer a foreign mode belongs to the stream before.
+        left_s = self.scene.told.left_s + self.scene.rules.answer_s
+        is_ours = self.scene.told.is_ours or setpoint.time_s <= left_s
+        if last is None or is_new or not is_ours:
             self._velocity = None
             if not self._is_here(setpoint):
                 away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])

@@ -116,6 +116,8 @@ class ObservedState:
     heartbeat_s: float | None = None
     is_ours: bool = False
     """The newest mode is ours and the vehicle is armed."""
+    left_s: float = -math.inf
+    """When the newest mode was heard that ended ours."""
     mode_sent_at: tuple[float, int] = (-1.0, 0)
     position_enu_m: PositionEnu | None = None
     """In the world's frame, by the origin that was told."""
@@ -213,7 +215,9 @@ class ObservedScene:
                 if sent_at >= told.mode_sent_at:
                     told.mode_sent_at = sent_at
                     is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-                    told.is_ours = is_armed and is_offboard(message)
+                    was_ours, told.is_ours = told.is_ours, is_armed and is_offboard(message)
+                    if was_ours and not told.is_ours:
+                        told.left_s = frame.time_s
             case mavlink.MAVLink_local_position_ned_message():
                 self._tell_position(message, frame.time_s, self.sent_at(frame))
             case mavlink.MAVLink_gps_global_origin_message():
