@@ -21,8 +21,18 @@ import msgspec
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import Point as Point
 
-Positive = Annotated[float, msgspec.Meta(gt=0.0)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+MOST = 1e6
+"""No configured length, time, speed or ratio is greater in its unit; the product of any four still
+fits the float32 of a parameter or an estimate on the wire."""
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=MOST)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=MOST)]
+
+
+Distance = Annotated[float, msgspec.Meta(ge=0.01, le=1e4)]
+"""m; from the centimetre of a GNSS receiver with RTK to the largest fence that an autopilot has of
+its own (PX4: GF_MAX_HOR_DIST up to 10,000 m)."""
+Waiting = Annotated[float, msgspec.Meta(ge=0.05, le=3600.0)]
+"""s; from one control tick to an hour, which is longer than a multicopter flies."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

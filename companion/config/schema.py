@@ -18,7 +18,7 @@ from companion.config.fence_files import read_fence
 from companion.config.loader import load_yaml
 from companion.config.radios import RadioConfig, flown_radios
 from companion.config.versions import SCHEMA_VERSION, renew
-from companion.domain import NonNegative, Params, Positive
+from companion.domain import Distance, NonNegative, Params, Positive
 from companion.errors import ConfigError
 from companion.estimation.tracker import TrackerParams
 from companion.geometry.geofence import GeoFence
@@ -40,6 +40,9 @@ from companion.planning.search import (
     SectorParams,
 )
 
+Speed = Annotated[float, msgspec.Meta(ge=0.1, le=20.0)]
+"""m/s; within what an autopilot's own limit can be set to (ArduPilot: WPNAV_SPEED 0.1 to 20 m/s,
+PX4: MPC_XY_VEL_MAX up to 20 m/s)."""
 DEFAULT_FENCE = ((-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0))
 
 
@@ -56,12 +59,12 @@ class LimitsConfig(Params, frozen=True):
     """Distance that setpoints keep from the fence and from keep-outs, on the allowed side."""
     keep_out_enu_m: tuple[tuple[tuple[float, float], ...], ...] = ()
     """Polygons that no setpoint enters, each by its corners."""
-    altitude_min_m: Positive = 5.0
+    altitude_min_m: Distance = 5.0
     """Above home."""
-    altitude_max_m: Positive = 60.0
+    altitude_max_m: Distance = 60.0
     """Above home."""
-    speed_mps: Positive = 5.0
-    climb_mps: Positive = 2.0
+    speed_mps: Speed = 5.0
+    climb_mps: Speed = 2.0
     acceleration_mps2: Positive = 2.5
     """Of setpoints, and what the vehicle surely brakes with."""
     step_m: Positive = 8.0

@@ -74,7 +74,7 @@ class DoctorProbe(OneShotEndpoint):
         self._count_s = duration_s
         self._authenticity = authenticity
         self._binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
-        signing = authenticity.of_link(0, is_trusted=False)
+        signing = authenticity.of_link(0)
         self._codec = MavCodec(system_id or 1, COMPONENT_ID, signing)
         self._freshness = StreamFreshness()
         self._streams = StreamRequester(self._freshness)

@@ -17,6 +17,7 @@ import msgspec
 from companion.domain import (
     OPTIMISM,
     UNTOLD,
+    Distance,
     OwnAccuracy,
     Params,
     PositionEnu,
@@ -77,7 +78,7 @@ class TrackerParams(Params, frozen=True):
     acceptance: AcceptanceParams = AcceptanceParams()
     hypotheses: HypothesisParams = HypothesisParams()
     window: WindowParams = WindowParams()
-    localised_r95_m: Positive = 2.0
+    localised_r95_m: Distance = 2.0
     """The state is `localised` while R95 is at most this."""
     initial_inflation: Positive = 4.0
     """Variance inflation taken for granted until the run has shown its own."""

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from companion.domain import NonNegative, Params, Positive
+from companion.domain import Distance, NonNegative, Params, Positive, Waiting
 from companion.guard.gate import GuardLimits
 from companion.planning.planner import Planner
 
@@ -27,20 +27,20 @@ class SessionParams(Params, frozen=True):
 
     engage: Literal["operator", "auto"] = "operator"
     """`operator`: the mode switch gives control; `auto`: arm, take off, ask once (simulation)."""
-    altitude_m: Positive = 20.0
+    altitude_m: Distance = 20.0
     """Search altitude above home."""
-    stop_radius_m: Positive = 1.0
+    stop_radius_m: Distance = 1.0
     """The target is reported once R95 stays under this ..."""
-    stop_confirm_s: Positive = 10.0
+    stop_confirm_s: Waiting = 10.0
     """... for this long."""
-    settle_s: Positive | None = 45.0
+    settle_s: Waiting | None = 45.0
     """Or, where that is out of reach, once R95 has improved by less than 8 % for this long; null:
     never."""
     on_localised: Literal["hold", "return", "land"] = "hold"
     """Mode the autopilot is asked for after the report, a value of `FlightMode`."""
-    ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5)] = 5.0
+    ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5, le=3600.0)] = 5.0
     """Without a usable measurement for this long: hold."""
-    degraded_after_s: Positive = 2.0
+    degraded_after_s: Waiting = 2.0
     """Without one for this long: fly on, slower."""
     coast_drift_mps: NonNegative = 1.0
     """How fast the target may move away from its estimate while nothing is heard of it."""

@@ -43,6 +43,7 @@ from companion.link.presence import Presence
 from companion.link.quality import FloodShield, LinkAlarms, LinkHealth, RadioWatch
 from companion.link.radio_stage import RadioStage
 from companion.link.ranging_sources import (
+    RANGING_IDS,
     MavlinkRanging,
     RangingMessage,
     RangingSource,
@@ -133,8 +134,8 @@ class CompanionEndpoint:
     def _make_intake(self, number: int, link: LinkSpec) -> Intake:
         """The way in of a link, with a codec that proves and signs where there is a key."""
         params = self._params
-        is_trusted = link.role is not LinkRole.VEHICLE and params.link.unsigned_ranging
-        signing = self.authenticity.of_link(number, is_trusted=is_trusted)
+        is_open = link.role is LinkRole.RANGING and params.link.unsigned_ranging
+        signing = self.authenticity.of_link(number, RANGING_IDS if is_open else frozenset())
         codec = MavCodec(params.vehicle.system_id or 1, COMPONENT_ID, signing)
         binding = self.binding if link.role is LinkRole.VEHICLE else None
         return Intake(codec, binding, is_raw=link.radio is not None)

@@ -39,7 +39,13 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, SIGNATURE_LENGTH, message_id
-from companion.mav.signing import LinkSigning, SignatureVerdict, Signing, is_signed
+from companion.mav.signing import (
+    UNSIGNED_ALLOWED,
+    LinkSigning,
+    SignatureVerdict,
+    Signing,
+    is_signed,
+)
 
 
 class RateLimit:
@@ -239,11 +245,17 @@ class Authenticity:
         """Whether there is a key."""
         return self._signing is not None
 
-    def of_link(self, number: int, *, is_trusted: bool) -> LinkSigning | None:
-        """What the codec of a link needs; on a trusted one unsigned frames are welcome."""
+    def of_link(
+        self, number: int, unsigned_ids: frozenset[int] = frozenset()
+    ) -> LinkSigning | None:
+        """Return what a link's codec signs and proves by; None without a key.
+
+        Messages of `unsigned_ids` may come unsigned on it, beside those that can never be signed.
+        """
         if self._signing is None:
             return None
-        return LinkSigning(self._signing, number % 256, is_trusted)
+        allowed = UNSIGNED_ALLOWED | unsigned_ids
+        return LinkSigning(self._signing, number % 256, unsigned_ids=allowed)
 
     def set_clock(self, unix_s: float, now_s: float) -> None:
         """Take the wall clock as it is now."""

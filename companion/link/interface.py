@@ -62,7 +62,8 @@ class LinkParams(Params, frozen=True):
     signing_key_file: str | None = None
     """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` goes first."""
     unsigned_ranging: bool = False
-    """With a key: whether ranging links may bring unsigned frames, of a radio that cannot sign."""
+    """With a key: `--ranging` links take unsigned ranging messages, of a radio that cannot sign;
+    anything else that is unsigned is refused on every link."""
 
     stop_unread_streams: bool = False
     """Whether the autopilot is asked to stop, on this link, what it sends unasked and nothing here

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, get_args
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
@@ -32,6 +32,8 @@ RangingMessage = (
     | mavlink.MAVLink_landing_target_message
     | mavlink.MAVLink_ranging_beacon_message
 )
+RANGING_IDS = frozenset(kind.id for kind in get_args(RangingMessage))
+"""Message ids of what is read as ranging."""
 
 
 class RangingSource(Protocol):

@@ -15,8 +15,9 @@ for good. And a new stream is compared with our own clock, not with the newest t
 one sender almost a minute ahead would make another, whose clock is right, too old.
 
 An unsigned frame, MAVLink 1 among them, is a downgrade: with a key it is refused unless its
-message is on the short list of those that cannot be signed (RADIO_STATUS, which radios inject) or
-the link is trusted by configuration. A bad signature is refused on every link.
+message is on the short list of those that cannot be signed (RADIO_STATUS, which radios inject), or
+on the longer list that its link has, or the link is trusted by configuration, as a simulated
+autopilot's own port may be. A bad signature is refused on every link.
 
 Source: MAVLink developer guide, "Message Signing".
 """
@@ -156,15 +157,23 @@ class Signing:
         self.clock = max(self.clock, timestamp_at(unix_s))
         self.timestamp = max(self.timestamp, self.clock)
 
-    def verify(self, frame: bytes, *, is_trusted_link: bool = False) -> SignatureVerdict:
-        """Judge one whole frame whose CRC is right; on a trusted link unsigned ones are welcome."""
-        verdict = self._judge(frame, is_trusted_link)
+    def verify(
+        self,
+        frame: bytes,
+        *,
+        is_trusted_link: bool = False,
+        unsigned_ids: frozenset[int] = UNSIGNED_ALLOWED,
+    ) -> SignatureVerdict:
+        """Judge one whole frame whose CRC is right.
+
+        Messages of `unsigned_ids` may come unsigned, and on a trusted link all may.
+        """
+        verdict = self._judge(frame, is_trusted_link or message_id(frame) in unsigned_ids)
         self.verdicts[verdict] += 1
         return verdict
 
-    def _judge(self, frame: bytes, is_trusted_link: bool) -> SignatureVerdict:
+    def _judge(self, frame: bytes, is_allowed: bool) -> SignatureVerdict:
         if not is_signed(frame):
-            is_allowed = is_trusted_link or message_id(frame) in UNSIGNED_ALLOWED
             return SignatureVerdict.UNSIGNED_ALLOWED if is_allowed else SignatureVerdict.UNSIGNED
         expected = self._key.signature_of(frame[:-HASH_LENGTH])
         if not hmac.compare_digest(expected, frame[-HASH_LENGTH:]):
@@ -215,10 +224,14 @@ class LinkSigning:
     """0 to 255; part of the name of the streams that we send."""
     is_trusted: bool = False
     """Unsigned frames are welcome on this link."""
+    unsigned_ids: frozenset[int] = UNSIGNED_ALLOWED
+    """Messages that may come unsigned on a link that is not trusted."""
 
     def accepts(self, frame: bytes) -> bool:
-        """Whether a received frame may be decoded."""
-        return self.signing.verify(frame, is_trusted_link=self.is_trusted).is_accepted
+        """Return True if a received frame may be decoded."""
+        return self.signing.verify(
+            frame, is_trusted_link=self.is_trusted, unsigned_ids=self.unsigned_ids
+        ).is_accepted
 
     def sign(self, frame: bytes, crc_extra_by_id: Mapping[int, int]) -> bytes:
         """The frame as it is to be sent on this link."""

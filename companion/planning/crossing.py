@@ -41,8 +41,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
-from companion.domain import NonNegative, Params, Positive, Waypoint, WaypointReason
+import msgspec
+
+from companion.domain import Distance, NonNegative, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
 from companion.kernel import kernel
 from companion.planning.crossing_kernels import (
@@ -97,10 +100,10 @@ HEIGHT_SIGMAS = 2.0
 class LatchedCrossingParams(Params, frozen=True):
     """Overshoot and when a crossing counts as flown."""
 
-    overshoot_sigmas: Positive = 3.0
+    overshoot_sigmas: Annotated[float, msgspec.Meta(ge=0.1, le=10.0)] = 3.0
     """Overshoot in standard deviations of the worst direction."""
-    overshoot_min_m: Positive = 2.0
-    overshoot_max_m: Positive = 20.0
+    overshoot_min_m: Distance = 2.0
+    overshoot_max_m: Distance = 20.0
     arrival_radius_m: Positive = 1.5
     """The crossing point counts as reached within this distance."""
     reaim_distance_m: Positive = 3.0

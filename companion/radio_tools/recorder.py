@@ -56,9 +56,7 @@ class PoseListener:
     def __init__(self, system_id: int | None, authenticity: Authenticity) -> None:
         self.binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
         self._authenticity = authenticity
-        self._codec = MavCodec(
-            system_id or 1, COMPONENT_ID, authenticity.of_link(0, is_trusted=False)
-        )
+        self._codec = MavCodec(system_id or 1, COMPONENT_ID, authenticity.of_link(0))
         self._freshness = StreamFreshness()
         self._streams = StreamRequester(self._freshness)
         self._sequence = SequenceMonitor()

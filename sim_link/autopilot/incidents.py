@@ -31,7 +31,7 @@ class FaultRecord(Params, frozen=True, tag_field="kind"):
 
     start_s: NonNegative = 0.0
     """Seconds since the simulator, or the schedule, began; a reboot does not begin them anew."""
-    duration_s: Positive = math.inf
+    duration_s: Annotated[float, msgspec.Meta(gt=0.0)] = math.inf
 
     @property
     def end_s(self) -> float:

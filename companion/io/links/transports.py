@@ -280,10 +280,10 @@ def check_exposure(
     """Refuse, by a `ConfigError`, to listen beyond this machine without proof of who speaks.
 
     MAVLink without signing obeys whoever sends to the port (CVE-2026-1579 is PX4's name for it).
-    Only ranging links may be `unsigned_ranging`.
+    With `unsigned_ranging` a ranging link proves nothing, and every other one does.
     """
     for link in links:
-        may_be_unsigned = unsigned_ranging and link.spec.role is not LinkRole.VEHICLE
+        may_be_unsigned = unsigned_ranging and link.spec.role is LinkRole.RANGING
         is_proved = has_key and not may_be_unsigned and link.spec.radio is None
         if is_exposed(link.transport) and not is_proved:
             raise ConfigError(

@@ -7,10 +7,11 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.guidance.authority.state_machine import Phase
 from companion.link.intake import REPORT_PERIOD_S
-from companion.link.interface import LinkParams
+from companion.link.interface import LinkParams, LinkRole
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
-from companion.mav.framing import without_signature
+from companion.mav.endpoint import Chunk
+from companion.mav.framing import MAGIC_V1, MAGIC_V2, frame_crc, without_signature
 from companion.mav.signing import (
     EPOCH_UNIX_S,
     ONE_LINK_EACH,
@@ -20,7 +21,7 @@ from companion.mav.signing import (
     is_signed,
     timestamp_at,
 )
-from tests.unit.companion.link.wire import OFFBOARD, Wire, heartbeat
+from tests.unit.companion.link.wire import OFFBOARD, STRANGER, Wire, heartbeat
 
 KEY = SigningKey(bytes(range(1, 33)))
 OTHER_KEY = SigningKey(bytes(range(2, 34)))
@@ -153,6 +154,66 @@ def test_a_radio_that_cannot_sign_is_heard_only_if_configured(is_allowed: bool) 
     made.say(heartbeat(), sender=MavCodec(1, 1))
     made.wait(0.5)
     assert any("unsigned" in text for text in made.journal.texts)
+
+
+def frame_of(number: int, *, is_mavlink1: bool = False) -> bytes:
+    """Return an unsigned frame of a message with a payload of one zero, from a ground station."""
+    kind = mavlink.mavlink_map[number]
+    if is_mavlink1:
+        payload = bytes(kind.unpacker.size)
+        frame = bytes((MAGIC_V1, len(payload), 0, 255, 190, number)) + payload
+    else:
+        frame = bytes((MAGIC_V2, 1, 0, 0, 0, 255, 190)) + number.to_bytes(3, "little") + bytes(1)
+    return frame + frame_crc(frame, kind.crc_extra).to_bytes(2, "little")
+
+
+@pytest.mark.parametrize("role", LinkRole)
+@pytest.mark.parametrize("is_allowed", [False, True])
+def test_unsigned_ranging_lets_in_ranging_alone_and_on_ranging_links_alone(
+    role: LinkRole, is_allowed: bool
+) -> None:
+    config = CompanionConfig(link=LinkParams(unsigned_ranging=is_allowed))
+    signing = Signing(KEY, rules=ONE_LINK_EACH)
+    made = Wire(config, 1, gcs_links=1, signing=signing, started_unix_s=UNIX_S)
+    link = list(LinkRole).index(role)
+    taken = set()
+    for number in mavlink.mavlink_map:
+        made.now_s += 1.0
+        made.endpoint.handle_timer(made.now_s)  # which renews the budget
+        intake = made.endpoint._intakes[link]
+        frames = [frame_of(number)]
+        frames += [frame_of(number, is_mavlink1=True)] if number < 256 else []
+        for frame in frames:
+            if list(intake.take(Chunk(link, frame, STRANGER))):
+                taken.add(number)
+        assert intake.codec.counters.good > 0
+    ranging_ids = {MAVLink_radio_ranging_message.id, 149, 513}  # with LANDING_TARGET, a beacon's
+    is_open = is_allowed and role is LinkRole.RANGING
+    assert taken == {mavlink.MAVLINK_MSG_ID_RADIO_STATUS} | (ranging_ids if is_open else set())
+    assert sum(signing.verdicts.values()) > len(mavlink.mavlink_map)
+
+
+@pytest.mark.parametrize(("links", "gcs_links"), [(1, 0), (0, 1)])
+def test_an_unsigned_station_changes_no_parameter_and_gives_no_command(
+    links: int, gcs_links: int
+) -> None:
+    config = CompanionConfig(link=LinkParams(unsigned_ranging=True))
+    signing = Signing(KEY, rules=ONE_LINK_EACH)
+    made = Wire(config, links, gcs_links=gcs_links, signing=signing, started_unix_s=UNIX_S)
+    made.autopilot = codec()
+    made.ready()
+    speed = mavlink.MAVLink_param_set_message(1, 191, b"CMP_SPEED", 2.0, 9)
+    grant = mavlink.MAVLink_command_long_message(1, 191, 92, 0, *(1.0, 0, 0, 0, 0, 0, 0))
+    for message in (speed, grant):
+        made.say(message, sender=MavCodec(255, 190), link=1)
+    made.wait(0.5)
+    assert made.endpoint.session.context.guard.limits.envelope.speed_mps == 5.0
+    assert made.of(mavlink.MAVLink_command_ack_message) == []
+    assert any("refused 2 x unsigned" in text for text in made.journal.texts)
+    if gcs_links:  # and the same with the key is heard
+        station = MavCodec(255, 190, LinkSigning(Signing(KEY, timestamp_at(UNIX_S + 1.0)), 3))
+        made.say(speed, sender=station, link=1)
+        assert made.endpoint.session.context.guard.limits.envelope.speed_mps == 2.0
 
 
 def test_the_verdicts_are_in_the_log() -> None:

@@ -152,6 +152,23 @@ def test_what_the_configuration_would_refuse_is_refused(name: str, value: float)
     assert wire.journal.texts[-1].startswith(f"parameter {name}: ")
 
 
+@pytest.mark.parametrize("name", [tunable.name for tunable in TUNABLES if not tunable.words])
+@pytest.mark.parametrize(
+    "value", [1e30, -1e30, 3.4e38, 1e-30, 1e-45, *map(float, ("nan", "inf", "-inf"))]
+)
+def test_every_parameter_has_a_range_that_an_absurd_value_is_outside_of(
+    name: str, value: float
+) -> None:
+    wire = Wire().bound()
+    before = values(ask(wire, request_read(name)))
+    config = wire.endpoint._parameters._book.config  # type: ignore[attr-defined]
+    sent = ask(wire, param_set(name, value))
+    assert values(sent) == before
+    assert [who for who, _, _ in errors(sent)] == [name]
+    assert wire.journal.texts[-1].startswith(f"parameter {name}: ")
+    assert wire.endpoint._parameters._book.config == config  # type: ignore[attr-defined]
+
+
 def test_a_limit_is_raised_again_as_far_as_the_file_has_it() -> None:
     wire = Wire(CompanionConfig()).bound()
     ask(wire, param_set("CMP_SPEED", 1.0))

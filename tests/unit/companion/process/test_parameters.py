@@ -81,6 +81,21 @@ def test_a_spoilt_file_means_nothing(
     assert str(path) in caplog.text
 
 
+@pytest.mark.parametrize("value", ["1e30", "1e308", "-1.0", "1e-300", "1.5e1"])
+@pytest.mark.parametrize("name", ["CMP_OVER_SIGMAS", "CMP_ON_FOUND", "CMP_SPEED"])
+def test_a_kept_value_out_of_its_range_is_refused_with_a_line(
+    tmp_path: Path, name: str, value: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "vehicle.parameters.json"
+    path.write_text(f'{{"{name}": {value}}}')
+    second = tunables()
+    with caplog.at_level(logging.WARNING, "companion.run"):
+        ParameterKeeper(second, path)
+    assert second.config == second.file
+    assert second.changed == {}
+    assert f"{name}: " in caplog.text
+
+
 @pytest.mark.parametrize("name", ["CMP_FENCE_MARGIN", "CMP_NOTHING"])
 def test_what_nobody_may_change_is_not_taken_from_a_file(tmp_path: Path, name: str) -> None:
     path = tmp_path / "vehicle.parameters.json"

@@ -30,3 +30,8 @@ def test_unsigned_ranging_is_for_links_that_nobody_else_reaches() -> None:
     check(OPEN, OWN, has_key=True, unsigned_ranging=True)
     with pytest.raises(ConfigError, match=r"udpin:0\.0\.0\.0:14540"):
         check(OWN, OPEN, has_key=True, unsigned_ranging=True)
+
+
+def test_unsigned_ranging_leaves_the_ground_stations_links_signed() -> None:
+    station = parse_flight_link(OPEN, LinkRole.GCS)
+    check_exposure([station], has_key=True, unsigned_ranging=True)
