@@ -60,11 +60,17 @@ def estimate_of(
     """What hypotheses, best first, add up to; `is_diverged`: the filter was started anew lately."""
     weights, best, own = probabilities(hypotheses), hypotheses[0], shared.own
     covariances = [
-        position_covariance_m2(h, model.own_sigma_m) + shared.lasting for h in hypotheses
+        shared.within_reach(
+            position_covariance_m2(h, model.own_sigma_m) + shared.lasting, h.place_enu_m
+        )
+        for h in hypotheses
     ]
     settled_m = r95_m = _r95_m(hypotheses, weights, covariances)
     if shared.wander.any():
-        covariances = [covariance + shared.wander for covariance in covariances]
+        covariances = [
+            shared.within_reach(covariance + shared.wander, h.place_enu_m)
+            for covariance, h in zip(covariances, hypotheses, strict=True)
+        ]
         r95_m = max(settled_m, _r95_m(hypotheses, weights, covariances))
     state = EstimateState.DIVERGED if is_diverged else _state(weights, settled_m, localised_r95_m)
     is_ambiguous = state is EstimateState.AMBIGUOUS

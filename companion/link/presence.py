@@ -167,8 +167,7 @@ def icon_message(
 def _with_floats_that_fit(message: AnyMessage) -> AnyMessage:
     """Return the message with each float beyond float32 at the largest one of its sign.
 
-    Ranges from one place leave the target's position across the line of sight open: its variance
-    may exceed 3.4e38 m^2, which cannot be packed.
+    A baseline filter that diverges may exceed 3.4e38, which cannot be packed.
     """
     for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
         if kind == "float" and abs(value := getattr(message, name)) > FLOAT32_MAX:

@@ -285,16 +285,18 @@ class WindowOptimizer:
     def shared(self, hypothesis: Hypothesis, sigmas: SharedSigmas) -> SharedErrors:
         """What errors that all measurements share make of a place that the window names."""
         rows, mean = self.rows, hypothesis.state.mean
+        heard = self.map.heard(rows)
         if len(rows) < MIN_MEASUREMENTS:
-            return NO_ERRORS
+            return NO_ERRORS._replace(heard=heard)
         spread_m2 = float(np.trace(hypothesis.state.covariance[:2, :2]))
         scores = self.map.scores(rows, mean, spread_m2)
-        prior = self.map.prior[0] + self._older.information
+        prior = self.map.prior_with(rows, self._older)[0]
         times_s, model = self.window.times_s, self._filter_params.model
         try:
-            return shared_errors(rows, times_s, mean, scores, prior, model, sigmas)
+            errors = shared_errors(rows, times_s, mean, scores, prior, model, sigmas)
         except np.linalg.LinAlgError:
-            return NO_ERRORS
+            errors = NO_ERRORS
+        return errors._replace(heard=heard)
 
     def observability(self, mean: Vector) -> Observability | None:
         """What the window can tell about a target at `mean`; None before the first measurement."""

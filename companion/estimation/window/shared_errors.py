@@ -32,6 +32,7 @@ from companion.estimation.window.sandwich import (
     curvature,
     pooled_variability,
 )
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 TIME_CONSTANT_S = 150.0
@@ -58,6 +59,14 @@ class SharedSigmas(NamedTuple):
     """Of the own place, per axis, while its fix was another one."""
 
 
+class Heard(NamedTuple):
+    """The path on which a radio was heard, and how far off its target can be."""
+
+    centre_enu_m: Point
+    sigma_m: float
+    """Standard deviation per axis of the target about the centre."""
+
+
 class SharedErrors(NamedTuple):
     """What they make of the target's place, (2, 2) each, m^2."""
 
@@ -67,6 +76,29 @@ class SharedErrors(NamedTuple):
     """Of the own place, which nothing shows."""
     own: OwnAccuracy = UNTOLD
     """How well that is known on the Earth."""
+    heard: Heard | None = None
+    """Where the radio was heard; None: not known."""
+
+    def within_reach(self, covariance_m2: Matrix, place_enu_m: Point) -> Matrix:
+        """Return a covariance (2, 2) about a place, in no direction wider than the reach says.
+
+        That the target lies within reach of where it was heard and what measurements say of it are
+        two statements, each true by itself: the narrower one holds in every direction. First-order
+        theory, by which shared errors are counted, promises nothing where geometry is singular.
+        """
+        if self.heard is None or np.trace(covariance_m2) <= self.heard.sigma_m**2:
+            return covariance_m2
+        away = np.subtract(self.heard.centre_enu_m, place_enu_m)
+        reach: Matrix = self.heard.sigma_m**2 * np.eye(2) + np.outer(away, away)
+        if not np.isfinite(covariance_m2).all():
+            return reach
+        half = np.linalg.cholesky(reach)
+        whitened = np.linalg.solve(half, np.linalg.solve(half, covariance_m2).T)
+        values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
+        known = np.maximum(values, np.finfo(float).eps * values[-1])  # less is lost in rounding
+        axes = half @ vectors
+        narrower: Matrix = (axes * np.minimum(known, 1.0)) @ axes.T
+        return narrower
 
 
 NO_ERRORS = SharedErrors(np.zeros((2, 2)), np.zeros((2, 2)))

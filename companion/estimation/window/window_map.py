@@ -81,6 +81,7 @@ from companion.estimation.window.sandwich import (
     stretch_covariance,
     thermal_moment,
 )
+from companion.estimation.window.shared_errors import Heard
 from companion.kernel import Matrix, Vector
 
 
@@ -184,8 +185,8 @@ class WindowMap:
         self.size = len(weights)
         self._is_placed = any(filter_params.place_sigmas)
         """Whether the radio is known for errors that stay with the place."""
-        self._reached: tuple[Matrix, Matrix, Vector] | None = None
-        """Rows, and what the radio's reach about their path says of the place."""
+        self._heard: tuple[Matrix, Heard] | None = None
+        """Rows, and where the radio was heard along them."""
         self._linearised: tuple[Matrix, Vector, RangingModel, Scores] | None = None
         """Rows, the mean and the model of the last scores without a spread, kept as they were."""
         self.fields: Fields = ALL_WHITE
@@ -222,7 +223,7 @@ class WindowMap:
             length_m = p.range_length_m if m == RANGE else p.place_length_m
             belief = PlaceBelief(deviation, length_m, is_of_radio=told > 0.0)
             H, slope = scores.part(m), scores.slopes[m]
-            prior = self._prior(rows, None)[0]
+            prior = self.prior_with(rows, None)[0]
             noise = place_noise(rows[:, :2], psi, H, slope, prior, belief)
             # what looks like it may be a target that is elsewhere now: its votes must count
             found[m] = noise if told > 0.0 else replace(noise, repetition=1.0)
@@ -278,7 +279,7 @@ class WindowMap:
         self, rows: Matrix, start: Vector, older: OlderEvidence | None = None
     ) -> tuple[Vector, float] | None:
         """The minimum that a start leads to, with its cost; None if it leads nowhere."""
-        information, pull = self._prior(rows, older)
+        information, pull = self.prior_with(rows, older)
         try:
             with np.errstate(all="ignore"):
                 mean, cost = map_minimum(
@@ -380,27 +381,38 @@ class WindowMap:
         return self._cost(rows, at if solution is None else solution[0], older)
 
     def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
-        information, pull = self._prior(rows, older)
+        information, pull = self.prior_with(rows, older)
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
             offs = measured_offs(rows, mean, self._model)
             cost = map_cost(offs, mean, sigmas, self._thresholds, information, pull, self._model)
             return float(cost) + normaliser(rows, sigmas, self._model)
 
-    def _prior(self, rows: Matrix, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
+    def prior_with(self, rows: Matrix, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
         """Information and pull of all that is believed besides the rows, the radio's reach too."""
         information, pull = self.prior
         if older is not None:
             information, pull = information + older.information, pull + older.pull
         if self._p.reach_m is None:
             return information, pull
-        if self._reached is None or self._reached[0] is not rows:
+        heard, near, towards = (
+            self.heard(rows),
+            np.zeros((self.size, self.size)),
+            np.zeros(self.size),
+        )
+        weight = heard.sigma_m**-2
+        near[[0, 1], [0, 1]], towards[:2] = weight, weight * np.array(heard.centre_enu_m)
+        return information + near, pull + towards
+
+    def heard(self, rows: Matrix) -> Heard:
+        """The path of the rows (n, >= 2), and how far off it the target of such a radio can be."""
+        if self._heard is None or self._heard[0] is not rows:
             places = rows[:, :2]
-            weight = 1.0 / (self._p.reach_m**2 + 0.5 * float(places.var(axis=0).sum()))
-            near, towards = np.zeros((self.size, self.size)), np.zeros(self.size)
-            near[[0, 1], [0, 1]], towards[:2] = weight, weight * places.mean(axis=0)
-            self._reached = rows, near, towards
-        return information + self._reached[1], pull + self._reached[2]
+            east_m, north_m = places.mean(axis=0).tolist()
+            reach_m = self._p.reach_m or MAX_POSITION_SIGMA_M
+            sigma_m = math.sqrt(reach_m**2 + 0.5 * float(places.var(axis=0).sum()))
+            self._heard = rows, Heard((east_m, north_m), sigma_m)
+        return self._heard[1]
 
     def _optimum(
         self,
@@ -445,8 +457,8 @@ class WindowMap:
         self, rows: Matrix, scores: Scores, older: OlderEvidence | None, is_white: bool
     ) -> tuple[Matrix, Matrix, Matrix]:
         """Covariance, curvature and variability of an optimum, each (k, k)."""
-        A = curvature(scores, shares_of(self.fields)) + self._prior(rows, older)[0]
-        fixed = self._prior(rows, None)[0] + (0.0 if older is None else older.variability)
+        A = curvature(scores, shares_of(self.fields)) + self.prior_with(rows, older)[0]
+        fixed = self.prior_with(rows, None)[0] + (0.0 if older is None else older.variability)
         A_inverse = np.asarray(np.linalg.inv(A))
         shares, repetition = shares_of(self.fields), scores.repetition
         variabilities = []

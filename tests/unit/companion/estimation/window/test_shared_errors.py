@@ -7,15 +7,19 @@ import math
 import numpy as np
 import pytest
 
+from companion.domain import OwnAccuracy, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.map_kernels import COLUMNS
 from companion.estimation.window.shared_errors import (
+    NO_ERRORS,
     TIME_CONSTANT_S,
+    Heard,
     SharedErrors,
     SharedSigmas,
     shared_errors,
 )
-from companion.estimation.window.window_map import WindowMap
+from companion.estimation.window.window_map import MAX_POSITION_SIGMA_M, WindowMap
 from companion.kernel import Matrix, Vector
 
 TARGET = (10.0, 30.0)
@@ -135,3 +139,36 @@ def test_a_height_that_noise_hides_counts_by_what_it_may_be() -> None:
         np.mean([_drawn(seed, 0.0, sigma_m)[1] for seed in range(8)]) for sigma_m in (0.1, 4.0)
     )
     assert hidden > 50.0 * shown
+
+
+@pytest.mark.parametrize("variance_m2", [1.0, 1e4, 1e9, 1e16, 1e39, math.inf])
+def test_no_direction_is_wider_than_where_the_radio_was_heard_says(variance_m2: float) -> None:
+    errors = NO_ERRORS._replace(heard=Heard((0.0, 0.0), 20.0))
+    turn = math.pi / 5.0
+    axis = np.array([math.cos(turn), math.sin(turn)])
+    across = np.array([-axis[1], axis[0]])
+    wide = variance_m2 * np.outer(axis, axis) + 0.25 * np.outer(across, across)
+    place = (30.0 * axis[0], 30.0 * axis[1])
+    narrower = errors.within_reach(wide, place)
+    assert axis @ narrower @ axis <= min(variance_m2, 1300.0) * (1.0 + 1e-6)  # 20^2 + 30^2
+    assert np.linalg.eigvalsh(narrower)[0] > 0.2
+    if variance_m2 < 1e10:
+        assert axis @ narrower @ axis == pytest.approx(min(variance_m2, 1300.0))
+        assert across @ narrower @ across == pytest.approx(0.25, rel=1e-3)
+    np.testing.assert_allclose(narrower, narrower.T)
+
+
+def test_ranges_along_a_line_state_no_radius_beyond_what_a_place_may_be() -> None:
+    """A straight pass leaves the direction across open, and shared errors are levers of that."""
+    tracker = TargetTracker(TrackerParams(), 1)
+    rng, target = np.random.default_rng(1), (-12.0, 31.0, 0.0)
+    radii_m = []
+    for step in range(60):
+        place = (0.05 * step, 0.0, 20.0)
+        range_m = math.dist(place, target) + rng.normal(0.0, 0.15)
+        now_s = 0.1 * step
+        tracker.fuse(RangingMeasurement(1, now_s, range_m), place, now_s, OwnAccuracy())
+        estimate = tracker.estimate(now_s)
+        radii_m += [] if estimate is None else [estimate.absolute_r95_m]
+    assert len(radii_m) == 60
+    assert max(radii_m) <= 3.0 * MAX_POSITION_SIGMA_M
