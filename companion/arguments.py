@@ -262,6 +262,9 @@ def _add_replay(commands: Commands) -> None:
     text += "(default port 8080)"
     _option(replay, "--web", "[HOST:]PORT", text, dest="web", nargs="?", const="8080")
     _tiles(replay)
+    text = "of a walk, standard deviation of its positions per axis, metres (default: its column "
+    text += "own_sigma_m, or that of the .json beside it; 3 where nothing is stated)"
+    _option(replay, "--own-sigma", "M", text, type=number_in(0.0, 1e4))
     _file(replay, "--config", "companion configuration")
     _file(replay, "--json", "write the results as JSON")
 

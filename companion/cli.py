@@ -31,7 +31,7 @@ from companion.io.shared_clock import clock_of
 from companion.kernel import IS_COMPILED_ON_CALL, IS_NATIVE, count_loaded
 from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
-from companion.replay.walk_replay import replay_walk, table
+from companion.replay.walk_replay import WalkAccuracy, replay_walk, stated_accuracy, table
 from companion.run import FlightOptions, FlightView, fly, prepare
 from companion.view.console import ConsoleHandler, PlainView
 from companion.view.cot import CotView, cot_address
@@ -269,7 +269,10 @@ def _replay(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         check_writable(arguments.json)
     settings = _web_settings(arguments)
-    if arguments.file.suffix.lower() == ".csv":
+    is_walk = arguments.file.suffix.lower() == ".csv"
+    if arguments.own_sigma is not None and not is_walk:
+        raise ConfigError("--own-sigma: only a walk (.csv) takes it; a flight has its own")
+    if is_walk:
         if arguments.speed is not None:
             raise ConfigError("--speed: a walk is replayed as fast as it goes; leave it out")
         if settings is not None:
@@ -305,7 +308,7 @@ def _replay_recording(arguments: argparse.Namespace, config: CompanionConfig) ->
     replay = replay_recording(arguments.file, config)
     print("\n".join(replay.radios))
     if replay.targets:
-        print(table(replay.targets))
+        print(table(replay.targets, config.estimation.localised_r95_m))
     if arguments.json is not None:
         value = {"file": arguments.file.name, "targets": [r.as_json() for r in replay.targets]}
         write_json_atomic(arguments.json, value)
@@ -318,10 +321,14 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
         if sys.stderr.isatty():
             print(f"\r{rows} rows", end="", file=sys.stderr, flush=True)
 
-    results = replay_walk(arguments.file, config.estimation, progress)
+    beside = arguments.file.with_suffix(".json")
+    is_beside = arguments.json is not None and arguments.json.resolve() == beside.resolve()
+    if is_beside and stated_accuracy(arguments.file) != WalkAccuracy():
+        raise ConfigError(f"--json: {beside} describes the walk; choose another file")
+    results = replay_walk(arguments.file, config.estimation, progress, arguments.own_sigma)
     if sys.stderr.isatty():
         print("\r", end="", file=sys.stderr)
-    print(table(results))
+    print(table(results, config.estimation.localised_r95_m))
     if arguments.json is not None:
         value = {"file": arguments.file.name, "targets": [r.as_json() for r in results]}
         write_json_atomic(arguments.json, value)

@@ -2,8 +2,11 @@
 
 A CSV file has a row per answer of an emitter, with the columns `t_s`, `agent_x_m`, `agent_y_m`,
 `target_id`, and at least one of `range_m`, `bearing_rad` and `elevation_rad` (an empty cell means
-"not measured"). x is east, y is north, a bearing is counter-clockwise from east. `agent_z_m` is
-optional; so are `target_x_m` and `target_y_m`, which only serve to say how wrong the estimate is.
+"not measured"). x is east, y is north, a bearing is counter-clockwise from east. Optional are
+`agent_z_m`, `own_sigma_m` (standard deviation per axis of the agent's position),
+`own_yaw_sigma_rad` (of the yaw that the bearings were turned by), and `target_x_m` and
+`target_y_m`, which only serve to say how wrong the estimate is. What holds for a whole walk may
+stand in the JSON object beside it (`walk.json` of `walk.csv`) under the same two names.
 """
 
 from __future__ import annotations
@@ -11,10 +14,21 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
+import msgspec
+
+from companion.domain import (
+    HEIGHT_RATIO,
+    UNTOLD_SIGMA_M,
+    EstimateState,
+    NonNegative,
+    OwnAccuracy,
+    PositionEnu,
+    RangingMeasurement,
+    TargetEstimate,
+)
 from companion.errors import ConfigError
 from companion.estimation.target_estimate import aside_of_m
 from companion.estimation.tracker import TargetTracker, TrackerParams
@@ -26,7 +40,7 @@ PROGRESS_ROWS = 2000
 FARTHEST_M = 4e7
 """The Earth is 40,000 km around."""
 ESTIMATED = (
-    *("r95_m", "alternative_enu_m", "range_offset_m"),
+    *("r95_m", "settled_r95_m", "absolute_r95_m", "alternative_enu_m", "range_offset_m"),
     *("range_scale", "height_m", "height_sigma_m"),
 )
 """What `--json` takes from the estimate as it is."""
@@ -42,6 +56,10 @@ class WalkRow:
     measurement: RangingMeasurement
     agent_enu_m: PositionEnu
     truth_enu_m: tuple[float, float] | None
+    own: OwnAccuracy | None
+    """How well the agent's position is known; None: not stated."""
+    yaw_sigma_rad: float = 0.0
+    """Standard deviation of the yaw that the bearing was turned by."""
 
 
 @dataclass(slots=True)
@@ -96,11 +114,17 @@ class TargetResult:
 
 
 def replay_walk(
-    path: Path, params: TrackerParams, progress: Progress | None = None
+    path: Path,
+    params: TrackerParams,
+    progress: Progress | None = None,
+    own_sigma_m: float | None = None,
 ) -> list[TargetResult]:
-    """Run one tracker per target over a recorded walk, telling the progress now and then."""
+    """Run one tracker per target over a recorded walk, and call `progress` now and then.
+
+    `own_sigma_m` replaces what the walk states of its positions.
+    """
     targets: dict[str, _Replayed] = {}
-    for number, row in enumerate(read_walk(path)):
+    for number, row in enumerate(read_walk(path, own_sigma_m)):
         target = targets.get(row.target_id)
         if target is None:
             emitter_id = row.measurement.emitter_id
@@ -108,7 +132,11 @@ def replay_walk(
         target.rows += 1
         target.last_s = row.measurement.measured_at_s
         target.truth_enu_m = row.truth_enu_m
-        target.tracker.fuse(row.measurement, row.agent_enu_m, target.last_s)
+        measurement = row.measurement
+        if row.yaw_sigma_rad > 0.0:
+            sigma_rad = math.hypot(math.radians(params.filter.bearing_sigma_deg), row.yaw_sigma_rad)
+            measurement = replace(measurement, bearing_sigma_rad=sigma_rad)
+        target.tracker.fuse(measurement, row.agent_enu_m, target.last_s, row.own)
         if progress is not None and number % PROGRESS_ROWS == 0:
             progress(number)
     if not targets:
@@ -131,15 +159,38 @@ def _result(target_id: str, target: _Replayed) -> TargetResult:
     )
 
 
-def read_walk(path: Path) -> Iterator[WalkRow]:
-    """The rows of a recorded walk; a `ConfigError` names the line that is wrong."""
+class WalkAccuracy(msgspec.Struct, frozen=True):
+    """What holds of all positions of a walk, from the JSON object beside it."""
+
+    own_sigma_m: NonNegative | None = None
+    own_yaw_sigma_rad: NonNegative | None = None
+
+
+def stated_accuracy(path: Path) -> WalkAccuracy:
+    """Return what the JSON file beside a walk states; nothing where there is no such file."""
+    beside = path.with_suffix(".json")
+    try:
+        return msgspec.json.decode(beside.read_bytes(), type=WalkAccuracy)
+    except OSError:
+        return WalkAccuracy()
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{beside}: beside the walk: {error}") from error
+
+
+def read_walk(path: Path, own_sigma_m: float | None = None) -> Iterator[WalkRow]:
+    """Yield the rows of a recorded walk; a `ConfigError` names the line that is wrong."""
+    stated = stated_accuracy(path)
+    if own_sigma_m is not None:
+        stated = msgspec.structs.replace(stated, own_sigma_m=own_sigma_m)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             _check_header(path, reader.fieldnames)
             numbers: dict[str, int] = {}
             for row in reader:
-                yield _walk_row(row, f"{path}: line {reader.line_num}", numbers)
+                if own_sigma_m is not None:
+                    row.pop("own_sigma_m", None)
+                yield _walk_row(row, f"{path}: line {reader.line_num}", numbers, stated)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -157,7 +208,9 @@ def _check_header(path: Path, names: object) -> None:
         raise ConfigError(f"{path}: line 1: needs a column {' or '.join(MEASURED)}")
 
 
-def _walk_row(row: Mapping[str, str | None], place: str, numbers: dict[str, int]) -> WalkRow:
+def _walk_row(
+    row: Mapping[str, str | None], place: str, numbers: dict[str, int], stated: WalkAccuracy
+) -> WalkRow:
     target_id = row.get("target_id")
     if not target_id:
         raise ConfigError(f"{place}: target_id is empty")
@@ -167,6 +220,8 @@ def _walk_row(row: Mapping[str, str | None], place: str, numbers: dict[str, int]
     if not all(abs(metres) <= FARTHEST_M for metres in (east, north, up)):
         raise ConfigError(f"{place}: agent_x_m, agent_y_m, agent_z_m: no place on the Earth")
     truth = None if truth_east is None or truth_north is None else (truth_east, truth_north)
+    own_m = _sigma(row, "own_sigma_m", place, stated.own_sigma_m)
+    yaw_rad = _sigma(row, "own_yaw_sigma_rad", place, stated.own_yaw_sigma_rad)
     return WalkRow(
         target_id=target_id,
         measurement=RangingMeasurement(
@@ -178,7 +233,21 @@ def _walk_row(row: Mapping[str, str | None], place: str, numbers: dict[str, int]
         ),
         agent_enu_m=(east, north, up),
         truth_enu_m=truth,
+        own=None if own_m is None else OwnAccuracy(own_m, HEIGHT_RATIO * own_m, is_told=True),
+        yaw_sigma_rad=yaw_rad or 0.0,
     )
+
+
+def _sigma(
+    row: Mapping[str, str | None], name: str, place: str, stated: float | None
+) -> float | None:
+    """Return a row's standard deviation, or what is stated for the whole walk."""
+    value = _number(row, name, place)
+    if value is None:
+        return stated
+    if not 0.0 <= value < math.inf:
+        raise ConfigError(f"{place}: {name} must be finite and not negative")
+    return value
 
 
 def _number(row: Mapping[str, str | None], name: str, place: str) -> float | None:
@@ -206,8 +275,8 @@ def _needed(row: Mapping[str, str | None], name: str, place: str) -> float:
     return value
 
 
-def table(results: list[TargetResult]) -> str:
-    """The results as lines of text, with median and worst error where the truth is known."""
+def table(results: list[TargetResult], localised_r95_m: float) -> str:
+    """Return the results as lines of text, with median and worst error where the truth is known."""
     lines = [
         f"{'target':<12} {'n':>6} {'refused':>7}  {'state':<10} {'east m':>9} {'north m':>9} "
         f"{'R95 m':>7} {'error m':>8}"
@@ -232,4 +301,19 @@ def table(results: list[TargetResult]) -> str:
     if errors:
         middle = 0.5 * (errors[(len(errors) - 1) // 2] + errors[len(errors) // 2])
         lines.append(f"median error {middle:.2f} m, worst {errors[-1]:.2f} m")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_remarks(results, localised_r95_m)])
+
+
+def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[str]:
+    """Yield why a target is still searched, and that positions were taken for poor ones."""
+    estimates = {r.target_id: r.estimate for r in results if r.estimate is not None}
+    open_m = {
+        name: estimate.settled_r95_m
+        for name, estimate in estimates.items()
+        if estimate.state is EstimateState.SEARCHING and estimate.settled_r95_m > localised_r95_m
+    }
+    if open_m:
+        words = ", ".join(f"{name} to {radius_m:.2f} m" for name, radius_m in open_m.items())
+        yield f"searching: measurements place {words}; localised asks for {localised_r95_m:g} m"
+    if not all(estimate.own.is_told for estimate in estimates.values()):
+        yield f"R95 counts {UNTOLD_SIGMA_M:g} m for positions of unknown accuracy: see --own-sigma"

@@ -180,3 +180,66 @@ def test_a_place_that_is_not_on_the_earth_is_refused_by_its_line(
     )
     assert main(["replay", str(path)]) == EXIT_BAD_INPUT
     assert "line 2: agent_x_m, agent_y_m, agent_z_m" in capsys.readouterr().err
+
+
+def test_what_is_stated_of_the_positions_narrows_the_radius(tmp_path: Path) -> None:
+    """By column, by the JSON object beside the walk, by the caller, who has the last word."""
+    params = load_config(ROOT / "configs/companion/uwb.yaml").estimation
+    silent = write_walk(tmp_path / "silent.csv", circle())
+    column = write_walk(tmp_path / "column.csv", [{**row, "own_sigma_m": 0.05} for row in circle()])
+    beside = write_walk(tmp_path / "beside.csv", circle())
+    (tmp_path / "beside.json").write_text('{"own_sigma_m": 0.05, "radio": "any"}')
+
+    def r95_m(path: Path, own_sigma_m: float | None = None) -> float:
+        (result,) = replay_walk(path, params, own_sigma_m=own_sigma_m)
+        assert result.estimate is not None
+        return result.estimate.absolute_r95_m
+
+    assert r95_m(column) == r95_m(beside) == r95_m(silent, 0.05)
+    assert r95_m(column) < 0.2 * r95_m(silent)
+    assert r95_m(column, 1.0) > r95_m(column)
+
+
+def test_a_yaw_of_unknown_quality_makes_bearings_count_less(tmp_path: Path) -> None:
+    rows = circle()
+    sure = write_walk(tmp_path / "sure.csv", rows)
+    vague = write_walk(tmp_path / "vague.csv", [{**row, "own_yaw_sigma_rad": 0.3} for row in rows])
+    radii_m = []
+    for path in (sure, vague):
+        (result,) = replay_walk(path, load_config(None).estimation, own_sigma_m=0.0)
+        assert result.estimate is not None
+        radii_m.append(result.estimate.r95_m)
+    assert radii_m[0] < radii_m[1]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [("-1", "own_sigma_m must be finite"), ("inf", "own_sigma_m must be finite"), ("x", "own_")],
+)
+def test_no_standard_deviation_is_refused_by_its_line(
+    tmp_path: Path, value: str, words: str
+) -> None:
+    path = write_walk(tmp_path / "w.csv", [{**row, "own_sigma_m": value} for row in circle(3)])
+    with pytest.raises(ConfigError, match=f"line 2: {words}"):
+        list(read_walk(path))
+
+
+@pytest.mark.parametrize("text", ['{"own_sigma_m": -1}', '{"own_sigma_m": "1"}', "[]", "{"])
+def test_a_file_beside_that_says_nonsense_is_named(tmp_path: Path, text: str) -> None:
+    path = write_walk(tmp_path / "w.csv", circle(3))
+    (tmp_path / "w.json").write_text(text)
+    with pytest.raises(ConfigError, match=r"w\.json: beside the walk"):
+        list(read_walk(path))
+
+
+def test_results_never_replace_what_describes_the_walk(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_walk(tmp_path / "w.csv", circle(20))
+    beside = tmp_path / "w.json"
+    beside.write_text('{"own_sigma_m": 0.1}')
+    assert main(["replay", str(path), "--json", str(beside)]) == EXIT_BAD_INPUT
+    assert "describes the walk" in capsys.readouterr().err
+    assert beside.read_text() == '{"own_sigma_m": 0.1}'
+    assert main(["replay", "w.tlog", "--own-sigma", "1"]) == EXIT_BAD_INPUT
+    assert "--own-sigma" in capsys.readouterr().err
