@@ -120,7 +120,7 @@ def replayed(walk: str, rows: Sequence[WalkRow], params: TrackerParams) -> Targe
     began_s = time.process_time()
     for count, row in enumerate(rows, 1):
         now_s = row.measurement.measured_at_s
-        tracker.fuse(row.measurement, row.agent_enu_m, now_s)
+        tracker.fuse(row.measurement, row.agent_enu_m, now_s, row.own)
         estimate = tracker.estimate(now_s) if count in due else None
         if estimate is not None and row.truth_enu_m is not None:
             found.along.append(Claim.of(estimate, row.truth_enu_m))

@@ -56,7 +56,7 @@ class WalkRow:
     measurement: RangingMeasurement
     agent_enu_m: PositionEnu
     truth_enu_m: tuple[float, float] | None
-    own: OwnAccuracy | None
+    own: OwnAccuracy | None = None
     """How well the agent's position is known; None: not stated."""
     yaw_sigma_rad: float = 0.0
     """Standard deviation of the yaw that the bearing was turned by."""
