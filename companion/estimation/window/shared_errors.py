@@ -59,7 +59,7 @@ class SharedSigmas(NamedTuple):
     """Of the own place, per axis, while its fix was another one."""
 
 
-class Heard(NamedTuple):
+class HeardPath(NamedTuple):
     """The path on which a radio was heard, and how far off its target can be."""
 
     centre_enu_m: Point
@@ -76,7 +76,7 @@ class SharedErrors(NamedTuple):
     """Of the own place, which nothing shows."""
     own: OwnAccuracy = UNTOLD
     """How well that is known on the Earth."""
-    heard: Heard | None = None
+    heard: HeardPath | None = None
     """Where the radio was heard; None: not known."""
 
     def within_reach(self, covariance_m2: Matrix, place_enu_m: Point) -> Matrix:

@@ -81,7 +81,7 @@ from companion.estimation.window.sandwich import (
     stretch_covariance,
     thermal_moment,
 )
-from companion.estimation.window.shared_errors import Heard
+from companion.estimation.window.shared_errors import HeardPath
 from companion.kernel import Matrix, Vector
 
 
@@ -185,7 +185,7 @@ class WindowMap:
         self.size = len(weights)
         self._is_placed = any(filter_params.place_sigmas)
         """Whether the radio is known for errors that stay with the place."""
-        self._heard: tuple[Matrix, Heard] | None = None
+        self._heard: tuple[Matrix, HeardPath] | None = None
         """Rows, and where the radio was heard along them."""
         self._linearised: tuple[Matrix, Vector, RangingModel, Scores] | None = None
         """Rows, the mean and the model of the last scores without a spread, kept as they were."""
@@ -404,14 +404,14 @@ class WindowMap:
         near[[0, 1], [0, 1]], towards[:2] = weight, weight * np.array(heard.centre_enu_m)
         return information + near, pull + towards
 
-    def heard(self, rows: Matrix) -> Heard:
+    def heard(self, rows: Matrix) -> HeardPath:
         """The path of the rows (n, >= 2), and how far off it the target of such a radio can be."""
         if self._heard is None or self._heard[0] is not rows:
             places = rows[:, :2]
             east_m, north_m = places.mean(axis=0).tolist()
             reach_m = self._p.reach_m or MAX_POSITION_SIGMA_M
             sigma_m = math.sqrt(reach_m**2 + 0.5 * float(places.var(axis=0).sum()))
-            self._heard = rows, Heard((east_m, north_m), sigma_m)
+            self._heard = rows, HeardPath((east_m, north_m), sigma_m)
         return self._heard[1]
 
     def _optimum(
