@@ -301,7 +301,8 @@ def _lacking(facts: AutopilotFacts) -> list[str]:
     flags = facts.estimator_flags
     if flags is not None:
         return [name for name, bits in NEEDED_ESTIMATES.items() if not flags & bits]
-    return [] if facts.has_position or facts.origin is not None else ["position"]
+    has_place = {"LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"} & facts.heard
+    return [] if has_place else ["position"]
 
 
 def _check_estimator(facts: AutopilotFacts, lacking: list[str]) -> Iterator[CheckResult]:
@@ -349,20 +350,12 @@ def _check_time(facts: AutopilotFacts) -> CheckResult:
 
 
 def _check_readiness(facts: AutopilotFacts) -> Iterator[CheckResult]:
-    missing = [
-        name
-        for name, is_there in (
-            ("local position", facts.has_position),
-            ("home", facts.has_home),
-            ("origin", facts.origin is not None),
-        )
-        if not is_there
-    ]
+    missing = list(dict.fromkeys(row.text for row in facts.missing))
     if missing:
         fix = "wait for a position fix; indoors nothing is flown without one"
-        yield warn("position", f"no {', no '.join(missing)} yet", fix)
+        yield warn("position", f"missing: {', '.join(missing)}", fix)
     else:
-        yield ok("position", "local position, home and origin are known")
+        yield ok("position", "all that control needs is reported")
     if facts.gps_fix is not None and facts.gps_fix < FIX_3D:
         yield warn("GPS", f"no 3D fix (type {facts.gps_fix})", "wait under an open sky")
     if facts.battery_pct is not None and facts.battery_pct < LOW_BATTERY_PCT:

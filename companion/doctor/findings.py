@@ -9,6 +9,7 @@ from enum import Enum
 from companion.domain import Autopilot, VehicleClass
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.flight.requirements import FENCE_MESSAGE, REQUIREMENTS, Requirement
 from companion.link.quality import RadioStatus
 
 
@@ -46,8 +47,8 @@ class AutopilotFacts:
     """Those that were asked for; None: it does not report it."""
     has_rc: bool | None
     """Whether it hears a transmitter; None: it does not report it."""
-    has_position: bool
-    has_home: bool
+    heard: frozenset[str]
+    """Kinds of messages that came, by MAVLink's names; those that report nothing do not count."""
     origin: LocalOrigin | None
     """Of the local frame; None: it does not know it, or does not report it."""
     estimator_flags: int | None
@@ -61,6 +62,17 @@ class AutopilotFacts:
     """Share of its frames that did not come, 0 to 1."""
     fence: AutopilotFenceRead | None = None
     """Its own fence; None: not asked for."""
+
+    @property
+    def missing(self) -> tuple[Requirement, ...]:
+        """Inputs that control needs and that did not come; its fence is judged by itself."""
+        return tuple(
+            row
+            for row in REQUIREMENTS
+            if row.is_needed(self.autopilot)
+            and row.message not in self.heard
+            and row.message != FENCE_MESSAGE
+        )
 
 
 @dataclass(frozen=True, slots=True)

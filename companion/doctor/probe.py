@@ -169,8 +169,7 @@ class DoctorProbe(OneShotEndpoint):
             rates=self._rates(),
             parameters={question.name: question.value for question in self._questions},
             has_rc=self._has_rc(),
-            has_position="LOCAL_POSITION_NED" in newest,
-            has_home="HOME_POSITION" in newest,
+            heard=frozenset(newest) - self._empty,
             origin=self._origin(),
             estimator_flags=self._estimator_flags(),
             gps_fix=None if fix is None else fix.fix_type,
@@ -189,6 +188,14 @@ class DoctorProbe(OneShotEndpoint):
         return tuple(
             StreamRate(name, hertz, self._counts[name], seconds) for name, hertz in asked.items()
         )
+
+    @property
+    def _empty(self) -> set[str]:
+        """Kinds of messages that came and report nothing."""
+        state = self._newest_of(mavlink.MAVLink_extended_sys_state_message)
+        is_undefined = state is None or state.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED
+        empty = {"EXTENDED_SYS_STATE": is_undefined, "GPS_GLOBAL_ORIGIN": self._origin() is None}
+        return {name for name, is_empty in empty.items() if is_empty}
 
     def _newest_of(self, kind: type[M]) -> M | None:
         message = self._newest.get(kind.msgname)

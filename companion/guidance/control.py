@@ -24,7 +24,7 @@ from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, T
 from companion.guidance.context import SessionContext
 from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
-from companion.guidance.health.findings import Verdict
+from companion.guidance.health.findings import Finding, Reason, Verdict
 from companion.guidance.health.watches import Watches
 from companion.guidance.messages import (
     FenceMessages,
@@ -237,6 +237,8 @@ class ControlTick:
         context = self._context
         guided = context.vehicle.guided_name
         missing = self._watches.inputs.missing(now_s)
+        if missing is None and context.phase is Phase.STANDBY:
+            missing = self._unready(now_s)
         if missing is not None:
             self._missing_s = now_s
         if context.phase is Phase.STANDBY:
@@ -255,6 +257,13 @@ class ControlTick:
                 context.warn(f"setpoints stopped: {missing.text}")
             elif context.vehicle.is_ours:
                 context.warn(f"setpoints stopped: autopilot stays in {guided}; choose a mode")
+
+    def _unready(self, now_s: float) -> Finding | None:
+        """Return what control needs beside the inputs that every flight watches."""
+        names = missing_inputs(self._context.vehicle, self._context.fencing, now_s)
+        if not names:
+            return None
+        return Finding(Verdict.HOLD, Reason.INPUT_MISSING, f"waiting for {' and '.join(names)}")
 
     def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
         for text in self._guard_messages.texts(reasons, now_s):
@@ -293,7 +302,7 @@ class ControlTick:
             context.warn(reason, Topic.READINESS)
         authority = context.authority
         vehicle, fencing = context.vehicle, context.fencing
-        is_ready = vehicle.is_usable(now_s) and fencing.is_ready
+        is_ready = vehicle.objection is None and fencing.refusal is None
         is_ready = is_ready and not missing_inputs(vehicle, fencing, now_s)
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)

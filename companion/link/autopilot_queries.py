@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.flight.fencing import Fencing
+from companion.guidance.flight.vehicle import LANDED_PATIENCE_S
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
 from companion.link.fence_download import FenceDownload
@@ -42,7 +43,7 @@ PATIENCE_S: dict[int, tuple[str, float]] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: ("position", 0.5),
     mavlink.MAVLINK_MSG_ID_ATTITUDE: ("attitude", 1.0),
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: ("heartbeat", 3.5),
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: ("landed state", 3.5),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: ("landed state", LANDED_PATIENCE_S),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: ("status", 5.0),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: ("home", 15.0),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: ("GNSS status", 5.0),

@@ -254,10 +254,13 @@ class Handover:
         self._tell_why_it_does_not_count()
         if context.vehicle.objection is not None:
             return
-        self._tell_what_is_missing(now_s)
+        is_launched = context.phase is Phase.LAUNCHING
+        missing = missing_inputs(context.vehicle, context.fencing, now_s)
+        self._tell_what_is_missing(missing)
+        if missing and not is_launched:
+            return
         if not (context.authority.may_begin and context.vehicle.obeys_setpoints):
             return
-        is_launched = context.phase is Phase.LAUNCHING
         if context.authority.has_id_conflict(now_s) and not is_launched:
             return  # it may have been given to that one
         if not context.fencing.is_ready:
@@ -271,11 +274,11 @@ class Handover:
             text = f"in control: autopilot is in {context.vehicle.guided_name}"
             context.announce(Severity.NOTICE, text)
 
-    def _tell_what_is_missing(self, now_s: float) -> None:
-        """Announce why nothing follows from a mode that was given before it was ready."""
+    def _tell_what_is_missing(self, missing: list[str]) -> None:
+        """Announce why nothing follows from a mode that was given without what control needs."""
         context = self._context
-        missing = missing_inputs(context.vehicle, context.fencing, now_s)
-        if missing == self._missing_told or context.phase is not Phase.WAITING:
+        is_waiting = context.phase in (Phase.WAITING, Phase.STANDBY)
+        if missing == self._missing_told or not is_waiting:
             return
         self._missing_told = missing
         if missing:

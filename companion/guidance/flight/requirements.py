@@ -1,16 +1,25 @@
-"""What control needs, one row each: readiness and what is waited for come from this table.
+"""What control needs, one row each: readiness, its texts and the doctor's verdict come from it.
 
 docs/flying.md has the same rows; a test compares them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.domain import Autopilot, LandedState
 from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.flight.vehicle import (
+    LANDED_PATIENCE_S,
+    LINK_LOST_S,
+    MODE_UNKNOWN_AFTER_S,
+    STALE_STATE_S,
+    VehicleView,
+)
+
+FENCE_MESSAGE = "MISSION_ITEM_INT"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +31,14 @@ class Requirement:
     message: str
     """The MAVLink message that provides it."""
     is_met: Callable[[VehicleView, Fencing, float], bool]
+    patience_s: float = math.inf
+    """Seconds after its last message until it is missing; inf: once known, it stays known."""
+    only_for: Autopilot | None = None
+    """The one kind of autopilot that it is needed of; None: of all."""
 
-
-def _has_landed_state(vehicle: VehicleView) -> bool:
-    """ArduPilot ignores setpoints on the ground, so whether it flies must be known there."""
-    is_needed = vehicle.autopilot is Autopilot.ARDUPILOT
-    return not is_needed or vehicle.landed is not LandedState.UNKNOWN
+    def is_needed(self, autopilot: Autopilot) -> bool:
+        """Return True if it is needed of a kind of autopilot."""
+        return self.only_for in (None, autopilot)
 
 
 REQUIREMENTS = (
@@ -35,11 +46,19 @@ REQUIREMENTS = (
         "the autopilot",
         "HEARTBEAT",
         lambda vehicle, _, now_s: vehicle.heartbeat is not None and not vehicle.is_link_lost(now_s),
+        LINK_LOST_S,
+    ),
+    Requirement(
+        "the flight mode",
+        "HEARTBEAT",
+        lambda vehicle, _, now_s: vehicle.heartbeat is None or vehicle.is_mode_known(now_s),
+        MODE_UNKNOWN_AFTER_S,
     ),
     Requirement(
         "a local position",
         "LOCAL_POSITION_NED",
         lambda vehicle, _, now_s: vehicle.is_position_fresh(now_s),
+        STALE_STATE_S,
     ),
     Requirement(
         "a home position",
@@ -54,11 +73,15 @@ REQUIREMENTS = (
     Requirement(
         "the landed state",
         "EXTENDED_SYS_STATE",
-        lambda vehicle, _, __: _has_landed_state(vehicle),
+        lambda vehicle, _, now_s: (
+            vehicle.landed is not LandedState.UNKNOWN and vehicle.is_landed_fresh(now_s)
+        ),
+        LANDED_PATIENCE_S,
+        only_for=Autopilot.ARDUPILOT,  # it ignores setpoints on the ground
     ),
     Requirement(
         "the autopilot's fence",
-        "MISSION_ITEM_INT",
+        FENCE_MESSAGE,
         lambda _, fencing, __: "the autopilot's fence" not in fencing.missing,
     ),
 )
@@ -66,7 +89,11 @@ REQUIREMENTS = (
 
 def missing_inputs(vehicle: VehicleView, fencing: Fencing, now_s: float) -> list[str]:
     """Return the missing inputs in words; a position that a slow link brings late is named so."""
-    texts = [row.text for row in REQUIREMENTS if not row.is_met(vehicle, fencing, now_s)]
+    texts = [
+        row.text
+        for row in REQUIREMENTS
+        if row.is_needed(vehicle.autopilot) and not row.is_met(vehicle, fencing, now_s)
+    ]
     return [
         vehicle.position_wanted(now_s) if text == "a local position" else text for text in texts
     ]

@@ -125,6 +125,8 @@ STALE_STATE_S = 0.5
 """An own position older than this is not flown on."""
 LINK_LOST_S = 1.0
 """Without any valid frame of the autopilot for this long the link counts as lost."""
+LANDED_PATIENCE_S = 3.5
+"""EXTENDED_SYS_STATE older than this, seven of the periods asked for, says nothing."""
 COUNTED_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
 FARTHEST_HOME_M = 1e5
@@ -151,6 +153,7 @@ class VehicleView:
         """Why it may be another vehicle than before, or one of two, in words."""
         self.battery_pct: float | None = None
         self.landed = LandedState.UNKNOWN
+        self._landed_s = -math.inf
         self.heard_s: float | None = None
         self.distance_m = 0.0
         """Flown so far while armed, climbs included."""
@@ -179,7 +182,7 @@ class VehicleView:
             case events.BatteryReported():
                 self.battery_pct = event.charge_pct
             case events.LandedStateChanged():
-                self.landed = event.landed
+                self.landed, self._landed_s = event.landed, event.time_s
             case events.IdentityDoubted():
                 self.identity_problem = event.problem
             case events.TimerFired():
@@ -337,6 +340,10 @@ class VehicleView:
         """Whether the newest position is young enough to fly on."""
         latest = self.track.latest
         return latest is not None and now_s - latest.time_s <= STALE_STATE_S
+
+    def is_landed_fresh(self, now_s: float) -> bool:
+        """Return True if the landed state was reported lately."""
+        return now_s - self._landed_s <= LANDED_PATIENCE_S
 
     def is_link_lost(self, now_s: float) -> bool:
         """Whether nothing valid came from the autopilot for a while."""

@@ -40,6 +40,8 @@ class Reason(Enum):
     MODE_UNKNOWN = "autopilot's mode is unknown"
     POSITION_STALE = "own position is stale"
     NO_HOME = "home is unknown"
+    NO_ORIGIN = "origin is unknown"
+    INPUT_MISSING = "something that control needs is missing"
     NO_RANGING_YET = "waiting for ranging"
     RANGING_AGES = "ranging ages"
     NO_RANGING = "no ranging"

@@ -122,6 +122,8 @@ class InputWatch(Watch):
             reason = Reason.POSITION_STALE
         elif vehicle.home_enu_m is None:
             reason = Reason.NO_HOME
+        elif not vehicle.has_origin:
+            reason = Reason.NO_ORIGIN
         else:
             return None
         return Finding(Verdict.HOLD, reason, reason.value)

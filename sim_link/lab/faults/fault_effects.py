@@ -19,7 +19,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.dialect import mavlink
 from companion.mav.signing import HASH_LENGTH, SigningKey, is_signed
 from sim_link.autopilot.incidents import FaultRecord
-from sim_link.autopilot.protocols.message_streams import message_ids
+from sim_link.autopilot.protocols.message_streams import message_id, message_ids
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep.observer import Delivery
 
@@ -236,7 +236,7 @@ class ContentEffect(FaultEffect[F]):
 
 class _Mute(ContentEffect[faults.StreamMute]):
     def _is_about(self, number: int) -> bool:
-        return bool(number == getattr(mavlink, f"MAVLINK_MSG_ID_{self.fault.message}", -1))
+        return number == message_id(self.fault.message)
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:  # noqa: ARG002
         return []

@@ -16,6 +16,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import GeoArea, GeoFence
 from companion.geometry.polygons import Corners
 from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.flight.requirements import REQUIREMENTS
 
 ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
 
@@ -71,8 +72,7 @@ PX4 = AutopilotFacts(
     rates=(StreamRate("HEARTBEAT", 1.0, 5, 5.0), StreamRate("LOCAL_POSITION_NED", 20.0, 100, 5.0)),
     parameters=PX4_PARAMETERS,
     has_rc=True,
-    has_position=True,
-    has_home=True,
+    heard=frozenset(row.message for row in REQUIREMENTS),
     origin=ORIGIN,
     estimator_flags=831,
     gps_fix=3,

@@ -11,6 +11,7 @@ from companion.config.schema import CompanionConfig, LogConfig
 from companion.doctor.examination import examine, exit_code
 from companion.doctor.findings import CheckResult, Facts, Level, PlaceFacts, StreamRate
 from companion.domain import Autopilot
+from companion.guidance.flight.requirements import FENCE_MESSAGE, REQUIREMENTS
 from companion.link.interface import VehicleParams
 from tests.unit.companion.doctor.examples import FIT, HOST, LINK, PX4
 
@@ -70,6 +71,12 @@ def test_less_room_than_a_flight_may_take_is_fine_if_it_may_take_less() -> None:
     assert finding_about("log.directory", facts, config).level is Level.OK
 
 
+def without(message: str) -> Facts:
+    """An ArduPilot, of which everything is needed, that does not send one message."""
+    heard = PX4.heard - {message}
+    return autopilot_with(autopilot=Autopilot.ARDUPILOT, heard=heard)
+
+
 LINK_CASES = [
     ("companion", link_with(other_companions=(1,)), Level.FAIL, "another component 191"),
     ("vehicle.system_id", link_with(other_autopilots=(2, 3)), Level.FAIL, "system 2, 3"),
@@ -81,12 +88,10 @@ LINK_CASES = [
     ("time", autopilot_with(clock_offset_s=None), Level.WARN, "TIMESYNC"),
     ("time", autopilot_with(round_trip_s=0.2), Level.WARN, "200.0 ms"),
     ("time", autopilot_with(round_trip_s=0.9), Level.FAIL, "900.0 ms"),
-    ("position", autopilot_with(has_home=False), Level.WARN, "no home yet"),
-    (
-        "position",
-        autopilot_with(has_position=False, origin=None),
-        Level.WARN,
-        "no local position, no origin yet",
+    *(
+        ("position", without(row.message), Level.WARN, f"missing: {row.text}")
+        for row in REQUIREMENTS
+        if row.message != FENCE_MESSAGE and row.text != "the flight mode"
     ),
     ("GPS", autopilot_with(gps_fix=1), Level.WARN, "no 3D fix"),
     ("battery", autopilot_with(battery_pct=12), Level.WARN, "12 %"),
@@ -118,9 +123,7 @@ NO_POSITION = tuple(replace(rate, count=0) for rate in PX4.rates)
 def test_an_estimator_that_is_not_ready_is_named_before_the_streams_that_need_it(
     flags: int | None, lacks: str
 ) -> None:
-    facts = autopilot_with(
-        estimator_flags=flags, has_position=False, origin=None, rates=NO_POSITION
-    )
+    facts = autopilot_with(estimator_flags=flags, heard=frozenset(), origin=None, rates=NO_POSITION)
     findings = examine(facts, CONFIG)
     subjects = [finding.subject for finding in findings]
     assert finding_about("estimator", facts).level is Level.FAIL

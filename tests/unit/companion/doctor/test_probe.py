@@ -88,8 +88,7 @@ def test_the_autopilot_is_recognised_and_heard_at_the_rates_asked_for(practice: 
     own, other = ("ESTIMATOR_STATUS", "EKF_STATUS_REPORT")[:: 1 if is_px4 else -1]
     assert by_name[own].measured_hz >= 4.5
     assert by_name[other].count == 0
-    assert autopilot.has_position
-    assert autopilot.has_home
+    assert autopilot.missing == ()
     assert autopilot.origin is not None
     assert autopilot.origin.latitude_deg == pytest.approx(47.397742, abs=1e-6)
 

@@ -49,6 +49,7 @@ from companion.guidance.events import (
 )
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
+from companion.link.interface import VehicleParams
 
 C = TypeVar("C", bound=Command)
 ORIGIN = LocalOrigin(47.4, 8.5, 488.0)
@@ -66,6 +67,7 @@ class ScriptedFlight:
         limits: What no setpoint may exceed.
         planner: Which planner flies.
         emitters: Who is looked for, one after the other.
+        vehicle: Which vehicle is flown, and by which setpoints.
     """
 
     def __init__(
@@ -75,12 +77,14 @@ class ScriptedFlight:
         limits: LimitsConfig | None = None,
         planner: PlannerConfig | None = None,
         emitters: QueueParams | None = None,
+        vehicle: VehicleParams | None = None,
     ) -> None:
         config = CompanionConfig(
             mission=params or SessionParams(),
             limits=limits or LimitsConfig(),
             planner=planner or PlannerConfig(),
             emitters=emitters or QueueParams(),
+            vehicle=vehicle or VehicleParams(),
             estimation=FILTER_ALONE,
         )
         self.session = build_session(config)
@@ -102,7 +106,9 @@ class ScriptedFlight:
         self.has_position = True
         self.has_ranging = True
         self.reports_landed = autopilot is Autopilot.ARDUPILOT
-        """Whether it says by itself that it is in the air where it is `ready`."""
+        """Whether it says by itself that it is in the air where it is `ready`, and goes on to."""
+        self._landed: LandedState | None = None
+        """What it reports twice a second, once it reported it."""
         self._rng = random.Random(1)
         self.log: list[tuple[float, Command]] = []
         self.r95_history: list[tuple[float, float]] = []
@@ -139,6 +145,7 @@ class ScriptedFlight:
 
     def report_landed(self, landed: LandedState) -> None:
         """Say whether the vehicle is on the ground."""
+        self._landed = landed
         self.give(LandedStateChanged(self.now_s, landed))
 
     def locate(self, origin: LocalOrigin = ORIGIN) -> None:
@@ -186,6 +193,8 @@ class ScriptedFlight:
         self._heard_s = self.now_s
         if self.has_heartbeat and self._ticks % 20 == 0:
             self.heartbeat()
+        if self.reports_landed and self._landed is not None and self._ticks % 10 == 0:
+            self.report_landed(self._landed)
         if self.follows and self.setpoints:
             self.place = self.setpoints[-1]
         if self.has_position:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.authority.handover import MISSING_PATIENCE_S
+from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.events import AutopilotFenceChanged
 from companion.guidance.flight.requirements import REQUIREMENTS, missing_inputs
+from companion.link.interface import VehicleParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 
@@ -23,7 +26,15 @@ def without_position(flight: ScriptedFlight) -> None:
 
 
 def without_landed_state(flight: ScriptedFlight) -> None:
-    flight.report_landed(LandedState.UNKNOWN)
+    flight.reports_landed = False
+
+
+def without_mode(flight: ScriptedFlight) -> None:
+    flight.has_heartbeat = False
+
+
+def without_origin(flight: ScriptedFlight) -> None:
+    flight.session.vehicle.origin = None
 
 
 def without_fence(flight: ScriptedFlight) -> None:
@@ -36,8 +47,10 @@ def without_link(flight: ScriptedFlight) -> None:
 
 TAKEN: dict[str, Callable[[ScriptedFlight], None]] = {
     "the autopilot": without_link,
+    "the flight mode": without_mode,
     "a local position": without_position,
     "a home position": without_home,
+    "the origin": without_origin,
     "the landed state": without_landed_state,
     "the autopilot's fence": without_fence,
 }
@@ -48,22 +61,94 @@ def missing(flight: ScriptedFlight) -> list[str]:
     return missing_inputs(session.vehicle, session.fencing, flight.now_s)
 
 
-def test_the_page_has_every_row() -> None:
+ROWS = {row.text: row for row in REQUIREMENTS}
+GLOBAL = VehicleParams(setpoint="global_int")
+"""Only global setpoints, and fences in degrees, need the origin."""
+SPARE_S = 1.0
+"""Beyond a patience, until it is noticed and said."""
+
+
+def new_flight(text: str, autopilot: Autopilot) -> ScriptedFlight:
+    return ScriptedFlight(autopilot=autopilot, vehicle=GLOBAL if text == "the origin" else None)
+
+
+def cases() -> list[tuple[str, Autopilot]]:
+    """Every row with every autopilot that it is needed of."""
+    autopilots = (Autopilot.PX4, Autopilot.ARDUPILOT)
+    return [(row.text, one) for row in REQUIREMENTS for one in autopilots if row.is_needed(one)]
+
+
+def patience_s(text: str) -> float:
+    row = ROWS[text]
+    return (row.patience_s if math.isfinite(row.patience_s) else 0.0) + SPARE_S
+
+
+def test_the_page_has_every_row_with_its_patience() -> None:
     page = (Path(__file__).parents[4] / "docs/flying.md").read_text(encoding="utf-8")
-    assert all(f"| {row.text} | `{row.message}` |" in page for row in REQUIREMENTS)
+    for row in REQUIREMENTS:
+        patience = f"{row.patience_s:g} s" if math.isfinite(row.patience_s) else "none"
+        assert f"| {row.text} | `{row.message}` | {patience} |" in page
 
 
 def test_every_row_is_tried() -> None:
-    assert {row.text for row in REQUIREMENTS} == {*TAKEN, "the origin"}
+    assert set(ROWS) == set(TAKEN)
 
 
-@pytest.mark.parametrize("text", TAKEN)
-def test_without_one_it_is_missing_and_named(text: str) -> None:
-    flight = ScriptedFlight(autopilot=Autopilot.ARDUPILOT).ready()
-    assert missing(flight) == []
+@pytest.mark.parametrize(("text", "autopilot"), cases())
+def test_one_that_is_taken_before_ready_is_waited_for_by_its_name(
+    text: str, autopilot: Autopilot
+) -> None:
+    flight = new_flight(text, autopilot)
+    flight.fly(0.5)
+    flight.is_armed = True
+    flight.heartbeat()
+    if flight.reports_landed:
+        flight.report_landed(LandedState.IN_AIR)
+    flight.locate()
     TAKEN[text](flight)
-    flight.fly(2.0)
+    flight.fly(patience_s(text) - 0.5)
     assert any(part.startswith(text) for part in missing(flight))
+    flight.fly(MISSING_PATIENCE_S + 0.5)
+    told = [said for said in flight.texts if said.startswith(("waiting for", "not ready"))]
+    assert told  # "not ready" where it was ready within the patience
+    flight.mode = FlightMode.OFFBOARD
+    flight.fly(2.0)
+    assert flight.phase not in IN_CONTROL
+
+
+@pytest.mark.parametrize(("text", "autopilot"), cases())
+def test_one_that_is_taken_at_ready_is_named_and_no_control_begins(
+    text: str, autopilot: Autopilot
+) -> None:
+    flight = new_flight(text, autopilot).ready()
+    assert missing(flight) == []
+    assert flight.is_in(Phase.STANDBY)
+    said = len(flight.texts)
+    TAKEN[text](flight)
+    flight.fly(patience_s(text))
+    assert any(part.startswith(text) for part in missing(flight))
+    new = " | ".join(flight.texts[said:])
+    assert "not ready" in new or "reading it again" in new
+    flight.mode = FlightMode.OFFBOARD
+    flight.fly(2.0)
+    assert flight.phase not in IN_CONTROL
+
+
+@pytest.mark.parametrize(("text", "autopilot"), cases())
+def test_one_that_is_taken_in_control_is_held_on_and_named(text: str, autopilot: Autopilot) -> None:
+    """But the landed state, which is only asked for again: the vehicle flies by our setpoints."""
+    flight = new_flight(text, autopilot).in_control()
+    assert flight.is_in(Phase.NORMAL), flight.texts
+    TAKEN[text](flight)
+    flight.fly(patience_s(text))
+    if text == "the landed state":
+        assert flight.phase in IN_CONTROL
+        return
+    assert flight.is_in(Phase.HOLD)
+    assert any(said.startswith("hold: ") for said in flight.texts)
+    held = flight.setpoints[-1]
+    flight.fly(1.0)
+    assert flight.setpoints[-1] == pytest.approx(held, abs=0.5)
 
 
 def test_an_ardupilot_that_reports_no_landed_state_is_not_ready_and_says_so() -> None:
