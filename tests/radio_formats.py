@@ -99,7 +99,9 @@ FORMATS = (
     Format("android_rtt", "android_rtt", 0.5e-3, time_s=UNIX_MS, sigma_m=0.5e-3, has_quality=True),
     Format("sx1280", "sx1280", 0.0226, options={"bandwidth_khz": 812.5}),
     Format("srsran_4g", "srsran_4g", 0.5 * LTE_STEP_M),
-    Format("srsran", "srsran", 0.8e-2, time_s=UNIX_MS, options={"loop_is_off": True}),
+    Format(
+        "srsran", "srsran", 0.8e-2, time_s=UNIX_MS, options={"loop_is_off": True, "numerology": 1}
+    ),
     Format("oai", "oai", 0.5 * NR_STEP_M),
     Format("lines", "lines", 0.5e-2, has_quality=True, options={"pattern": LINES_PATTERN}),
 )

@@ -65,21 +65,26 @@ def parse_radio_option(text: str, configured: RadioConfig | None = None) -> Radi
     Keys are those of the settings and of the format's options. What `configured` has of them, the
     record of that name in a file, stays where the option does not say it.
     """
-    front, separator, url = text.strip().partition("@")
-    name, _, given = front.partition(":")
-    if not separator or not url or not name:
+    name, parts, url = _split(text.strip())
+    if not url or not name:
         raise ConfigError(
             f"--radio {text}: give NAME@URL, for example nlink@/dev/ttyUSB0; "
             "`companion radio list` has the names"
         )
     base = configured or RadioConfig(name=name)
     settings, options = dict(base.settings), dict(base.options)
-    for part in _parts(given):
+    texts = _texts_of(name)
+    for part in parts:
         key, equals, value = part.partition("=")
         if not equals:
-            raise ConfigError(f"--radio {text}: `{part}` is not KEY=VALUE")
+            raise ConfigError(
+                f"--radio {text}: `{part}` is not KEY=VALUE; a value with a comma or @ needs "
+                "quotes, KEY='VALUE'"
+            )
         is_setting = key.partition(".")[0] in RadioSettings.__struct_fields__
-        _put(settings if is_setting else options, key, parse_value(value, f"--radio {text}: {key}"))
+        known = value[1:-1] if _QUOTED.fullmatch(value) else value if key in texts else None
+        read = parse_value(value, f"--radio {text}: {key}") if known is None else known
+        _put(settings if is_setting else options, key, read)
     raw = {"name": name, "url": url, "settings": settings, "options": options}
     try:
         return record_within(raw, RadioConfig, "")
@@ -87,16 +92,54 @@ def parse_radio_option(text: str, configured: RadioConfig | None = None) -> Radi
         raise ConfigError(f"--radio {text}: {str(error).removeprefix('.')}") from None
 
 
-def _parts(text: str) -> list[str]:
-    """The pieces between commas that do not stand in brackets."""
-    pieces, depth = [""], 0
-    for character in text:
-        depth += (character in "[{") - (character in "]}")
-        if character == "," and depth == 0:
-            pieces.append("")
+_QUOTED = re.compile(r"(['\"]).*\1", re.DOTALL)
+
+
+def _split(text: str) -> tuple[str, list[str], str]:
+    """Name, KEY=VALUE pieces and URL of `NAME:KEY=VALUE,...@URL`; empty where there is none.
+
+    Pieces end at a comma outside brackets, the last one at `@`. A value in quotes is literal, and
+    ends where its quote is followed by a comma, `@` or the end.
+    """
+    found = re.match("[^:@]*", text)
+    name = found[0] if found else ""
+    if text[len(name) : len(name) + 1] != ":":
+        return name, [], text[len(name) + 1 :]
+    pieces, piece, depth, at = [], "", 0, len(name) + 1
+    while at < len(text):
+        character = text[at]
+        if character in "'\"" and piece.endswith("=") and not depth:
+            closed = re.compile(rf"{character}(?=[,@]|\Z)").search(text, at + 1)
+            end = len(text) if closed is None else closed.end()
+            piece, at = piece + text[at:end], end
+            continue
+        if character in "[{" and "=" in piece:
+            depth += 1
+        elif character in "]}":
+            depth = max(0, depth - 1)
+        if character in ",@" and not depth:
+            pieces.append(piece)
+            piece = ""
+            if character == "@":
+                return name, [each for each in pieces if each], text[at + 1 :]
         else:
-            pieces[-1] += character
-    return [piece for piece in pieces if piece]
+            piece += character
+        at += 1
+    return name, [each for each in [*pieces, piece] if each], ""
+
+
+def _texts_of(name: str) -> frozenset[str]:
+    """Options of a radio that are text, whose values are taken as they stand."""
+    try:
+        fields = msgspec.structs.fields(radio_kind(name).decoder.Options)
+    except ConfigError:  # named where the radio is loaded
+        return frozenset()
+    return frozenset(f.name for f in fields if _bare(f.type) is str)
+
+
+def _bare(kind: object) -> object:
+    """The type behind `Annotated`."""
+    return getattr(kind, "__origin__", kind) if hasattr(kind, "__metadata__") else kind
 
 
 def _put(record: dict[str, Any], key: str, value: object) -> None:

@@ -96,9 +96,11 @@ def _check_rate(subject: str, radio: RadioFacts, status: RadioStatus) -> CheckRe
         text = f"nothing heard at {radio.url}"
         return warn(subject, text, "check power, cable, speed and port; is an emitter on?")
     if not status.measured:
-        text = f"{radio.bytes} bytes, nothing measured ({reasons or 'nothing was understood'})"
+        said = "; ".join(part for part in (reasons, status.unrecognised) if part)
+        text = f"{radio.bytes} bytes, nothing measured ({said or 'nothing was understood'})"
         return warn(subject, text, "is it the right name, is an emitter on? companion radio watch")
     text = f"{status.rate_hz:.1f} Hz, {refused} refused{f': {reasons}' if reasons else ''}"
+    text += f"; {status.unrecognised}" if status.unrecognised else ""
     if refused > MANY_REFUSED * (refused + status.measured):
         return warn(subject, text, "look at its settings; companion radio watch shows it live")
     return ok(subject, text)

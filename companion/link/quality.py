@@ -324,6 +324,8 @@ class RadioStatus:
     """Of its clock."""
     lost: int
     """How often its line was lost."""
+    unrecognised: str = ""
+    """What it says that is not of its format, in words."""
 
     @property
     def words(self) -> str:
@@ -337,6 +339,8 @@ class RadioStatus:
         if refused:
             most = max(self.refused, key=lambda reason: self.refused[reason])
             parts.append(f"{refused} refused, most: {most}")
+        if self.unrecognised and not self.measured:
+            parts.append(self.unrecognised)
         return ", ".join(parts)
 
 
@@ -382,6 +386,7 @@ class RadioWatch:
             dict(stage.all_refused.most_common()),
             stage.clock.restarts,
             stage.lost,
+            stage.unrecognised,
         )
 
     def record(self, now_s: float) -> dict[str, object]:
@@ -396,6 +401,7 @@ class RadioWatch:
             "silent_s": None if status.silent_s is None else round(status.silent_s, 3),
             "age_s": None if status.age_s is None else round(status.age_s, 4),
             "resync_bytes": counts.resync_bytes,
+            "unrecognised": status.unrecognised,
             "thinned": self.stage.thinned,
             "refused": status.refused,
             "clock_restarts": status.restarts,

@@ -38,6 +38,9 @@ MOST_EMITTERS = 256
 LAST_ID = 65_535
 MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
 """A whole turn; more is most likely another unit."""
+REACH_M = 101_000.0
+"""No radio measures farther: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). What is
+beyond is an overflow or another unit."""
 _MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|[0-9a-f]{4}|[0-9a-f]{12}|[0-9a-f]{16}", re.I)
 _NUMBER = re.compile(r"0|[1-9][0-9]{0,18}|0[xX][0-9a-fA-F]{1,16}")
 
@@ -61,6 +64,8 @@ class RadioSettings(Params, frozen=True):
     """A shorter corrected range is refused."""
     range_max_m: Positive | None = None
     """A longer one; null: `estimation.acceptance.max_range_m` decides."""
+    zero: Literal["refuse", "accept"] = "refuse"
+    """What a range of exactly 0 is: most radios print it where nothing was measured."""
     range_sigma_m: Positive | None = None
     """Where the radio says none; null: the estimation's."""
 
@@ -302,6 +307,18 @@ class RadioStage:
         bad = Counter({"bad checksum": counts.bad_checksum}) if counts.bad_checksum else Counter()
         return self.refused + counts.refused + bad
 
+    @property
+    def unrecognised(self) -> str:
+        """What belongs to no line or frame of the format, in words; empty: all does."""
+        counts = self.decoder.counts
+        if counts.unrecognised:
+            lines = "line" if counts.unrecognised == 1 else "lines"
+            first = counts.first_unrecognised
+            return f"{counts.unrecognised} {lines} not recognised; first: {first}"
+        if self.received and not counts.frames and not self.all_refused:
+            return f"no line or frame in {self.received} bytes"
+        return ""
+
     def _refuse(self, reason: str) -> None:
         self.refused[reason] += 1
 
@@ -381,6 +398,12 @@ class RadioStage:
         """The range without offset and scale, if it is plausible."""
         said_m, settings = reading.range_m, self.setup.settings
         if said_m is None:
+            return None
+        if said_m == 0.0 and settings.zero == "refuse":
+            self._refuse("range of exactly 0: nothing measured")
+            return None
+        if said_m > REACH_M:
+            self._refuse("range above 100 km: beyond every radio")
             return None
         range_m = (said_m - settings.range_offset_m) / settings.range_scale
         if not math.isfinite(range_m):

@@ -145,7 +145,9 @@ class WatchingEndpoint(OneShotEndpoint):
             if dropped:
                 parts.append(f"flood: {dropped} pieces dropped")
             refused = ", ".join(f"{reason} {count}" for reason, count in status.refused.items())
-            lines.append("  ".join([*parts, f"refused: {refused}" if refused else "none refused"]))
+            parts.append(f"refused: {refused}" if refused else "none refused")
+            parts += [status.unrecognised] if status.unrecognised else []
+            lines.append("  ".join(parts))
             shown = sorted(self._emitters[number].items())[:MOST_SHOWN]
             lines += [view.line(emitter_id, now_s) for emitter_id, view in shown]
         return lines

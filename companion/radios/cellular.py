@@ -13,11 +13,14 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import msgspec
 
 from companion.domain import Params
+from companion.errors import ConfigError
 from companion.radios.decoder import RadioKind, RadioReading
 from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number
 
@@ -36,6 +39,8 @@ class CellOptions(Params, frozen=True):
 
     multipath_sigma_m: Metres = 20.0
     """Of the detours of the place, in quadrature to the step's own; 10 to 50 m are usual."""
+    offset_steps: Annotated[float, msgspec.Meta(ge=-100.0, le=MOST_STEPS)] = 0.0
+    """Steps that the station reports of a phone beside its antenna: the delay of its radio."""
     name: Literal["rnti", "none"] = "rnti"
     """What the emitter is called: the station's number for the phone, which is another one after
     each attach; `none`: whoever answers is the configured emitter."""
@@ -51,8 +56,8 @@ class SrsRan4gOptions(CellOptions, frozen=True):
 class NrOptions(CellOptions, frozen=True):
     """What the station's carrier is."""
 
-    numerology: Numerology = 1
-    """0 is 15 kHz, 1 is 30 kHz, and so on."""
+    numerology: Numerology | None = None
+    """0 is 15 kHz, 1 is 30 kHz, and so on; null: as the log reports it, where it does."""
 
 
 class SrsRanOptions(NrOptions, frozen=True):
@@ -82,7 +87,7 @@ class _Cell(FieldDecoder):
         return RadioReading(
             emitter=None if rnti is None or self._cell.name == "none" else f"0x{rnti:x}",
             device_time_s=time_s,
-            range_m=range_m,
+            range_m=range_m - self._cell.offset_steps * step_m,
             range_sigma_m=math.hypot(step_m / math.sqrt(12.0), self._cell.multipath_sigma_m),
         )
 
@@ -104,6 +109,7 @@ class SrsRan4gDecoder(_Cell):
     Options = SrsRan4gOptions
     _RACH = re.compile(r"RACH: .*?\boffset=([0-9]{1,6}), temp_crnti=0x([0-9A-Fa-f]{1,4})")
     _PRACH = re.compile(r"PRACH: .*?\boffset=(-?[0-9]{1,5}\.[0-9]+) us\b")
+    _MOST = re.compile(r"\bmax_offset=([0-9]{1,5}\.[0-9]+) us\b")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """An attach."""
@@ -111,8 +117,13 @@ class SrsRan4gDecoder(_Cell):
         if self.options.log == "mac" and (found := self._RACH.search(line)):
             return self.of_steps(int(found[1]), step_m(), int(found[2], 16))
         if self.options.log == "phy" and (found := self._PRACH.search(line)):
-            range_m = float(found[1]) * 1e-6 * ONE_WAY_M_PER_S
-            return self.understood(self.reading(range_m, RESOLUTION_OF_PHY_LOG_M))
+            most = self._MOST.search(line)
+            if most is not None and float(found[1]) > float(most[1]):
+                return self.refused("offset is beyond max_offset")
+            delay_m = step_m() * self.options.offset_steps
+            range_m = float(found[1]) * 1e-6 * ONE_WAY_M_PER_S - delay_m
+            reading = self.reading(0.0, RESOLUTION_OF_PHY_LOG_M)
+            return self.understood(replace(reading, range_m=range_m))
         return self.passed_over(line)
 
 
@@ -130,7 +141,11 @@ class SrsRanDecoder(_Cell):
         super().__init__(options)
         assert isinstance(self.options, SrsRanOptions)
         self._nr = self.options
-        self._step_m = step_m(self.options.numerology)
+        known = self.options.numerology
+        steps = self.options.applied_steps or self.options.offset_steps
+        if known is None and steps:
+            raise ConfigError("srsran: numerology: steps need it; 0: 15 kHz, 1: 30 kHz, ...")
+        self._step_m = step_m(known or 0)
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """A document of metrics, or a line of the log."""
@@ -204,23 +219,71 @@ def _finite(value: object) -> float | None:
 
 
 class OaiDecoder(_Cell):
-    """OpenAirInterface: `[RAPROC]` lines of a gNB, in steps of its numerology, and of an eNB."""
+    """OpenAirInterface: what a gNB's log says of an attach, and an eNB's `[RAPROC]` lines.
+
+    Since 2024 a gNB prints the distance with the answer to the preamble, rounded to the nearest
+    step; then the preamble's own line, which came before it, is the same attach and is not used.
+    """
 
     Options = NrOptions
+    options: NrOptions
     _RAPROC = re.compile(
         r"Initiating RA procedure with preamble [0-9]{1,3}, energy -?[0-9.]{1,12} dB"
         r"(?: \(I0 -?[0-9.]{1,9}, thres -?[0-9.]{1,9}\))?, delay ([0-9]{1,6})( start symbol)?"
     )
+    _ANSWER = re.compile(
+        r"timing_offset = ([0-9]{1,6}) \(estimated distance ([0-9]{1,7}\.?[0-9]*) \[m\]\)"
+    )
+    AGREEMENT = 0.05
+    """Of a step: the log's own value of it is 0.1 % off, and steps of numerologies differ by 2."""
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._numerology = self.options.numerology
+        self._has_answers = False
+
+    def reset(self) -> None:
+        """The log of another run may follow."""
+        super().reset()
+        self._numerology, self._has_answers = self.options.numerology, False
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """An attach; only a gNB's line names a start symbol."""
-        assert isinstance(self.options, NrOptions)
+        if found := self._ANSWER.search(line):
+            self._has_answers = True
+            return self._answer(int(found[1]), float(found[2]))
         found = self._RAPROC.search(line)
         if not found:
             return self.passed_over(line)
-        return self.of_steps(int(found[1]), step_m(self.options.numerology if found[2] else 0))
+        if self._has_answers:
+            self.counts.frames += 1
+            return []
+        if not found[2]:
+            return self.of_steps(int(found[1]), step_m())
+        if self._numerology is None:
+            return self.refused("numerology is unknown: set it, 0 for 15 kHz, 1 for 30 kHz")
+        return self.of_steps(int(found[1]), step_m(self._numerology))
+
+    def _answer(self, steps: int, distance_m: float) -> list[RadioReading]:
+        if steps > MOST_STEPS:
+            return self.refused("timing advance is out of bounds")
+        if steps:
+            ratio = distance_m / (steps * step_m())
+            fitting = [n for n in range(5) if abs(ratio * 2**n - 1.0) <= self.AGREEMENT]
+            if not fitting:
+                return self.refused("distance and timing offset do not agree")
+            if self.options.numerology not in (None, fitting[0]):
+                return self.refused(f"the log is of numerology {fitting[0]}: set it")
+            self._numerology = fitting[0]
+        step = step_m(self._numerology or 0)
+        return self.understood(self.reading(steps * step, step))
 
 
+_DEFAULTS: Mapping[str, object] = {
+    "zero": "accept",
+    "range_min_m": -2.0 * LTE_STEP_S * ONE_WAY_M_PER_S,
+}
+"""No step is a range, and a phone's own delay may be a step less than the calibrated one's."""
 SRSRAN_4G = RadioKind(
     name="srsran_4g",
     decoder=SrsRan4gDecoder,
@@ -228,6 +291,7 @@ SRSRAN_4G = RadioKind(
     gives="range",
     emitter="a phone that attaches to your own station",
     transport="file",
+    defaults=_DEFAULTS,
 )
 SRSRAN = RadioKind(
     name="srsran",
@@ -236,6 +300,7 @@ SRSRAN = RadioKind(
     gives="range",
     emitter="a phone that attaches to your own station",
     transport="file",
+    defaults=_DEFAULTS,
 )
 OAI = RadioKind(
     name="oai",
@@ -245,4 +310,5 @@ OAI = RadioKind(
     emitter="a phone that attaches to your own station",
     transport="file",
     needs_emitter=True,
+    defaults=_DEFAULTS,
 )

@@ -23,6 +23,8 @@ from companion.domain import Params
 
 MOST_KEPT_BYTES = 65_536
 """No decoder keeps more of a stream than this between two calls."""
+MOST_SHOWN = 80
+"""Characters of a line that is shown."""
 MOST_REASONS = 32
 """Reasons that are told apart in the counts; what comes beyond is counted as `other`."""
 
@@ -76,6 +78,19 @@ class DecoderCounts:
     """Bytes that belonged to nothing."""
     refused: Counter[str] = field(default_factory=Counter)
     """By reason, in the operator's words: `no bearing from above`, `status RX_TIMEOUT`."""
+    unrecognised: int = 0
+    """Lines that are none of the format's; blank ones do not count."""
+    first_unrecognised: str = ""
+    """The first of them, cut off and printable."""
+
+    def pass_over(self, line: str) -> None:
+        """Count a line that is none of the format's."""
+        self.resync_bytes += len(line.encode(errors="replace"))
+        if line.strip():
+            self.unrecognised += 1
+            shown = line.strip()[:MOST_SHOWN]
+            shown = "".join(char if char.isprintable() else "?" for char in shown)
+            self.first_unrecognised = self.first_unrecognised or shown
 
     def refuse(self, reason: str, count: int = 1) -> None:
         """Count what could not be used. The reason must not hold bytes of the stream."""
@@ -117,6 +132,10 @@ class RadioDecoder(ABC):
 
     def hello(self) -> bytes:
         """What to send once the line is open, so that the radio talks."""
+        return b""
+
+    def request(self) -> bytes:
+        """What to send each period, where it depends on the options; empty: as the kind polls."""
         return b""
 
 

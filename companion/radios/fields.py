@@ -22,6 +22,10 @@ LARGEST_NUMBER = 1e15
 """Above it no quantity of a radio makes sense; times in microseconds since 1970 are just above."""
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_WHOLE = re.compile(r"0|[1-9][0-9]{0,18}")
+_HEXADECIMAL = re.compile(r"[0-9a-f]{1,12}")
+_LIKE_HEXADECIMAL = re.compile(r"0[0-9]+|[0-9]+[eE][0-9]+")
+"""No decimal notation writes whole numbers so, and a hexadecimal field without letters is."""
 _TRUE, _FALSE = {"1", "true", "yes", "los"}, {"0", "false", "no", "nlos"}
 
 
@@ -60,7 +64,10 @@ NUMBERS: Mapping[str, Unit] = {
 """Names of what is a number; `rtt` is the time of the way there and back."""
 WORDS = ("emitter", "line_of_sight")
 """Names of what is a word."""
-NAMES = frozenset(NUMBERS) | frozenset(WORDS)
+HEX = "_hex"
+"""Behind a name whose field is a whole number in hexadecimal, without a sign."""
+HEX_NAMES = frozenset(name + HEX for name, unit in NUMBERS.items() if unit.attribute != "quality")
+NAMES = frozenset(NUMBERS) | frozenset(WORDS) | HEX_NAMES
 SKIPPED = ("", "_", "skip")
 """Names of a column that is not read."""
 
@@ -78,10 +85,15 @@ def number(text: str | None) -> float | None:
 
 def whole(text: str | None, largest: int = 2**32 - 1) -> int | None:
     """The number from 0 to `largest` that a text is; None: it is none."""
-    value = number(text)
-    if value is None or value != int(value) or not 0 <= value <= largest:
+    if text is None or not _WHOLE.fullmatch(text := text.strip()):
         return None
-    return int(value)
+    value = int(text)
+    return value if value <= largest else None
+
+
+def _hexadecimal(text: str) -> float | None:
+    text = text.strip().lower().removeprefix("0x")
+    return float(int(text, 16)) if _HEXADECIMAL.fullmatch(text) else None
 
 
 def ratio(part: int | None, of_all: int | None) -> float | None:
@@ -113,7 +125,8 @@ def complain_of(names: list[str]) -> str | None:
     for name in names:
         if name not in NAMES and name not in SKIPPED:
             return f"`{name}` is no quantity with a unit; there are {', '.join(sorted(NAMES))}"
-    targets = [NUMBERS[name].attribute if name in NUMBERS else name for name in names]
+    plain = [name.removesuffix(HEX) for name in names]
+    targets = [NUMBERS[name].attribute if name in NUMBERS else name for name in plain]
     for name, target in zip(names, targets, strict=True):
         if name in NAMES and targets.count(target) > 1:
             return f"`{name}` says what another one says too"
@@ -138,7 +151,7 @@ class FieldDecoder(LineDecoder):
 
     def passed_over(self, line: str) -> list[RadioReading]:
         """A line that is none of the format's: a console says much."""
-        self.counts.resync_bytes += len(line.encode(errors="replace"))
+        self.counts.pass_over(line)
         return []
 
     def read_fields(
@@ -147,10 +160,15 @@ class FieldDecoder(LineDecoder):
         """The reading of fields that are named by the vocabulary; empty ones are not measured."""
         values: dict[str, float] = {}
         for name, text in texts.items():
-            unit = NUMBERS.get(name)
+            unit = NUMBERS.get(name.removesuffix(HEX))
             if unit is None or text is None or not text.strip():
                 continue
-            value = number(text)
+            if name.endswith(HEX):
+                value = _hexadecimal(text)
+            elif _LIKE_HEXADECIMAL.fullmatch(text.strip()):
+                return self.refused(f"{name} may be hexadecimal: name it {name}{HEX} if it is")
+            else:
+                value = number(text)
             if value is None:
                 return self.refused(f"{name} is no number")
             values[unit.attribute] = value * unit.factor

@@ -193,7 +193,7 @@ class KrakenLinesDecoder(_Kraken, LineDecoder):
         """One channel's line; a torn one has another number of fields."""
         cells = columns(line.rstrip(" ,"))
         if len(cells) < 2:
-            self.counts.resync_bytes += len(line.encode(errors="replace"))
+            self.counts.pass_over(line)
             return []
         return self.readings_of(_result_of_cells(cells), received_s)
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 
-from companion.domain import NonNegative
+from companion.domain import NonNegative, Params
 from companion.radios.decoder import AngleFrame, LineDecoder, RadioKind, RadioReading
 
 MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
@@ -40,7 +40,26 @@ class Line(msgspec.Struct, frozen=True):
     array_angle: bool | None = None
     line_of_sight: bool | None = None
 
+    azimuth: Any = msgspec.UNSET
+    distance: Any = msgspec.UNSET
+    range_m: Any = msgspec.UNSET
+    range_mm: Any = msgspec.UNSET
+    bearing_deg: Any = msgspec.UNSET
+    elevation_deg: Any = msgspec.UNSET
 
+
+FOREIGN = {
+    "azimuth": "bearing",
+    "bearing_deg": "bearing",
+    "distance": "range",
+    "range_m": "range",
+    "range_mm": "range",
+    "elevation_deg": "elevation",
+}
+"""Keys of other formats by what they stand for here; the line's other keys are in other units."""
+STRANGE_SHARE = 20
+"""Angles are refused until so many good lines came for each angle beyond a turn: one torn digit
+does not end a stream, degrees do."""
 RULES = {
     "emitter_id": "emitter_id must be 0 to 65535, or a name in quotes",
     "time_usec": "time_usec must be whole microseconds, not negative",
@@ -64,19 +83,49 @@ DECODER = msgspec.json.Decoder(Line)
 class NdjsonDecoder(LineDecoder):
     """One measurement a line, of any emitter."""
 
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._beyond_turn = 0
+
+    def reset(self) -> None:
+        """Another program may send next."""
+        super().reset()
+        self._beyond_turn = 0
+
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """The reading of a line; blank ones and comments have none."""
         text = line.strip(f"{RECORD_SEPARATOR} \t\r")
         if not text or text.startswith("#"):
             return []
         parsed = self._parsed(text)
-        reason = parsed if isinstance(parsed, str) else _wrong_with(parsed)
+        reason = parsed if isinstance(parsed, str) else self._wrong_with(parsed)
         if reason is not None:
             self.counts.refuse(reason)
             return []
         assert isinstance(parsed, Line)
         self.counts.frames += 1
         return [_reading_of(parsed)]
+
+    def _wrong_with(self, line: Line) -> str | None:
+        """Why a line cannot be used, if so.
+
+        The unit of angles is the stream's: where some exceed a turn, all are in degrees.
+        """
+        foreign = _foreign_key(line)
+        if foreign is not None:
+            return f"key `{foreign}` is of another format: companion radio list"
+        if line.range is None and line.bearing is None and line.elevation is None:
+            return "no range, bearing or elevation"
+        names = ("bearing", "elevation", "bearing_std", "elevation_std")
+        bounds = (MOST_BEARING_RAD, MOST_ELEVATION_RAD, MOST_BEARING_RAD, MOST_BEARING_RAD)
+        for name, most_rad in zip(names, bounds, strict=True):
+            if abs(getattr(line, name) or 0.0) > most_rad:
+                self._beyond_turn += 1
+                return f"{name.removesuffix('_std')} is in radians"
+        has_angle = line.bearing is not None or line.elevation is not None
+        if has_angle and self._beyond_turn * STRANGE_SHARE > self.counts.frames:
+            return "angles of this stream are in another unit: radians are needed"
+        return None
 
     def _parsed(self, text: str) -> Line | str:
         """The line, or why it is none."""
@@ -91,14 +140,11 @@ class NdjsonDecoder(LineDecoder):
             return "not JSON"
 
 
-def _wrong_with(line: Line) -> str | None:
-    """Why a line cannot be used, if so."""
-    if line.range is None and line.bearing is None and line.elevation is None:
-        return "no range, bearing or elevation"
-    if line.bearing is not None and abs(line.bearing) > MOST_BEARING_RAD:
-        return "bearing is in radians"
-    if line.elevation is not None and abs(line.elevation) > MOST_ELEVATION_RAD:
-        return "elevation is in radians"
+def _foreign_key(line: Line) -> str | None:
+    """The key of another format that stands for what the line does not have by its own name."""
+    for key, name in FOREIGN.items():
+        if getattr(line, key) is not msgspec.UNSET and getattr(line, name) is None:
+            return key
     return None
 
 

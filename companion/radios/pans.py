@@ -19,12 +19,14 @@ from companion.radios.fields import FieldDecoder
 
 PROMPT = re.compile(r"^(?:dwm> ?)+")
 NUMBER = r"-?[0-9]{1,7}(?:\.[0-9]{1,4})?"
-ANCHOR = re.compile(rf",AN[0-9]{{1,2}},([0-9A-F]{{4}}),{NUMBER},{NUMBER},{NUMBER},({NUMBER})", re.I)
-PLACE = re.compile(rf",POS,{NUMBER},{NUMBER},{NUMBER},[0-9]{{1,3}}", re.I)
+WHERE = rf"(?:{NUMBER}|-?nan|-?inf)"
+"""A coordinate; a tag without a position prints nan, and its ranges are good."""
+ANCHOR = re.compile(rf",AN[0-9]{{1,2}},([0-9A-F]{{4}}),{WHERE},{WHERE},{WHERE},({NUMBER})", re.I)
+PLACE = re.compile(rf",POS(?:,{WHERE}){{3}},[0-9]{{1,3}}", re.I)
 DISTANCES = re.compile(r"DIST,([0-9]{1,2})(,.*)?$")
-BRACKETED = re.compile(rf"([0-9A-F]{{4}})\[{NUMBER},{NUMBER},{NUMBER}\]=({NUMBER})", re.I)
-BESIDE = re.compile(rf"le_us=[0-9]+|est\[{NUMBER},{NUMBER},{NUMBER},[0-9]{{1,3}}\]")
-PLACE_LINE = re.compile(rf"POS(?:,{NUMBER}){{3}},[0-9]{{1,3}}$")
+BRACKETED = re.compile(rf"([0-9A-F]{{4}})\[{WHERE},{WHERE},{WHERE}\]=({NUMBER})", re.I)
+BESIDE = re.compile(rf"le_us=[0-9]+|est\[{WHERE},{WHERE},{WHERE},[0-9]{{1,3}}\]")
+PLACE_LINE = re.compile(rf"POS(?:,{WHERE}){{3}},[0-9]{{1,3}}$")
 
 
 class PansOptions(Params, frozen=True):

@@ -22,6 +22,7 @@ from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
 from companion.radios.fields import FieldDecoder, columns, complain_of, number
 
 SLOTS = 8
+SLOTS_OF_FIRMWARE = (4, SLOTS)
 RAW24 = 2**24
 BANDWIDTHS_KHZ = (406.25, 812.5, 1625.0)
 SX1280_M_PER_STEP_KHZ = 150.0 / 4.096
@@ -63,12 +64,13 @@ class MakerfabsAtDecoder(FieldDecoder):
         lists = {name: columns(cells) for name, cells in self._LIST.findall(found[4])}
         ranges = [number(cell) for cell in lists.get("range", [])]
         names = [number(cell) for cell in lists.get("ancid", map(str, range(SLOTS)))]
-        if len(ranges) != SLOTS or len(names) != SLOTS or None in ranges or None in names:
+        is_whole = len(ranges) in SLOTS_OF_FIRMWARE and len(names) >= len(ranges)
+        if not is_whole or None in ranges or None in names:
             return self.refused("torn report")
         mask = int(found[2], 16)
         self.counts.frames += 1
         readings = []
-        for slot, (range_cm, name) in enumerate(zip(ranges, names, strict=True)):
+        for slot, (range_cm, name) in enumerate(zip(ranges, names, strict=False)):
             if not mask >> slot & 1 or not range_cm or name is None or name < 0.0:
                 continue
             if self._hidden == "tag" and slot != self._slot:
@@ -178,7 +180,7 @@ class Sx1280Decoder(FieldDecoder):
                 RadioReading(range_m=signed * SX1280_M_PER_STEP_KHZ / self._bandwidth_khz)
             )
         if raw >= RAW24 // 2:
-            return self.refused("below zero: tell bandwidth_khz")
+            return self.refused("below zero: set bandwidth_khz")
         return self.understood(RadioReading(range_m=printed))
 
 
@@ -191,12 +193,15 @@ class LinesOptions(Params, frozen=True):
     """What the zero of the angles is."""
     hello: Annotated[str, msgspec.Meta(max_length=200)] = ""
     """What to send once the line is open; a line end is added."""
+    request: Annotated[str, msgspec.Meta(max_length=200)] = ""
+    """What to ask every `poll_s`, of a module that only answers; a line end is added."""
 
 
 class LinesDecoder(FieldDecoder):
     """Lines that an expression of the user's own matches; all others are passed over."""
 
     Options = LinesOptions
+    options: LinesOptions
     longest_line = 1024
     """An expression that goes back and forth takes its time over long ones."""
 
@@ -208,9 +213,11 @@ class LinesDecoder(FieldDecoder):
 
     def hello(self) -> bytes:
         """As configured."""
-        assert isinstance(self.options, LinesOptions)
-        text = self.options.hello
-        return text.encode() + b"\r\n" if text else b""
+        return _ended(self.options.hello)
+
+    def request(self) -> bytes:
+        """As configured."""
+        return _ended(self.options.request)
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """What the groups of the first match say; a group that took no part is not measured."""
@@ -218,6 +225,10 @@ class LinesDecoder(FieldDecoder):
         if found is None:
             return self.passed_over(line)
         return self.read_fields(found.groupdict(), self._frame)
+
+
+def _ended(text: str) -> bytes:
+    return text.encode() + b"\r\n" if text else b""
 
 
 def _compiled(pattern: str) -> re.Pattern[str]:

@@ -13,8 +13,10 @@ import msgspec
 
 from companion.domain import Params
 from companion.errors import ConfigError
+from companion.radios.csv_header import Header, header_of
 from companion.radios.decoder import RadioKind, RadioReading
 from companion.radios.fields import (
+    HEX,
     NUMBERS,
     ONE_WAY_M_PER_S,
     SKIPPED,
@@ -25,7 +27,11 @@ from companion.radios.fields import (
     ratio,
     whole,
 )
-from companion.radios.wifi_ftm import MAC, complain_of_unsigned
+from companion.radios.wifi_ftm import BY_SHARE, LEAST_SHARE, MAC, complain_of_unsigned
+
+LENGTHS = ("mm", "cm", "m")
+DATES = {10: "s", 13: "ms", 16: "us", 19: "ns"}
+"""Digits of a time since 1970 in this century to its unit; a time since boot has fewer."""
 
 
 class FtmCsvOptions(Params, frozen=True):
@@ -54,9 +60,15 @@ class FtmCsvDecoder(FieldDecoder):
         assert isinstance(self.options, FtmCsvOptions)
         self._names = list(self.options.columns)
         self._delimiter = self.options.delimiter
+        self._bars_unit: tuple[str, float] | None = None
         problem = complain_of(self._names) if self._names else None
         if problem is not None:
             raise ConfigError(f"ftm_csv: columns: {problem}")
+
+    def reset(self) -> None:
+        """Another radio may print next."""
+        super().reset()
+        self._bars_unit = None
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """One row."""
@@ -75,8 +87,8 @@ class FtmCsvDecoder(FieldDecoder):
         if len(cells) < len(self._names):
             return self.passed_over(line)
         named = dict(zip(self._names, cells, strict=False))
-        numbers = [named[name] for name in self._names if name in NUMBERS and named[name]]
-        if numbers and not any(number(cell) is not None for cell in numbers):
+        numbers = [n for n in self._names if n.removesuffix(HEX) in NUMBERS and named[n]]
+        if numbers and not any(n.endswith(HEX) or number(named[n]) is not None for n in numbers):
             return self.passed_over(line)
         return self.read_fields({name: named[name] for name in named if name not in SKIPPED})
 
@@ -87,15 +99,26 @@ class FtmCsvDecoder(FieldDecoder):
         return self.refused(problem) if problem is not None else self.read_fields(texts)
 
     def _bars(self, distance: str, rtt_ns: str) -> list[RadioReading]:
-        """The distance's unit is nowhere said: it is the one that agrees with the round trip."""
+        """Read a distance in the stream's unit, the only one that agrees with the round trip.
+
+        While both units agree there is none yet.
+        """
         value, rtt = number(distance), number(rtt_ns)
         if value is None or rtt is None:
             return self.refused("torn row")
         expected_m = rtt * 1e-9 * ONE_WAY_M_PER_S
-        for name, factor in (("range_m", 1.0), ("range_cm", 0.01)):
-            if abs(value * factor - expected_m) <= 0.3 + 0.05 * expected_m:
+        fitting = [
+            (name, factor)
+            for name, factor in (("range_m", 1.0), ("range_cm", 0.01))
+            if abs(value * factor - expected_m) <= 0.3 + 0.05 * expected_m
+        ]
+        if self._bars_unit in fitting or len(fitting) == 1:
+            self._bars_unit = self._bars_unit or fitting[0]
+            if self._bars_unit in fitting:
+                name, factor = self._bars_unit
                 return self._unsigned({name: distance}, factor)
-        return self.refused("distance and round trip time do not agree")
+        reason = "distance may be in m or cm" if len(fitting) > 1 else ""
+        return self.refused(reason or "distance and round trip time do not agree")
 
     def _gtec(self, line: str) -> list[RadioReading]:
         """`anchorId,rtt_est,rtt_raw,dist[,own_dist],numFrames,` and six columns a frame."""
@@ -114,8 +137,12 @@ class FtmCsvDecoder(FieldDecoder):
 class AndroidRttOptions(Params, frozen=True):
     """What an app's CSV leaves open."""
 
+    unit: Literal["mm", "cm", "m", "ns", "ps"] | None = None
+    """Of distances and deviations whose columns have none in their names."""
+    single_emitter: bool = False
+    """All rows are of one access point, which no column names."""
     time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
-    """Of the timestamp; auto: by the column's name, else by the magnitude of a time since 1970."""
+    """Of the timestamp; auto: by the column's name, else by its digits if it is a date."""
     header: Annotated[str, msgspec.Meta(max_length=1000)] = ""
     """The first line of a file that is followed from its end, or has none."""
 
@@ -124,45 +151,11 @@ class AndroidRttDecoder(FieldDecoder):
     """CSV of a Wi-Fi RTT app, by its header; names as apps and Android's own API have them."""
 
     Options = AndroidRttOptions
-    _COLUMNS: Mapping[str, str] = {
-        "bssid": "emitter",
-        "mac": "emitter",
-        "macaddress": "emitter",
-        "distancemm": "range_mm",
-        "distancem": "range_m",
-        "rangem": "range_m",
-        "rangemm": "range_mm",
-        "range": "range_m",
-        "distance": "range_m",
-        "dist": "range_m",
-        "stddevmm": "range_sigma_mm",
-        "distancestddevmm": "range_sigma_mm",
-        "stdmm": "range_sigma_mm",
-        "stddevm": "range_sigma_m",
-        "stdm": "range_sigma_m",
-        "std": "range_sigma_m",
-        "stddev": "range_sigma_m",
-        "attempted": "attempted",
-        "numattempted": "attempted",
-        "numattemptedmeasurements": "attempted",
-        "successful": "successful",
-        "numsuccessful": "successful",
-        "numsuccessfulmeasurements": "successful",
-        "status": "status",
-        "is80211mc": "two_sided",
-        "is80211mcresponder": "two_sided",
-        "is80211mcmeasurement": "two_sided",
-        "twosided": "two_sided",
-        "onesided": "one_sided",
-    }
-    _TIME = re.compile(r"(?:ranging)?time(?:stamp)?(s|ms|millis|us|micros|ns|nanos)?")
-    _UNITS: Mapping[str, str] = {"millis": "ms", "micros": "us", "nanos": "ns"}
+    options: AndroidRttOptions
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
-        assert isinstance(self.options, AndroidRttOptions)
-        self._time_unit = self.options.time_unit
-        self._header: list[str] = []
+        self._header: Header | None = None
         self._delimiter = ","
         if self.options.header and not self._is_header(self.options.header):
             raise ConfigError("android_rtt: header: no column of it is a distance")
@@ -170,34 +163,27 @@ class AndroidRttDecoder(FieldDecoder):
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """The header, or a row."""
         line = line.lstrip("\ufeff")
-        if not line.strip():
+        if not line.strip() or self._is_header(line):
             return []
-        if self._is_header(line):
-            return []
-        if not self._header:
-            return self.refused("row before the header")
+        header = self._header
+        if header is None:
+            return self.refused("row without a header that has a distance")
         cells = columns(line, self._delimiter)
-        if len(cells) != len(self._header):
-            return self.refused("torn row")
-        row = dict(zip(self._header, cells, strict=True))
-        problem = self._complain_of(row)
-        return self.refused(problem) if problem is not None else self._read(row)
+        if len(cells) != header.cells:
+            return self.refused(f"row of {len(cells)} cells below a header of {header.cells}")
+        row = {name: cells[place] for name, (place, _) in header.places.items()}
+        problem = header.problem or self._complain_of(row)
+        return self.refused(problem) if problem is not None else self._read(header, row, cells)
 
     def _is_header(self, line: str) -> bool:
         delimiter = max(",;\t", key=line.count)
-        names = [self._name(cell) for cell in columns(line, delimiter)]
-        if not {"range_m", "range_mm"} & set(names):
+        cells = columns(line, delimiter)
+        options = self.options
+        header = header_of(cells, unit=options.unit, is_single=options.single_emitter)
+        if header is None:
             return False
-        self._header = ["" if name in names[:index] else name for index, name in enumerate(names)]
-        self._delimiter = delimiter
+        self._header, self._delimiter = header, delimiter
         return True
-
-    def _name(self, cell: str) -> str:
-        word = re.sub(r"[^a-z0-9]", "", cell.lower())
-        if found := self._TIME.fullmatch(word):
-            unit = self._UNITS.get(found[1] or "", found[1])
-            return f"time_{unit}" if unit else "time"
-        return self._COLUMNS.get(word.removeprefix("get"), "")
 
     @staticmethod
     def _complain_of(row: Mapping[str, str]) -> str | None:
@@ -212,24 +198,31 @@ class AndroidRttDecoder(FieldDecoder):
             return "one-sided: the access point has no 802.11mc"
         return "no measurement succeeded" if number(row.get("successful")) == 0.0 else None
 
-    def _read(self, row: Mapping[str, str]) -> list[RadioReading]:
-        texts = {name: text for name, text in row.items() if name in NUMBERS or name == "emitter"}
-        texts["emitter"] = texts.get("emitter", "").lower()
+    def _read(self, header: Header, row: Mapping[str, str], cells: list[str]) -> list[RadioReading]:
+        texts = {"emitter": (row.get("emitter") or row.get("emitter_name") or "").lower()}
         quality = ratio(whole(row.get("successful")), whole(row.get("attempted")))
         if quality is not None:
             texts["quality"] = f"{quality:.6f}"
-        for name in [name for name in row if name == "time" or name.startswith("time_")]:
-            texts.pop(name, None)
-            texts[f"time_{self._unit_of(name, row[name])}"] = row[name]
-        return self.read_fields(texts)
+        if "range_sigma" in row and header.places["range_sigma"][1].unit in LENGTHS:
+            texts[f"range_sigma_{header.places['range_sigma'][1].unit}"] = row["range_sigma"]
+        if "time" in row:
+            unit = self._time_unit(header.places["time"][1].unit, row["time"])
+            texts |= {f"time_{unit}": row["time"]} if unit else {}
+        readings = []
+        for place, column in header.ranges:
+            if cells[place]:
+                quantity = "range" if column.unit in LENGTHS else "rtt"
+                own = {"emitter": column.of} if column.of else {}
+                found = {**texts, **own, f"{quantity}_{column.unit}": cells[place]}
+                readings += self.read_fields(found)
+        return readings
 
-    def _unit_of(self, name: str, text: str) -> str:
-        if self._time_unit != "auto":
-            return self._time_unit
-        if name != "time":
-            return name.removeprefix("time_")
-        value = number(text) or 0.0
-        return "s" if value < 1e11 else "ms" if value < 1e14 else "us" if value < 1e17 else "ns"
+    def _time_unit(self, unit: str, text: str) -> str:
+        """Empty: neither told, nor a date of this century; then the time of arrival counts."""
+        if self.options.time_unit != "auto" or unit:
+            return unit if self.options.time_unit == "auto" else self.options.time_unit
+        digits = text.partition(".")[0]
+        return DATES.get(len(digits), "") if digits.isdecimal() else ""
 
 
 FTM_CSV = RadioKind(
@@ -240,7 +233,7 @@ FTM_CSV = RadioKind(
     emitter="an FTM responder: an ESP32 or an access point that answers",
     transport="serial:115200",
     needs_emitter=True,
-    defaults={"range_sigma_m": 1.0},
+    defaults={"range_sigma_m": 1.0, **BY_SHARE},
 )
 ANDROID_RTT = RadioKind(
     name="android_rtt",
@@ -249,5 +242,5 @@ ANDROID_RTT = RadioKind(
     gives="range",
     emitter="an access point with 802.11mc",
     transport="file",
-    defaults={"range_sigma_m": 1.0},
+    defaults={"range_sigma_m": 1.0, "quality_min": LEAST_SHARE},
 )

@@ -21,6 +21,14 @@ from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number, ratio
 LONGEST_M = 100_000.0
 """An unsigned distance that went below zero is far beyond this."""
 INVALID_RTT_PS = 2**32 - 1
+LEAST_SHARE = 0.125
+"""Of a burst's frames that must be valid: one of eight, the shortest burst."""
+BY_SHARE: Mapping[str, object] = {
+    "quality_min": LEAST_SHARE,
+    "sigma_factors": ((0.0, 2.8), (0.25, 2.0), (0.5, 1.4), (0.75, 1.0)),
+}
+"""Settings where quality is the share of valid frames and no sigma is reported: the mean of fewer
+frames scatters by the root of the share."""
 MAC = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
 
 
@@ -212,7 +220,7 @@ ESP32_FTM = RadioKind(
     transport="serial:115200",
     needs_emitter=True,
     clock_wrap_s=2**32 / 1000.0,
-    defaults={"range_sigma_m": 1.0},
+    defaults={"range_sigma_m": 1.0, **BY_SHARE},
 )
 IW_FTM = RadioKind(
     name="iw_ftm",
@@ -222,4 +230,5 @@ IW_FTM = RadioKind(
     emitter="an FTM responder: an access point that answers",
     transport="exec",
     poll=Poll("", 1.0),
+    defaults={"quality_min": LEAST_SHARE},
 )

@@ -99,7 +99,10 @@ class Srsran(Emulator):
 
 
 class Oai(Emulator):
-    """An NR cell at 30 kHz: a line for each random access, which names nobody."""
+    """An NR cell at 30 kHz: two lines for each random access, which name no phone.
+
+    The second one, of 2024 and later, has the distance; steps are rounded to the nearest.
+    """
 
     name = "oai"
     title = "OpenAirInterface gNB, RAPROC lines"
@@ -113,10 +116,11 @@ class Oai(Emulator):
         texts = []
         for answer in asked.heard:
             if answer.range_m is not None:
-                delay = steps_of(answer.range_m, NR_STEP_M)
+                delay = max(0, round(answer.range_m / NR_STEP_M))
                 preamble = int(self._rng.integers(PREAMBLES))
                 energy = clamped(10.0 * (answer.power_dbm + 120.0), 1, 999)
                 texts.append(raproc_line(f"{frame}.{slot}", preamble, energy, delay))
+                texts.append(msg2_line(f"{frame}.{slot}", preamble, delay))
         return lines(texts)
 
     @classmethod
@@ -131,4 +135,13 @@ def raproc_line(when: str, preamble: int, energy_tenths: int, delay: int) -> str
     return (
         f"[RAPROC] {when} Initiating RA procedure with preamble {preamble}, energy {energy} dB "
         f"(I0 120, thres 120), delay {delay} start symbol 0 freq index 0"
+    )
+
+
+def msg2_line(when: str, preamble: int, delay: int) -> str:
+    """MAC log of a gNB of 2024 and later; its metres are those of 3e8 m/s."""
+    distance_m = 3e8 / 2.0 * 16.0 / 30.72e6 / 2.0 * delay
+    return (
+        f"[NR_MAC] UE 4f1c: {when} Generating RA-Msg2 DCI, RA RNTI 0x10b, state 1, CoreSetType 0, "
+        f"RAPID {preamble}, timing_offset = {delay} (estimated distance {distance_m:.1f} [m])"
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from companion.domain import Params
 from companion.radios.catalogue import radio_kind
-from companion.radios.cellular import SrsRanOptions
+from companion.radios.cellular import NrOptions, SrsRanOptions
 from companion.radios.text_radios import LinesOptions
 from companion.testing.radio_contract import golden_lines
 
@@ -19,7 +19,8 @@ STREAMS = Path(__file__).parents[1] / "data" / "radios"
 """By name: a stream (.bin) of the vectors of the radio's unit test, and its readings (.jsonl)."""
 OPTIONS: dict[str, Params] = {
     "lines": LinesOptions(pattern=r"ifft: (?P<range_m>[\d.]+)"),
-    "srsran": SrsRanOptions(loop_is_off=True),
+    "oai": NrOptions(numerology=1),
+    "srsran": SrsRanOptions(loop_is_off=True, numerology=1),
 }
 """Of radios that are nothing without."""
 CHECKSUMMED = {"nlink"}

@@ -46,16 +46,18 @@ TENTH_NS_M = 0.5 * 299_792_458.0 * 1e-10
 """What the metrics of a cell round the way there and back to, one way."""
 
 
-def of_a_cell(step_m: float, *, is_cut_off: bool = True) -> Coarsen:
+def of_a_cell(step_m: float, *, is_cut_off: bool = True, is_nearest: bool = False) -> Coarsen:
     """The middle of a step of the timing advance, and what a decoder counts for its error.
 
-    Where it is not cut off, to the last digit of the metrics.
+    Where it is not cut off, to the last digit of the metrics; `is_nearest`: the nearest step.
     """
     sigma_m = math.hypot(step_m / math.sqrt(12.0), MULTIPATH_SIGMA_M)
 
     def coarsen(heard: RangingMeasurement) -> RangingMeasurement:
         assert heard.range_m is not None
         range_m = (heard.range_m // step_m + 0.5) * step_m
+        if is_nearest:
+            range_m = max(0, round(heard.range_m / step_m)) * step_m
         if not is_cut_off:
             range_m = TENTH_NS_M * round(heard.range_m / TENTH_NS_M)
         return replace(heard, range_m=range_m, range_sigma_m=sigma_m)

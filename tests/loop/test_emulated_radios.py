@@ -43,7 +43,7 @@ SHARE = 0.025
 """Of the R95, by which errors and R95s may differ: what rounding within a step comes to."""
 COARSE = {
     "srsran_4g": of_a_cell(LTE_STEP_M),
-    "oai": of_a_cell(NR_STEP_M),
+    "oai": of_a_cell(NR_STEP_M, is_nearest=True),
     "srsran": of_a_cell(NR_STEP_M, is_cut_off=False),
     "sx1280": in_steps(150.0 / (4.096 * 812.5)),
     "kraken": in_degrees,

@@ -36,13 +36,20 @@ Make = Callable[[int, Received], Link]
 def radio_link(setup: RadioSetup, url: str) -> FlightLink:
     """The link of a radio that is at `url`; a `ConfigError` shows a right one."""
     address, make, listens_at = _line(setup, url.strip())
-    greeting, poll = setup.kind.decoder(setup.options).hello(), setup.kind.poll or DEFAULT_POLL
+    decoder, poll = setup.kind.decoder(setup.options), setup.kind.poll or DEFAULT_POLL
+    greeting, request = decoder.hello(), decoder.request() or poll.request
+    is_asked = request or address.partition(":")[0].lower() in ("http", "https", "exec")
+    if setup.settings.poll_s is not None and not is_asked:
+        raise ConfigError(
+            f"radio {setup.kind.name}: poll_s: nothing is asked at {url}; "
+            "`lines` has the option `request` for what to ask"
+        )
 
     def greeted(index: int, received: Received) -> Link:
         """The link, which makes the radio talk and says when it is gone."""
         link = make(index, received)
         link.greeting, link.tells_loss = greeting, True
-        link.request, link.request_period_s = poll.request, setup.settings.poll_s or poll.period_s
+        link.request, link.request_period_s = request, setup.settings.poll_s or poll.period_s
         return link
 
     line = OwnLine(address, greeted, listens_at)

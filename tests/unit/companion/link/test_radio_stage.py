@@ -267,7 +267,8 @@ def test_the_default_lets_ten_a_second_through_whole() -> None:
     stage = stage_of(rate_max_hz=RadioSettings().rate_max_hz)
     for tick in range(600):
         late_s = 0.03 * (tick % 2)
-        assert len(measured(stage, replace(READING, range_m=tick), now_s=0.1 * tick + late_s)) == 1
+        reading = replace(READING, range_m=1.0 + tick)
+        assert len(measured(stage, reading, now_s=0.1 * tick + late_s)) == 1
 
 
 def test_an_old_reading_is_refused() -> None:

@@ -72,7 +72,9 @@ def test_what_is_left_of_the_timing_is_no_range_while_the_loop_is_on() -> None:
 
 
 def test_with_the_loop_off_the_metrics_are_ranges() -> None:
-    (reading,) = SrsRanDecoder(SrsRanOptions(loop_is_off=True)).feed(METRICS.encode(), 0.0)
+    (reading,) = SrsRanDecoder(SrsRanOptions(loop_is_off=True, numerology=1)).feed(
+        METRICS.encode(), 0.0
+    )
 
     assert reading.emitter == "0x4601"
     assert reading.range_m == pytest.approx(78.07, abs=0.01)
@@ -81,7 +83,7 @@ def test_with_the_loop_off_the_metrics_are_ranges() -> None:
 
 
 def test_the_advance_that_the_phone_was_given_is_added() -> None:
-    options = SrsRanOptions(loop_is_off=True, applied_steps=3)
+    options = SrsRanOptions(loop_is_off=True, applied_steps=3, numerology=1)
     (reading,) = SrsRanDecoder(options).feed(METRICS.encode(), 0.0)
 
     assert reading.range_m == pytest.approx(78.07 + 3 * 39.04, abs=0.02)
@@ -140,7 +142,7 @@ def test_openairinterface_tells_steps_of_its_numerology(
 
 
 def test_an_advance_beyond_the_standard_s_largest_is_refused() -> None:
-    decoder = OaiDecoder()
+    decoder = OaiDecoder(NrOptions(numerology=1))
 
     assert decoder.feed(GNB.replace("delay 3 ", "delay 65535 ").encode(), 0.0) == []
     assert decoder.counts.refused == {"timing advance is out of bounds": 1}

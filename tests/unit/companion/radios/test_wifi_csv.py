@@ -87,6 +87,9 @@ def test_columns_that_say_nothing_are_a_configuration_error(
         FtmCsvDecoder(FtmCsvOptions(columns=names))
 
 
+ONE = AndroidRttOptions(single_emitter=True)
+
+
 def test_a_row_of_an_app_is_a_range_with_sigma_quality_and_time() -> None:
     (reading,) = AndroidRttDecoder().feed((ANDROID + ROW).encode(), 0.0)
 
@@ -137,10 +140,16 @@ def test_one_sided_ranging_is_refused(header: str, row: str) -> None:
         ("1718000000123456789", 1718000000.1234567),
     ],
 )
-def test_the_unit_of_a_stamp_is_seen_by_its_magnitude(stamp: str, seconds: float) -> None:
-    (reading,) = AndroidRttDecoder().feed(f"timestamp,range_m\n{stamp},4.5\n".encode(), 0.0)
+def test_a_stamp_without_a_unit_is_read_where_it_is_a_date(stamp: str, seconds: float) -> None:
+    (reading,) = AndroidRttDecoder(ONE).feed(f"timestamp,range_m\n{stamp},4.5\n".encode(), 0.0)
 
     assert reading.device_time_s == pytest.approx(seconds, abs=1e-6)
+
+
+def test_a_stamp_since_boot_has_no_unit_and_the_time_of_arrival_counts() -> None:
+    (reading,) = AndroidRttDecoder(ONE).feed(b"timestamp,range_m\n123456,4.5\n", 0.0)
+
+    assert reading.device_time_s is None
 
 
 def test_a_unit_in_the_column_s_name_or_in_the_options_comes_first() -> None:
@@ -149,9 +158,9 @@ def test_a_unit_in_the_column_s_name_or_in_the_options_comes_first() -> None:
     assert named.device_time_s == pytest.approx(123.456)
     assert named.emitter == "aa:bb:cc:dd:ee:ff"
 
-    (told,) = AndroidRttDecoder(AndroidRttOptions(time_unit="us")).feed(
-        b"timestamp,dist\n5000000,4.5\n", 0.0
-    )
+    (told,) = AndroidRttDecoder(
+        AndroidRttOptions(time_unit="us", unit="m", single_emitter=True)
+    ).feed(b"timestamp,dist\n5000000,4.5\n", 0.0)
     assert told.device_time_s == pytest.approx(5.0)
 
 
@@ -159,7 +168,10 @@ def test_a_row_before_any_header_and_a_torn_one_are_refused() -> None:
     decoder = AndroidRttDecoder()
 
     assert decoder.feed((ROW + ANDROID + ROW[:30] + "\n").encode(), 0.0) == []
-    assert decoder.counts.refused == {"row before the header": 1, "torn row": 1}
+    assert decoder.counts.refused == {
+        "row without a header that has a distance": 1,
+        "row of 4 cells below a header of 9": 1,
+    }
 
 
 def test_the_header_can_be_told_for_a_file_that_is_followed_from_its_end() -> None:

@@ -1,0 +1,191 @@
+"""What radios really print, typed as a user types it: the right value, or a reason that helps.
+
+Lines have the shape of public logs; numbers and addresses are changed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.config.radios import flown_radios, radio_setups
+from companion.domain import RangingMeasurement
+from companion.errors import ConfigError
+from companion.flight_setup import radio_links
+from companion.link.quality import RadioWatch
+from companion.mav.endpoint import Chunk
+from companion.radio_tools.watching import WatchingEndpoint
+
+
+class Typed:
+    """`companion radio watch RADIO` with what the radio prints."""
+
+    def __init__(self, radio: str, printed: str) -> None:
+        setups = radio_setups(flown_radios((), [radio]))
+        shown: list[list[str]] = []
+        endpoint = WatchingEndpoint(setups, [radio], shown.append, 1.0)
+        endpoint.receive(Chunk(0, printed.encode(), is_datagram=False), 0.5)
+        endpoint.handle_timer(1.0)
+        self.stage = endpoint.stages[0]
+        self.lines = shown[-1]
+        self.words = RadioWatch(self.stage).status(1.0).words
+
+    @property
+    def newest(self) -> dict[int, RangingMeasurement]:
+        return self.stage.newest
+
+    @property
+    def ranges_m(self) -> list[float]:
+        return [m.range_m for _, m in sorted(self.newest.items()) if m.range_m is not None]
+
+    @property
+    def head(self) -> str:
+        return next(line for line in self.lines if "Hz" in line)
+
+
+NO_DELAY = "RACH:  tti=9241, preamble=31, offset=11, temp_crnti=0x4a\n"
+OAI = (
+    "[NR_PHY]   [RAPROC] 183.19 Initiating RA procedure with preamble 21, energy 51.0 dB "
+    "(I0 0, thres 120), delay 5 start symbol 0 freq index 0\n"
+    "[NR_MAC]   UE 5f1c: 184.7 Generating RA-Msg2 DCI, RA RNTI 0x10b, state 1, CoreSetType 0, "
+    "RAPID 21, timing_offset = 5 (estimated distance 390.6 [m])\n"
+)
+GNB_OLD = OAI.splitlines(keepends=True)[0]
+
+
+@pytest.mark.parametrize(
+    ("radio", "printed", "ranges_m"),
+    [
+        ("srsran_4g:offset_steps=11@file:enb.log", NO_DELAY, [39.04]),
+        ("oai@file:gnb.log", OAI, [390.35]),
+        ("oai:offset_steps=4@file:gnb.log", OAI, [78.07]),
+        ("oai:numerology=1@file:gnb.log", GNB_OLD, [5.5 * 39.0355]),
+        (
+            "android_rtt@file:rtt.csv",
+            "Timestamp,AP MAC Address,Distance (mm),Std Dev (mm),RSSI\n"
+            "1718000000123,aa:bb:cc:00:00:01,5430,120,-61\n"
+            "1718000000125,aa:bb:cc:00:00:02,9430,110,-63\n",
+            [5.43, 9.43],
+        ),
+        ("android_rtt:unit=mm@file:r.csv", "bssid,distance\naa:bb:cc:00:00:01,6120\n", [6.12]),
+        ("android_rtt@file:r.csv", "time,AP1 RTT(mm),AP2 RTT(mm)\n1,4500,7250\n", [4.5, 7.25]),
+        (
+            r"lines:pattern='mc [0-9a-f]{2} (?P<range_mm_hex>[0-9a-f]{8})'@/dev/ttyACM0",
+            "mc 0f 00000663 000005a3 00000512\n",
+            [1.635],
+        ),
+        (r'lines:pattern="d: (?P<range_m>\d+\.\d+), @ ok"@/dev/ttyACM0', "d: 3.25, @ ok\n", [3.25]),
+        (r"lines:pattern=d=(?P<range_cm>\d+);@/dev/ttyACM0", "d=325;\n", [3.25]),
+        (
+            "makerfabs_at@/dev/ttyUSB0",
+            "AT+RANGE=tid:1,mask:02,seq:7,range:(0,245,0,0),rssi:(0.00,-71.20,0.00,0.00)\n",
+            [2.45],
+        ),
+        (
+            "pans@/dev/ttyACM0",
+            "DIST,1,AN0,022E,0.00,0.00,0.00,3.44,POS,nan,nan,nan,0\n",
+            [3.44],
+        ),
+        ("sx1280@/dev/ttyUSB0", "[SX1280] Distance:\t\t\t12.34 meters (raw)\n", [12.34]),
+    ],
+)
+def test_a_line_has_the_value_that_its_radio_measured(
+    radio: str, printed: str, ranges_m: list[float]
+) -> None:
+    typed = Typed(radio, printed)
+
+    assert sorted(typed.ranges_m) == pytest.approx(ranges_m, abs=0.01), typed.lines
+
+
+@pytest.mark.parametrize(
+    ("radio", "printed", "reason"),
+    [
+        ("oai@file:gnb.log", GNB_OLD, "numerology is unknown: set it"),
+        ("oai:numerology=1@file:gnb.log", OAI.splitlines()[1] + "\n", "log is of numerology 0"),
+        (
+            "srsran_4g:log=phy@file:enb.log",
+            "PRACH: 0/1, preamble=40, offset=88.1 us, peak2avg=801.0, max_offset=30.0 us\n",
+            "offset is beyond max_offset",
+        ),
+        ("android_rtt@file:r.csv", "distance_mm,rssi\n5430,-61\n", "no emitter column known"),
+        ("android_rtt@file:r.csv", "bssid,distance\naa:bb:cc:00:00:01,5430\n", "no unit"),
+        (
+            "android_rtt@file:r.csv",
+            "a,b,c,bssid,distance_mm,d,e,f,g,h,i\n1,2,3,aa:bb:cc:00:00:01,5430,1,2,3,4\n",
+            "row of 9 cells below a header of 11",
+        ),
+        (
+            r"lines:pattern='mc [0-9a-f]{2} (?P<range_mm>\w+)'@/dev/ttyACM0",
+            "mc 0f 00000663 000005a3\nmc 0f 6e2 000005a3\n",
+            "may be hexadecimal",
+        ),
+        (
+            "esp32_ftm@/dev/ttyUSB0",
+            "W (1) wifi:FTM session ends with 1 valid readings out of 31, Avg raw RTT: 490 nSec\n"
+            "I (9) ftm_station: Estimated RTT - 481 nSec, Estimated Distance - 72.14 meters\n",
+            "too little quality",
+        ),
+        ("sx1280@/dev/ttyUSB0", "[SX1280] Distance: 370096288.00 meters (raw)\n", "beyond every"),
+        ("sx1280@/dev/ttyUSB0", "[SX1280] Distance: 0.00 meters (raw)\n", "exactly 0"),
+        ("lines:pattern='(?P<range_mm>[0-9]+)mm'@/dev/x", "0x1, 4294967295mm\n", "beyond every"),
+        ("lines:pattern='(?P<range_mm>[0-9]+)mm'@/dev/x", "0x1, 0mm\n", "exactly 0"),
+        (
+            "ndjson@udp:127.0.0.1:5005",
+            '{"emitter_id":1,"azimuth":-10.2,"elevation":1.20}\n',
+            "key `azimuth` is of another format",
+        ),
+        ("ndjson@stdin:", '{"bearing":45}\n{"bearing":1.2}\n', "angles of this stream"),
+    ],
+)
+def test_what_cannot_be_a_value_is_refused_by_a_reason_that_helps(
+    radio: str, printed: str, reason: str
+) -> None:
+    typed = Typed(radio, printed)
+
+    assert not typed.ranges_m
+    assert not typed.newest
+    assert reason in typed.head
+
+
+def test_few_valid_readings_of_a_session_widen_the_sigma() -> None:
+    ends = "W (1) wifi:FTM session ends with {} valid readings out of 31, Avg raw RTT: 9.2 nSec\n"
+    result = "I (9) ftm_station: Estimated RTT - 33 nSec, Estimated Distance - 5.07 meters\n"
+
+    for valid, sigma_m in ((5, 2.8), (8, 2.0), (16, 1.4), (29, 1.0)):
+        typed = Typed("esp32_ftm@/dev/ttyUSB0", ends.format(valid) + result)
+        assert typed.newest[1].range_sigma_m == pytest.approx(sigma_m)
+
+
+@pytest.mark.parametrize("radio", ["nlink", "esp32_ftm", "pans", "kraken", "makerfabs_at"])
+def test_lines_in_no_format_are_counted_and_the_first_is_shown(radio: str) -> None:
+    typed = Typed(f"{radio}@/dev/ttyUSB0", "dist tag 7 -> 3.2 m\r\n\r\n[12:01:33] tick\r\n")
+
+    words = "2 lines not recognised; first: dist tag 7 -> 3.2 m"
+    if radio == "nlink":
+        words = "no line or frame in 40 bytes"
+    assert typed.head.endswith(words)
+    assert typed.words.endswith(words)
+
+
+def test_what_is_asked_each_period_is_an_option_and_a_period_alone_is_refused() -> None:
+    asked = "lines:pattern='(?P<range_mm>[0-9]+)mm',request='D,1',poll_s=0.5@/dev/ttyUSB0"
+    (setup,) = radio_setups(flown_radios((), [asked]))
+
+    assert setup.kind.decoder(setup.options).request() == b"D,1\r\n"
+    assert setup.settings.poll_s == 0.5
+    with pytest.raises(ConfigError, match="nothing is asked at /dev/ttyUSB0"):
+        radio_links(flown_radios((), [asked.replace("request", "hello")]))
+
+
+def test_an_open_quote_or_a_bare_comma_is_named() -> None:
+    with pytest.raises(ConfigError, match="needs quotes"):
+        flown_radios((), [r"lines:pattern=(?P<range_m>\d+),\d@/dev/ttyUSB0"])
+
+
+def test_a_full_turn_of_degrees_does_not_pass_as_radians() -> None:
+    degrees = "".join(f'{{"bearing":{value}}}\n' for value in range(-179, 180, 7))
+    typed = Typed("ndjson@stdin:", degrees)
+
+    assert sum(typed.stage.all_refused.values()) == len(range(-179, 180, 7))
+    assert not math.isnan(typed.stage.received_s or math.nan)
