@@ -23,6 +23,7 @@ from tools.planner_bench import (
     StepCost,
     bench_planners,
 )
+from tools.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCost, tick_cases
 
 
 def main() -> int:
@@ -32,6 +33,11 @@ def main() -> int:
     try:
         if arguments.json is not None:
             check_writable(arguments.json)
+        if arguments.command == "tick":
+            costs = tick_costs(arguments)
+            if arguments.json is not None:
+                write_json_atomic(arguments.json, costs)
+            return 0
         if arguments.command == "filters":
             bench = bench_filters(arguments.rounds)
             print(filter_table(bench))
@@ -61,7 +67,35 @@ def parsed() -> argparse.Namespace:
         command = commands.add_parser(name, help=text)
         command.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
         command.add_argument("--rounds", type=positive, default=rounds, help="medians over so many")
+    tick = commands.add_parser("tick", help="the control tick, and the longest wait of a setpoint")
+    tick.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
+    tick.add_argument("--seconds", type=positive, default=60, help="of flight in each case")
+    tick.add_argument("--emitters", type=positive, nargs="+", default=EMITTERS, help="so many each")
+    tick.add_argument("--only", choices=tuple(LIMIT_MS), help="kernels of this kind")
+    tick.add_argument("--beside", type=Path, metavar="CHECKOUT", help="of an earlier release")
     return parser.parse_args()
+
+
+def tick_costs(arguments: argparse.Namespace) -> list[TickCost]:
+    """Measure and print every case as soon as it is over; those of another checkout behind it."""
+    kinds = tuple(LIMIT_MS) if arguments.only is None else (arguments.only,)
+    print("worst tick, 99 % of the ticks, longest wait of a setpoint; milliseconds of the thread")
+    costs = []
+    for case in tick_cases(kinds, arguments.emitters):
+        cost = case.measured(ROOT, arguments.seconds)
+        verdict = "met" if cost.is_met else "NOT MET"
+        text = f"{case.title:34s} {tick_figures(cost)}  limit {cost.limit_ms:g}: {verdict}"
+        if arguments.beside is not None:
+            earlier = case.measured(arguments.beside.resolve(), arguments.seconds)
+            text += f"   beside it {tick_figures(earlier)}"
+        print(text, flush=True)
+        costs.append(cost)
+    return costs
+
+
+def tick_figures(cost: TickCost) -> str:
+    """The three figures of a case."""
+    return f"{cost.tick_worst_ms:7.2f}{cost.tick_p99_ms:7.2f}{cost.stretch_worst_ms:8.2f}"
 
 
 def filter_table(bench: FilterBench) -> str:

@@ -1,0 +1,221 @@
+"""The processor time of the control tick, and of whatever may come between two of them.
+
+A search in lockstep, by real bytes and an invented clock: 1 to 16 emitters at 10 Hz each, all
+measured at the same moment or evenly over the period, in flight and on the ground. Every call of
+the endpoint (a datagram, the control tick, estimation beside it) is timed by the thread's own
+time, so that other programs on the machine do not count. A setpoint can leave between two calls:
+the longest call is the longest that a due setpoint waits.
+
+Each case runs in a process of its own: `tick_bench.py EMITTERS PHASE PLACE SECONDS` prints its
+figures as JSON. It imports only what companion and simulator are made of, so that the same file
+measures an earlier release in its own checkout (`--beside`).
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.config.schema import CompanionConfig
+from companion.flight_setup import build_endpoint, build_planner
+from companion.guidance.commands import Severity
+from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import QueueParams
+from companion.kernel import IS_COMPILED
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import MAVLink_radio_ranging_message
+from companion.mav.endpoint import Chunk
+from companion.mav.framing import message_id
+from companion.warm_up import warm_up
+from sim_link.autopilot.scenario import PayloadParams, Scenario
+from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
+from sim_link.lab.lockstep.observer import Lane
+from sim_link.world.environment import EmitterParams
+
+ROOT = Path(__file__).resolve().parents[1]
+EMITTERS = (1, 4, 8, 16)
+PHASES = ("in step", "spread")
+PLACES = ("flying", "ground")
+RATE_HZ = 10.0
+LIMIT_MS = {"compiled": 10.0, "plain": 25.0}
+SECONDS = 60.0
+SEED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class TickCost:
+    """What one case took, in milliseconds of the thread."""
+
+    emitters: int
+    phase: str
+    place: str
+    kernels: str
+    tick_worst_ms: float
+    tick_p99_ms: float
+    stretch_worst_ms: float
+    """The longest call of the endpoint, the control tick among them."""
+    estimates: int
+    """Measurements that were fused."""
+
+    @property
+    def limit_ms(self) -> float:
+        """What neither may exceed."""
+        return LIMIT_MS[self.kernels]
+
+    @property
+    def is_met(self) -> bool:
+        """Whether nothing took longer than the limit."""
+        return self.stretch_worst_ms <= self.limit_ms
+
+
+class SilentJournal(MemoryJournal):
+    """Keeps nothing, so that collecting garbage costs what it costs in a flight."""
+
+    def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        """Keep no event."""
+
+    def text(self, severity: Severity, text: str, now_s: float) -> None:
+        """Keep no text."""
+
+
+class Spread:
+    """A wire that lets every emitter's measurements arrive at a time of their own."""
+
+    def __init__(self, emitters: int) -> None:
+        self._emitters = emitters
+        self._reader = MavCodec(9, 9)
+
+    def carry(self, data: bytes, lane: Lane, now_s: float) -> list[tuple[float, bytes]]:
+        """Deliver now, or a measurement at its emitter's part of the period."""
+        del lane
+        if message_id(data) != MAVLink_radio_ranging_message.id:
+            return [(now_s, data)]
+        for frame in self._reader.splitter.split(data, is_datagram=True):
+            message = self._reader.decode_proved(frame)
+            assert isinstance(message, MAVLink_radio_ranging_message)
+            part = message.emitter_id % self._emitters / self._emitters
+            return [(now_s + part / RATE_HZ, data)]
+        return []
+
+
+class Timed:
+    """Wraps the calls of an endpoint, and keeps what each took."""
+
+    def __init__(self, endpoint: Any) -> None:
+        self.ticks_s: list[float] = []
+        self.others_s: list[float] = []
+        self._is_tick = False
+        self._receive, self._handle = endpoint.receive, endpoint.handle_timer
+        self._note_tick = endpoint.executor.tick  # once in every control tick, and nowhere else
+        endpoint.receive, endpoint.handle_timer = self.receive, self.handle_timer
+        endpoint.executor.tick = self.tick
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Time a datagram."""
+        began_ns = time.thread_time_ns()
+        self._receive(chunk, now_s)
+        self.others_s.append(1e-9 * (time.thread_time_ns() - began_ns))
+
+    def handle_timer(self, now_s: float) -> None:
+        """Time the control tick, or what is done beside it."""
+        self._is_tick = False
+        began_ns = time.thread_time_ns()
+        self._handle(now_s)
+        took_s = 1e-9 * (time.thread_time_ns() - began_ns)
+        (self.ticks_s if self._is_tick else self.others_s).append(took_s)
+
+    def tick(self, now_s: float) -> None:
+        """Note that it is the control tick."""
+        self._is_tick = True
+        self._note_tick(now_s)
+
+
+def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
+    """Fly one case in this process."""
+    is_flying = place == "flying"
+    places = [(25.0 + 60.0 * (n % 4) / 3.0, 30.0 + 55.0 * (n // 4) / 3.0) for n in range(emitters)]
+    several = (
+        ()
+        if emitters == 1
+        else tuple(
+            EmitterParams(emitter_id=7 + n, position_enu_m=where) for n, where in enumerate(places)
+        )
+    )
+    payload = PayloadParams(rate_hz=RATE_HZ, min_altitude_m=3.0 if is_flying else 0.0)
+    scenario = Scenario(payload=payload, emitters=several)
+    config = CompanionConfig(
+        mission=SessionParams(
+            engage="auto" if is_flying else "operator", stop_confirm_s=1000.0, settle_s=None
+        ),
+        emitters=QueueParams() if emitters == 1 else QueueParams(order="nearest", most=16),
+    )
+    if IS_COMPILED:
+        warm_up(config.estimation, build_planner(config))
+    wire = Spread(emitters) if phase == "spread" else None
+    flight = Flight(
+        config, scenario, SEED, SilentJournal(), wire=wire, makers=Makers(build_endpoint)
+    )
+    timed = Timed(flight.companion)
+    gc.freeze()  # as a flight does
+    flight.run(seconds)
+    ticks_ms = sorted(1e3 * took_s for took_s in timed.ticks_s)
+    accepted = sum(t.accepted for t in flight.companion.session.context.emitters.trackers)
+    return TickCost(
+        emitters,
+        phase,
+        place,
+        "compiled" if IS_COMPILED else "plain",
+        round(ticks_ms[-1], 2),
+        round(ticks_ms[int(0.99 * len(ticks_ms))], 2),
+        round(max(ticks_ms[-1], 1e3 * max(timed.others_s)), 2),
+        accepted,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TickCase:
+    """What is flown: how many emitters, heard at which times, where, with which kernels."""
+
+    kernels: str
+    place: str
+    emitters: int
+    phase: str
+
+    @property
+    def title(self) -> str:
+        """The case in words."""
+        return f"{self.kernels}, {self.place}, {self.emitters} {self.phase}"
+
+    def measured(self, root: Path, seconds: float) -> TickCost:
+        """Fly it in a process of its own, by the code in a checkout."""
+        environment = {**os.environ, "PYTHONPATH": str(root)}
+        environment["NUMBA_DISABLE_JIT"] = "0" if self.kernels == "compiled" else "1"
+        words = (str(self.emitters), self.phase, self.place, str(seconds))
+        command = [sys.executable, __file__, *words]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(f"bench: tick: {done.stderr.strip().splitlines()[-1]}")
+        return msgspec.json.decode(done.stdout, type=TickCost)
+
+
+def tick_cases(kinds: Sequence[str], counts: Sequence[int]) -> Iterator[TickCase]:
+    """Every case, those with the same kernels together."""
+    for kernels in kinds:
+        for place in PLACES:
+            for emitters in counts:
+                for phase in PHASES if emitters > 1 else PHASES[:1]:
+                    yield TickCase(kernels, place, emitters, phase)
+
+
+if __name__ == "__main__":
+    flown = measure(int(sys.argv[1]), sys.argv[2], sys.argv[3], float(sys.argv[4]))
+    print(msgspec.json.encode(flown).decode())
