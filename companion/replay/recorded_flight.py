@@ -183,10 +183,14 @@ def open_recording(path: Path) -> FlightRecording:
     records = list(read_tlog(flight.path(TLOG), bad_frames.append))
     course = course_of(lines, [record.frame for record in records])
     inputs, whole, bad_inputs = _inputs_of(flight, records)
+    early = ""
+    if whole is None and _lacks_last(records, inputs):
+        whole = len(inputs)
+        early = f"{flight.path(INPUTS)}: ends before {TLOG} does; compared up to there"
     told = (
         damage_text(flight.path(EVENTS), "line", bad_lines),
         damage_text(flight.path(TLOG), "byte", bad_frames),
-        damage_text(flight.path(INPUTS), "record", bad_inputs),
+        damage_text(flight.path(INPUTS), "record", bad_inputs) or early,
     )
     return FlightRecording(
         flight.facts,
@@ -194,9 +198,28 @@ def open_recording(path: Path) -> FlightRecording:
         flight.path(INPUTS).exists(),
         course,
         whole,
-        not bad_lines and not bad_frames,
+        not bad_lines and not bad_frames and not _ends_early(records, inputs, flight.facts),
         tuple(text for text in told if text),
     )
+
+
+def _lacks_last(records: list[TlogRecord], inputs: list[Input]) -> bool:
+    """Return True if the last frame that a flight received is not among its inputs."""
+    received = (r.frame for r in reversed(records) if sender_of(r.frame)[1] != OWN_COMPONENT)
+    last = next(received, None)
+    return last is not None and all(value.data != last for value in reversed(inputs))
+
+
+FLUSHED_WITHIN_S = 0.1
+"""Between the ends of two whole logs: two control ticks."""
+
+
+def _ends_early(records: list[TlogRecord], inputs: list[Input], facts: FlightFacts) -> bool:
+    """Return True if the tlog was cut between two frames, by its time and that of the inputs."""
+    if not records or not inputs:
+        return False
+    last_s = 1e-6 * records[-1].unix_us - facts.started_unix_s
+    return last_s < inputs[-1].time_s - FLUSHED_WITHIN_S
 
 
 def _inputs_of(
@@ -222,6 +245,8 @@ def _inputs_of(
         try:
             if value.kind not in (InputKind.FRAME, InputKind.TICK):
                 event_of(value)
+            if value.link >= flight.facts.links:
+                raise ConfigError(f"link {value.link} of {flight.facts.links}")
             inputs.append(value)
         except ConfigError:
             on_damage(len(inputs) + 1)

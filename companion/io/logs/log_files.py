@@ -3,7 +3,8 @@
 `flight.tlog` is what MAVLink tools read: 8-byte big-endian microseconds since 1970, raw frame.
 
 `flight.inputs` has the endpoint's inputs, exactly and in order, to replay a flight from: a header
-of fixed size (`_HEADER`), the sender's address as text, and the data. Times are the endpoint's own
+of fixed size (`_HEADER`), the sender's address as text, the data, and a CRC-32 of all these, which
+files of format 2 do not have. Times are the endpoint's own
 float64 seconds, because a replay is only the same to the last bit if they are. Signatures are left
 out, and frames that carry a key altogether.
 
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import math
 import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -106,6 +108,8 @@ def read_tlog(path: Path, on_damage: OnDamage | None = None) -> Iterator[TlogRec
         (unix_us,) = _STAMP.unpack_from(data, offset)
         yield TlogRecord(unix_us, data[start:end])
         offset = end
+    if offset < len(data) and on_damage is not None:
+        on_damage(offset)
 
 
 def _end_of_frame(data: bytes, start: int) -> int | None:
@@ -127,11 +131,14 @@ def _is_proved(data: bytes, start: int) -> bool:
 
 
 FAMILY = b"companion inputs "
-FORMAT = FAMILY + b"2"
+FORMAT = FAMILY + b"3"
+UNCHECKED = FAMILY + b"2"
+"""Format of 1.0.0rc1, whose records have no checksum."""
 MAGIC_WITHIN = 64
 """The first bytes of a file, which name its format in every version."""
 _HEADER = struct.Struct("<IdBBBI")
 """Number of the record, time_s, kind, link, length of the sender's address, length of the data."""
+_CRC = struct.Struct("<I")
 _AGE = struct.Struct("<d")
 SEARCHED_AT_ONCE = 1 << 20
 """Bytes of a damaged file that are searched for the next record together."""
@@ -221,7 +228,8 @@ class InputLog(BackgroundFile):
         sender = b"" if peer is None else _sender_text(peer)
         header = _HEADER.pack(self._number, time_s, kind, link, len(sender), len(data))
         self._number = (self._number + 1) & 0xFFFFFFFF
-        record = header + sender + data
+        body = header + sender + data
+        record = body + _CRC.pack(zlib.crc32(body))
         self.append(record)
         if self._also is not None:
             self._also(record, time_s)
@@ -243,20 +251,22 @@ def parse_inputs(data: bytes, name: str, on_damage: OnDamage | None = None) -> I
     Where records are missing or damaged, `on_damage` has the number of the first, and what follows
     goes on with the next that is whole. Without `on_damage` they are a `ConfigError`.
     """
-    if FORMAT not in data[:MAGIC_WITHIN] and FAMILY in data[:MAGIC_WITHIN]:
+    beginning = data[:MAGIC_WITHIN]
+    if FAMILY in beginning and FORMAT not in beginning and UNCHECKED not in beginning:
         raise ConfigError(f"{name}: of another version; replay it with the companion that flew")
+    reader = _RecordReader(data, is_checked=UNCHECKED not in beginning)
     offset, number, last_s = 0, 0, 0.0
-    while offset + _HEADER.size <= len(data):
-        found = _record_at(data, offset, last_s)
+    while offset < len(data):
+        found = reader.record_at(offset, last_s)
         if found is None or found.number != number:
             if on_damage is not None:
                 on_damage(number)
-            elif found is None and number > 0 and _is_torn(data, offset):
+            elif found is None and number > 0 and reader.is_torn(offset):
                 break
             else:
                 what = f"record {number} is missing: the disk was too slow or full"
                 raise ConfigError(f"{name}: {what if number else NO_BEGINNING}")
-            found = found or _next_record(data, offset + 1, number, last_s)
+            found = found or reader.next_record(offset + 1, number, last_s)
             if found is None:
                 break
         if found.value.kind != InputKind.BEGIN:
@@ -282,48 +292,70 @@ class _Record:
     """Where the next one begins."""
 
 
-def _record_at(data: bytes, offset: int, last_s: float) -> _Record | None:
-    """Return the whole record at a byte; None: there is none, or its time is impossible."""
-    if offset + _HEADER.size > len(data):
-        return None
-    number, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)
-    end = offset + _HEADER.size + peer_size + size
-    if kind not in _KINDS or end > len(data):
-        return None
-    if not (last_s == 0.0 or abs(time_s - last_s) <= MOST_PAUSE_S) or not math.isfinite(time_s):
-        return None
-    body = data[offset + _HEADER.size : end]
-    if (number == 0 or kind == InputKind.BEGIN) and body != FORMAT:
-        return None
-    value = Input(InputKind(kind), time_s, link, _peer(body[:peer_size]), body[peer_size:])
-    return _Record(number, value, end)
+class _RecordReader:
+    """Finds the records of one file; `is_checked` where each ends with its CRC-32."""
 
+    def __init__(self, data: bytes, *, is_checked: bool) -> None:
+        self._data = data
+        self._is_checked = is_checked
+        self._shortest = _HEADER.size + self._crc_size
 
-def _is_torn(data: bytes, offset: int) -> bool:
-    """Return whether a record begins here whose end is not there any more."""
-    _, _, kind, _, peer_size, size = _HEADER.unpack_from(data, offset)
-    return kind in _KINDS and offset + _HEADER.size + peer_size + size > len(data)
+    @property
+    def _crc_size(self) -> int:
+        return _CRC.size if self._is_checked else 0
 
+    def record_at(self, offset: int, last_s: float) -> _Record | None:
+        """Return the whole record at a byte; None: there is none, or its time is impossible."""
+        data = self._data
+        if offset + self._shortest > len(data):
+            return None
+        number, time_s, kind, link, peer_size, size = _HEADER.unpack_from(data, offset)
+        body_end = offset + _HEADER.size + peer_size + size
+        end = body_end + self._crc_size
+        if kind not in _KINDS or end > len(data):
+            return None
+        if not (last_s == 0.0 or abs(time_s - last_s) <= MOST_PAUSE_S) or not math.isfinite(time_s):
+            return None
+        if self._is_checked:
+            (crc,) = _CRC.unpack_from(data, body_end)
+            if zlib.crc32(data[offset:body_end]) != crc:
+                return None
+        body = data[offset + _HEADER.size : body_end]
+        if (number == 0 or kind == InputKind.BEGIN) and body not in (FORMAT, UNCHECKED):
+            return None
+        value = Input(InputKind(kind), time_s, link, _peer(body[:peer_size]), body[peer_size:])
+        return _Record(number, value, end)
 
-def _next_record(data: bytes, offset: int, number: int, last_s: float) -> _Record | None:
-    """Return the first record from a byte on that another one, or the file's end, follows.
+    def is_torn(self, offset: int) -> bool:
+        """Return True if what is left at a byte is the beginning of a record without its end."""
+        data = self._data
+        if offset + _HEADER.size > len(data):
+            return True
+        _, _, kind, _, peer_size, size = _HEADER.unpack_from(data, offset)
+        return kind in _KINDS and offset + self._shortest + peer_size + size > len(data)
 
-    Where there is none at a possible time, the time before may have been damaged.
-    """
-    for first in range(offset, len(data), SEARCHED_AT_ONCE):
-        part = np.frombuffer(data[first : first + SEARCHED_AT_ONCE + 3], np.uint8).astype(np.uint32)
-        if part.size < 4:
-            break
-        numbers = part[:-3] | part[1:-2] << 8 | part[2:-1] << 16 | part[3:] << 24
-        likely = (numbers >= number) & (numbers <= number + len(data) // _HEADER.size)
-        for at in np.flatnonzero(likely).tolist():
-            found = _record_at(data, first + at, last_s)
-            if found is None or found.value.kind == InputKind.BEGIN:
-                continue
-            follower = _record_at(data, found.end, found.value.time_s)
-            if found.end == len(data) or (follower and follower.number == found.number + 1):
-                return found
-    return None if last_s == 0.0 else _next_record(data, offset, number, 0.0)
+    def next_record(self, offset: int, number: int, last_s: float) -> _Record | None:
+        """Return the first record from a byte on that another one, or the file's end, follows.
+
+        Where there is none at a possible time, the time before may have been damaged.
+        """
+        data = self._data
+        for first in range(offset, len(data), SEARCHED_AT_ONCE):
+            part = np.frombuffer(data[first : first + SEARCHED_AT_ONCE + 3], np.uint8)
+            part = part.astype(np.uint32)
+            if part.size < 4:
+                break
+            numbers = part[:-3] | part[1:-2] << 8 | part[2:-1] << 16 | part[3:] << 24
+            likely = (numbers >= number) & (numbers <= number + len(data) // self._shortest)
+            for at in np.flatnonzero(likely).tolist():
+                found = self.record_at(first + at, last_s)
+                if found is None or found.value.kind == InputKind.BEGIN:
+                    continue
+                follower = self.record_at(found.end, found.value.time_s)
+                is_followed = follower is not None and follower.number == found.number + 1
+                if self._is_checked or is_followed or found.end == len(data):
+                    return found
+        return None if last_s == 0.0 else self.next_record(offset, number, 0.0)
 
 
 def event_of(value: Input) -> events.Event:

@@ -1,17 +1,19 @@
 """The log of inputs: exact, in order, and honest about what is missing."""
 
 import math
+import struct
 from pathlib import Path
 
 import pytest
 
 from companion.errors import ConfigError
 from companion.guidance.events import StopRequested
-from companion.io.logs.log_files import Input, InputKind, InputLog, read_inputs
+from companion.io.logs.log_files import Input, InputKind, InputLog, parse_inputs, read_inputs
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 
 PEER = ("192.168.1.7", 14550)
+HEADER_SIZE, CRC_SIZE = 19, 4
 FRAME = MavCodec(1, 1).encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
 
 
@@ -69,8 +71,8 @@ def test_a_lost_record_is_told(tmp_path: Path) -> None:
     written(path, [1.0, 2.0])
     data = path.read_bytes()
     at = data.index(FRAME)
-    start = at - len(f"{PEER[0]} {PEER[1]}") - 17
-    path.write_bytes(data[:start] + data[at + len(FRAME) :])
+    start = at - len(f"{PEER[0]} {PEER[1]}") - HEADER_SIZE
+    path.write_bytes(data[:start] + data[at + len(FRAME) + CRC_SIZE :])
     with pytest.raises(ConfigError, match="record 1 is missing"):
         list(read_inputs(path))
 
@@ -92,6 +94,34 @@ def test_a_file_of_another_version_is_called_that(tmp_path: Path) -> None:
     path = tmp_path / "flight.inputs"
     written(path, [1.0])
     data = path.read_bytes()
-    path.write_bytes(data[:17] + data[19:].replace(b"companion inputs 2", b"companion inputs 1"))
+    path.write_bytes(data[:17] + data[19:].replace(b"companion inputs 3", b"companion inputs 1"))
     with pytest.raises(ConfigError, match="of another version"):
         list(read_inputs(path))
+
+
+def test_no_flipped_bit_is_taken_for_an_input(tmp_path: Path) -> None:
+    path = tmp_path / "flight.inputs"
+    inputs = written(path, [1.0, 2.0])
+    data = path.read_bytes()
+    begin = data.index(b"companion inputs") + len("companion inputs 3") + CRC_SIZE
+    for bit in range(8 * begin, 8 * len(data)):
+        flipped = bytearray(data)
+        flipped[bit // 8] ^= 1 << bit % 8
+        damaged: list[int] = []
+        found = list(parse_inputs(bytes(flipped), "flipped", damaged.append))
+        assert damaged
+        assert found == [value for value in inputs if value in found]
+        assert len(found) >= len(inputs) - 1
+
+
+def test_a_log_of_the_format_before_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "flight.inputs"
+    inputs = written(path, [1.0, 2.0])
+    data, before, at = path.read_bytes(), b"", 0
+    while at < len(data):
+        sizes = struct.unpack_from("<BI", data, at + 14)
+        end = at + HEADER_SIZE + sum(sizes)
+        before += data[at:end].replace(b"companion inputs 3", b"companion inputs 2")
+        at = end + CRC_SIZE
+    path.write_bytes(before)
+    assert list(read_inputs(path)) == inputs
