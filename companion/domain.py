@@ -28,6 +28,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0, le=MOST)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=MOST)]
 
 
+Signed = Annotated[float, msgspec.Meta(ge=-MOST, le=MOST)]
 Distance = Annotated[float, msgspec.Meta(ge=0.01, le=1e4)]
 """m; from the centimetre of a GNSS receiver with RTK to the largest fence that an autopilot has of
 its own (PX4: GF_MAX_HOR_DIST up to 10,000 m)."""
@@ -88,6 +89,9 @@ class RangingMeasurement:
     """The sender's own stamp; with equal values it tells a duplicate."""
     array: ArrayDirection | None = None
     """The bearing as the antenna measured it, once its attitude at the time is known."""
+    least_sigmas: tuple[float | None, float | None, float | None] = (None, None, None)
+    """Of range (m), bearing and elevation (rad): the best that its radio is configured to do, below
+    which no reported standard deviation counts; None: that of the estimation."""
 
     @property
     def has_direction(self) -> bool:

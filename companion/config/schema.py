@@ -153,7 +153,7 @@ class LogConfig(Params, frozen=True):
 
     directory: str = "flights"
     """Each flight makes its own folder in here."""
-    max_mb: Annotated[float, msgspec.Meta(ge=1.0)] = 1000.0
+    max_mb: Annotated[float, msgspec.Meta(ge=1.0, le=1e9)] = 1000.0
     """Cap of one flight's logs; of a longer flight the newest is kept. A tenth is for events."""
     mcap: bool = False
     """Whether flight.mcap is written as well, for Foxglove; needs the extra `mcap`."""

@@ -56,7 +56,7 @@ class LinkParams(Params, frozen=True):
     """The same where frames get lost."""
     lossy_share: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.2
     """A line that loses more than this share of the autopilot's frames is lossy."""
-    downlink_bytes_s: Annotated[float, msgspec.Meta(ge=100.0)] = 5760.0
+    downlink_bytes_s: Annotated[float, msgspec.Meta(ge=100.0, le=1e9)] = 5760.0
     """Capacity of the slowest link to a ground station, bytes/s: 57,600 baud, the usual telemetry
     radio. Texts get one per cent of it."""
     signing_key_file: str | None = None

@@ -23,7 +23,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import NonNegative, Params, Positive, RangingMeasurement
+from companion.domain import NonNegative, Params, Positive, RangingMeasurement, Signed
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
 from companion.link.intake import RateLimit
@@ -57,17 +57,18 @@ class RadioSettings(Params, frozen=True):
     frequency_tolerance_khz: Positive | None = None
     """Names are frequencies in MHz and match within this; null: names are names."""
 
-    range_offset_m: float = 0.0
+    range_offset_m: Signed = 0.0
     """range = (said - range_offset_m) / range_scale."""
     range_scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
-    range_min_m: float = 0.0
+    range_min_m: Signed = 0.0
     """A shorter corrected range is refused."""
     range_max_m: Positive | None = None
     """A longer one; null: `estimation.acceptance.max_range_m` decides."""
     zero: Literal["refuse", "accept"] = "refuse"
     """What a range of exactly 0 is: most radios print it where nothing was measured."""
     range_sigma_m: Positive | None = None
-    """Where the radio says none; null: the estimation's."""
+    """Where the radio reports none, and the least that a reported one counts as; null: the
+    estimation's."""
 
     bearing_sign: Sign = 1
     """-1 where the device counts counter-clockwise."""
@@ -92,7 +93,7 @@ class RadioSettings(Params, frozen=True):
     """How much earlier than that it was measured."""
     max_age_s: Positive | None = None
     """An older reading is refused; null: `estimation.acceptance.max_age_s` decides."""
-    rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0)] | None = 20.0
+    rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = 20.0
     """Of one emitter so many measurements a second go on, because each costs milliseconds; null:
     all."""
     stuck_after: Annotated[int, msgspec.Meta(ge=2)] | None = None
@@ -392,6 +393,11 @@ class RadioStage:
             quality=reading.quality,
             line_of_sight=reading.line_of_sight,
             stamp_us=None if device_s is None else _microseconds(device_s),
+            least_sigmas=(
+                settings.range_sigma_m,
+                _said_or(None, settings.bearing_sigma_deg),
+                _said_or(None, settings.elevation_sigma_deg),
+            ),
         )
 
     def _range_m(self, reading: RadioReading) -> float | None:

@@ -46,7 +46,7 @@ TRANSITIONS_AT_ONCE = 4
 """Leg ends that one request may pass; more are not reached at one place by any real track."""
 
 
-Spacing = Annotated[float, msgspec.Meta(ge=1.0)]
+Spacing = Annotated[float, msgspec.Meta(ge=1.0, le=1e4)]
 """Metres between neighbouring legs."""
 
 

@@ -17,7 +17,15 @@ from typing import Annotated, Protocol
 import msgspec
 import numpy as np
 
-from companion.domain import NonNegative, Params, PositionEnu, Positive, RangingMeasurement
+from companion.domain import (
+    MOST,
+    NonNegative,
+    Params,
+    PositionEnu,
+    Positive,
+    RangingMeasurement,
+    Signed,
+)
 from companion.estimation.antenna import LEVEL, MODELS, AntennaParams
 from companion.estimation.filters.robust_update import threshold
 from companion.estimation.measurement_model import (
@@ -122,8 +130,11 @@ class TargetFilter(Protocol):
 
 NO_AXES = (0.0,) * 6
 """Of a measurement without a direction."""
-MIN_SIGMA, MAX_SIGMA = 1e-50, 1e50
-"""What a radio may report: beyond these a standard deviation has no square in 64 bits."""
+VAGUEST = (MOST, math.pi, math.pi)
+"""The largest standard deviations that count, of a range (m), a bearing and an elevation (rad):
+half a turn says nothing of a direction."""
+FLOAT32_STEP = 2.0**-23
+"""Relative: the configured number as a float32 message has it is not below the configured one."""
 
 
 class FilterParams(Params, frozen=True, dict=True):
@@ -133,11 +144,12 @@ class FilterParams(Params, frozen=True, dict=True):
     """
 
     range_sigma_m: Positive = 1.5
-    """Thermal noise of a range, where the radio does not report one."""
+    """Thermal noise of a range where the radio reports none, and the least that a reported one
+    counts as: a radio, or a forger, that claims less gets no more weight."""
     bearing_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 2.0
-    """Thermal noise of a bearing, where the radio does not report one."""
+    """The same of a bearing."""
     use_reported_sigma: bool = True
-    """Whether the radio's own standard deviations replace the two above."""
+    """Whether the radio's own standard deviations count where they are larger than the above."""
     range_k_long: Positive | None = 1.5
     """Threshold for ranges that are too long, in sigma; null: never robust on that side."""
     range_k_short: Positive | None = None
@@ -145,16 +157,16 @@ class FilterParams(Params, frozen=True, dict=True):
     bearing_k: Positive | None = 1.5
     """Threshold for bearings and elevations on both sides; null: never robust."""
     elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 5.0
-    """Thermal noise of an elevation, where the radio does not report one."""
+    """The same of an elevation."""
     use_elevation: bool = True
     """Whether measured elevations count; false where the antenna tilts with the vehicle."""
-    range_offset_m: float = 0.0
+    range_offset_m: Signed = 0.0
     """Prior mean of the constant range offset."""
     range_offset_sigma_m: Positive = 5.0
     """Prior standard deviation of the constant range offset."""
-    range_offset_min_m: float | None = None
+    range_offset_min_m: Signed | None = None
     """Hard lower bound of the range offset; null: none."""
-    range_offset_max_m: float | None = None
+    range_offset_max_m: Signed | None = None
     """Hard upper bound of the range offset; null: none."""
     bearing_offset_sigma_deg: Positive = 5.0
     """Prior standard deviation of the constant bearing offset, about zero."""
@@ -188,7 +200,7 @@ class FilterParams(Params, frozen=True, dict=True):
     """How much later than it measured the radio stamps."""
     stamp_lag_sigma_s: NonNegative | None = None
     """How well that is known; null: as told with the antenna, 0.15 s where nobody told it."""
-    target_height_m: float = 0.0
+    target_height_m: Signed = 0.0
     """Height of the emitter above the local origin."""
     target_height_sigma_m: NonNegative = 0.0
     """How well that height is known; above 0 it is estimated."""
@@ -301,9 +313,10 @@ class FilterParams(Params, frozen=True, dict=True):
         return pose, z, np.array(self.seen_sigmas(m))
 
     def seen_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
-        """Standard deviations of range, bearing and elevation, as they are believed.
+        """Return the standard deviations of range, bearing and elevation that count.
 
-        No range is better than its steps, whatever its radio says.
+        No range is better than its steps, and nothing is better than its radio is configured to
+        be, whatever the radio reports.
         """
         m, least_m = measurement, self.step_sigma_m
         believed = (
@@ -319,7 +332,16 @@ class FilterParams(Params, frozen=True, dict=True):
         if reported == (None, None, None):
             return believed
         ranged, borne, elevated = (
-            own if told is None else min(max(told, MIN_SIGMA), MAX_SIGMA)
-            for told, own in zip(reported, believed, strict=True)
+            _within(told, own if least is None else least, most, own)
+            for told, least, most, own in zip(
+                reported, m.least_sigmas, VAGUEST, believed, strict=True
+            )
         )
         return (max(ranged, least_m), borne, elevated)
+
+
+def _within(reported: float | None, least: float, most: float, default: float) -> float:
+    """Return a reported standard deviation within its range, or the default of one that is none."""
+    if reported is None:
+        return default
+    return least if reported < least * (1.0 - FLOAT32_STEP) else min(reported, most)

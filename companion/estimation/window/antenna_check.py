@@ -193,7 +193,7 @@ class AntennaCheck:
         if kind == "line":  # the error of the angle, not of its sine
             spread_rad /= np.maximum(np.cos(rows[is_borne, VALUES + BEARING]), 1e-3)
         # an angle is off by no more than half a turn, however vague
-        costs = np.log(spread_rad) + off / scale + np.log1p(-np.exp(-math.pi / spread_rad))
+        costs = np.log(spread_rad) + off / scale + np.log(-np.expm1(-math.pi / spread_rad))
         ranging_cost = float(np.sum(psi * (u[RANGE] - 0.5 * psi)))
         away = rows[is_borne, :2] - solution[0][:2]
         rise_m = rows[is_borne, 2] - target_height_m(solution[0], params.model)

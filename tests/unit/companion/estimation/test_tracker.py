@@ -135,7 +135,7 @@ def test_well_specified_noise_never_restarts_it() -> None:
 
 
 def test_a_lost_covariance_restarts_it_and_says_so() -> None:
-    """A radio that claims an impossible precision takes the rounding out of the covariance."""
+    """A radio configured as impossibly precise takes the rounding out of the covariance."""
     azimuth = AntennaParams(kind="azimuth")
     believed = FilterParams(own_position_sigma_m=0.0, near_target_terms=False, antenna=azimuth)
     tracker = TargetTracker(TrackerParams(filter=believed))
@@ -149,6 +149,7 @@ def test_a_lost_covariance_restarts_it_and_says_so() -> None:
             range_sigma_m=1e-30,
             bearing_enu_rad=0.3,
             bearing_sigma_rad=1e-30,
+            least_sigmas=(1e-30, 1e-30, None),
         )
         report = tracker.fuse(seen, place, float(step))
         restarted = restarted or report.restarted
@@ -321,7 +322,13 @@ def _in_space(params: FilterParams, up_m: float, scale: float) -> TargetEstimate
 
 
 def test_height_and_scale_are_estimated_and_reported() -> None:
-    params = FilterParams(range_scale_sigma=0.05, target_height_sigma_m=10.0, range_k_long=None)
+    params = FilterParams(
+        range_sigma_m=1.0,
+        elevation_sigma_deg=2.0,
+        range_scale_sigma=0.05,
+        target_height_sigma_m=10.0,
+        range_k_long=None,
+    )
     estimate = _in_space(params, 6.0, 0.07)
     assert estimate.height_sigma_m is not None
     assert estimate.height_sigma_m < 2.0

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
 
-from companion.domain import RangingMeasurement
-from companion.estimation.filters.target_filter import MAX_SIGMA, MIN_SIGMA, FilterParams
+from companion.domain import MOST, RangingMeasurement
+from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import ABSENT
 
 HERE = (0.0, 0.0, 20.0)
@@ -23,6 +24,8 @@ EVERYTHING = RangingMeasurement(
     elevation_rad=-0.3,
     elevation_sigma_rad=0.05,
 )
+SHARP = FilterParams(range_sigma_m=0.5, bearing_sigma_deg=1.0, elevation_sigma_deg=2.0)
+"""Of a radio that can do what is reported there."""
 
 
 @pytest.mark.parametrize(
@@ -115,7 +118,7 @@ def test_no_threshold_is_an_infinite_one() -> None:
 
 
 def test_a_measurement_is_values_and_standard_deviations() -> None:
-    _, z, sigma = FilterParams().seen(EVERYTHING, HERE)
+    _, z, sigma = SHARP.seen(EVERYTHING, HERE)
     assert z.tolist() == [50.0, 0.4, -0.3]
     assert sigma.tolist() == [0.7, 0.02, 0.05]
 
@@ -132,7 +135,7 @@ def test_what_is_not_reported_or_not_trusted_is_as_configured() -> None:
 
 
 def test_no_range_is_better_than_its_steps() -> None:
-    cell = FilterParams(range_step_m=78.0, place_length_m=4.0)
+    cell = msgspec.structs.replace(SHARP, range_step_m=78.0, place_length_m=4.0)
     least_m = 78.0 / math.sqrt(12.0)
     assert cell.seen(EVERYTHING, HERE)[2].tolist() == [least_m, 0.02, 0.05]
     assert cell.place_sigmas == pytest.approx((least_m, 0.0))
@@ -147,9 +150,29 @@ def test_an_elevation_may_be_left_out() -> None:
     assert z[:2].tolist() == [50.0, 0.4]
 
 
-@pytest.mark.parametrize(("told", "taken"), [(1e-300, MIN_SIGMA), (1e300, MAX_SIGMA), (3.0, 3.0)])
-def test_a_reported_sigma_keeps_a_square(told: float, taken: float) -> None:
-    seen = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0, range_sigma_m=told)
-    sigma = float(FilterParams().seen(seen, HERE)[2][0])
-    assert sigma == taken
-    assert 0.0 < sigma * sigma < math.inf
+@pytest.mark.parametrize(
+    ("reported", "counted"), [(1e-300, 1.5), (1e-6, 1.5), (1.4, 1.5), (3.0, 3.0), (1e300, MOST)]
+)
+def test_a_reported_sigma_counts_as_the_configured_one_at_least(
+    reported: float, counted: float
+) -> None:
+    seen = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0, range_sigma_m=reported)
+    assert FilterParams().seen_sigmas(seen)[0] == counted
+
+
+def test_directions_have_the_same_floor_and_are_off_by_half_a_turn_at_most() -> None:
+    for reported, counted in ((1e-9, (2.0, 5.0)), (0.2, (math.degrees(0.2),) * 2), (1e30, None)):
+        seen = replace(EVERYTHING, bearing_sigma_rad=reported, elevation_sigma_rad=reported)
+        sigmas = FilterParams().seen_sigmas(seen)[1:]
+        assert sigmas == pytest.approx([math.radians(v) for v in counted or (180.0, 180.0)])
+
+
+def test_a_float32_of_the_configured_sigma_is_the_configured_sigma() -> None:
+    reported = float(np.float32(math.radians(2.0)))
+    seen = replace(EVERYTHING, bearing_sigma_rad=reported)
+    assert FilterParams().seen_sigmas(seen)[1] == reported
+
+
+def test_a_radio_that_is_configured_as_better_than_the_estimation_has_its_own_floor() -> None:
+    seen = replace(EVERYTHING, range_sigma_m=1e-6, least_sigmas=(0.1, None, None))
+    assert FilterParams().seen_sigmas(seen)[0] == 0.1
