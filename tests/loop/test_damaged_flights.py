@@ -105,8 +105,10 @@ def try_damage(flown: Path, directory: Path, name: str, seed: int) -> None:
     assert replay.replayed.estimates[: len(before)] == before
     assert len(said) <= 2
     assert all(str(directory) in line and "\n" not in line for line in said[-1:])
-    assert replay.verdict.startswith("IDENTICAL")
-    assert name != INPUTS or said
+    if name != EVENTS:  # whose digits have no checksum: another digit is another estimate
+        assert replay.verdict.startswith("IDENTICAL")
+    if name == INPUTS and data != (flown / name).read_bytes():
+        assert said
     shutil.rmtree(directory)
 
 

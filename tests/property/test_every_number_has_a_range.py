@@ -90,7 +90,11 @@ def test_an_extreme_of_any_field_of_a_ranging_message_is_survived() -> None:
             values = list(usual)
             values[index] = math.copysign(math.inf, extreme) if abs(extreme) > 3.4e38 else extreme
             wire.now_s += 0.05
-            message = MAVLink_radio_ranging_message(round(1e6 * wire.now_s), *values, 1, 255, 0)
+            stamp_us = round(1e6 * wire.now_s)
+            range_m, range_std, bearing, bearing_std, up, up_std = values
+            message = MAVLink_radio_ranging_message(
+                stamp_us, range_m, range_std, bearing, bearing_std, up, up_std, 1, 255, 0
+            )
             wire.say(wire.position())
             wire.say(message)
             wire.wait(0.05)
