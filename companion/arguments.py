@@ -265,6 +265,7 @@ def _add_replay(commands: Commands) -> None:
     text = "of a walk, standard deviation of its positions per axis, metres (default: its column "
     text += "own_sigma_m, or that of the .json beside it; 3 where nothing is stated)"
     _option(replay, "--own-sigma", "M", text, type=number_in(0.0, 1e4))
+    _switch(replay, "--explain", "of a walk, print what widens each R95, term by term")
     _file(replay, "--config", "companion configuration")
     _file(replay, "--json", "write the results as JSON")
 

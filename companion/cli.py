@@ -31,7 +31,13 @@ from companion.io.shared_clock import clock_of
 from companion.kernel import IS_COMPILED_ON_CALL, IS_NATIVE, count_loaded
 from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
-from companion.replay.walk_replay import WalkAccuracy, replay_walk, stated_accuracy, table
+from companion.replay.walk_replay import (
+    WalkAccuracy,
+    explanation,
+    replay_walk,
+    stated_accuracy,
+    table,
+)
 from companion.run import FlightOptions, FlightView, fly, prepare
 from companion.view.console import ConsoleHandler, PlainView
 from companion.view.cot import CotView, cot_address
@@ -269,15 +275,14 @@ def _replay(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         check_writable(arguments.json)
     settings = _web_settings(arguments)
-    is_walk = arguments.file.suffix.lower() == ".csv"
-    if arguments.own_sigma is not None and not is_walk:
-        raise ConfigError("--own-sigma: only a walk (.csv) takes it; a flight has its own")
-    if is_walk:
+    if arguments.file.suffix.lower() == ".csv":
         if arguments.speed is not None:
             raise ConfigError("--speed: a walk is replayed as fast as it goes; leave it out")
         if settings is not None:
             raise ConfigError("--web: a walk has no map; leave it out")
         return _replay_walk(arguments, config or CompanionConfig())
+    if arguments.own_sigma is not None or arguments.explain:
+        raise ConfigError("--own-sigma, --explain: only of a recorded walk (.csv); leave them out")
     if is_radio_recording(arguments.file):
         return _replay_recording(arguments, config or CompanionConfig())
 
@@ -329,6 +334,8 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     if sys.stderr.isatty():
         print("\r", end="", file=sys.stderr)
     print(table(results, config.estimation.localised_r95_m))
+    if arguments.explain:
+        print(explanation(results))
     if arguments.json is not None:
         value = {"file": arguments.file.name, "targets": [r.as_json() for r in results]}
         write_json_atomic(arguments.json, value)

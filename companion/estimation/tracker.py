@@ -54,7 +54,11 @@ from companion.estimation.screening.measurement_screen import (
     Objection,
     RejectReason,
 )
-from companion.estimation.target_estimate import estimate_of
+from companion.estimation.target_estimate import (
+    estimate_of,
+    position_covariance_m2,
+    r95_of_covariance_m,
+)
 from companion.estimation.window.antenna_check import AntennaCheck, ToldAntennaWatch
 from companion.estimation.window.optimizer import WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, SharedSigmas
@@ -403,6 +407,25 @@ class TargetTracker:
         if self.raised_m == 0.0:
             return estimate
         return replace(estimate, height_m=estimate.height_m + self.raised_m)
+
+    def budget(self, now_s: float) -> dict[str, float]:
+        """Return R95 in metres after each term that widens it, the last one the absolute R95."""
+        estimate = self.estimate(now_s)
+        if estimate is None:
+            return {}
+        best, own_sigma_m = self.hypotheses[0], self._filter.params.model.own_sigma_m
+        widths = self._optimizer.widths(best.state.mean, is_white=self._noise.is_white)
+        place_m2 = position_covariance_m2(best, own_sigma_m)
+        shared = self._shared
+        widths += [
+            ("since the last solution", place_m2),
+            ("height and stamps", shared.within_reach(place_m2 + shared.lasting, best.place_enu_m)),
+        ]
+        budget = {name: r95_of_covariance_m(covariance_m2) for name, covariance_m2 in widths}
+        budget["rival places"] = estimate.settled_r95_m
+        budget["own position during the search"] = estimate.r95_m
+        budget["own position on the Earth"] = estimate.absolute_r95_m
+        return budget
 
     def objection(self, now_s: float) -> Objection | None:
         """Why the estimate must not be flown on, although there is one; None: it may."""

@@ -81,6 +81,8 @@ class TargetResult:
     estimate: TargetEstimate | None = None
     truth_enu_m: tuple[float, float] | None = None
     observability: Observability | None = None
+    budget_m: Mapping[str, float] = field(default_factory=dict)
+    """R95 after each term that widens it, metres."""
 
     @property
     def state(self) -> str:
@@ -110,6 +112,7 @@ class TargetResult:
             "ercm_min_eigenvalue": None if seen is None else seen.min_eigenvalue,
             "is_collinear": None if seen is None else seen.is_collinear,
             "error_m": self.error_m,
+            "r95_budget_m": dict(self.budget_m),
         }
 
 
@@ -156,6 +159,7 @@ def _result(target_id: str, target: _Replayed) -> TargetResult:
         estimate=tracker.estimate(target.last_s),
         truth_enu_m=target.truth_enu_m,
         observability=tracker.health.observability,
+        budget_m=tracker.budget(target.last_s),
     )
 
 
@@ -302,6 +306,15 @@ def table(results: list[TargetResult], localised_r95_m: float) -> str:
         middle = 0.5 * (errors[(len(errors) - 1) // 2] + errors[len(errors) // 2])
         lines.append(f"median error {middle:.2f} m, worst {errors[-1]:.2f} m")
     return "\n".join([*lines, *_remarks(results, localised_r95_m)])
+
+
+def explanation(results: list[TargetResult]) -> str:
+    """Return, for each target, R95 as it grows term by term."""
+    lines = []
+    for result in results:
+        lines.append(f"{result.target_id}: R95 after each term")
+        lines += [f"  {radius_m:9.2f} m  {term}" for term, radius_m in result.budget_m.items()]
+    return "\n".join(lines)
 
 
 def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[str]:

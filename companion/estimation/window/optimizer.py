@@ -298,6 +298,15 @@ class WindowOptimizer:
             errors = NO_ERRORS
         return errors._replace(heard=heard)
 
+    def widths(self, mean: Vector, *, is_white: bool) -> list[tuple[str, Matrix]]:
+        """Return what widens the place at `mean` (k,), as in `WindowMap.widths`; maybe nothing."""
+        if len(self.window.rows) < MIN_MEASUREMENTS:
+            return []
+        try:
+            return self.map.widths(self.rows, mean, self._older, is_white=is_white)
+        except np.linalg.LinAlgError:
+            return []
+
     def observability(self, mean: Vector) -> Observability | None:
         """What the window can tell about a target at `mean`; None before the first measurement."""
         if not len(self.window.rows):

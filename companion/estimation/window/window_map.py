@@ -453,6 +453,29 @@ class WindowMap:
             mean, cost, covariance, inflation, scores.psi, (noise[0], noise[1], noise[2])
         )
 
+    def widths(
+        self, rows: Matrix, mean: Vector, older: OlderEvidence | None, *, is_white: bool
+    ) -> list[tuple[str, Matrix]]:
+        """Return what widens the place at `mean` (k,), each term with the covariance (2, 2) so far.
+
+        A `LinAlgError` where no place is named.
+        """
+        scores = self.scores(rows, mean)
+        A = curvature(scores) + self.prior_with(rows, older)[0]
+        A_inverse = np.asarray(np.linalg.inv(A))
+        fixed = self.prior_with(rows, None)[0] + (0.0 if older is None else older.variability)
+        white = pooled_variability(scores, A_inverse, np.ones(MODALITIES)) + fixed
+        widths = [
+            ("thermal noise", np.linalg.inv(A[:2, :2])),
+            ("offsets that are estimated", A_inverse[:2, :2]),
+            ("noise as measured", covariance_of(A, white)[:2, :2]),
+            ("errors that repeat", self._sandwich(rows, scores, older, is_white)[0][:2, :2]),
+        ]
+        optimum = self._optimum(rows, mean, 0.0, scores, older, is_white)
+        if optimum is not None:
+            widths.append(("curved and flat valleys", optimum.covariance[:2, :2]))
+        return widths
+
     def _sandwich(
         self, rows: Matrix, scores: Scores, older: OlderEvidence | None, is_white: bool
     ) -> tuple[Matrix, Matrix, Matrix]:

@@ -243,3 +243,40 @@ def test_results_never_replace_what_describes_the_walk(
     assert beside.read_text() == '{"own_sigma_m": 0.1}'
     assert main(["replay", "w.tlog", "--own-sigma", "1"]) == EXIT_BAD_INPUT
     assert "--own-sigma" in capsys.readouterr().err
+
+
+def test_the_budget_leads_from_thermal_noise_to_the_absolute_radius(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_walk(tmp_path / "walk.csv", circle())
+    json_path = tmp_path / "out.json"
+    assert main(["replay", str(path), "--explain", "--json", str(json_path)]) == 0
+    printed = capsys.readouterr().out
+    (target,) = json.loads(json_path.read_text())["targets"]
+    budget = target["r95_budget_m"]
+    assert next(iter(budget)) == "thermal noise"
+    assert budget["thermal noise"] < budget["offsets that are estimated"]
+    assert budget["rival places"] == target["settled_r95_m"]
+    assert budget["own position during the search"] == target["r95_m"]
+    assert budget["own position on the Earth"] == target["absolute_r95_m"]
+    assert all(f"m  {term}" in printed for term in budget)
+    assert main(["replay", "w.tlog", "--explain"]) == EXIT_BAD_INPUT
+    assert "--explain" in capsys.readouterr().err
+
+
+def test_errors_that_repeat_are_named_in_the_budget(tmp_path: Path) -> None:
+    """A slow wave of the ranges' error widens that term, and not the thermal one."""
+    rng, rows = np.random.default_rng(4), circle()
+    errors = {"calm": rng.normal(0.0, 1.0, 120), "waved": np.sin(np.arange(120) / 9.0)}
+    budgets = []
+    for name, error_m in errors.items():
+        ranges_m = [float(str(row["range_m"])) for row in rows] + error_m
+        walk = [{**row, "range_m": r} for row, r in zip(rows, ranges_m, strict=True)]
+        walk = [{k: v for k, v in row.items() if k != "bearing_rad"} for row in walk]
+        path = write_walk(tmp_path / f"{name}.csv", walk)
+        (result,) = replay_walk(path, load_config(None).estimation, own_sigma_m=0.0)
+        budgets.append(result.budget_m)
+    calm, wave = budgets
+    assert wave["thermal noise"] == pytest.approx(calm["thermal noise"], rel=0.3)
+    assert wave["errors that repeat"] > 1.5 * wave["noise as measured"]
+    assert calm["errors that repeat"] < 1.2 * calm["noise as measured"]
