@@ -41,6 +41,7 @@ from companion.io.state.signing_keys import load_signing_key
 from companion.io.state.vehicle_lock import VehicleLock, state_directory
 from companion.kernel import IS_NATIVE, has_compiled_cache
 from companion.link.intake import Authenticity
+from companion.link.outlet import COMPONENT_ID
 from companion.process.diagnostics import process_use
 from companion.run import link_name, open_signing
 
@@ -280,8 +281,14 @@ def _check_company(
         text = f"system {heard} sends on this link, too"
         yield fail("vehicle.system_id", text, "set it, or the first one heard is flown")
     if facts.system_id in link.other_companions:
-        text = "another component 191 of this vehicle sends on this link"
-        yield fail("companion", text, "stop the other companion, or give it another id")
+        own_id, fix = config.link.component_id, "stop the other companion, or give it another id"
+        text = f"another component {own_id or COMPONENT_ID} of this vehicle sends on this link"
+        if own_id is None:
+            yield warn(
+                "companion", f"{text}: ours takes another id", "if it is a companion, stop it"
+            )
+        else:
+            yield fail("companion", text, fix)
 
 
 def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
@@ -387,7 +394,8 @@ def look_at_link(
     try:
         signing = None if keeper is None else keeper.signing
         authenticity = Authenticity(signing, time.time() - clock.now_s())
-        probe = DoctorProbe(name, config.vehicle.system_id, authenticity, duration_s)
+        component_id = config.link.component_id
+        probe = DoctorProbe(name, config.vehicle.system_id, authenticity, duration_s, component_id)
         before = process_use()
         Shell(probe, [link], clock).run_blocking()
         use, took_s = process_use(), clock.now_s()

@@ -86,7 +86,7 @@ class LinkFacts:
     """None: none was heard."""
     other_autopilots: tuple[int, ...]
     other_companions: tuple[int, ...]
-    """System ids under which another component 191 spoke."""
+    """System ids under which another component with the companion's id spoke."""
     unfit: tuple[str, ...]
     """Senders that fly nothing: ids and kind."""
     bytes_received: int

@@ -1,6 +1,6 @@
 """The doctor on the wire: listens, asks, and changes nothing that lasts.
 
-Theory of operation. It is heard as the companion would be (component 191 of the vehicle's system),
+Theory of operation. It is heard as the companion would be (its component of the vehicle's system),
 asks for the streams that a flight needs, with the flight's own requester, and lets them settle
 before it counts them. Beside that it asks for parameters, for the time, for the fence, and for what
 is sent only on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE,
@@ -67,7 +67,12 @@ class DoctorProbe(OneShotEndpoint):
     """Asks one link; without a system id it takes the first one heard."""
 
     def __init__(
-        self, name: str, system_id: int | None, authenticity: Authenticity, duration_s: float
+        self,
+        name: str,
+        system_id: int | None,
+        authenticity: Authenticity,
+        duration_s: float,
+        component_id: int | None = None,
     ) -> None:
         super().__init__(None)
         self._name = name
@@ -75,7 +80,7 @@ class DoctorProbe(OneShotEndpoint):
         self._authenticity = authenticity
         self._binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
         signing = authenticity.of_link(0)
-        self._codec = MavCodec(system_id or 1, COMPONENT_ID, signing)
+        self._codec = MavCodec(system_id or 1, component_id or COMPONENT_ID, signing)
         self._freshness = StreamFreshness()
         self._streams = StreamRequester(self._freshness)
         self._clock = ClockSync()
@@ -225,7 +230,7 @@ class DoctorProbe(OneShotEndpoint):
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             if autopilot_of(message) is not None:
                 self._autopilots.add(sender[0])
-            elif sender[1] == COMPONENT_ID:
+            elif sender[1] == self._codec.component_id:
                 self._companions.add(sender[0])
         if not self._binding.recognise(message, chunk.peer, now_s):
             return
@@ -234,7 +239,7 @@ class DoctorProbe(OneShotEndpoint):
         self._sequence.take(message.get_seq(), now_s)
         self._freshness.receive(message, now_s)
         self._clock.receive(message, now_s)
-        own = (self._codec.system_id, COMPONENT_ID)
+        own = (self._codec.system_id, self._codec.component_id)
         self._fence = self._fence_fetch.receive(message, now_s, own) or self._fence
         name = message.get_type()
         self._newest[name] = message

@@ -136,7 +136,8 @@ class CompanionEndpoint:
         params = self._params
         is_open = link.role is LinkRole.RANGING and params.link.unsigned_ranging
         signing = self.authenticity.of_link(number, RANGING_IDS if is_open else frozenset())
-        codec = MavCodec(params.vehicle.system_id or 1, COMPONENT_ID, signing)
+        component_id = params.link.component_id or COMPONENT_ID
+        codec = MavCodec(params.vehicle.system_id or 1, component_id, signing)
         binding = self.binding if link.role is LinkRole.VEHICLE else None
         return Intake(codec, binding, is_raw=link.radio is not None)
 
@@ -239,9 +240,12 @@ class CompanionEndpoint:
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
         if self._recorder is not None:
             self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
-        if sender_of(frame) == self.outlet.own_ids:
-            if self.authenticity.is_proved(frame) and self.outlet.record_own_ids(frame, now_s):
-                self.executor.handle(events.IdConflictHeard(now_s), now_s)
+        is_ours = sender_of(frame) == self.outlet.own_ids
+        if self.authenticity.is_proved(frame) and self.outlet.note_sender(
+            frame, now_s, may_move=self._may_move_aside
+        ):
+            self.executor.handle(events.IdConflictHeard(now_s), now_s)
+        if is_ours:
             return
         match self._params.links[chunk.link].role:
             case LinkRole.VEHICLE:
@@ -281,6 +285,13 @@ class CompanionEndpoint:
         is_here = message.get_srcSystem() == binding.system_id
         if is_here and (binding.is_keyed or is_peer) and isinstance(message, RangingMessage):
             self._receive_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
+
+    @property
+    def _may_move_aside(self) -> bool:
+        """True if the component id may change: it is not configured, and we have no vehicle."""
+        is_before = self.session.phase in (Phase.WAITING, Phase.STANDBY)
+        is_free = self._params.link.component_id is None and not self.binding.is_committed
+        return is_free and is_before
 
     def _note_control(self, now_s: float) -> None:
         """Tell the binding whether we have the vehicle."""

@@ -50,6 +50,10 @@ class VehicleParams(Params, frozen=True):
 class LinkParams(Params, frozen=True):
     """How the companion uses its links."""
 
+    component_id: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
+    """MAVLink component id of the companion; null: 191, or the next free one up to 194 where
+    another component has that."""
+
     rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 20.0
     """Control ticks, and so setpoints, per second."""
     lossy_rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 50.0

@@ -113,8 +113,12 @@ def time_boot_ms(now_s: float) -> int:
     return int(now_s * 1000.0) & UINT32
 
 
+MARK = b"CMP_ID"
+"""Name of the NAMED_VALUE_FLOAT by which companions of this kind know each other."""
+
+
 def heartbeat() -> Message:
-    """HEARTBEAT of an onboard controller (component 191, no autopilot)."""
+    """HEARTBEAT of an onboard controller without autopilot."""
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
         mavlink.MAV_AUTOPILOT_INVALID,

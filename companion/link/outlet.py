@@ -4,9 +4,12 @@ The autopilot passes on what is broadcast, so ground stations behind it hear tha
 own gets the same beside. Setpoints and commands only ever leave by the vehicle link.
 
 A router that forwards to everyone sends our frames back to us, byte by byte as they were. A frame
-with our ids that we did not send is somebody else's: two companions on one vehicle would both obey
-its operator and fight over its setpoints. It is heard as long as its frames come, the
-HEARTBEAT of each second at the least.
+with our ids that we did not send is somebody else's. Another kind of component that has our
+component id, as MAVROS2 has 191, is no rival: where no id is configured the companion takes the
+next free one, before it has control and never in flight. A second companion of this kind is one,
+under whatever component id: both would obey the operator and fight over the setpoints. It is known
+by setpoints and estimates, and by a mark that each companion sends once a second while it hears
+another onboard computer of its vehicle.
 """
 
 from __future__ import annotations
@@ -23,9 +26,15 @@ from companion.link.binding import AutopilotBinding
 from companion.link.interface import Journal, LinkRole
 from companion.link.texts import TextGate
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2
+from companion.mav.framing import (
+    CRC_LENGTH,
+    HEADER_LENGTH,
+    MAGIC_V2,
+    message_id,
+    sender_of,
+)
 
 KEPT = 1024
 """Frames of ours that are remembered: 20 s at the fastest pace."""
@@ -60,9 +69,17 @@ class OwnFrames:
             if not self._sent[oldest]:
                 del self._sent[oldest]
 
+    def is_ours(self, frame: bytes) -> bool:
+        """Return True if we sent a frame, not long ago."""
+        return zlib.crc32(frame) in self._sent
+
+    def forget_foreign(self) -> None:
+        """Begin to count foreign frames again."""
+        self._run, self._heard_s = 0, -math.inf
+
     def record_received(self, frame: bytes, now_s: float) -> bool:
         """Note a received frame with our ids; whether another companion uses them."""
-        if zlib.crc32(frame) in self._sent:
+        if self.is_ours(frame):
             self.echoes += 1
             return False
         self.foreign += 1
@@ -75,6 +92,33 @@ class OwnFrames:
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 """191: what ground stations expect an onboard computer to be."""
+SPARE_IDS = (
+    mavlink.MAV_COMP_ID_ONBOARD_COMPUTER2,
+    mavlink.MAV_COMP_ID_ONBOARD_COMPUTER3,
+    mavlink.MAV_COMP_ID_ONBOARD_COMPUTER4,
+)
+RIVALS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+        MAVLink_target_estimate_message.id,
+    }
+)
+"""Messages that only a second companion sends under our ids."""
+
+
+NEIGHBOUR_S = 10.0
+"""An onboard computer that was heard this long ago is not there any more."""
+
+
+def is_marked(frame: bytes) -> bool:
+    """Return True if a frame is the mark of a companion of this kind."""
+    if message_id(frame) != mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT:
+        return False
+    name_at = HEADER_LENGTH[frame[0]] + 8  # behind a time and a value of four bytes each
+    return frame[name_at : name_at + len(outbound.MARK)] == outbound.MARK
+
+
 RATE_WINDOW_S = 2.0
 STATUSTEXT_BYTES = HEADER_LENGTH[MAGIC_V2] + 54 + CRC_LENGTH
 """A full STATUSTEXT of MAVLink 2, not signed."""
@@ -104,6 +148,12 @@ class Outlet:
         self._binding = binding
         self._journal = journal
         self._is_conflict_told = False
+        self._heard_ids: set[tuple[int, int]] = set()
+        """Ids of components that other frames carried."""
+        self._neighbour_s = -math.inf
+        """When another onboard computer of the vehicle was heard."""
+        self._is_rival = False
+        """Whether what has our ids is a second companion."""
         self._text_id = 0
         self._setpoint_times_s: list[float] = []
         self._output: list[Chunk] = []
@@ -157,18 +207,49 @@ class Outlet:
                 t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S
             ]
 
-    def record_own_ids(self, frame: bytes, now_s: float) -> bool:
-        """Note a received frame that carries our own ids; whether another companion uses them."""
-        if not self._binding.is_bound:
-            return False  # under which system id we speak is not known yet
+    def note_sender(self, frame: bytes, now_s: float, *, may_move: bool) -> bool:
+        """Note the sender of a proved frame; return True if it is a second companion.
+
+        Without one, our component id moves aside if it is taken, where it `may_move`.
+        """
+        sender, is_rival = sender_of(frame), message_id(frame) in RIVALS or is_marked(frame)
+        is_same = sender == self.own_ids
+        is_here = sender[0] == self.own_ids[0]
+        if is_here and not is_same:
+            self._heard_ids.add(sender)
+        is_beside = sender[1] in (COMPONENT_ID, *SPARE_IDS)
+        if is_here and (is_same or is_beside) and not self.own_frames.is_ours(frame):
+            self._neighbour_s = now_s
+        is_marked_beside = is_here and is_marked(frame)
+        if not self._binding.is_bound or not (is_same or is_marked_beside):
+            return False  # unbound: under which system id we speak is not known yet
+        self._is_rival |= is_rival and not self.own_frames.is_ours(frame)
         if not self.own_frames.record_received(frame, now_s):
+            return False
+        free = [each for each in SPARE_IDS if (sender[0], each) not in self._heard_ids]
+        if may_move and free and not self._is_rival:
+            self._move_aside(free[0], now_s)
             return False
         if not self._is_conflict_told:
             self._is_conflict_told = True
-            system_id, component_id = self.own_ids
-            text = f"someone else sends as {system_id}/{component_id}: two companions, one vehicle?"
+            text = f"someone else sends as {sender[0]}/{sender[1]}: two companions, one vehicle?"
             self.announce(Announce(Severity.ERROR, text), now_s)
         return True
+
+    def has_neighbour(self, now_s: float) -> bool:
+        """Return True while another onboard computer of the vehicle is heard."""
+        return self._binding.is_bound and now_s - self._neighbour_s <= NEIGHBOUR_S
+
+    def _move_aside(self, component_id: int, now_s: float) -> None:
+        """Take another component id, because ours is another component's."""
+        taken = self.own_ids
+        for codec in self._codecs:
+            codec.component_id = component_id
+        self.own_ids = (taken[0], component_id)
+        self._heard_ids.add(taken)
+        self.own_frames.forget_foreign()
+        text = f"component {taken[1]} is another one's: sending as {component_id}, grants go there"
+        self.announce(Announce(Severity.WARNING, text), now_s)
 
     def announce(self, text: Announce, now_s: float) -> None:
         """Announce a text, if its cause was not announced just now."""

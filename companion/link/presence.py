@@ -20,6 +20,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import PHASE_WORDS
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.session import GuidanceSession
+from companion.link import outbound
 from companion.link.outbound import time_boot_ms
 from companion.link.outlet import Outlet
 from companion.mav.dialect import (
@@ -61,6 +62,10 @@ class Presence:
         if now_s < self._next_s:
             return
         self._next_s = now_s + PERIOD_S
+        if self._outlet.has_neighbour(now_s):
+            name, own_id = outbound.MARK, float(self._outlet.own_ids[1])
+            mark = mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, own_id)
+            self._outlet.broadcast(mark, now_s, is_droppable=True)
         origin = self._session.vehicle.origin
         for emitter in self._session.emitters(now_s):
             if emitter.estimate is None:

@@ -14,7 +14,8 @@ from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.link.identity import DOUBT_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
-from sim_link.autopilot.incidents import PilotMode
+from sim_link.autopilot.incidents import OtherComponent, PilotMode
+from sim_link.autopilot.other_components import ComponentName
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkBlackout, OtherVehicle
 from sim_link.lab.faults.injector import Injector
@@ -288,3 +289,43 @@ def test_a_class_that_changes_in_flight_ends_control(flavour: FlavourName) -> No
     assert sky.phase not in IN_CONTROL
     assert not [sent for sent in sky.setpoints if sent.time_s > began_s + 1.1]
     assert len([text for text in sky.said_of_identity if "control ended" in text]) == 1
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_beside_mavros_the_companion_takes_another_id_and_flies(flavour: FlavourName) -> None:
+    sky = Sky(flavour)
+    sky.flight.apply_incident(OtherComponent(component="mavros"))
+    sky.in_control()
+    assert sky.companion.outlet.own_ids == (1, 192)
+    said = [text for _, text in sky.notes.texts if "sending as 192" in text]
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_in_control_the_id_stays_beside_mavros(flavour: FlavourName) -> None:
+    sky = Sky(flavour).in_control()
+    sky.flight.apply_incident(OtherComponent(component="mavros"))
+    sky.run(6.0)
+    assert sky.companion.outlet.own_ids == (1, 191)
+    assert sky.phase in IN_CONTROL
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_beside_a_second_companion_there_is_no_control(flavour: FlavourName) -> None:
+    sky = Sky(flavour)
+    sky.flight.apply_incident(OtherComponent(component="companion"))
+    sky.rise().give()
+    assert sky.phase not in IN_CONTROL
+    assert sky.companion.outlet.own_ids == (1, 191)
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("component", ["gimbal", "camera", "adsb", "router", "station"])
+def test_what_is_no_autopilot_is_never_bound(
+    flavour: FlavourName, component: ComponentName
+) -> None:
+    sky = Sky(flavour, listens=True)
+    sky.flight.apply_incident(OtherComponent(component=component))
+    sky.in_control()
+    assert sky.companion.binding.system_id == 1
+    assert sky.companion.binding.component_id == 1

@@ -166,7 +166,7 @@ class VehicleView:
         self.own_place.handle(event)
         match event:
             case events.HeartbeatReceived():
-                self.heartbeat = event
+                self.heartbeat, self.heard_s = event, event.time_s
                 self.mode_watch.note_heartbeat(event)
             case events.VehicleMoved():
                 self._move(event)

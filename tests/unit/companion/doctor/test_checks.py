@@ -78,7 +78,7 @@ def without(message: str) -> Facts:
 
 
 LINK_CASES = [
-    ("companion", link_with(other_companions=(1,)), Level.FAIL, "another component 191"),
+    ("companion", link_with(other_companions=(1,)), Level.WARN, "another component 191"),
     ("vehicle.system_id", link_with(other_autopilots=(2, 3)), Level.FAIL, "system 2, 3"),
     ("link", autopilot_with(loss=0.1), Level.WARN, "10.0 % lost"),
     ("link", autopilot_with(loss=0.5), Level.FAIL, "50.0 % lost"),

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import pytest
+
 from companion.guidance.authority.control_authority import ID_CONFLICT_S
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.link import outbound
 from companion.link.outlet import FOREIGN_FRAMES, KEPT, OwnFrames
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import HOLD, OFFBOARD, Wire, heartbeat
 
 
@@ -51,7 +54,7 @@ def flown_beside_another_companion(*, is_router_loop: bool) -> Wire:
     for _ in range(40):
         wire.wait(0.05)
         wire.say(wire.position())
-        data = wire.raw[-1].data if is_router_loop else other.encode(heartbeat(autopilot=8))
+        data = wire.raw[-1].data if is_router_loop else other.encode(mark())
         wire.bytes(data)
     return wire
 
@@ -65,6 +68,11 @@ def test_a_second_companion_on_the_vehicle_is_told_once() -> None:
     wire = flown_beside_another_companion(is_router_loop=False)
     said = [text for text in wire.journal.texts if "someone else sends as 1/191" in text]
     assert len(said) == 1
+
+
+def mark() -> Message:
+    """What a companion sends that hears another one."""
+    return mavlink.MAVLink_named_value_float_message(0, outbound.MARK, 191.0)
 
 
 class Twin:
@@ -83,7 +91,8 @@ class Twin:
             if tick % 20 == 0:
                 wire.say(heartbeat(custom_mode=custom_mode, is_armed=True, status=4))
                 if is_heard:
-                    wire.bytes(self.codec.encode(heartbeat(autopilot=8)))
+                    wire.bytes(self.codec.encode(outbound.heartbeat()))
+                    wire.bytes(self.codec.encode(mark()))
 
 
 def phase_of(wire: Wire) -> Phase:
@@ -150,3 +159,84 @@ def test_frames_left_over_from_the_run_before_do_not_delay_anything() -> None:
     wire.ready()
     wire.wait(0.05)
     assert phase_of(wire) is Phase.STANDBY
+
+
+MAVROS_HEARTBEAT = outbound.heartbeat()
+"""The same as ours: an onboard controller of another kind differs in what it does not send."""
+
+
+def beside_another_kind(wire: Wire, duration_s: float, *component_ids: int) -> None:
+    """Time passes on a vehicle with other components, which show themselves once a second."""
+    codecs = [MavCodec(1, component_id) for component_id in component_ids]
+    for tick in range(round(duration_s / 0.05)):
+        wire.wait(0.05)
+        wire.say(wire.position())
+        if tick % 20 == 0:
+            wire.say(heartbeat(is_armed=True, status=4))
+            for codec in codecs:
+                wire.bytes(codec.encode(MAVROS_HEARTBEAT))
+
+
+def own_id_of(wire: Wire) -> int:
+    return wire.endpoint.outlet.own_ids[1]
+
+
+@pytest.mark.parametrize(
+    ("taken", "ours"), [((191,), 192), ((191, 192), 193), ((191, 192, 193), 194), ((192,), 191)]
+)
+def test_the_next_free_id_is_taken_beside_another_kind_of_component(
+    taken: tuple[int, ...], ours: int
+) -> None:
+    wire = Wire().ready()
+    beside_another_kind(wire, 6.0, *taken)
+    assert own_id_of(wire) == ours
+    said = [text for text in wire.journal.texts if "is another one's" in text]
+    assert len(said) == (ours != 191)
+    assert phase_of(wire) is Phase.STANDBY
+    wire.raw.clear()
+    beside_another_kind(wire, 2.0, *taken)
+    assert {frame.data[6] for frame in wire.raw} == {ours}
+
+
+def test_where_all_four_are_taken_it_is_a_conflict() -> None:
+    wire = Wire().ready()
+    beside_another_kind(wire, 6.0, 191, 192, 193, 194)
+    assert phase_of(wire) is Phase.WAITING
+    assert any("someone else sends as 1/191" in text for text in wire.journal.texts)
+
+
+def test_in_control_the_id_stays_and_it_is_said() -> None:
+    wire = Wire().ready(OFFBOARD)
+    for _ in range(6):
+        beside_in_offboard(wire)
+    assert phase_of(wire) in IN_CONTROL
+    assert own_id_of(wire) == 191
+    assert any("someone else sends as 1/191" in text for text in wire.journal.texts)
+
+
+def beside_in_offboard(wire: Wire) -> None:
+    """A second in control beside MAVROS."""
+    wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
+    wire.bytes(MavCodec(1, 191).encode(MAVROS_HEARTBEAT))
+    for _ in range(20):
+        wire.wait(0.05)
+        wire.say(wire.position())
+
+
+def test_a_second_companion_under_another_id_is_a_conflict_too() -> None:
+    wire = Wire().ready()
+    twin = Twin(wire)
+    twin.codec = MavCodec(1, 192)
+    twin.beside(4.0)
+    assert own_id_of(wire) == 191
+    assert phase_of(wire) is Phase.WAITING
+
+
+def test_a_companion_with_a_neighbour_shows_that_it_is_one() -> None:
+    wire = Wire().ready()
+    wire.wait(2.0)
+    assert wire.of(mavlink.MAVLink_named_value_float_message) == []
+    beside_another_kind(wire, 4.0, 193)
+    marks = wire.of(mavlink.MAVLink_named_value_float_message)
+    assert {message.value for message in marks} == {191.0}
+    assert 3 <= len(marks) <= 5
