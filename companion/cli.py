@@ -22,7 +22,7 @@ from companion.config.schema import (
     with_signing_key,
 )
 from companion.errors import CompanionError, ConfigError, how_to_install
-from companion.flight_setup import flight_links, radio_links
+from companion.flight_setup import flight_links, radio_links, with_kept_offsets
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import check_exposure, parse_flight_link
@@ -158,7 +158,7 @@ def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:
         config = with_fence(config, arguments.fence)
     if arguments.signing_key is not None:
         config = with_signing_key(config, arguments.signing_key)
-    return with_radios(config, arguments.radio)
+    return with_kept_offsets(with_radios(config, arguments.radio))
 
 
 def _views(
@@ -330,12 +330,14 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     is_beside = arguments.json is not None and arguments.json.resolve() == beside.resolve()
     if is_beside and stated_accuracy(arguments.file) != WalkAccuracy():
         raise ConfigError(f"--json: {beside} describes the walk; choose another file")
-    results = replay_walk(arguments.file, config.estimation, progress, arguments.own_sigma)
+    results = replay_walk(arguments.file, config.tracking, progress, arguments.own_sigma)
     if sys.stderr.isatty():
         print("\r", end="", file=sys.stderr)
     print(table(results, config.estimation.localised_r95_m))
     if arguments.explain:
         print(explanation(results))
+    if not config.tracking.is_range_calibrated:
+        print("uncalibrated: range offset unknown, so nothing is localised; set offset_steps")
     if arguments.json is not None:
         value = {"file": arguments.file.name, "targets": [r.as_json() for r in results]}
         write_json_atomic(arguments.json, value)
@@ -397,7 +399,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config)
     if arguments.key is not None:
         config = with_signing_key(config, arguments.key)
-    config = with_radios(config, arguments.radios)
+    config = with_kept_offsets(with_radios(config, arguments.radios))
     link = parse_flight_link(arguments.link, LinkRole.VEHICLE)
     if not arguments.is_insecure:
         has_key = config.link.signing_key_file is not None

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import os
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,6 +34,8 @@ from companion.guidance.tracking.emitters import EmitterQueue
 from companion.io.files import FLIGHT, write_bytes_atomic
 from companion.io.links.radio_lines import radio_link
 from companion.io.links.transports import FlightLink, parse_flight_link
+from companion.io.state.radio_offsets import kept_offsets, radio_key
+from companion.io.state.vehicle_lock import state_directory
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import Authenticity
@@ -126,7 +129,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
     """The guidance of one flight."""
     return GuidanceSession(
         config.mission,
-        EmitterQueue(config.estimation, config.emitters, config.emitter_id),
+        EmitterQueue(config.tracking, config.emitters, config.emitter_id),
         build_planner(config),
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",
@@ -275,3 +278,22 @@ def facts_of_json(data: bytes) -> FlightFacts:
         return msgspec.convert(raw, FlightFacts, str_keys=False)
     except (msgspec.DecodeError, ValueError) as error:
         raise ConfigError(f"not the facts of a flight: {error}") from error
+
+
+def with_kept_offsets(config: CompanionConfig) -> CompanionConfig:
+    """The same with the range offsets that are kept of its radios; a setting of theirs goes first.
+
+    Kept by `companion radio calibrate --beside`, for the single radio.
+    """
+    if not config.radios:
+        return config
+    offsets = kept_offsets(state_directory(config.process.state_directory, os.environ))
+    radios = []
+    for radio in config.radios:
+        kept = offsets.get(radio_key(radio.name, radio.url or "")) if offsets else None
+        is_set = "range_offset_m" in radio.settings or "offset_steps" in radio.options
+        if kept is not None and not is_set:
+            settings = {**radio.settings, "range_offset_m": kept.range_offset_m}
+            radio = msgspec.structs.replace(radio, settings=settings)
+        radios.append(radio)
+    return msgspec.structs.replace(config, radios=tuple(radios))

@@ -55,6 +55,7 @@ def place_of(name: str) -> Place:
         scenario, config = load_scenario(ROOT / scenario_path), load_config(ROOT / config_path)
         uncut = msgspec.structs.replace(scenario.channel, range_step_m=0.0)
         scenario = msgspec.structs.replace(scenario, channel=uncut)
+        config = msgspec.structs.replace(config, radios=())  # the emulated one has no delay
     payload = msgspec.structs.replace(scenario.payload, lag_s=0.0)
     if name == "bearings":
         payload = msgspec.structs.replace(payload, measures="bearing")

@@ -98,11 +98,15 @@ FORMATS = (
     Format("iw_ftm", "iw_ftm", 0.8e-4, time_s=1e-6, sigma_m=1e-3),
     Format("android_rtt", "android_rtt", 0.5e-3, time_s=UNIX_MS, sigma_m=0.5e-3, has_quality=True),
     Format("sx1280", "sx1280", 0.0226, options={"bandwidth_khz": 812.5}),
-    Format("srsran_4g", "srsran_4g", 0.5 * LTE_STEP_M),
+    Format("srsran_4g", "srsran_4g", 0.5 * LTE_STEP_M, options={"offset_steps": 0}),
     Format(
-        "srsran", "srsran", 0.8e-2, time_s=UNIX_MS, options={"loop_is_off": True, "numerology": 1}
+        "srsran",
+        "srsran",
+        0.8e-2,
+        time_s=UNIX_MS,
+        options={"loop_is_off": True, "numerology": 1, "offset_steps": 0},
     ),
-    Format("oai", "oai", 0.5 * NR_STEP_M),
+    Format("oai", "oai", 0.5 * NR_STEP_M, options={"offset_steps": 0}),
     Format("lines", "lines", 0.5e-2, has_quality=True, options={"pattern": LINES_PATTERN}),
 )
 FORMAT_OF = {each.name: each for each in FORMATS}

@@ -46,6 +46,7 @@ def radio_setup(radio: RadioConfig, place: str) -> RadioSetup:
             kind,
             record_within(settings, RadioSettings, "settings"),
             record_within(radio.options, kind.decoder.Options, "options"),
+            is_uncalibrated=is_uncalibrated(radio),
         )
     except ValueError as error:
         raise ConfigError(f"{place}: {error}") from None
@@ -57,6 +58,19 @@ def radio_setup(radio: RadioConfig, place: str) -> RadioSetup:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ConfigError(f"{place}: its decoder cannot be made ({reason})") from error
     return setup
+
+
+def is_uncalibrated(radio: RadioConfig) -> bool:
+    """Return True if its ranges have a constant that must be known and is not set, not even to 0.
+
+    A radio that cannot be loaded has none; it is named where it is loaded.
+    """
+    try:
+        needs_offset = radio_kind(radio.name).needs_offset
+    except ConfigError:
+        return False
+    is_set = "range_offset_m" in radio.settings or "offset_steps" in radio.options
+    return needs_offset and not is_set
 
 
 def parse_radio_option(text: str, configured: RadioConfig | None = None) -> RadioConfig:

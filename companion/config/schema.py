@@ -16,7 +16,7 @@ import msgspec
 
 from companion.config.fence_files import read_fence
 from companion.config.loader import load_yaml
-from companion.config.radios import RadioConfig, flown_radios
+from companion.config.radios import RadioConfig, flown_radios, is_uncalibrated
 from companion.config.versions import SCHEMA_VERSION, renew
 from companion.domain import Distance, NonNegative, Params, Positive
 from companion.errors import ConfigError
@@ -221,6 +221,13 @@ class CompanionConfig(Params, frozen=True):
     log: LogConfig = LogConfig()
     process: ProcessConfig = ProcessConfig()
 
+    @property
+    def tracking(self) -> TrackerParams:
+        """`estimation`, and what the radios are known to leave open."""
+        if not any(is_uncalibrated(radio) for radio in self.radios):
+            return self.estimation
+        return msgspec.structs.replace(self.estimation, is_range_calibrated=False)
+
 
 def load_config(path: Path | None) -> CompanionConfig:
     """The configuration in a file, or the defaults; a `ConfigError` names file and place."""
@@ -231,7 +238,10 @@ def load_config(path: Path | None) -> CompanionConfig:
         beside = str(path.parent / config.limits.fence_file)
         limits = msgspec.structs.replace(config.limits, fence_file=beside)
         config = msgspec.structs.replace(config, limits=limits)
-        limits.fence_plan()
+        try:
+            limits.fence_plan()
+        except ConfigError as error:
+            raise ConfigError(f"{path}: $.limits.fence_file: {error}") from None
     problem = inconsistency(config)
     if problem is not None:
         raise ConfigError(f"{path}: {problem}")

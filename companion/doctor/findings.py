@@ -148,6 +148,8 @@ class RadioFacts:
     """Whether it told its own time."""
     uncalibrated: tuple[str, ...] = ()
     """What it gives and no setting corrects: `ranges`, `bearings`."""
+    needs_offset: bool = False
+    """Its ranges have a constant without which nothing is localised, and none is set."""
 
 
 @dataclass(frozen=True, slots=True)

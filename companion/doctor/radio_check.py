@@ -17,6 +17,7 @@ from companion.mav.endpoint import Chunk, OneShotEndpoint
 MANY_REFUSED = 0.2
 """Share of what was said."""
 LATE_S = 0.5
+BESIDE = "emitter 1 m from the antenna: companion radio calibrate --beside 1"
 CALIBRATE = "companion radio calibrate, with the emitter at a known place"
 
 
@@ -56,7 +57,9 @@ def _look_at(radio: RadioConfig, duration_s: float) -> RadioFacts:
     except CompanionError as error:
         return RadioFacts(radio.name, url, str(error))
     uncalibrated = []
-    if "range" in setup.kind.gives and "range_offset_m" not in radio.settings:
+    if "range" in setup.kind.gives and not (
+        "range_offset_m" in radio.settings or "offset_steps" in radio.options
+    ):
         uncalibrated.append("ranges")
     gives_bearing = "bearing" in setup.kind.gives or "azimuth" in setup.kind.gives
     if gives_bearing and not {"bearing_sign", "bearing_mount_deg"} & radio.settings.keys():
@@ -66,6 +69,7 @@ def _look_at(radio: RadioConfig, duration_s: float) -> RadioFacts:
         url,
         status=probe.watch.status(probe.now_s),
         bytes=probe.stage.received,
+        needs_offset=setup.is_uncalibrated,
         has_clock=probe.stage.clock.is_heard,
         uncalibrated=tuple(uncalibrated),
     )
@@ -82,7 +86,10 @@ def check_radios(radios: Sequence[RadioFacts]) -> Iterator[CheckResult]:
         yield _check_rate(subject, radio, radio.status)
         if radio.status.measured:
             yield _check_time(subject, radio, radio.status)
-        if radio.uncalibrated:
+        if radio.needs_offset:
+            text = "uncalibrated: range offset unknown, so nothing will be localised"
+            yield fail(subject, text, f"{BESIDE} --radio {radio.name}@{radio.url}")
+        elif radio.uncalibrated:
             text = f"{' and '.join(radio.uncalibrated)} are not calibrated"
             yield warn(subject, text, CALIBRATE)
         else:

@@ -84,6 +84,9 @@ class TrackerParams(Params, frozen=True):
     window: WindowParams = WindowParams()
     localised_r95_m: Distance = 2.0
     """The state is `localised` while R95 is at most this."""
+    is_range_calibrated: bool = True
+    """False: the radio adds a constant that is unknown, so no place is `localised`; a radio that is
+    known for it says so by itself until its offset is set."""
     initial_inflation: Positive = 4.0
     """Variance inflation taken for granted until the run has shown its own."""
     adaptation: AdaptationParams | None = None
@@ -398,7 +401,7 @@ class TargetTracker:
         estimate = estimate_of(
             self.hypotheses,
             self._filter.params.model,
-            self.params.localised_r95_m,
+            self.params.localised_r95_m if self.params.is_range_calibrated else 0.0,
             self.accepted,
             now_s,
             is_diverged=self.integrity.is_recovering(self.accepted),

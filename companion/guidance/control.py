@@ -67,7 +67,8 @@ class Reporting:
         context, params = self._context, self._context.params
         heard_s = context.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
-        flown = context.estimate if context.phase in FLYING and is_fresh else None
+        is_reportable = is_fresh and context.tracker.params.is_range_calibrated
+        flown = context.estimate if context.phase in FLYING and is_reportable else None
         head = self._head(flown, heard_s, now_s)
         if head is not None and flown is not None:
             if head is SETTLED:

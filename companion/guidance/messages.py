@@ -15,6 +15,7 @@ from collections.abc import Hashable
 from dataclasses import asdict, replace
 
 from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint, radii_text
+from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.integrity.target_motion import TargetMotion
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
@@ -313,6 +314,36 @@ class MotionMessages:
         pace = f"{motion.speed_mps:.1f} m/s"
         text = f"target seems to move at {pace}, or is shadowed"
         return [Announce(Severity.WARNING, text)]
+
+
+AT_BOUND_SHARE = 0.01
+"""Of the width between both bounds: so near the offset is held by one."""
+MANY_FOR_OFFSET = 50
+"""Accepted measurements after which an offset at its bound is no start any more."""
+
+
+class OffsetMessages:
+    """Announces a range offset that its bound holds: the radio's own one lies beyond."""
+
+    def __init__(self) -> None:
+        self._texts = Rarely(SAID_EVERY_S)
+
+    def messages_for(
+        self, offset_m: float, noise: FilterParams, accepted: int, now_s: float
+    ) -> list[Announce]:
+        """Return what to announce now.
+
+        A bound of 0 is left out: a calibrated radio's offset lies there.
+        """
+        low_m, high_m = noise.range_offset_min_m, noise.range_offset_max_m
+        if low_m is None or high_m is None or accepted < MANY_FOR_OFFSET:
+            return []
+        for bound_m in (low_m, high_m):
+            is_held = abs(offset_m - bound_m) <= AT_BOUND_SHARE * (high_m - low_m)
+            if bound_m and is_held and self._texts.is_due(bound_m, now_s):
+                text = f"range offset is at its bound, {bound_m:+.3g} m: calibrate the radio"
+                return [Announce(Severity.WARNING, text)]
+        return []
 
 
 ANTENNA_TEXTS: dict[str, str] = {

@@ -344,6 +344,9 @@ class RadioStatus:
         return ", ".join(parts)
 
 
+UNCALIBRATED = "uncalibrated: range offset unknown; companion radio calibrate --beside 1"
+
+
 class RadioWatch:
     """Watches one radio's stage; asked at every control tick, it looks twice a second."""
 
@@ -354,6 +357,7 @@ class RadioWatch:
         self._began_s: float | None = None
         self._measured: deque[tuple[float, int]] = deque()
         self._is_silent = False
+        self._is_offset_said = False
         self._restarts = 0
         self._told: Counter[str] = Counter()
         self._told_of = 0
@@ -370,6 +374,9 @@ class RadioWatch:
         while now_s - self._measured[0][0] > RATE_WINDOW_S:
             self._measured.popleft()
         news = [*self._names(), *self._silence(now_s), *self._clock(), *self._refusals(now_s)]
+        if self.stage.setup.is_uncalibrated and self.stage.measured and not self._is_offset_said:
+            self._is_offset_said = True
+            news.append((Severity.WARNING, UNCALIBRATED))
         return [Announce(severity, f"radio {self._name}: {text}") for severity, text in news]
 
     def status(self, now_s: float) -> RadioStatus:

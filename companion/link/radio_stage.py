@@ -120,6 +120,8 @@ class RadioSetup:
     settings: RadioSettings
     options: Params | None = None
     """Of the decoder; None: its defaults."""
+    is_uncalibrated: bool = False
+    """Its ranges have a constant that must be known, and is not."""
 
 
 class EmitterNames:

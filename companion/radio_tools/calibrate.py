@@ -28,6 +28,7 @@ from companion.io.logs.radio_recording import (
 )
 from companion.link.interface import LinkRole
 from companion.link.radio_stage import RadioSettings, RadioSetup, RadioStage
+from companion.radio_tools import beside
 from companion.radio_tools.calibration import CalibrationRun, RunWindow, calibrate
 from companion.radio_tools.calibration_text import as_json, verdict, yaml_to_paste
 from companion.radio_tools.options import TEST_NAMES
@@ -39,6 +40,10 @@ EXIT_REFUSED = 1
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit and print; 1 where something was refused."""
+    if arguments.beside is not None:
+        code, text = beside.run(arguments, neutral)
+        print(text, file=sys.stderr if code else sys.stdout)
+        return code
     if arguments.json is not None:
         check_writable(arguments.json)
     windows = [_window(text) for text in arguments.tests]

@@ -57,6 +57,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 def _add_calibrate(parser: argparse.ArgumentParser) -> None:
     text = "recording of `companion radio record`; with --radio it is written first"
     parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help=text)
+    text = "the emitter is so many metres from the antenna: find the radio's offset, and keep it"
+    parser.add_argument("--beside", metavar="M", type=float, help=text)
     text = "a ranging walk as of `companion replay`, with target_x_m and target_y_m"
     parser.add_argument("--from-csv", metavar="FILE", type=Path, dest="csv", help=text)
     text = "where the emitter is, in degrees and metres above mean sea level (default: home's)"

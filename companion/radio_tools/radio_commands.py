@@ -12,7 +12,7 @@ import msgspec
 from companion.config.radios import radio_setups
 from companion.config.schema import CompanionConfig, load_config, with_radios
 from companion.errors import ConfigError
-from companion.flight_setup import radio_links
+from companion.flight_setup import radio_links, with_kept_offsets
 from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
 from companion.link.interface import LinkRole
@@ -56,7 +56,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 def _radios_of(arguments: argparse.Namespace) -> CompanionConfig:
     """The configuration with at least one radio, none of which listens to everybody."""
-    config = with_radios(load_config(arguments.config), arguments.radios)
+    config = with_kept_offsets(with_radios(load_config(arguments.config), arguments.radios))
     if not config.radios:
         raise ConfigError("name a radio, for example nlink@/dev/ttyUSB0, or a --config with radios")
     if not arguments.is_insecure:

@@ -291,6 +291,7 @@ SRSRAN_4G = RadioKind(
     gives="range",
     emitter="a phone that attaches to your own station",
     transport="file",
+    needs_offset=True,
     defaults=_DEFAULTS,
 )
 SRSRAN = RadioKind(
@@ -300,6 +301,7 @@ SRSRAN = RadioKind(
     gives="range",
     emitter="a phone that attaches to your own station",
     transport="file",
+    needs_offset=True,
     defaults=_DEFAULTS,
 )
 OAI = RadioKind(
@@ -310,5 +312,6 @@ OAI = RadioKind(
     emitter="a phone that attaches to your own station",
     transport="file",
     needs_emitter=True,
+    needs_offset=True,
     defaults=_DEFAULTS,
 )

@@ -156,6 +156,9 @@ class RadioKind:
     """The usual one, as in an address: `serial:115200`, `http`, `exec`, `udp`."""
     needs_emitter: bool = False
     """Whether the format names no emitter, so that the settings must."""
+    needs_offset: bool = False
+    """Its ranges have a constant of the single device that may be longer than the search: without
+    `range_offset_m` or `offset_steps` nothing is localised."""
     clock_wrap_s: float | None = None
     """After how long the device's clock starts again at zero; None: it does not, or it has none."""
     poll: Poll | None = None

@@ -30,7 +30,7 @@ class _Target:
     """One emitter's filter, and what was said of it."""
 
     def __init__(self, config: CompanionConfig, emitter_id: int, track: VehicleTrack) -> None:
-        self.queue = EmitterQueue(config.estimation, None, emitter_id)
+        self.queue = EmitterQueue(config.tracking, None, emitter_id)
         self.listener = RangingListener(self.queue, track)
         self.ranges_m: list[float] = []
         self.count = 0

@@ -21,6 +21,7 @@ from companion.guidance.health.watches import InputWatch
 from companion.guidance.messages import (
     AntennaMessages,
     MotionMessages,
+    OffsetMessages,
     RejectMessages,
     estimate_record,
     radii_of,
@@ -163,6 +164,7 @@ class Measuring:
         self._rejects = RejectMessages()
         self._motions = MotionMessages()
         self._antennas = AntennaMessages()
+        self._offsets = OffsetMessages()
         self._listener = RangingListener(context.emitters, context.vehicle.track)
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
@@ -223,6 +225,11 @@ class Measuring:
         estimate = tracker.estimate(now_s)
         if estimate is None:
             return
+        context.send(
+            *self._offsets.messages_for(
+                estimate.range_offset_m, tracker.params.filter, tracker.accepted, now_s
+            )
+        )
         if context.estimate is None:
             context.states.begin(None)
         if context.states.is_due(estimate, now_s, context.params.ranging_timeout_s):
