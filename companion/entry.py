@@ -3,43 +3,94 @@
 Theory of operation. `... | head -1` closes the pipe while the command is still at work, perhaps in
 flight. What it prints from then on is dropped; it does what it was asked to, and its exit code is
 the same as with a reader. That is caught where bytes go to the descriptor, so it holds for print,
-argparse, progress bars and the interpreter's last flush alike.
+argparse, progress bars and the interpreter's last flush alike. A stream that was closed from the
+start (`>&-`) is the same. A disk that is full is not: what was asked for is not there then, and the
+exit code is 1. On standard error nothing is worth an exit code.
+
+Texts of autopilots, radios, files and plugins are printed by many commands. Control characters in
+them are escaped where characters become bytes; only the live screen goes past that, and escapes its
+texts itself.
 """
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import signal
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from companion.errors import printable
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 
+class OutputLostError(OSError):
+    """Standard output goes to a file that takes no more."""
+
+
 class _PipeOutput(io.FileIO):
-    """A descriptor that drops what nobody reads any more."""
+    """A descriptor that drops what cannot be read any more."""
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Write what the system takes; how many bytes that were."""
+        """Write what the system takes, and return how many bytes that were."""
         try:
             return super().write(data)
-        except BrokenPipeError:
+        except OSError as error:
+            if self.fileno() == 1 and error.errno in FULL:
+                raise OutputLostError(error.errno, error.strerror) from None
             return memoryview(data).nbytes
 
 
-def outlive_readers() -> None:
-    """Let standard output and error go on without a reader; other streams in their place stay."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+class _EscapedOutput(io.TextIOWrapper):
+    """Text whose control characters are shown; `unescaped` writes the same buffer as it is."""
+
+    def __init__(self, buffer: io.BufferedWriter, **settings: Any) -> None:
+        super().__init__(buffer, **settings)
+        self.unescaped = io.TextIOWrapper(buffer, **{**settings, "write_through": True})
+
+    def write(self, text: str, /) -> int:
+        """Write a text; one that begins with a carriage return writes over its line."""
+        is_over = text.startswith("\r")
+        super().write("\r" + printable(text[1:]) if is_over else printable(text))
+        return len(text)
+
+
+def outlive_readers(*, escapes: bool = False) -> None:
+    """Let standard output and error go on without a reader; other streams in their place stay.
+
+    With `escapes` control characters are printed escaped.
+    """
+    _fill_descriptors()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is not None and stream is getattr(sys, f"__{name}__"):
-            setattr(sys, name, _without_reader(stream))
+            setattr(sys, name, _without_reader(stream, _EscapedOutput if escapes else None))
 
 
-def _without_reader(stream: io.TextIOWrapper) -> io.TextIOWrapper:
-    """The same output, as lenient as it was about characters."""
+def _fill_descriptors() -> None:
+    """Put the null device where a standard stream is closed: a file would get its number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+        if getattr(sys, name) is None:
+            mode = "r" if number == 0 else "w"
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))
+
+
+def _without_reader(
+    stream: io.TextIOWrapper, kind: type[io.TextIOWrapper] | None
+) -> io.TextIOWrapper:
+    """Return the same output, as lenient as it was about characters."""
     stream.flush()
-    return io.TextIOWrapper(
+    return (kind or io.TextIOWrapper)(
         io.BufferedWriter(_PipeOutput(stream.fileno(), "w", closefd=False)),
         encoding=stream.encoding,
         errors=stream.errors,
@@ -64,8 +115,15 @@ def main() -> int:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    outlive_readers()
+    outlive_readers(escapes=True)
     from companion.cli import main as run
 
     signal.signal(signal.SIGINT, before)
-    return run()
+    try:
+        code = run()
+        sys.stdout.flush()
+    except OutputLostError as error:
+        sys.stderr.write(f"companion: standard output: {error.strerror}\n")
+        sys.stdout = sys.stderr  # which loses the rest in silence
+        return 1
+    return code

@@ -30,8 +30,11 @@ MAX_PROBLEMS = 20
 """More lines than this help nobody."""
 SHOWN = 20
 """Characters of a value that an error repeats."""
-MAX_BYTES = 1_000_000
-"""No file of ours comes near; one beyond it is something else, or meant to keep us busy."""
+MAX_BYTES = 100_000
+"""Nine times the longest file here; one beyond it is something else, or meant to keep us busy: a
+megabyte takes six seconds to read."""
+MAX_MERGED = 10_000
+"""Keys that merges (`<<`) of a file may copy."""
 UNSHOWN = "has characters that cannot be shown"
 _UNSHOWN = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
@@ -47,6 +50,19 @@ _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
 class _Loader(yaml.SafeLoader):
     """The safe loader, without what surprises people; see above."""
+
+    merged = 0
+    """Keys that were copied by merges so far."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Copy what a mapping merges, as the safe loader does, but not without end."""
+        own = len(node.value)
+        super().flatten_mapping(node)
+        self.merged += max(0, len(node.value) - own)
+        if self.merged > MAX_MERGED:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"merges (`<<`) more than {MAX_MERGED} keys", node.start_mark
+            )
 
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False

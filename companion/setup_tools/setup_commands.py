@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 import yaml
 
+from companion.config.fence_files import MAX_BYTES as FENCE_BYTES
 from companion.config.fence_files import read_fence
 from companion.config.loader import parse_value, read_text
 from companion.config.presets import preset_named, preset_names, shipped_file
@@ -153,7 +154,7 @@ def site_contents(choices: Choices) -> dict[str, bytes]:
     if choices.fence is not None:
         read_fence(choices.fence)
         name = f"fence{choices.fence.suffix.lower()}"
-        contents[name] = read_text(choices.fence).encode()
+        contents[name] = read_text(choices.fence, FENCE_BYTES).encode()
         limits = {k: v for k, v in (raw.get("limits") or {}).items() if k != "fence_enu_m"}
         raw["limits"] = {**limits, "fence_file": name}
     head = "# Made by `companion setup`; `companion config show --config FILE` has every value.\n"

@@ -16,6 +16,7 @@ import os
 from contextlib import suppress
 from typing import TextIO
 
+from companion.errors import printable
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
 from companion.guidance.messages import radii_of
 from companion.io.writer_thread import WriterThread
@@ -64,7 +65,7 @@ class ConsoleHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Queue a line; counted instead if the queue is full."""
         try:
-            line = self.format(record)
+            line = printable(self.format(record))
             dropped = self.writer.dropped
             if dropped > self._reported:
                 line = f"({dropped - self._reported} lines were lost here)\n{line}"

@@ -23,6 +23,7 @@ from rich.table import Table
 from rich.text import Text
 
 from companion.domain import EstimateState
+from companion.errors import printable
 from companion.estimation.noise.innovations import TrackerHealth
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.messages import radii_of
@@ -58,7 +59,8 @@ def screen(moment: FlightSnapshot, title: str) -> Panel:
     grid.add_column(style="dim", justify="right", no_wrap=True)
     grid.add_column(min_width=52)
     for name, value in _rows(moment):
-        grid.add_row(name, value)
+        value.plain = printable(value.plain)
+        grid.add_row(Text(printable(name)), value)
     title = f"{title}, {moment.status.time_s:.0f} s"
     return Panel(grid, title=title, width=WIDTH)
 
@@ -185,7 +187,8 @@ class TerminalView(FlightView):
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._time_to_go = TimeToGo()
-        self.console = Console(file=sys.stderr if stream is None else stream)
+        output = sys.stderr if stream is None else stream
+        self.console = Console(file=getattr(output, "unescaped", output))
         self.stream = ConsoleStream(self.console)
         self._live = Live(
             console=self.console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False

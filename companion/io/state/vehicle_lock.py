@@ -23,12 +23,15 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from companion.errors import LinkError
+from companion.errors import ConfigError, LinkError
 from companion.io.links.transports import OwnLine, Pty, SerialPort, Transport
 
 
 def state_directory(configured: str | None, environment: Mapping[str, str]) -> Path:
-    """The state directory, which need not exist: as configured, systemd's, or that of XDG."""
+    """Return the state directory, which need not exist: as configured, systemd's, or XDG's.
+
+    A `ConfigError` where none of these is known: a folder that others may write to is no place.
+    """
     if configured is not None:
         return Path(configured).expanduser()
     of_service = environment.get("STATE_DIRECTORY", "").partition(":")[0]
@@ -38,7 +41,12 @@ def state_directory(configured: str | None, environment: Mapping[str, str]) -> P
     if base.startswith("/"):
         return Path(base) / "companion"
     home = environment.get("HOME", "")
-    return (Path(home) if home.startswith("/") else Path("/tmp")) / ".local/state/companion"
+    if not home.startswith("/"):
+        raise ConfigError(
+            "$.process.state_directory: there is no HOME to keep checkpoints and locks in; "
+            "configure a folder that only this user may write to"
+        )
+    return Path(home) / ".local/state/companion"
 
 
 LOOK_UP_S = 2.0
@@ -83,7 +91,7 @@ class VehicleLock:
         self._descriptors.clear()
 
     def _take(self, path: Path, link: str, *, is_shared: bool) -> None:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         self._descriptors.append(descriptor)
         kind = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
         try:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import pytest
 
 from companion.entry import outlive_readers
+from companion.errors import printable
 
 
 @contextmanager
@@ -52,7 +56,89 @@ def test_a_stream_that_somebody_put_in_its_place_stays(monkeypatch: pytest.Monke
     assert sys.stdout is other
 
 
-def test_a_process_without_output_has_none_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_without_output_can_write_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", None)
     outlive_readers()
-    assert sys.stdout is None
+    assert sys.stdout is not None
+    sys.stdout.write("")
+
+
+FOREIGN = "a\x1b[2Jb\x9b1mc\u202ed\rOK\u2028e\x07\x00 \u00e9\t\n"
+SHOWN = "a\\x1b[2Jb\\x9b1mc\\u202ed\\rOK\\u2028e\\x07\\x00 \u00e9\t\n"
+
+
+def test_control_characters_of_foreign_texts_are_shown_and_not_obeyed() -> None:
+    assert printable(FOREIGN) == SHOWN
+
+
+def run(
+    command: str, tmp_path: Path, environment: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[bytes]:
+    """Run a shell line in which `companion` is this interpreter's."""
+    program = f'companion() {{ {shlex.quote(sys.executable)} -m companion "$@"; }}; {command}'
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", **(environment or {})}
+    return subprocess.run(
+        ["bash", "-c", program], cwd=tmp_path, env=env, capture_output=True, timeout=60.0
+    )
+
+
+def test_what_a_file_has_of_terminal_commands_is_printed_escaped(tmp_path: Path) -> None:
+    name = "sit\x1b]0;owned\x07e\u202e.yaml"
+    (tmp_path / name).write_text("emitters: {order: fast}", encoding="utf-8")
+    (tmp_path / "keys.yaml").write_text('"a\\e[2Jb\\u202e": 1\n', encoding="utf-8")
+    (tmp_path / "walk.csv").write_text("\x1b[2Jtime,\x9bwhat\n1,\x1b[31m\n", encoding="utf-8")
+    for command in (
+        f"companion config show --config {shlex.quote(name)}",
+        "companion config show --config keys.yaml",
+        f"companion report {shlex.quote(name)}",
+        "companion replay walk.csv",
+        "companion --connect $'udp:\\e[2Jhost:x'",
+        "companion $'--\\e[2Jwhat'",
+    ):
+        done = run(command, tmp_path)
+        assert done.returncode == 2, (command, done)
+        text = (done.stdout + done.stderr).decode("utf-8")
+        assert text.strip()
+        assert printable(text) == text, (command, text)
+
+
+CLOSED = [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "| true", "2>&1 | true", "> /dev/null <&-"]
+
+
+@pytest.mark.parametrize("redirection", CLOSED)
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ("companion config show", 0),
+        ("companion config schema", 0),
+        ("companion --help", 0),
+        ("companion --version", 0),
+        ("companion radio list", 0),
+        ("companion config show --config none.yaml", 2),
+    ],
+)
+def test_closed_streams_are_quiet_and_the_exit_code_is_the_same(
+    tmp_path: Path, redirection: str, command: str, code: int
+) -> None:
+    done = run(f"set -o pipefail; {command} {redirection}", tmp_path)
+    assert done.returncode == code
+    assert b"Traceback" not in done.stderr
+    assert b"Exception" not in done.stderr
+    assert len(done.stderr.splitlines()) <= (code == 2)
+
+
+def test_a_full_disk_under_the_output_is_one_line_and_a_failed_run(tmp_path: Path) -> None:
+    done = run("companion config show > /dev/full", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == b"companion: standard output: No space left on device\n"
+    assert run("companion config show --config none.yaml 2> /dev/full", tmp_path).returncode == 2
+
+
+def test_without_a_home_state_is_never_in_a_shared_folder(tmp_path: Path) -> None:
+    done = run(
+        "unset HOME XDG_STATE_HOME STATE_DIRECTORY; companion --connect udp:127.0.0.1:29541",
+        tmp_path,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count(b"\n") == 1
+    assert b"process.state_directory: there is no HOME" in done.stderr

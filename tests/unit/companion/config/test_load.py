@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -218,5 +219,38 @@ def test_more_problems_than_anybody_reads_are_cut_off() -> None:
 def test_a_file_that_is_far_too_large_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "flight.tlog"
     path.write_bytes(b"# nothing\n" * 200_000)
-    with pytest.raises(ConfigError, match="larger than 1000 kB"):
+    with pytest.raises(ConfigError, match="larger than 100 kB"):
         load_yaml(path, Settings)
+
+
+def many(count: int = 80_000) -> dict[str, str]:
+    """Return files that are meant to keep a reader busy, by what is in them."""
+    base = ",".join(f"k{number}: 1" for number in range(1500))
+    bomb = ["a0: &a0 [1,2,3,4,5,6,7,8,9]"]
+    bomb += [f"a{n}: &a{n} [{','.join(9 * [f'*a{n - 1}'])}]" for n in range(1, 30)]
+    return {
+        "unknown keys": "\n".join(f"key_{number}: 1" for number in range(count)),
+        "unknown keys, as many as are read": "\n".join(f"k{n}: 1" for n in range(count // 4)),
+        "one key again and again": "filter: {" + ",".join(count * ["a: 1"]) + "}",
+        "wrong values": "fence_m: [" + ",".join(count * ["x"]) + "]",
+        "nested": "filter: " + count * "{a: " + count * "}",
+        "nested lists": "fence_m: " + count * "[" + count * "]",
+        "complex keys": "? [" + ",".join(count * ["a"]) + "]\n: 1",
+        "aliases of aliases": "\n".join([*bomb, "fence_m: *a29"]),
+        "merges": f"a: &a {{{base}}}\n" + "\n".join(f"x{n}: {{<<: *a}}" for n in range(9000)),
+        "merges of merges": "x0: &x0 {a: 1}\n"
+        + "\n".join(f"x{n}: &x{n} {{<<: [{','.join(9 * [f'*x{n - 1}'])}]}}" for n in range(1, 30)),
+    }
+
+
+@pytest.mark.parametrize("kind", many(4))
+def test_a_file_that_is_meant_to_keep_it_busy_is_refused_at_once(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "many.yaml"
+    path.write_text(many()[kind])
+    began_s = time.process_time()
+    with pytest.raises(ConfigError) as refused:
+        load_yaml(path, Settings)
+    assert time.process_time() - began_s < 2.0
+    lines = str(refused.value).splitlines()
+    assert len(lines) <= 20
+    assert max(map(len, lines)) < 300
