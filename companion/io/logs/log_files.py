@@ -85,13 +85,15 @@ def read_tlog(path: Path, on_damage: OnDamage | None = None) -> Iterator[TlogRec
     """Yield the frames of a tlog in order, without a torn last one.
 
     What is no frame is passed over up to the next frame whose checksum is right, and `on_damage`
-    has its first byte. Without `on_damage` it is a `ConfigError`, as is a file without any frame.
+    has its first byte; so is a message that the dialect does not have, whose checksum is unknown
+    and which no flight records. Without `on_damage` messages of other dialects are yielded, and
+    what is no frame is a `ConfigError`, as is a file without any.
     """
     data, offset = read_file(path), 0
     while offset + _STAMP.size < len(data):
         start = offset + _STAMP.size
         end = _end_of_frame(data, start)
-        if end is None:
+        if end is None or (on_damage is not None and not _is_proved(data, start)):
             is_torn = data[start] in HEADER_LENGTH and frame_end(data, start) > len(data)
             if on_damage is None and not is_torn:
                 raise ConfigError(f"{path}: no MAVLink frame at byte {start}; is this a tlog?")

@@ -64,7 +64,7 @@ def test_it_reaches_serial_ports_and_sockets_and_little_else() -> None:
 def unit_values(key: str) -> list[str]:
     """Return the words of a key of the unit that is given once."""
     (line,) = re.findall(rf"^{key}=(.*)$", UNIT.read_text(), re.MULTILINE)
-    return line.split()
+    return str(line).split()
 
 
 def test_setpoints_go_before_other_programs_and_the_page_does_not() -> None:

@@ -106,3 +106,22 @@ def test_what_is_no_tlog_is_refused_in_words(tmp_path: Path) -> None:
         list(read_tlog(path))
     with pytest.raises(ConfigError, match="cannot be read"):
         list(read_tlog(tmp_path / "nowhere"))
+
+
+def test_no_flipped_bit_of_a_frame_is_taken_for_a_frame(tmp_path: Path) -> None:
+    path, codec = tmp_path / "flight.tlog", MavCodec(1, 191)
+    log = TlogWriter(path)
+    frames = [codec.encode(message) for message in _messages()[:4]]
+    for frame in frames:
+        log.write(frame, 1.8e9)
+    log.close(10.0)
+    data = path.read_bytes()
+    begin = len(frames[0]) + 8 + 8  # of the second frame
+    for bit in range(8 * begin, 8 * (begin + len(frames[1]))):
+        flipped = bytearray(data)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        damaged: list[int] = []
+        found = [record.frame for record in read_tlog(path, damaged.append)]
+        assert damaged
+        assert found == [frames[0], *frames[2:]]
