@@ -90,6 +90,7 @@ FORMATS = (
     Format("pdoa_js", "pdoa_js", 0.5e-2, 0.005),
     Format("makerfabs_at", "makerfabs_at", 0.5e-2),
     Format("kraken", "kraken", None, 0.5, time_s=UNIX_MS),
+    Format("kraken_suite", "kraken", None, 0.5),
     Format("kraken_xml", "kraken_xml", None, 0.5, time_s=UNIX_MS),
     Format("uudf", "uudf", None, 0.5, 0.5, time_s=MS),
     Format("esp32_ftm", "esp32_ftm", 0.5e-2, time_s=MS, has_quality=True),

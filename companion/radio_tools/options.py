@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 FieldTestName = Literal["turn", "line", "circle", "blocked"]
 TEST_NAMES: tuple[FieldTestName, ...] = get_args(FieldTestName)
-COMMANDS = "{list,watch,record,calibrate}"
+COMMANDS = "{list,identify,watch,record,calibrate}"
 CALIBRATE = """\
 Find a radio's offset, scale, sign, mount, lag and noise from a recording of it about a known
 point: a turn, a line, a circle and a blocked run. Prints a verdict, and YAML for the radio's
@@ -19,6 +19,13 @@ def add_radio(parser: argparse.ArgumentParser) -> None:
     """Add the options and commands of `companion radio`."""
     commands = parser.add_subparsers(dest="radio_command", metavar=COMMANDS, required=True)
     commands.add_parser("list", help="every radio that can be chosen, and what it gives")
+    identify = commands.add_parser(
+        "identify",
+        help="listen ten seconds, and say which radio it is and what to type",
+        description="Listen at an address, a serial port at its usual speeds, and name the radio.",
+    )
+    identify.add_argument("url", metavar="@URL", help="as in NAME@URL")
+    identify.add_argument("--seconds", metavar="S", type=float, default=10.0, help="in all")
     watch = commands.add_parser(
         "watch",
         help="show what a radio says, live",

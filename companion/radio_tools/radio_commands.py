@@ -17,6 +17,7 @@ from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
 from companion.link.interface import LinkRole
 from companion.radio_tools import calibrate
+from companion.radio_tools.identify import identify
 from companion.radio_tools.recorder import record_radios
 from companion.radio_tools.watching import WatchingEndpoint
 from companion.radios.catalogue import known_radios, radio_kind
@@ -26,6 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Do it; the exit code."""
     commands: dict[str, Callable[[argparse.Namespace], int]] = {
         "list": _list,
+        "identify": _identify,
         "watch": _watch,
         "record": _record,
         "calibrate": calibrate.run,
@@ -52,6 +54,12 @@ def _list(arguments: argparse.Namespace) -> int:
     for problem in broken:
         print(f"broken: {problem}")
     return 0
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    code, text = identify(arguments.url.removeprefix("@"), arguments.seconds)
+    print(text, file=sys.stderr if code else sys.stdout)
+    return code
 
 
 def _radios_of(arguments: argparse.Namespace) -> CompanionConfig:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
@@ -27,6 +28,8 @@ HEAD_FIELDS = 17
 POWERS = 360
 """Fields after those: the power seen in each degree."""
 BEST_CONFIDENCE = 99.0
+OLD_CONFIDENCE = 2.0
+"""The most that firmware of 2022 and 2023 reports."""
 FIRST_EPOCH_MS, LAST_EPOCH_MS = 1.0e12, 1.0e13
 """A clock that has been set says something between 2001 and 2286."""
 LONGEST_CPI_MS = 60_000.0
@@ -36,6 +39,8 @@ STILL_S = 5.0
 """A page is asked for more often than it changes; one that does not for so long is told of."""
 MOST_CHANNELS = 64
 OVERDRIVEN = {"1", "true"}
+HEADINGS = {"GPS", "Compass"}
+"""What the heading is of; `Compass` since the suite of 2026."""
 MARKS = len(b"<DATA>") + len(b"</DATA>")
 
 
@@ -44,6 +49,9 @@ class KrakenOptions(Params, frozen=True):
 
     min_confidence: Annotated[float, msgspec.Meta(ge=0.0, le=BEST_CONFIDENCE)] = 10.0
     """Of 99; below it the direction is that of the noise."""
+    best_confidence: Annotated[float, msgspec.Meta(gt=0.0, le=BEST_CONFIDENCE)] | None = None
+    """The scale that the receiver reports on; null: 99, or 1 of the suite of 2026. Firmware of 2022
+    and 2023 reports 0.4 to 2: set 2."""
     settle_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0
     """For how long a frequency that is new is not believed: tuning, calibration."""
     accept_line_array: bool = False
@@ -62,6 +70,9 @@ class Result:
     latency_ms: float
     is_line_array: bool = False
     is_overdriven: bool = False
+    checksum: int | None = None
+    """Of the suite of 2026, whose time is that of the request: over the fields that are measured,
+    which stay the same while the squelch is closed. None: an earlier one, or `doa.xml`."""
 
     @property
     def name(self) -> str:
@@ -75,6 +86,7 @@ class _Channel:
     heard_s: float
     """When that came first, on our clock."""
     believed_from_ms: float
+    checksum: int | None = None
     is_parallel: bool = False
     """Whether another frequency had a result of the same time: no tuning between them."""
 
@@ -86,16 +98,21 @@ class _Channels:
         self._settle_ms = 1000.0 * settle_s
         self._seen: dict[str, _Channel] = {}
 
-    def unchanged_s(self, name: str, time_ms: float, now_s: float) -> float | None:
+    def unchanged_s(self, result: Result, now_s: float) -> float | None:
         """For how long a frequency has had the same result; None: this is a new one."""
-        before = self._seen.get(name)
-        if before is None or time_ms != before.last_ms:
+        before = self._seen.get(result.name)
+        if before is None:
             return None
-        return now_s - before.heard_s
+        is_same = result.time_ms == before.last_ms
+        if result.checksum is not None:
+            is_same = result.checksum == before.checksum
+        return now_s - before.heard_s if is_same else None
 
-    def complain_of(self, name: str, time_ms: float, now_s: float) -> str | None:
+    def complain_of(self, result: Result, now_s: float) -> str | None:
         """Why a new result of a frequency is not to be used; None: it is."""
+        name, time_ms = result.name, result.time_ms
         channel = self._next(self._seen.pop(name, None), time_ms, now_s)
+        channel.checksum = result.checksum
         self._seen[name] = channel
         if len(self._seen) > MOST_CHANNELS:
             del self._seen[next(iter(self._seen))]
@@ -142,7 +159,7 @@ class _Kraken(RadioDecoder):
         """The reading of a result, if it is new and good enough; a text is why it is none."""
         self.counts.frames += 1
         if isinstance(result, Result):
-            unchanged_s = self._channels.unchanged_s(result.name, result.time_ms, now_s)
+            unchanged_s = self._channels.unchanged_s(result, now_s)
             if unchanged_s is not None and unchanged_s < STILL_S:
                 return []
             problem: str | None = "page stands still: nobody transmits"
@@ -157,11 +174,19 @@ class _Kraken(RadioDecoder):
         return [
             RadioReading(
                 emitter=f"{result.frequency_hz / 1e6:.4f}",
-                device_time_s=(result.time_ms - result.latency_ms / 2.0) / 1000.0,
+                device_time_s=None
+                if result.checksum is not None
+                else (result.time_ms - result.latency_ms / 2.0) / 1000.0,
                 azimuth_rad=math.radians(result.azimuth_deg),
-                quality=min(result.confidence / BEST_CONFIDENCE, 1.0),
+                quality=min(self._quality(result), 1.0),
             )
         ]
+
+    def _quality(self, result: Result) -> float:
+        best = self._believed.best_confidence
+        if best is None:
+            best = BEST_CONFIDENCE if result.checksum is None else 1.0
+        return result.confidence / best
 
     def _complain_of(self, result: Result, now_s: float) -> str | None:
         if not FIRST_EPOCH_MS <= result.time_ms <= LAST_EPOCH_MS:
@@ -172,16 +197,18 @@ class _Kraken(RadioDecoder):
             return "bearing is out of bounds"
         if not 0.0 < result.frequency_hz < 1e11:
             return "frequency is out of bounds"
-        tuned = self._channels.complain_of(result.name, result.time_ms, now_s)
+        tuned = self._channels.complain_of(result, now_s)
         if tuned is not None:
             return tuned
         if result.is_overdriven:
             return "receiver is overdriven"
         if result.is_line_array and not self._believed.accept_line_array:
             return "line array: front or back is not known"
-        if result.confidence < self._believed.min_confidence:
-            return "low confidence"
-        return None
+        if self._quality(result) * BEST_CONFIDENCE >= self._believed.min_confidence:
+            return None
+        if self._believed.best_confidence is None and result.confidence <= OLD_CONFIDENCE:
+            return "low confidence (firmware of 2022 or 2023? then set best_confidence to 2)"
+        return "low confidence"
 
 
 class KrakenLinesDecoder(_Kraken, LineDecoder):
@@ -199,7 +226,7 @@ class KrakenLinesDecoder(_Kraken, LineDecoder):
 
 
 def _result_of_cells(cells: list[str]) -> Result | str:
-    if len(cells) not in (HEAD_FIELDS, HEAD_FIELDS + POWERS) or cells[12] != "GPS":
+    if len(cells) not in (HEAD_FIELDS, HEAD_FIELDS + POWERS) or cells[12] not in HEADINGS:
         return "torn line"
     time_ms, azimuth_deg, confidence, power_db, frequency_hz = map(number, cells[:5])
     latency_ms = number(cells[6])
@@ -207,8 +234,15 @@ def _result_of_cells(cells: list[str]) -> Result | str:
         return "torn line"
     if frequency_hz is None or latency_ms is None:
         return "torn line"
+    is_suite = cells[6] == "0"  # earlier ones print a measured latency, with its decimals
     return Result(
-        time_ms, azimuth_deg, confidence, frequency_hz, latency_ms, is_line_array=cells[5] == "ULA"
+        time_ms,
+        azimuth_deg,
+        confidence,
+        frequency_hz,
+        latency_ms,
+        is_line_array=cells[5] == "ULA",
+        checksum=zlib.crc32(",".join(cells[1:]).encode()) if is_suite else None,
     )
 
 
@@ -253,7 +287,8 @@ class KrakenXmlDecoder(_Kraken):
 def _result_of_elements(elements: dict[str, str]) -> Result | str:
     time_ms, theta_deg = number(elements.get("TIME")), number(elements.get("DOA"))
     confidence = number(elements.get("CONF"))
-    frequency_mhz, latency_ms = number(elements.get("FREQUENCY")), number(elements.get("LATENCY"))
+    frequency_mhz = number(elements.get("FREQUENCY"))
+    latency_ms = number(elements.get("LATENCY", "0"))  # programs that speak DF-Aggregator have none
     if time_ms is None or theta_deg is None or confidence is None:
         return "torn document"
     if frequency_mhz is None or latency_ms is None:

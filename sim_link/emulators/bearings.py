@@ -126,6 +126,39 @@ class Kraken(Emulator):
         return f"{frequency_hz(emitter_id) / 1e6:g}"
 
 
+class KrakenSuite(Kraken):
+    """The suite of 2026: whole degrees, confidence to 1, time of the request, no latency.
+
+    While nothing is heard its table repeats the last direction under a new time.
+    """
+
+    name = "kraken_suite"
+    title = "KrakenSDR suite of 2026, DOA_value.html"
+
+    def tell(self, asked: Round) -> bytes:
+        """The whole table, as of now."""
+        self._update(asked)
+        epoch_ms = self.device_ms(asked.told_s)
+        return "".join(
+            f"{_suite_row(found, epoch_ms)} \n" for found in self._found.values()
+        ).encode()
+
+
+def _suite_row(found: KrakenDirection, epoch_ms: int) -> str:
+    """A row; its spectrum has the noise of its own result."""
+    bearing_deg = (360 - found.theta_deg) % 360
+    noise = np.random.default_rng(found.epoch_ms).uniform(0.0, 0.05, len(RING))
+    spectrum = ", ".join(
+        f"{10.0 * float(level) + extra:.2f}" for level, extra in zip(RING, noise, strict=True)
+    )
+    head = (
+        f"{epoch_ms}, {bearing_deg}, {found.confidence / MOST_CONFIDENCE:.2f}, "
+        f"{found.power_db:.1f}, "
+        f"{found.frequency_hz}, {found.array}, 0, {STATION}"
+    )
+    return f"{head}, 0.000000, 0.000000, 0.0, 0.0, Compass, R, R, R, R, {spectrum}"
+
+
 class KrakenXml(Kraken):
     """The same, in the document of one receiver: that of the first emitter."""
 

@@ -26,6 +26,7 @@ KINDS: tuple[type[Emulator], ...] = (
     uwb_text.PdoaJs,
     uwb_text.MakerfabsAt,
     bearings.Kraken,
+    bearings.KrakenSuite,
     bearings.KrakenXml,
     bearings.Uudf,
     wifi.Esp32Ftm,

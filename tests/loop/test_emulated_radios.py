@@ -47,6 +47,7 @@ COARSE = {
     "srsran": of_a_cell(NR_STEP_M, is_cut_off=False),
     "sx1280": in_steps(150.0 / (4.096 * 812.5)),
     "kraken": in_degrees,
+    "kraken_suite": in_degrees,
     "kraken_xml": in_degrees,
     "uudf": in_degrees_about_an_upright,
     "nlink_iot": in_steps(1e-3, 0.01),

@@ -49,6 +49,39 @@ def test_a_line_of_kraktak_is_a_bearing_clockwise_from_the_arrays_front() -> Non
     assert reading.range_m is None
 
 
+def suite(time_ms: int, bearing: int = 218, confidence: str = "0.61") -> bytes:
+    head = f"{time_ms}, {bearing}, {confidence}, -21.4, 433920000, UCA, 0, S1, 0.000000, 0.000000, "
+    return f"{head}0.0, 12.0, Compass, R, R, R, R{POWERS} \n".encode()
+
+
+def test_the_suite_of_2026_is_recognised_and_a_closed_squelch_is_silence() -> None:
+    decoder = KrakenLinesDecoder()
+    (reading,) = decoder.feed(suite(1718000000500), 0.0)
+
+    assert reading.quality == pytest.approx(0.61)
+    assert reading.device_time_s is None
+    frozen = [decoder.feed(suite(1718000000500 + 200 * n), 0.2 * n) for n in range(1, 250)]
+    assert not any(frozen)
+    assert set(decoder.counts.refused) == {"page stands still: nobody transmits"}
+    assert len(decoder.feed(suite(1718000060000, bearing=219), 60.0)) == 1
+
+
+def test_the_scale_of_2022_is_asked_for() -> None:
+    old = KrakenLinesDecoder()
+    assert old.feed(line(confidence=1.2), 0.0) == []
+    assert "set best_confidence to 2" in next(iter(old.counts.refused))
+    (reading,) = KrakenLinesDecoder(KrakenOptions(best_confidence=2.0)).feed(
+        line(confidence=1.2), 0.0
+    )
+    assert reading.quality == pytest.approx(0.6)
+
+
+def test_a_document_without_a_latency_is_read() -> None:
+    (reading,) = KrakenXmlDecoder().feed(xml().replace(b"<LATENCY>403</LATENCY>", b""), 0.0)
+
+    assert reading.device_time_s == pytest.approx(1718000000.5)
+
+
 def test_a_line_of_the_page_is_dated_to_the_middle_of_its_integration() -> None:
     (reading,) = KrakenLinesDecoder().feed(line(), 0.0)
 
