@@ -14,10 +14,12 @@ import asyncio
 import json
 import logging
 import os
+import resource
 import signal
 import socket
 import sys
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +146,10 @@ class Page:
 
 NICENESS = 19
 """On a computer with too much to do the control tick comes first, and pages wait."""
+MOST_DATA_BYTES = 512 * 2**20
+"""Data that the page's process may allocate: half of what the service may have (MemoryMax)."""
+OOM_SCORE = b"500"
+"""Where memory runs out, the kernel ends the page before the flight, which starts it again."""
 MAX_LINE = 4_000_000
 """A picture has some 20 kB."""
 REFUSED = "This page needs its token: open the address that the companion printed."
@@ -320,5 +326,9 @@ def main() -> None:
     """Run the child process; the terminal's Ctrl-C is for the companion."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
+    with suppress(OSError, ValueError):  # a lower limit of the system stays
+        resource.setrlimit(resource.RLIMIT_DATA, (MOST_DATA_BYTES, MOST_DATA_BYTES))
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_bytes(OOM_SCORE)
     logging.getLogger("nicegui").setLevel(logging.WARNING)
     asyncio.run(serve())

@@ -52,6 +52,18 @@ def test_beyond_loopback_there_is_nothing_without_the_token(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+def test_the_page_has_a_memory_limit_of_its_own_and_ends_before_the_flight(tmp_path: Path) -> None:
+    with live_flight(tmp_path) as live:
+        until_up(live.settings.url)
+        process = live.view.process.process_id
+        most_bytes, _ = resource.prlimit(process, resource.RLIMIT_DATA)
+        assert 0 < most_bytes <= 2**30 // 2  # MemoryMax of the service is twice that
+        score = Path("/proc/{}/oom_score_adj")
+        assert int(Path(str(score).format(process)).read_text()) > 0
+        assert int(Path(str(score).format("self")).read_text()) <= 0
+
+
+@pytest.mark.slow
 def test_a_name_that_a_stranger_points_at_us_is_refused(tmp_path: Path) -> None:
     with live_flight(tmp_path) as live:
         until_up(live.settings.url)
