@@ -351,9 +351,9 @@ class _Flight:
             self._supervisor.close()
 
     def _after_wakeup(self, now_s: float) -> None:
-        if self._shell.timing.fired == self._ticks:
+        if self.endpoint.ticks == self._ticks:
             return
-        self._ticks = self._shell.timing.fired
+        self._ticks = self.endpoint.ticks
         self._hint()
         self._watch.check(now_s)
         self._vehicle_link.hear_only(self.endpoint.shield.sole_peer(now_s))

@@ -54,6 +54,7 @@ from companion.estimation.screening.measurement_screen import (
     Objection,
     RejectReason,
 )
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.target_estimate import (
     estimate_of,
     position_covariance_m2,
@@ -159,6 +160,8 @@ class TargetTracker:
         kept_as = None if self.antenna is None else self._filter.params
         self._optimizer = WindowOptimizer(self._filter.params, params.window, kept_as)
         self._shared = NO_ERRORS
+        self._moves = 0
+        """How often the frame was moved, or all forgotten: steps begun before are given up."""
         self._noise = InnovationNoise.starting(params.initial_inflation)
         self._learner: NoiseLearner | None = None
         if params.adaptation is not None:
@@ -169,13 +172,14 @@ class TargetTracker:
         """Measurements, or parts of them, that were not fused."""
         return self._screen.rejected
 
+    @Stepwise
     def fuse(
         self,
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
         now_s: float,
         own: OwnAccuracy | None = None,
-    ) -> FusionReport:
+    ) -> Steps[FusionReport]:
         """Take in one measurement, its bearing in ENU, from the antenna's place (None: unknown).
 
         `own` is how well that place is known on the Earth; None says nothing about it.
@@ -203,13 +207,23 @@ class TargetTracker:
         if report.update is not None and self._learner is not None:
             self._learn(report.update, self._learner)
         if self.hypotheses and self._optimizer.is_due(self.accepted):
-            self.optimize()
+            yield 0
+            yield from self._unless_moved(self.optimize.steps())
         at_s = measurement.measured_at_s
         estimate = self.estimate(at_s) if self.watch.is_due(at_s) else None
         if estimate is not None:
             mean = self.hypotheses[0].state.mean
-            self.watch.look(self._optimizer.map, mean, estimate.r95_m, at_s)
+            look = self.watch.look.steps(self._optimizer.map, mean, estimate.r95_m, at_s)
+            yield from self._unless_moved(look)
         return report
+
+    def _unless_moved(self, steps: Steps[None]) -> Steps[None]:
+        """Go through steps; give them up where what they stand on is moved or forgotten."""
+        moves = self._moves
+        for cost in steps:
+            yield cost
+            if self._moves != moves:
+                steps.close()
 
     def _about_kept_zero(self, sensor_enu_m: PositionEnu | None) -> PositionEnu | None:
         if sensor_enu_m is None or self.raised_m == 0.0:
@@ -283,7 +297,8 @@ class TargetTracker:
             self._filter = filter_of(self.params.kind, tuned)
             self._optimizer.retune(self._filter.params)
 
-    def optimize(self, fresh_starts: int | None = None) -> None:
+    @Stepwise
+    def optimize(self, fresh_starts: int | None = None) -> Steps[None]:
         """Check the hypotheses against the window, and let its optima correct them.
 
         `fresh_starts` is how many starts there are besides them: `params.window.starts` are from
@@ -294,14 +309,13 @@ class TargetTracker:
             return
         inflation = self._noise.inflation(self._optimizer.noise)
         mean = self.hypotheses[0].state.mean
-        if self.antenna is not None and self.antenna.look(
-            self._optimizer.window.rows, mean, inflation
-        ):
+        rows = self._optimizer.window.rows
+        if self.antenna is not None and (yield from self.antenna.look.steps(rows, mean, inflation)):
             self._filter = filter_of(self.params.kind, self.antenna.params)
             self._optimizer.believe(self._filter.params)
             self.watch.clear()
             fresh_starts = self.params.window.starts
-        self.hypotheses = self._optimizer.optimize(
+        self.hypotheses = yield from self._optimizer.optimize.steps(
             self.hypotheses,
             self.accepted,
             inflation,
@@ -346,6 +360,7 @@ class TargetTracker:
         self.own, self._best_own_m = None, math.inf
 
     def _forget_place(self) -> None:
+        self._moves += 1
         self.hypotheses, self._shared = (), NO_ERRORS
         self._noise = InnovationNoise.starting(self.params.initial_inflation)
         self.integrity.forget()
@@ -359,6 +374,7 @@ class TargetTracker:
         Bearings that are measured from the heading turn counter-clockwise; those of a radio that
         knows north itself do not. The shift is known to `sigma_m` per axis.
         """
+        self._moves += 1
         turn_rad = turn_rad if self._screen.has_body_bearings else 0.0
         step = state_step(self._filter.params, shift_enu_m[:2], turn_rad)
         self.raised_m += shift_enu_m[2]

@@ -352,6 +352,11 @@ class TimerFired(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class TimeLeft(Event):
+    """There is time between two control ticks, for what may not delay one."""
+
+
+@dataclass(frozen=True, slots=True)
 class ControlStalled(Event):
     """The control loop stalled (suspended, starved): mode and position are of the past."""
 

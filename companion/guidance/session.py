@@ -126,6 +126,8 @@ class GuidanceSession:
         """What is to be done about an event."""
         if isinstance(event, events.RangingReceived):
             self._measuring.receive(event.measurement, event.time_s)
+        elif isinstance(event, events.TimeLeft):
+            self._measuring.go_on(event.time_s)
         elif isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
             self.context.record("overtaken", what=type(event).__name__)
         elif isinstance(event, events.LandedStateChanged) and self._doubts_landing(event):
@@ -179,8 +181,8 @@ class GuidanceSession:
                 self._recollection.recall(event.memory, event.age_s, event.time_s)
             case events.TimerFired():
                 self._recollection.advance(event.time_s)
-                self._measuring.fuse_due(event.time_s)
                 self._control.run(event.time_s)
+                self._measuring.tick(event.time_s)
             case _:
                 self.handover.handle(event)
                 if isinstance(event, events.AutopilotRestarted):
@@ -225,6 +227,11 @@ class GuidanceSession:
     def is_recalling(self) -> bool:
         """Whether what was recalled is not taken up yet: until then `memory` lacks it."""
         return self._recollection.is_waiting
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether measurements wait for `TimeLeft` between control ticks."""
+        return self._measuring.is_behind
 
     @property
     def is_stopped(self) -> bool:

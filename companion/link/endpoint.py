@@ -64,6 +64,8 @@ SIGNS = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
 )
 """What an address is asked for that may be the autopilot's now."""
+PAUSE_S = 0.001
+"""Between two wake-ups for what may wait: the links are read meanwhile."""
 RECORD_PERIOD_S = 10.0
 """How often the health of the links goes to the event log."""
 
@@ -128,7 +130,11 @@ class CompanionEndpoint:
         self._binds = 0
         self._problem: str | None = None
         """Of the binding, as the session knows it."""
-        self._next_timer_s = -math.inf
+        self.ticks = 0
+        """Control ticks so far."""
+        self.next_tick_s = -math.inf
+        """When the next one is due."""
+        self._woken_s = -math.inf
         self._next_record_s = -math.inf
 
     def _make_intake(self, number: int, link: LinkSpec) -> Intake:
@@ -156,9 +162,17 @@ class CompanionEndpoint:
             self._receive_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
 
     def handle_timer(self, now_s: float) -> None:
-        """The control tick; a late one is not made up for."""
+        """The control tick; a late one is not made up for. Before it is due: what may wait for it.
+
+        So the setpoint of a tick is on its way before anything is estimated.
+        """
         if self._recorder is not None:
             self._recorder.tick(now_s)
+        self._woken_s = now_s
+        if now_s < self.next_tick_s and self.session.is_behind:
+            self.executor.handle(events.TimeLeft(now_s), now_s)
+            return
+        self.ticks += 1
         self.shield.tick(now_s)
         self._note_control(now_s)
         self._note_binding(now_s)
@@ -175,9 +189,9 @@ class CompanionEndpoint:
             self._queries.ask_mode()
             self.executor.handle(events.ControlStalled(now_s, stalled_s), now_s)
         period_s = self._health.pacing.period_s
-        self._next_timer_s += period_s
-        if self._next_timer_s <= now_s:
-            self._next_timer_s = now_s + period_s
+        self.next_tick_s += period_s
+        if self.next_tick_s <= now_s:
+            self.next_tick_s = now_s + period_s
         self.executor.tick(now_s)
         self._ask_autopilot(now_s)
         self.executor.handle(events.TimerFired(now_s, self.binding.heard_s), now_s)
@@ -191,8 +205,10 @@ class CompanionEndpoint:
                 self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
 
     def next_timer_s(self) -> float:
-        """When the next control tick is due."""
-        return self._next_timer_s
+        """When the next control tick is due, or what may come before it."""
+        if self.session.is_behind:
+            return min(self.next_tick_s, self._woken_s + PAUSE_S)
+        return self.next_tick_s
 
     def take_output(self) -> list[Chunk]:
         """What is to be sent, in order; taken once."""

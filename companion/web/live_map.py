@@ -341,7 +341,7 @@ class WebView(Collector):
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Called at every wake-up of the flight; costs nothing unless a picture is due."""
         self._last = (endpoint, now_s)
-        has_room = endpoint.next_timer_s() - now_s >= ROOM_S
+        has_room = endpoint.next_tick_s - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
         for command in self.process.update(now_s, make, may_send=has_room):
             endpoint.tell(OperatorAsked(now_s, command))

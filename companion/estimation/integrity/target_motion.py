@@ -27,6 +27,7 @@ import numpy as np
 
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.map_kernels import SEQUENCE, Row, hold_at_bounds, row_vector
 from companion.estimation.window.sandwich import (
     Scores,
@@ -133,7 +134,8 @@ class MotionWatch:
         is_time = not now_s < self._due_s <= now_s + EVERY_S
         return bool(self._rows) and self._left <= 0 and is_time
 
-    def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> None:
+    @Stepwise
+    def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> Steps[None]:
         """Look whether the target walks, where it matters: not of one that may be anywhere.
 
         One whose place was known, and is lost, may have walked on.
@@ -143,7 +145,7 @@ class MotionWatch:
         self._was_near = self._was_near or is_near
         if self.suspected is None and not self._was_near:
             return
-        found = self._likeliest_motion(window_map, mean)
+        found = yield from self._likeliest_motion.steps(window_map, mean)
         least = SIGNIFICANT if is_near or self.suspected is not None else LOST_SIGNIFICANT
         if found is not None and found.significance >= least:
             self.suspected = found
@@ -170,11 +172,13 @@ class MotionWatch:
             if len(rows) - begin >= MIN_COUNT and times_s[-1] - times_s[begin] >= LEAST_SPAN_S
         ]
 
-    def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> TargetMotion | None:
+    @Stepwise
+    def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> Steps[TargetMotion | None]:
         """The motion of the shortest span in which it is significant, or the most significant."""
         best: TargetMotion | None = None
         for rows in self._spans():
             motion = motion_of(window_map, rows, mean)
+            yield len(rows)
             if motion is None:
                 continue
             if best is None or motion.significance > best.significance:

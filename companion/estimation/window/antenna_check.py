@@ -36,6 +36,7 @@ import numpy as np
 from companion.estimation.antenna import AntennaKind
 from companion.estimation.filters.target_filter import FilterParams, Inflation
 from companion.estimation.measurement_model import BEARING, ELEVATION, RANGE, target_height_m
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.map_kernels import (
     AXES,
     VALUES,
@@ -121,7 +122,8 @@ class AntennaCheck:
         """What the bearings show, in a word; None: nothing yet."""
         return self.taken if self.is_shown else None
 
-    def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> bool:
+    @Stepwise
+    def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> Steps[bool]:
         """Compare the candidates on the rows (n, 16), from `mean` (k,); whether another is taken.
 
         The rows are those of a planar array, each with its printed angle.
@@ -136,20 +138,25 @@ class AntennaCheck:
         is_due = not self.is_shown or self._solutions % EVERY == 0
         if is_due and np.count_nonzero(is_borne) >= MIN_BEARINGS:
             kinds = [kind for kind in CANDIDATES if kind != "line" or not is_no_line]
-            found = self._explanations(kinds, rows, mean, inflation)
+            found = yield from self._explanations.steps(kinds, rows, mean, inflation)
             direct = without_long(rows, list(found.values()))
             if direct is not None:
-                found = self._explanations(kinds, direct, mean, inflation)
+                found = yield from self._explanations.steps(kinds, direct, mean, inflation)
             if self.taken in found:
                 has_ranges = not np.isnan(rows[:, VALUES + RANGE]).all()
                 self._judge(found, DECIDED if has_ranges else DECIDED_ALONE)
         return self.taken != before
 
+    @Stepwise
     def _explanations(
         self, kinds: Sequence[Candidate], rows: Matrix, mean: Vector, inflation: Inflation
-    ) -> dict[Candidate, Explained]:
-        found = {kind: self._explained(kind, rows, mean, inflation) for kind in kinds}
-        return {kind: each for kind, each in found.items() if each is not None}
+    ) -> Steps[dict[Candidate, Explained]]:
+        found: dict[Candidate, Explained] = {}
+        for kind in kinds:
+            each = self._explained(kind, rows, mean, inflation)
+            found |= {} if each is None else {kind: each}
+            yield len(rows)
+        return found
 
     def _judge(self, found: dict[Candidate, Explained], decided: float) -> None:
         """Take the best, if it is better than each of the others beyond doubt."""

@@ -20,6 +20,7 @@ from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
 from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.antenna_check import rows_as
 from companion.estimation.window.map_kernels import (
     ARRAY_COLUMNS,
@@ -243,6 +244,7 @@ class WindowOptimizer:
         """Whether the window should be solved after this many measurements."""
         return self._params.enabled and accepted >= self._due_at
 
+    @Stepwise
     def optimize(
         self,
         hypotheses: tuple[Hypothesis, ...],
@@ -251,7 +253,7 @@ class WindowOptimizer:
         *,
         is_white: bool,
         fresh_starts: int | None,
-    ) -> tuple[Hypothesis, ...]:
+    ) -> Steps[tuple[Hypothesis, ...]]:
         """The hypotheses after the window was solved, with the inflation that the run has shown.
 
         `is_white`: innovations know nothing of each other. Of `fresh_starts` besides the hypotheses
@@ -265,11 +267,13 @@ class WindowOptimizer:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
         self.map.expect(inflation)
         kept, starts = min(len(hypotheses), MAX_STARTS_KEPT), self._starts(hypotheses, fresh_starts)
-        minima = self.map.minima(self.rows, starts, self._older)
-        if minima and not self._older.is_empty and self._is_contradicted(minima[0][1]):
+        minima = yield from self.map.minima.steps(self.rows, starts, self._older)
+        has_older = bool(minima) and not self._older.is_empty
+        if has_older and (yield from self._is_contradicted.steps(minima[0][1])):
             self._older = OlderEvidence.none(self.map.size)
-            minima = self.map.minima(self.rows, [*starts, minima[0][1]], self._older)
-        optima = self._optima(minima, starts[:kept], is_white=is_white)
+            starts = [*starts, minima[0][1]]
+            minima = yield from self.map.minima.steps(self.rows, starts, self._older)
+        optima = yield from self._optima.steps(minima, starts[:kept], is_white=is_white)
         if not optima:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
@@ -335,21 +339,26 @@ class WindowOptimizer:
             self._turn += 1
         return starts
 
-    def _optima(self, minima: Minima, starts: Sequence[Vector], *, is_white: bool) -> list[Optimum]:
+    @Stepwise
+    def _optima(
+        self, minima: Minima, starts: Sequence[Vector], *, is_white: bool
+    ) -> Steps[list[Optimum]]:
         """The optima without gross errors, if any: not even a linear loss outvotes many."""
         kept = self.map.without_gross(self.rows, minima[0][1]) if minima else None
         if kept is not None:
             starts = [*(mean for _, mean in minima), *starts]
-            optima = self.map.optima(kept, starts, self._older, is_white=is_white)
+            optima = yield from self.map.optima.steps(kept, starts, self._older, is_white=is_white)
             if optima:
                 return optima
-        return self.map.judged(self.rows, minima, self._older, is_white=is_white)
+        judged = self.map.judged
+        return (yield from judged.steps(self.rows, minima, self._older, is_white=is_white))
 
-    def _is_contradicted(self, best: Vector) -> bool:
+    @Stepwise
+    def _is_contradicted(self, best: Vector) -> Steps[bool]:
         """Whether the window, if full enough to know, leads elsewhere than with older evidence."""
         if len(self.window.rows) < CONTRADICTING_SHARE * self._params.size:
             return False
-        alone = self.map.optima(self.rows, [best])
+        alone = yield from self.map.optima.steps(self.rows, [best])
         if not alone:
             return False
         difference = alone[0].mean[:2] - best[:2]

@@ -41,6 +41,7 @@ from functools import cached_property
 import numpy as np
 
 from companion.estimation.filters.target_filter import Inflation
+from companion.estimation.stepwise import Steps
 from companion.estimation.window.place_noise import PlaceNoise
 from companion.kernel import Matrix, Vector
 
@@ -282,12 +283,17 @@ Cost = Callable[[Vector], float]
 
 
 def stretch_covariance(
-    covariance: Matrix, A: Matrix, mean: Vector, cost: Cost, profiled: Cost | None = None
-) -> Matrix:
+    covariance: Matrix,
+    A: Matrix,
+    mean: Vector,
+    cost: Cost,
+    profiled: Cost | None = None,
+    worth: int = 0,
+) -> Steps[Matrix]:
     """The covariance, wider along its longest axis where the cost is flatter than its curvature.
 
     `profiled` is the cost with the other states solved again, asked only where `cost`, which is
-    never less, rises enough.
+    never less, rises enough. A step is `worth` so many measurements.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
@@ -296,20 +302,24 @@ def stretch_covariance(
     axis: Vector = covariance[:, :2] @ vectors[:, 1] / sigma_m
     promised = 0.5 * EDGE_SIGMAS**2 * float(axis @ A @ axis)
     wanted = MIN_RISE_SHARE * promised + cost(mean)
-    stretch = max(
-        _stretch(mean, side * EDGE_SIGMAS * axis, wanted, (cost, profiled or cost))
-        for side in (-1.0, 1.0)
-    )
+    stretch = 1.0
+    for side in (-1.0, 1.0):
+        edge, costs = side * EDGE_SIGMAS * axis, (cost, profiled or cost)
+        stretch = max(stretch, (yield from _stretch(mean, edge, wanted, costs, worth)))
     if stretch == 1.0:
         return covariance
     wider: Matrix = covariance + (stretch**2 - 1.0) * np.outer(axis, axis)
     return wider
 
 
-def _stretch(mean: Vector, edge: Vector, wanted: float, costs: tuple[Cost, ...]) -> float:
+def _stretch(
+    mean: Vector, edge: Vector, wanted: float, costs: tuple[Cost, ...], worth: int
+) -> Steps[float]:
     """How often `edge` must be laid off until all costs reach `wanted`."""
     for stretch in (1.0, *STRETCHES):
-        if all(cost(mean + stretch * edge) >= wanted for cost in costs):
+        is_reached = all(cost(mean + stretch * edge) >= wanted for cost in costs)
+        yield worth
+        if is_reached:
             return stretch
     return STRETCHES[-1]
 

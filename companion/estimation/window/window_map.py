@@ -51,6 +51,7 @@ from companion.estimation.measurement_model import (
     RANGE_OFFSET,
     RangingModel,
 )
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.map_kernels import (
     SIGMAS,
     VALUES,
@@ -232,6 +233,7 @@ class WindowMap:
         directions = (None if f is None else replace(f, repetition=worst) for f in found[BEARING:])
         return (found[RANGE], *directions)
 
+    @Stepwise
     def optima(
         self,
         rows: Matrix,
@@ -239,34 +241,40 @@ class WindowMap:
         older: OlderEvidence | None = None,
         *,
         is_white: bool = False,
-    ) -> list[Optimum]:
+    ) -> Steps[list[Optimum]]:
         """What `judged` makes of the minima reached from states (k,)."""
-        return self.judged(rows, self.minima(rows, starts, older), older, is_white=is_white)
+        minima = yield from self.minima.steps(rows, starts, older)
+        return (yield from self.judged.steps(rows, minima, older, is_white=is_white))
 
+    @Stepwise
     def judged(
         self, rows: Matrix, minima: Minima, older: OlderEvidence | None, *, is_white: bool
-    ) -> list[Optimum]:
+    ) -> Steps[list[Optimum]]:
         """The minima that name a place, best first, without those improbable beside the best one.
 
         Solved again where errors are seen to stay with the place otherwise than was believed.
         """
         if minima and self._count(self._fields_of(rows, minima[0][1])):
-            minima = self.minima(rows, [mean for _, mean in minima], older)
+            minima = yield from self.minima.steps(rows, [mean for _, mean in minima], older)
         optima: list[Optimum] = []
         for cost, mean in minima:
             scores = self.scores(rows, mean)
             best = optima[0] if optima else None
             if best and log_ratio_of(cost, scores.psi, best, self.fields) <= IMPROBABLE_LOG_RATIO:
                 continue
-            optimum = self._optimum(rows, mean, cost, scores, older, is_white)
+            optimum = yield from self._optimum.steps(rows, mean, cost, scores, older, is_white)
             optima += [] if optimum is None else [optimum]
         return optima
 
-    def minima(self, rows: Matrix, starts: Iterable[Vector], older: OlderEvidence | None) -> Minima:
+    @Stepwise
+    def minima(
+        self, rows: Matrix, starts: Iterable[Vector], older: OlderEvidence | None
+    ) -> Steps[Minima]:
         """The distinct minima reached from states (k,), best first, `older` evidence counted in."""
         found: Minima = []
         for start in starts:
             solution = self.solve(rows, start, older)
+            yield len(rows)
             if solution is None:
                 continue
             mean, cost = solution
@@ -414,6 +422,7 @@ class WindowMap:
             self._heard = rows, HeardPath((east_m, north_m), sigma_m)
         return self._heard[1]
 
+    @Stepwise
     def _optimum(
         self,
         rows: Matrix,
@@ -422,7 +431,7 @@ class WindowMap:
         scores: Scores,
         older: OlderEvidence | None,
         is_white: bool,
-    ) -> Optimum | None:
+    ) -> Steps[Optimum | None]:
         """The optimum with its covariance, or None where the measurements name no place.
 
         Of the white and the correlated covariance the one is taken that leaves the position less
@@ -445,7 +454,9 @@ class WindowMap:
         cost_at, profiled = partial(self._cost, rows, older=older), None
         if self.fields != ALL_WHITE:
             profiled = partial(self._profiled_cost, rows, mean, older=older)
-        covariance = stretch_covariance(covariance, A, mean, cost_at, profiled)
+        yield len(rows)
+        worth = len(rows) if profiled is not None else 0
+        covariance = yield from stretch_covariance(covariance, A, mean, cost_at, profiled, worth)
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
         noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))

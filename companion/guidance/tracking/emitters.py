@@ -19,6 +19,7 @@ from companion.domain import OwnAccuracy, Params, PositionEnu, RangingMeasuremen
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
 from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.geometry.polygons import Point
 
@@ -137,16 +138,17 @@ class EmitterQueue:
         rest = [n for n in self._trackers if n not in self.reported and n != now]
         return sorted(rest, key=self._rank)
 
+    @Stepwise
     def fuse(
         self,
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
         now_s: float,
         own: OwnAccuracy | None = None,
-    ) -> FusionReport:
+    ) -> Steps[FusionReport]:
         """Take in a measurement of any emitter, its bearing in ENU, from the antenna's place."""
         if self.is_single:
-            return self.current.fuse(measurement, sensor_enu_m, now_s, own)
+            return (yield from self.current.fuse.steps(measurement, sensor_enu_m, now_s, own))
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is None:
             reason = reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
@@ -154,7 +156,7 @@ class EmitterQueue:
             if reason is not None:
                 return self.current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
-        report = tracker.fuse(measurement, sensor_enu_m, now_s, own)
+        report = yield from tracker.fuse.steps(measurement, sensor_enu_m, now_s, own)
         if report.reject_reason is None and sensor_enu_m is not None:
             self._place = sensor_enu_m[:2]
             self._note_strength(measurement)

@@ -13,6 +13,7 @@ from dataclasses import replace
 from companion.domain import OwnAccuracy, RangingMeasurement
 from companion.estimation.antenna import ABOUT_VERTICAL, seen_in_enu
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport
 from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase
 from companion.guidance.commands import Severity
@@ -28,6 +29,7 @@ from companion.guidance.messages import (
     waiting_record,
 )
 from companion.guidance.tracking.emitters import EmitterQueue
+from companion.guidance.tracking.fusion_queue import FusionQueue, Queued
 from companion.guidance.tracking.vehicle_track import VehicleTrack
 
 MAX_WAITING = 64
@@ -73,10 +75,14 @@ class RangingListener:
         return [self._emitters.current.reject(RejectReason.TOO_MANY)]
 
     def fuse_due(self, now_s: float, own: OwnAccuracy | None = None) -> list[FusionReport]:
-        """Fuse every measurement whose place is known, or will not become known any more.
+        """Fuse at once what is due.
 
-        `own` is how well that place is known on the Earth; None says nothing about it.
+        `own` is how well the vehicle's place is known on the Earth; None says nothing about it.
         """
+        return [self.fuse(Queued(each, now_s, own)) for each in self.take_due(now_s)]
+
+    def take_due(self, now_s: float) -> list[RangingMeasurement]:
+        """Take every measurement whose place is known, or will not become known any more."""
         latest = self._track.latest
         due: list[RangingMeasurement] = []
         waiting: list[RangingMeasurement] = []
@@ -86,8 +92,8 @@ class RangingListener:
                 is_covered = self._has_attitude(measurement)
             is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
             (waiting if is_recent and not is_covered else due).append(measurement)
-        self.waiting = waiting  # first, so that one that makes a filter fail is not tried again
-        return [self._fuse(measurement, now_s, own) for measurement in due]
+        self.waiting = waiting
+        return due
 
     def _has_attitude(self, measurement: RangingMeasurement) -> bool:
         """Whether an angle in the body's frame lies between attitudes, or none will be told."""
@@ -96,9 +102,10 @@ class RangingListener:
             return not self._is_array
         return measurement.measured_at_s <= newest[0]
 
-    def _fuse(
-        self, measurement: RangingMeasurement, now_s: float, own: OwnAccuracy | None
-    ) -> FusionReport:
+    @Stepwise
+    def fuse(self, queued: Queued) -> Steps[FusionReport]:
+        """Fuse a measurement, seen from the vehicle's place at its time."""
+        measurement, now_s, own = queued
         if not self._track.is_trusted_at(measurement.measured_at_s):
             return self._emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
@@ -106,7 +113,7 @@ class RangingListener:
         if is_turned or self._is_array:
             attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
             measurement = seen_in_enu(measurement, attitude, self._antenna)
-        report = self._emitters.fuse(measurement, sensor_enu_m, now_s, own)
+        report = yield from self._emitters.fuse.steps(measurement, sensor_enu_m, now_s, own)
         return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
 
 
@@ -166,6 +173,9 @@ class Measuring:
         self._antennas = AntennaMessages()
         self._offsets = OffsetMessages()
         self._listener = RangingListener(context.emitters, context.vehicle.track)
+        self._queue = FusionQueue(self._listener.fuse.steps)
+        self._ticks_behind = 0
+        """Control ticks since `go_on`, with measurements left to be fused."""
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
         """Take in a measurement."""
@@ -177,13 +187,45 @@ class Measuring:
                 self._follow_reports(refused, now_s)
         self.fuse_due(now_s)
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether there are measurements to be gone on with."""
+        return len(self._queue) > 0
+
     def fuse_due(self, now_s: float) -> None:
-        """Fuse what waited for an own position."""
+        """Queue what waited for an own position, and fuse as far as this wake-up goes."""
+        self._take_due(now_s)
+        self._advance(now_s)
+
+    def go_on(self, now_s: float) -> None:
+        """Fuse as far as another wake-up goes."""
+        self._ticks_behind = 0
+        self._queue.renew()
+        self.fuse_due(now_s)
+
+    def tick(self, now_s: float) -> None:
+        """Queue what is due; fuse only where nothing came between two control ticks."""
+        self._take_due(now_s)
+        if self.is_behind:
+            self._ticks_behind += 1
+            if self._ticks_behind == 1:
+                return
+        self._queue.renew()
+        self._advance(now_s)
+
+    def _take_due(self, now_s: float) -> None:
         if not self._listener.waiting:
             return
+        own = self._context.vehicle.own_place.accuracy(now_s)
+        for measurement in self._listener.take_due(now_s):
+            if self._queue.add(Queued(measurement, now_s, own)):
+                self._context.emitters.current.reject(RejectReason.TOO_MANY)
+
+    def _advance(self, now_s: float) -> None:
+        if not self.is_behind:
+            return
         with self._contained(now_s):
-            own = self._context.vehicle.own_place.accuracy(now_s)
-            reports = self._listener.fuse_due(now_s, own)
+            reports = self._queue.advance(self._context.tracker.emitter_id)
             if reports:
                 self._follow_reports(reports, now_s)
 

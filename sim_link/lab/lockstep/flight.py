@@ -174,8 +174,10 @@ class Flight:
                 neighbour.step(now_s)
         if self.is_companion_up and self._companion_due_s() <= now_s:
             self._wake_companion()
+            ticks = self.companion.ticks
             self.companion.handle_timer(now_s)
-            self.observers.tell("ticked", now_s)
+            if self.companion.ticks != ticks:
+                self.observers.tell("ticked", now_s)
         self.settle()
 
     def at(self, time_s: float, action: Callable[[], None]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from companion.estimation.stepwise import finish
 from companion.estimation.window.map_kernels import (
     map_cost,
     map_minimum,
@@ -17,12 +18,16 @@ from companion.estimation.window.sandwich import (
     Cost,
     stretch_covariance,
 )
-from companion.kernel import Vector
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import params
 
 A = np.diag([1.0 / 9.0, 1.0, 4.0, 100.0])
 COVARIANCE = np.asarray(np.linalg.inv(A))
 MEAN = np.array([40.0, 25.0, 1.0, 0.0])
+
+
+def stretched(covariance: Matrix, curvature: Matrix, mean: Vector, cost: Cost) -> Matrix:
+    return finish(stretch_covariance(covariance, curvature, mean, cost))
 
 
 def _quadratic(share: float = 1.0) -> Cost:
@@ -41,12 +46,12 @@ def _plain(x: Vector) -> float:
 
 @pytest.mark.parametrize("share", [1.0, 3.0, 1.01 * MIN_RISE_SHARE])
 def test_where_the_cost_keeps_its_promise_nothing_changes(share: float) -> None:
-    assert stretch_covariance(COVARIANCE, A, MEAN, _quadratic(share)) is COVARIANCE
+    assert stretched(COVARIANCE, A, MEAN, _quadratic(share)) is COVARIANCE
 
 
 @pytest.mark.parametrize("share", [0.4, 0.1, 0.05])
 def test_where_it_is_flatter_the_longest_axis_is_longer(share: float) -> None:
-    wider = stretch_covariance(COVARIANCE, A, MEAN, _quadratic(share))
+    wider = stretched(COVARIANCE, A, MEAN, _quadratic(share))
     ratio = float(np.sqrt(wider[0, 0] / COVARIANCE[0, 0]))
     needed = float(np.sqrt(MIN_RISE_SHARE / share))
     assert needed * (1.0 - 1e-9) <= ratio <= 1.5 * needed
@@ -59,18 +64,18 @@ def test_one_flat_side_is_enough() -> None:
     def cost(x: Vector) -> float:
         return _quadratic(1.0 if x[0] < MEAN[0] else 0.1)(x)
 
-    assert stretch_covariance(COVARIANCE, A, MEAN, cost)[0, 0] > COVARIANCE[0, 0]
+    assert stretched(COVARIANCE, A, MEAN, cost)[0, 0] > COVARIANCE[0, 0]
 
 
 def test_a_plain_without_end_is_stretched_as_far_as_it_goes() -> None:
-    wider = stretch_covariance(COVARIANCE, A, MEAN, _plain)
+    wider = stretched(COVARIANCE, A, MEAN, _plain)
     assert np.sqrt(wider[0, 0] / COVARIANCE[0, 0]) == pytest.approx(STRETCHES[-1])
 
 
 def test_correlated_components_follow() -> None:
     P = np.array(COVARIANCE)
     P[0, 2] = P[2, 0] = 1.2
-    wider = stretch_covariance(P, np.asarray(np.linalg.inv(P)), MEAN, _plain)
+    wider = stretched(P, np.asarray(np.linalg.inv(P)), MEAN, _plain)
     assert wider[0, 2] / wider[0, 0] == pytest.approx(P[0, 2] / P[0, 0])
     assert np.linalg.eigvalsh(wider)[0] > 0.0
     assert np.array_equal(wider, wider.T)
@@ -78,7 +83,7 @@ def test_correlated_components_follow() -> None:
 
 def test_without_uncertainty_there_is_nothing_to_stretch() -> None:
     nothing = np.zeros((4, 4))
-    assert stretch_covariance(nothing, A, MEAN, _plain) is nothing
+    assert stretched(nothing, A, MEAN, _plain) is nothing
 
 
 def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
@@ -95,7 +100,7 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     offs = measured_offs(rows, mean, p.model)
     curvature, _, _ = normal_equations(rows, mean, offs, sigmas, p.thresholds, *prior)
     covariance = np.asarray(np.linalg.inv(curvature))
-    wider = stretch_covariance(
+    wider = stretched(
         covariance,
         curvature,
         mean,
