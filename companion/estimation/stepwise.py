@@ -30,6 +30,15 @@ def finish(steps: Steps[T]) -> T:
             return result
 
 
+def while_same(steps: Steps[None], state: Callable[[], object]) -> Steps[None]:
+    """Go through steps; give them up once what they stand on is another one."""
+    before = state()
+    for cost in steps:
+        yield cost
+        if state() != before:
+            steps.close()
+
+
 class Callee(Generic[P, T]):
     """A stepwise method of one object: called as a whole, or begun by `steps`."""
 

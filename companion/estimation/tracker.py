@@ -54,7 +54,7 @@ from companion.estimation.screening.measurement_screen import (
     Objection,
     RejectReason,
 )
-from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.stepwise import Steps, Stepwise, while_same
 from companion.estimation.target_estimate import (
     estimate_of,
     position_covariance_m2,
@@ -208,22 +208,14 @@ class TargetTracker:
             self._learn(report.update, self._learner)
         if self.hypotheses and self._optimizer.is_due(self.accepted):
             yield 0
-            yield from self._unless_moved(self.optimize.steps())
+            yield from while_same(self.optimize.steps(), lambda: self._moves)
         at_s = measurement.measured_at_s
         estimate = self.estimate(at_s) if self.watch.is_due(at_s) else None
         if estimate is not None:
             mean = self.hypotheses[0].state.mean
             look = self.watch.look.steps(self._optimizer.map, mean, estimate.r95_m, at_s)
-            yield from self._unless_moved(look)
+            yield from while_same(look, lambda: self._moves)
         return report
-
-    def _unless_moved(self, steps: Steps[None]) -> Steps[None]:
-        """Go through steps; give them up where what they stand on is moved or forgotten."""
-        moves = self._moves
-        for cost in steps:
-            yield cost
-            if self._moves != moves:
-                steps.close()
 
     def _about_kept_zero(self, sensor_enu_m: PositionEnu | None) -> PositionEnu | None:
         if sensor_enu_m is None or self.raised_m == 0.0:
