@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from functools import partial
-from typing import Any, Concatenate, Generic, ParamSpec, TypeAlias, TypeVar
+from typing import Any, Concatenate, Generic, ParamSpec, TypeAlias, TypeVar, overload
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -59,7 +59,13 @@ class Stepwise(Generic[S, P, T]):
         self._method = method
         self.__doc__ = method.__doc__
 
-    def __get__(self, instance: S | None, owner: type[Any]) -> Callee[P, T]:
+    @overload
+    def __get__(self, instance: None, owner: type[Any]) -> Callee[Concatenate[S, P], T]: ...
+
+    @overload
+    def __get__(self, instance: S, owner: type[Any]) -> Callee[P, T]: ...
+
+    def __get__(self, instance: S | None, owner: type[Any]) -> Any:
         """The method of this object; of none, it takes one as its first argument."""
-        steps: Callable[..., Steps[T]] = self._method
-        return Callee(steps if instance is None else partial(steps, instance))
+        method: Callable[..., Any] = self._method
+        return Callee(method if instance is None else partial(method, instance))

@@ -21,6 +21,7 @@ import pytest
 from companion.config.schema import CompanionConfig, CrossingKind, PlannerConfig
 from companion.config.tunables import Tunables
 from companion.domain import OwnAccuracy, PositionEnu, RangingMeasurement, WaypointReason
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_planner
@@ -132,14 +133,16 @@ class WatchedTracker(TargetTracker):
         super().__init__(params)
         self.means: list[list[float]] = []
 
+    @Stepwise
     def fuse(
         self,
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
         now_s: float,
         own: OwnAccuracy | None = None,
-    ) -> FusionReport:
-        report = super().fuse(measurement, sensor_enu_m, now_s, own)
+    ) -> Steps[FusionReport]:
+        whole = TargetTracker.fuse.steps(self, measurement, sensor_enu_m, now_s, own)
+        report = yield from whole
         self.means.append(self.hypotheses[0].state.mean.tolist())
         return report
 
