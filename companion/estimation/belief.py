@@ -21,7 +21,7 @@ from companion.domain import OwnAccuracy
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
-from companion.estimation.window.window_map import OlderEvidence
+from companion.estimation.window.older_evidence import OlderEvidence
 from companion.kernel import Matrix
 
 DOUBT = 2.0

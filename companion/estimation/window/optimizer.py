@@ -31,6 +31,7 @@ from companion.estimation.window.map_kernels import (
     Row,
     row_vector,
 )
+from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
     Observability,
@@ -49,7 +50,6 @@ from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     MIN_MEASUREMENTS,
     Minima,
-    OlderEvidence,
     WindowMap,
     WindowParams,
 )

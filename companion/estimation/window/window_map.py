@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
@@ -65,6 +65,7 @@ from companion.estimation.window.map_kernels import (
     row_sigmas,
     view_distance2,
 )
+from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.place_noise import PlaceBelief, PlaceNoise, place_noise
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
@@ -84,49 +85,6 @@ from companion.estimation.window.sandwich import (
 )
 from companion.estimation.window.shared_errors import HeardPath
 from companion.kernel import Matrix, Vector
-
-
-@dataclass(frozen=True, slots=True)
-class OlderEvidence:
-    """A Gaussian in canonical form, and how much its pull would vary by chance."""
-
-    information: Matrix
-    """(k, k), L."""
-    pull: Vector
-    """(k,), L times the mean."""
-    variability: Matrix
-    """(k, k), the sum of psi^2 H H^T: the sandwich's B."""
-
-    @classmethod
-    def none(cls, size: int) -> OlderEvidence:
-        """Nothing yet, for a state of `size` components."""
-        return cls(np.zeros((size, size)), np.zeros(size), np.zeros((size, size)))
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing was left out yet."""
-        return not self.information.any()
-
-    def moved(self, step: Vector) -> OlderEvidence:
-        """The same about a state that is farther by `step`, (k,)."""
-        return replace(self, pull=self.pull + self.information @ step)
-
-    def joined(
-        self, rows: Matrix, mean: Vector, thresholds: Matrix, model: RangingModel
-    ) -> OlderEvidence:
-        """With the measurements `rows` (m, 10), expanded about `mean` (k,)."""
-        at = np.array(mean)  # as in `WindowMap.scores`
-        sigmas = row_sigmas(rows, at, model)
-        u = row_residuals(rows, at, sigmas, model)
-        psi = clipped(u, thresholds)
-        H = row_partials(rows, at, sigmas, model)
-        influence = psi.reshape(-1)
-        A = H.T @ ((u == psi).reshape(-1, 1) * H)
-        B = H.T @ ((influence**2)[:, None] * H)
-        return OlderEvidence(
-            self.information + A, self.pull + A @ mean + H.T @ influence, self.variability + B
-        )
-
 
 MIN_MEASUREMENTS = 12
 MAX_POSITION_SIGMA_M = 200.0

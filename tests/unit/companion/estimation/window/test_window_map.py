@@ -10,11 +10,11 @@ import pytest
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.target_estimate import r95_of_covariance_m
 from companion.estimation.window.map_kernels import map_cost, measured_offs, row_sigmas
+from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.sandwich import mirrored, shares_of, weigh_optima
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     SAME_PLACE_M,
-    OlderEvidence,
     WindowMap,
 )
 from companion.kernel import Matrix, Vector
