@@ -237,6 +237,8 @@ UNIT_FACTORS = (0.001, 0.01, 180.0 / math.pi, 100.0, 1000.0)
 MUTED = ("LOCAL_POSITION_NED", "HEARTBEAT", "ATTITUDE", "HOME_POSITION", "EXTENDED_SYS_STATE")
 DIRECTIONS: tuple[Direction, ...] = ("both", "to_companion", "to_vehicle")
 FIELDS: tuple[RangingField, ...] = ("both", "range", "bearing")
+FENCE_PARAMETERS = ("FENCE_RADIUS", "FENCE_ALT_MAX", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
+"""Of both autopilots; a station that sets one of the other's changes nothing."""
 COMPONENTS = get_args(ComponentName)
 TYPES = get_args(VehicleTypeName)
 JUMP_M = 7.0
@@ -341,6 +343,16 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
     lambda d: faults.ReplayedFrames(rate_hz=d.spread(10.0, 500.0)),
     lambda d: faults.UnsignedFrames(rate_hz=d.spread(10.0, 500.0)),
     lambda d: faults.ForeignFrames(rate_hz=d.spread(10.0, 500.0)),
+    lambda _: incidents.FalseLanding(),
+    lambda d: incidents.StationHome(
+        east_m=d.number(-25.0, 25.0), north_m=d.number(-25.0, 25.0), shares_line=d.happens(0.5)
+    ),
+    lambda d: incidents.StationParameter(
+        name=d.one(FENCE_PARAMETERS), value=d.number(60.0, 300.0), shares_line=d.happens(0.5)
+    ),
+    lambda d: incidents.StationRates(
+        message=d.one(MUTED), rate_hz=d.one((0.0, 0.2, 1.0)), shares_line=d.happens(0.5)
+    ),
     lambda d: incidents.OtherComponent(component=d.one(COMPONENTS)),
     lambda d: faults.OtherVehicle(
         system_id=d.one((1, 1, 2)),

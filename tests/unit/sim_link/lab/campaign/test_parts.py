@@ -45,10 +45,8 @@ def test_every_part_is_tried() -> None:
 
 NOT_DRAWN = {
     "rc_loss",  # there is no transmitter
-    *("station_fence", "station_home", "station_parameter", "station_rates"),
-    "false_landing",
+    "station_fence",  # flown in tests/loop/test_third_parties.py: the monitor knows one fence
 }
-"""Flown in lockstep tests of their own; the monitor does not know another station's fence yet."""
 
 
 @pytest.mark.slow
