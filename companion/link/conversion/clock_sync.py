@@ -3,12 +3,14 @@
 Theory of operation. We send our time, the autopilot mirrors it and adds its own; half a round trip
 later its answer is here. The offset between the clocks follows from the middle of that trip, and
 is wrong by at most half of it, where the two ways differ. An answer counts only if its round trip
-is within 10 ms of the best of the last sixteen, because what is slow is slow on one way only.
+is within 10 ms of the best of the last eight seconds, because what is slow is slow on one way only.
 
 A simulated autopilot on a busy computer runs slow by per cents, so offset and rate are estimated
 together, by a Kalman filter of two states. An exchange that deviates clearly from what they
 foretell is left out; five in a row that agree with each other are a clock that slipped, or stood
-still, and the filter begins anew with them. While they do, questions follow each other quickly.
+still, and the filter begins anew with them. While they do, questions follow each other quickly. An
+answer that is dated back makes the offset too large, never too small: exchanges below what is
+foretold stay in the row, although one above it agrees in between.
 
 Only the answer to a question of ours counts, and once: somebody else's, a late one's or an invented
 one cannot move the clock. A clock that went back is that of an autopilot that restarted only if it
@@ -34,6 +36,9 @@ FIRST_EXCHANGES = 10
 PERIOD_S = 0.5
 """So often at least, because a restart shall be known within a second."""
 BEST_OF = 16
+"""Periods in which the shortest round trip is looked for, however many answers come at once."""
+MAX_ROUND_TRIPS = 128
+"""Of as many periods of quick questions, and of those that waited."""
 SLOWER_S = 0.010
 DEVIATION_S = 0.05
 """Farther from what was foretold than this, and than five sigma, is another clock."""
@@ -55,6 +60,10 @@ SIGNIFICANT = 4.0
 """A rate smaller than so many sigma is none."""
 OFFSET_NOISE_S = 1e-5
 EXCHANGE_SIGMA_S = 5e-4
+DATED_BACK_S = 0.09
+"""ArduPilot dates a TIMESYNC request back by what waits in its receive buffer, 10 bit a byte at
+57,600 baud, on TCP and UDP, too: by 3 to 27 ms as a rule, by 512 bytes at most (AP_HAL_SITL
+`UARTDriver::receive_time_constraint_us`). Stamps then seem to arrive before they were sent."""
 MEDIAN_OF_CHORD = 0.6745 * math.sqrt(1.5)
 """Median distance, in sigma, of a normal value from the middle of two others."""
 KNOWN_SIGMA_S = 0.02
@@ -235,7 +244,8 @@ class ClockSync:
         self.resets = 0
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self._next_s = 0.0
-        self._round_trips_s: deque[float] = deque(maxlen=BEST_OF)
+        self._round_trips: deque[tuple[float, float]] = deque(maxlen=MAX_ROUND_TRIPS)
+        """When answers came, and their round trips, seconds."""
         self.round_trip_s: float | None = None
         """The best of the last exchanges; None before the first."""
         self._filter: OffsetFilter | None = None
@@ -296,14 +306,19 @@ class ClockSync:
         else:
             self._slow_s = now_s
         round_trip_s = max(0.0, now_s - sent_s)
-        self._round_trips_s.append(round_trip_s)
-        self.round_trip_s = min(self._round_trips_s)
+        self._round_trips.append((now_s, round_trip_s))
+        while now_s - self._round_trips[0][0] > BEST_OF * PERIOD_S:
+            self._round_trips.popleft()
+        round_trips_s = [each_s for _, each_s in self._round_trips]
+        self.round_trip_s = min(round_trips_s)
         slower_s = round_trip_s - self.round_trip_s
         if slower_s > SLOWER_S:
             self.slow += 1
             return
         middle_s = (sent_s + now_s) / 2.0
-        spread_s = statistics.median(self._round_trips_s) - self.round_trip_s
+        beyond_s = [each_s - self.round_trip_s for each_s in round_trips_s]
+        counted_s = [each_s for each_s in beyond_s if each_s <= SLOWER_S]
+        spread_s = statistics.median(counted_s[-BEST_OF:])
         sigma_s = EXCHANGE_SIGMA_S + slower_s / 2.0 + spread_s / 6.0
         self.pace.add(middle_s, message.tc1 / NS_PER_S)
         self._scatter.add(middle_s, middle_s - message.tc1 / NS_PER_S)
@@ -325,7 +340,7 @@ class ClockSync:
         """Begin anew, because the autopilot did."""
         self._newest, self._has_restarted = None, False
         self._open.clear()
-        self._round_trips_s.clear()
+        self._round_trips.clear()
         self.round_trip_s = None
         self._filter = None
         self._scatter, self.pace = ExchangeScatter(), ClockPace()
@@ -345,6 +360,14 @@ class ClockSync:
             self._has_restarted |= is_back and remote_ns / NS_PER_S <= passed_s + REBOOT_BACKWARD_S
         self._newest = (sent_s, remote_ns)
 
+    def _is_below(self, at_s: float) -> bool:
+        """Return True if exchanges of late deviate to the side to which no answer is dated."""
+        if not self._deviating or self._filter is None:
+            return False
+        first_s, first_offset_s = self._deviating[0]
+        is_late = at_s - first_s <= PACE_WINDOW_S
+        return is_late and first_offset_s < self._filter.at_s(first_s)
+
     def _take(self, offset_s: float, at_s: float, sigma_s: float) -> None:
         if self._filter is None:
             first_sigma_s = sigma_s + (self.round_trip_s or 0.0) / 4.0
@@ -354,9 +377,11 @@ class ClockSync:
         if self._filter.update(offset_s, at_s, sigma_s):
             self._used += 1
             self._agreed_s.append(at_s)
-            self._deviating.clear()
+            if not self._is_below(at_s):
+                self._deviating.clear()
             return
-        self._agreed_s.clear()
+        if not 0.0 < offset_s - self._filter.at_s(at_s) <= DATED_BACK_S:
+            self._agreed_s.clear()
         if self._deviating:
             first_s, first_offset_s = self._deviating[0]
             allowed_s = DEVIATION_S + MAX_PACE * abs(at_s - first_s)

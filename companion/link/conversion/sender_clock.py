@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from companion.link.conversion.clock_sync import (
+    DATED_BACK_S,
     DRIFT_ALLOWANCE,
     MAX_RATE,
     NO_RATE,
@@ -318,10 +319,6 @@ class SenderClock:
 
 
 CLOCK_TOLERANCE_S = 0.03
-DATED_BACK_S = 0.09
-"""ArduPilot dates a TIMESYNC request back by what waits in its receive buffer, 10 bit a byte at
-57,600 baud, on TCP and UDP, too: by 3 to 27 ms as observed, by 512 bytes at most (AP_HAL_SITL
-`UARTDriver::receive_time_constraint_us`). Stamps then seem to arrive before they were sent."""
 ONE_SLIP_S = 5.0
 """Stamps and exchange show the same slip within this time, unless the stamps gained so much again
 that the clock is wild: that is another slip."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import math
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +21,7 @@ from companion.link.conversion.sender_clock import (
 from companion.mav.addressing import TargetedTimesync
 from companion.mav.dialect import Message, mavlink
 
+RECORDED = Path(__file__).parents[4] / "data/clocks/arducopter_stopped.csv"
 UP_S = 100.0
 """How long the autopilot was up when it was first heard."""
 TICK_S = 0.05
@@ -223,6 +227,31 @@ def test_a_clock_that_stood_still_is_found_out_though_answers_are_dated_back(
     during = autopilot.run(3.0)
     assert worst_s(autopilot.run(30.0)) < GOOD_S
     assert set(steps(during)) == {ClockStep.SLIP}
+
+
+def test_answers_that_waited_do_not_pass_for_the_clock_after_a_slip() -> None:
+    """ArduCopter 4.5.5 in simulation, stopped for 1.2 and 3 s, as its TIMESYNC and stamps came.
+
+    One answer in five is dated back by 70 ms, and those that waited by up to a second.
+    """
+    sync = ClockSync()
+    clock = VehicleClock(sync)
+    true_offset_s, misread_s = math.inf, []
+    with RECORDED.open(newline="") as file:
+        for row in csv.DictReader(file):
+            now_s, autopilot_s = float(row["received_s"]), float(row["autopilot_s"])
+            if row["sent_s"]:
+                sync._open.append(sent_ns := round(1e9 * float(row["sent_s"])))
+                answer = mavlink.MAVLink_timesync_message(round(1e9 * autopilot_s), sent_ns)
+                sync.receive(answer, now_s)
+                continue
+            true_offset_s = now_s - autopilot_s
+            if now_s > 4.0 and abs(clock.read(autopilot_s, now_s).time_s - now_s) > GOOD_S:
+                misread_s.append(now_s)
+    resumed_s = (misread_s[0], next(s for s in misread_s if s > misread_s[0] + 6.0))
+    assert all(any(0.0 <= s - each_s < 2.5 for each_s in resumed_s) for s in misread_s)
+    assert clock.offset_at_s(now_s) == pytest.approx(true_offset_s, abs=GOOD_S)
+    assert clock.slips >= 2
 
 
 @pytest.mark.parametrize("dated_back_s", [(0.0, 0.0), ARDUPILOT_BACK_S])
