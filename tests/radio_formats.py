@@ -98,6 +98,9 @@ FORMATS = (
     Format("ftm_csv", "ftm_csv", 0.5e-2),
     Format("iw_ftm", "iw_ftm", 0.8e-4, time_s=1e-6, sigma_m=1e-3),
     Format("android_rtt", "android_rtt", 0.5e-3, time_s=UNIX_MS, sigma_m=0.5e-3, has_quality=True),
+    Format("trek1000", "trek1000", 0.5e-3, options={"hidden": "tag"}),
+    Format("channel_sounding", "channel_sounding", 0.5e-6),
+    Format("silabs_aoa", "silabs_aoa", None, 0.005, 0.005),
     Format("sx1280", "sx1280", 0.0226, options={"bandwidth_khz": 812.5}),
     Format("srsran_4g", "srsran_4g", 0.5 * LTE_STEP_M, options={"offset_steps": 0}),
     Format(

@@ -7,7 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.errors import ConfigError
-from sim_link.emulators import bearings, cellular, nlink, plain_lines, uwb_binary, uwb_text, wifi
+from sim_link.emulators import (
+    bearings,
+    cellular,
+    more_lines,
+    nlink,
+    plain_lines,
+    uwb_binary,
+    uwb_text,
+    wifi,
+)
 from sim_link.emulators.emulator import Emulator
 
 KINDS: tuple[type[Emulator], ...] = (
@@ -34,6 +43,9 @@ KINDS: tuple[type[Emulator], ...] = (
     wifi.FtmCsv,
     wifi.IwFtm,
     wifi.AndroidRtt,
+    more_lines.Trek1000,
+    more_lines.ChannelSounding,
+    more_lines.SilabsAoa,
     plain_lines.Sx1280,
     cellular.Srsran4g,
     cellular.Srsran,

@@ -45,7 +45,7 @@ FIGURES = os.environ.get("RADIO_FIGURES")
 POLL_S = 0.03
 """As often as at that speed there is something new."""
 ONE_OF_EACH_LINE = ("ndjson", "fira_uci", "pdoa_js", "kraken", "lines", "iw_ftm", "android_rtt")
-BY_PAGE = ("kraken", "kraken_xml")
+BY_PAGE = ("kraken", "kraken_suite", "kraken_xml")
 BY_UDP = ("ndjson", "nlink_iot", "makerfabs_at")
 BY_TCP = ("lines", "srsran", "pans")
 BY_FILE = ("android_rtt", "oai")

@@ -17,6 +17,9 @@ ALIKE = {
     "ftm_csv": "esp32_ftm",
     "kraken_xml": "kraken",
     "pans_tlv": "pans",
+    "trek1000": "pans",
+    "channel_sounding": "lines",
+    "silabs_aoa": "uudf",
 }
 """Radios that are set up as another one is."""
 

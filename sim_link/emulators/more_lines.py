@@ -1,0 +1,112 @@
+"""Radios that print lines: TREK1000, Nordic's channel sounding, Silicon Labs' angles by MQTT.
+
+Sources: Decawave, TREK1000 user manual; Nordic, sample `channel_sounding_ras_initiator`; Silicon
+Labs, JSON of `bt_aoa_host_locator` as a subscriber prints it with its topic.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sim_link.emulators.bearings import turned_rad
+from sim_link.emulators.emulator import Answer, Emulator, Round, lines
+
+TAGS = 8
+
+
+def mc_report(range_mm: int, tag: int, sequence: int, clock_ms: int) -> str:
+    """A tag's range to anchor 0, which prints it; anchors 1 to 3 are not there."""
+    rest = " ".join(["00000000"] * 3)
+    return (
+        f"mc 01 {range_mm:08x} {rest} {sequence & 0xFFFF:04x} {sequence & 0xFF:02x} "
+        f"{clock_ms & 0xFFFFFFFF:08x} a{tag}:0"
+    )
+
+
+class Trek1000(Emulator):
+    """Anchor 0 of a kit and its tags, whole millimetres; raw reports beside the corrected."""
+
+    name = "trek1000"
+    title = "Decawave TREK1000, mc reports"
+    ids = range(TAGS)
+    most = TAGS
+
+    def tell(self, asked: Round) -> bytes:
+        """Both reports of each tag that answered."""
+        texts = []
+        for answer in asked.heard:
+            if answer.range_m is not None:
+                range_mm, clock_ms = round(1e3 * answer.range_m), self.device_ms(asked.told_s)
+                number = self.next_number()
+                report = mc_report(max(0, range_mm), answer.emitter_id, number, clock_ms)
+                texts += [report.replace("mc", "mr", 1), report]
+        return lines(texts)
+
+
+class ChannelSounding(Emulator):
+    """Nordic's initiator, one reflector; two antenna paths."""
+
+    name = "channel_sounding"
+    title = "Nordic channel sounding, RAS initiator"
+    rate_hz = 5.0
+    most = 1
+
+    def boot(self) -> bytes:
+        """The console of Zephyr."""
+        return lines(["*** Booting nRF Connect SDK v3.0.1 ***", "I: Starting initiator sample"])
+
+    def tell(self, asked: Round) -> bytes:
+        """A line for each antenna path."""
+        return lines(
+            [
+                f"I: Distance estimates on antenna path {path}: ifft: {answer.range_m:.6f}, "
+                f"phase_slope: {answer.range_m + 0.4:.6f}, rtt: {answer.range_m + 1.9:.6f}"
+                for answer in asked.heard
+                if answer.range_m is not None
+                for path in range(2)
+            ]
+        )
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
+        """None."""
+        return ""
+
+
+class SilabsAoa(Emulator):
+    """A locator upright: degrees about it, to the right and upwards, hundredths."""
+
+    name = "silabs_aoa"
+    title = "Silicon Labs AoA, JSON by MQTT"
+    gives = "azimuth, elevation"
+    antenna = "planar"
+    measures = "bearing"
+
+    def tell(self, asked: Round) -> bytes:
+        """An object for each tag, over its lines."""
+        heard = [answer for answer in asked.heard if answer.azimuth_rad is not None]
+        return b"".join(self._object(answer) for answer in heard)
+
+    def _object(self, answer: Answer) -> bytes:
+        azimuth_deg = math.degrees(turned_rad(answer))
+        elevation_deg = math.degrees(answer.elevation_rad or 0.0)
+        topic = (
+            f"silabs/aoa/angle/ble-pd-0C4314F46B2D/ble-pd-{self.name_on_wire(answer.emitter_id)}"
+        )
+        return lines(
+            [
+                f"{topic} {{",
+                f'\t"azimuth":\t{azimuth_deg:.2f},',
+                '\t"azimuth_stdev":\t5.00,',
+                f'\t"elevation":\t{elevation_deg:.2f},',
+                '\t"elevation_stdev":\t5.00,',
+                '\t"distance":\t0.04,',
+                f'\t"sequence":\t{self.next_number(65536)}',
+                "}",
+            ]
+        )
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:
+        """The tag's address."""
+        return f"02000000{emitter_id:04X}"
