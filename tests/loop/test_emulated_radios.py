@@ -9,12 +9,14 @@ import os
 from collections.abc import Sequence
 from functools import cache
 
+import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
+from sim_link.autopilot.scenario import Scenario
 from sim_link.emulators.catalogue import make_emulator
 from tests.loop.emulated_radio import (
     Coarsen,
@@ -71,6 +73,19 @@ def by_the_board(now_s: float) -> int:
     return 1000 * UUDF_MS(now_s)
 
 
+def knowing(config: CompanionConfig, scenario: Scenario) -> CompanionConfig:
+    """Return the configuration with the scenario's sigmas: no reported one counts as less."""
+    sigma_deg = scenario.payload.antenna.sigma_deg or scenario.channel.bearing_sigma_deg
+    filter_params = msgspec.structs.replace(
+        config.estimation.filter,
+        range_sigma_m=scenario.channel.range_sigma_m,
+        bearing_sigma_deg=sigma_deg,
+        elevation_sigma_deg=sigma_deg,
+    )
+    estimation = msgspec.structs.replace(config.estimation, filter=filter_params)
+    return msgspec.structs.replace(config, estimation=estimation)
+
+
 def flown(
     place: str,
     format_: Format | None,
@@ -80,6 +95,8 @@ def flown(
 ) -> tuple[float, float, float]:
     """Error, R95 and time of a flight that localised the emitter, metres and seconds."""
     scenario, config = place_of(place).scenario, place_of(place).config
+    if format_ is None:  # RADIO_RANGING reports the sigmas that a format's settings state
+        config = knowing(config, scenario)
     emulator = None if format_ is None else make_emulator(format_.name, seed)
     emitter_id = scenario.emitter.emitter_id
 

@@ -97,7 +97,7 @@ def test_a_fence_that_is_none_is_refused(
     config = tmp_path / "site.yaml"
     config.write_text("limits: {fence_file: site.plan}")
     again = complaint(capsys, "--connect", OPEN, "--config", str(config), "--quiet")
-    assert again == line
+    assert again == line.replace("companion: ", f"companion: {config}: $.limits.fence_file: ")
 
 
 @pytest.mark.parametrize(
