@@ -100,6 +100,14 @@ def in_degrees_about_an_upright(heard: RangingMeasurement) -> RangingMeasurement
     return replace(heard, bearing_body_rad=across_rad, elevation_rad=elevation_rad)
 
 
+def to_five_degrees(heard: RangingMeasurement) -> RangingMeasurement:
+    """Angles in hundredths, with the standard deviation that the locator's emulator prints."""
+    sigma_rad = math.radians(5.0)
+    return replace(
+        in_steps(1.0, 0.01)(heard), bearing_sigma_rad=sigma_rad, elevation_sigma_rad=sigma_rad
+    )
+
+
 def _whole(angle_rad: float) -> float:
     return math.radians(round(math.degrees(angle_rad)))
 

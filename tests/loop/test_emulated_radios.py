@@ -28,6 +28,7 @@ from tests.loop.emulated_radio import (
     in_degrees_about_an_upright,
     in_steps,
     of_a_cell,
+    to_five_degrees,
     without_a_clock,
 )
 from tests.loop.loop_helpers import Loop
@@ -52,6 +53,7 @@ COARSE = {
     "kraken_suite": in_degrees,
     "kraken_xml": in_degrees,
     "uudf": in_degrees_about_an_upright,
+    "silabs_aoa": to_five_degrees,
     "nlink_iot": in_steps(1e-3, 0.01),
     "fira_uci": in_steps(0.01, 1.0 / 128.0),
     "sr150": in_steps(0.01, 1.0 / 128.0),
@@ -94,9 +96,8 @@ def flown(
     seed: int = SEED,
 ) -> tuple[float, float, float]:
     """Error, R95 and time of a flight that localised the emitter, metres and seconds."""
-    scenario, config = place_of(place).scenario, place_of(place).config
-    if format_ is None:  # RADIO_RANGING reports the sigmas that a format's settings state
-        config = knowing(config, scenario)
+    scenario = place_of(place).scenario
+    config = knowing(place_of(place).config, scenario)
     emulator = None if format_ is None else make_emulator(format_.name, seed)
     emitter_id = scenario.emitter.emitter_id
 
