@@ -18,6 +18,7 @@ from companion.estimation.integrity.target_motion import (
     TargetMotion,
     motion_of,
 )
+from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
@@ -221,6 +222,11 @@ def tracked(rows: Matrix, tracker: TargetTracker) -> list[float]:
     return radii
 
 
+def never(*_: object) -> Steps[None]:
+    """Look at nothing, in no step."""
+    yield from ()
+
+
 @pytest.mark.slow
 def test_a_tracker_sees_a_target_walk_and_leaves_the_estimate_as_it_is(
     monkeypatch: pytest.MonkeyPatch,
@@ -230,5 +236,5 @@ def test_a_tracker_sees_a_target_walk_and_leaves_the_estimate_as_it_is(
     radii = tracked(rows, tracker)
     assert tracker.watch.motion is not None
     assert tracker.watch.motion.speed_mps == pytest.approx(0.5, abs=0.2)
-    monkeypatch.setattr(MotionWatch, "look", lambda *_: None)
+    monkeypatch.setattr(MotionWatch, "look", Stepwise(never))
     assert tracked(rows, TargetTracker(TrackerParams(filter=params()))) == radii
