@@ -117,15 +117,16 @@ class CompanionEndpoint:
         self._presence = Presence(session, self.outlet, has_icon=params.link.gcs_icon)
         clock = self.executor.inbound.clock
         self._vehicle_ranging = MavlinkRanging(SourceContext(vehicle.codec, clock))
-        self._sources: dict[int, RangingSource] = {
-            number: MavlinkRanging(SourceContext(self._intakes[number].codec, clock))
-            if link.radio is None
-            else RadioStage(link.radio)
+        self._sources = {
+            number: self._make_source(number, link)
             for number, link in enumerate(params.links)
             if link.role is LinkRole.RANGING
         }
-        stages = [source for source in self._sources.values() if isinstance(source, RadioStage)]
-        self.radios = tuple(RadioWatch(stage) for stage in stages)
+        self.radios = tuple(
+            RadioWatch(source)
+            for source in self._sources.values()
+            if isinstance(source, RadioStage)
+        )
         """In the order of their links."""
         self._binds = 0
         self._problem: str | None = None
@@ -146,6 +147,13 @@ class CompanionEndpoint:
         codec = MavCodec(params.vehicle.system_id or 1, component_id, signing)
         binding = self.binding if link.role is LinkRole.VEHICLE else None
         return Intake(codec, binding, is_raw=link.radio is not None)
+
+    def _make_source(self, number: int, link: LinkSpec) -> RangingSource:
+        """Return the reader of a ranging link: of MAVLink, or of a radio's own format."""
+        if link.radio is not None:
+            return RadioStage(link.radio)
+        clock = self.executor.inbound.clock
+        return MavlinkRanging(SourceContext(self._intakes[number].codec, clock))
 
     # The Endpoint protocol
 

@@ -4,8 +4,8 @@ The autopilot passes on what is broadcast, so ground stations behind it hear tha
 own gets the same beside. Setpoints and commands only ever leave by the vehicle link.
 
 A router that forwards to everyone sends our frames back to us, byte by byte as they were. A frame
-with our ids that we did not send is somebody else's. Another kind of component that has our
-component id, as MAVROS2 has 191, is no rival: where no id is configured the companion takes the
+with our ids that we did not send comes from another component. Another kind of component that has
+our component id, as MAVROS2 has 191, is no rival: where no id is configured the companion takes the
 next free one, before it has control and never in flight. A second companion of this kind is one,
 under whatever component id: both would obey the operator and fight over the setpoints. It is known
 by setpoints and estimates, and by a mark that each companion sends once a second while it hears

@@ -1,4 +1,4 @@
-"""Columns of somebody's CSV of ranges, by what their names mean.
+"""Columns of a CSV of ranges, by what their names mean.
 
 `Distance (mm)`, `distanceMm` and `AP1 RTT(mm)` are ranges in millimetres; `distance` is one whose
 unit is not known. A name with more than a quantity, a unit and what usually stands before them

@@ -218,7 +218,7 @@ class AndroidRttDecoder(FieldDecoder):
         return readings
 
     def _time_unit(self, unit: str, text: str) -> str:
-        """Empty: neither told, nor a date of this century; then the time of arrival counts."""
+        """Empty: neither given, nor a date of this century; then the time of arrival counts."""
         if self.options.time_unit != "auto" or unit:
             return unit if self.options.time_unit == "auto" else self.options.time_unit
         digits = text.partition(".")[0]

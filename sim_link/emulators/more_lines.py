@@ -68,8 +68,8 @@ class ChannelSounding(Emulator):
         )
 
     @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
-        """None."""
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  no id is printed
+        """Return nothing: the format has no id of the emitter."""
         return ""
 
 

@@ -332,8 +332,8 @@ class FilterParams(Params, frozen=True, dict=True):
         if reported == (None, None, None):
             return believed
         ranged, borne, elevated = (
-            _within(told, own if least is None else least, most, own)
-            for told, least, most, own in zip(
+            _within(sigma, own if least is None else least, most, own)
+            for sigma, least, most, own in zip(
                 reported, m.least_sigmas, VAGUEST, believed, strict=True
             )
         )

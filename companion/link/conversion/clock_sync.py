@@ -8,11 +8,11 @@ is within 10 ms of the best of the last eight seconds, because what is slow is s
 A simulated autopilot on a busy computer runs slow by per cents, so offset and rate are estimated
 together, by a Kalman filter of two states. An exchange that deviates clearly from what they
 foretell is left out; five in a row that agree with each other are a clock that slipped, or stood
-still, and the filter begins anew with them. While they do, questions follow each other quickly. An
+still, and the filter starts over with them. While they do, questions follow each other quickly. An
 answer that is dated back makes the offset too large, never too small: exchanges below what is
 foretold stay in the row, although one above it agrees in between.
 
-Only the answer to a question of ours counts, and once: somebody else's, a late one's or an invented
+Only the answer to a question of ours counts, and once: another station's, a late or an invented
 one cannot move the clock. A clock that went back is that of an autopilot that restarted only if it
 shows no more time than can have passed since then; otherwise it slipped.
 
