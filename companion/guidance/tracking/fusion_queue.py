@@ -51,13 +51,23 @@ class FusionQueue:
         return sum(len(queue) for queue in self._queues.values())
 
     def add(self, queued: Queued) -> bool:
-        """Queue a measurement; return whether it took the place of an older one."""
+        """Queue a measurement; return True if it took the place of an older one."""
         is_full = len(self) >= MOST_QUEUED
         if is_full:
-            longest = max(self._queues.values(), key=len)
-            del longest[1 if len(longest) > 1 else 0]  # the first one may be begun
+            self._give_way()
         self._queues.setdefault(queued.measurement.emitter_id, deque()).append(queued)
         return is_full
+
+    def _give_way(self) -> None:
+        """Drop the oldest measurement of the longest queue that is not begun."""
+
+        def waiting(key: int) -> int:
+            return len(self._queues[key]) - (key in self._begun)
+
+        longest = max(self._queues, key=waiting)
+        del self._queues[longest][longest in self._begun]
+        if not self._queues[longest]:
+            del self._queues[longest]
 
     def renew(self) -> None:
         """Allow the steps of another wake-up."""

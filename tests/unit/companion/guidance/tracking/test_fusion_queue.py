@@ -98,6 +98,23 @@ def test_of_too_many_the_oldest_that_is_not_begun_gives_way() -> None:
     assert seen == [0.0, *(float(number) for number in range(2, MOST_QUEUED)), 999.0]
 
 
+@pytest.mark.parametrize("is_begun", [True, False])
+def test_more_emitters_than_places_leave_none_without_a_measurement(is_begun: bool) -> None:
+    """As forged ids do: each has one measurement, and none that is begun is lost."""
+    worker = Worker(steps=1)
+    worker.add(0, 0.0)
+    if is_begun:
+        worker.wake()
+    for number in range(1, 2 * MOST_QUEUED):
+        worker.add(number, float(number))
+    assert len(worker.queue) == MOST_QUEUED
+    finished = sum(worker.wake() for _ in range(4 * MOST_QUEUED))
+    assert finished == MOST_QUEUED
+    assert len(worker.queue) == 0
+    assert ((0, 0.0) in worker.noted) is is_begun
+    assert (2 * MOST_QUEUED - 1, 2.0 * MOST_QUEUED - 1.0) in worker.noted
+
+
 def test_what_makes_a_filter_fail_is_not_tried_again() -> None:
     def fail(queued: Queued) -> Steps[FusionReport]:
         yield 0
