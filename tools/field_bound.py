@@ -16,14 +16,14 @@ from companion.domain import FlightMode
 from companion.entry import outlive_readers
 from companion.kernel import Matrix, Vector
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.field_flights import FieldFlight, flights_of
-from sim_link.lab.evaluation.reporting.study_tables import studies_of
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 from sim_link.world.antenna import AntennaModelParams, direction_enu, seen_by_antenna
 from sim_link.world.attitude import EulerAngles
 from sim_link.world.environment import in_the_field
 from tools.console import OneLineParser
 from tools.run_study import STUDIES
+from tools.study.field_flights import FieldFlight, flights_of
+from tools.study.reporting.study_tables import studies_of
 
 STEP = 1e-4
 COMPASS, OFFSET, PARAMETERS = 3, 4, 5

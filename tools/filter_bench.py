@@ -41,7 +41,7 @@ from companion.estimation.window.map_kernels import (
     measured_offs,
 )
 from companion.kernel import Matrix, Vector, kernel
-from sim_link.lab.evaluation.case import (
+from tools.study.case import (
     CHANNEL,
     TRUTH,
     Case,
@@ -51,8 +51,8 @@ from sim_link.lab.evaluation.case import (
     track_of,
     truth_of,
 )
-from sim_link.lab.evaluation.systems import System, belief_of, recursive_filter_of
-from sim_link.lab.evaluation.walk import WalkFilter, first_fix, updated
+from tools.study.systems import System, belief_of, recursive_filter_of
+from tools.study.walk import WalkFilter, first_fix, updated
 
 WINDOW = 200
 """Measurements of the window whose solution is timed."""

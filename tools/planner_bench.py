@@ -45,19 +45,6 @@ from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.crossing_kernels import NO_LATCH, LatchRule, latched_step
 from companion.planning.views import Antenna, best_reach_m, leg_over, rate
-from sim_link.lab.evaluation.campaign import run_trial
-from sim_link.lab.evaluation.case import PLANNER, Case, channel_draws, measured, stream
-from sim_link.lab.evaluation.reporting.study_tables import metrics_of, number, rows_about
-from sim_link.lab.evaluation.study import Cell, ResultRow, StudyResult, cells_of
-from sim_link.lab.evaluation.systems import System, belief_of, steering_of
-from sim_link.lab.evaluation.walk import (
-    FIXED,
-    WalkFilter,
-    WalkSteering,
-    first_fix,
-    next_place,
-    updated,
-)
 from tools.filter_bench import (
     FILTERPY_UPDATE,
     SEED,
@@ -65,6 +52,19 @@ from tools.filter_bench import (
     Walk,
     filterpy_seconds,
     timed,
+)
+from tools.study.case import PLANNER, Case, channel_draws, measured, stream
+from tools.study.reporting.study_tables import metrics_of, number, rows_about
+from tools.study.study import Cell, ResultRow, StudyResult, cells_of
+from tools.study.systems import System, belief_of, steering_of
+from tools.study.trials import run_trial
+from tools.study.walk import (
+    FIXED,
+    WalkFilter,
+    WalkSteering,
+    first_fix,
+    next_place,
+    updated,
 )
 
 

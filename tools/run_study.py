@@ -20,18 +20,20 @@ import msgspec
 from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
-from sim_link.lab.campaign.field_flights import flights_of, fly_all, rows_kept
-from sim_link.lab.evaluation.campaign import RunSeries
-from sim_link.lab.evaluation.filterpy_ekf import LARGEST_DIFFERENCE_M, EkfCheck
-from sim_link.lab.evaluation.reporting.field_report import drawing_of, markdown_of, summary_of
-from sim_link.lab.evaluation.reporting.study_report import Section, write_page, write_report
-from sim_link.lab.evaluation.reporting.study_tables import (
+from sim_link.lab.pool import WorkerLostError, open_pool
+from tools.console import OneLineParser, non_negative, positive, shown
+from tools.planner_bench import costs_of
+from tools.study.ekf_check import LARGEST_DIFFERENCE_M, EkfCheck
+from tools.study.field_flights import flights_of, fly_all, rows_kept
+from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of
+from tools.study.reporting.study_report import Section, write_page, write_report
+from tools.study.reporting.study_tables import (
     rows_of,
     studies_of,
 )
-from sim_link.lab.evaluation.reporting.tables import tables_of
-from sim_link.lab.evaluation.study import FlightRow, ResultRow, Study, StudyResult
-from sim_link.lab.evaluation.study_run import (
+from tools.study.reporting.tables import tables_of
+from tools.study.study import FlightRow, ResultRow, Study, StudyResult
+from tools.study.study_run import (
     FOLDER_NAME,
     PlannedStudy,
     Store,
@@ -42,9 +44,7 @@ from sim_link.lab.evaluation.study_run import (
     results_of,
     work_of,
 )
-from sim_link.lab.pool import WorkerLostError, open_pool
-from tools.console import OneLineParser, non_negative, positive, shown
-from tools.planner_bench import costs_of
+from tools.study.trials import RunSeries
 
 STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 

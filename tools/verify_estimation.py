@@ -37,20 +37,20 @@ import numpy as np
 from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
-from sim_link.lab.evaluation.campaign import RunSeries, RunTally, joined_in_order, tally_of
-from sim_link.lab.evaluation.case import PAPER_BELIEF, Case, Offsets
-from sim_link.lab.evaluation.metrics import (
+from sim_link.lab.pool import open_pool
+from sim_link.world.environment import ChannelParams
+from tools.console import OneLineParser, non_negative, positive
+from tools.study.case import PAPER_BELIEF, Case, Offsets
+from tools.study.metrics import (
     COVERAGE_BAND,
     SETTLED_STEP,
     diverged_count,
     nees_band,
     steps_to_settle,
 )
-from sim_link.lab.evaluation.reporting.study_tables import rmse_interval_m
-from sim_link.lab.evaluation.systems import FilterName, PlannerName, System
-from sim_link.lab.pool import open_pool
-from sim_link.world.environment import ChannelParams
-from tools.console import OneLineParser, non_negative, positive
+from tools.study.reporting.study_tables import rmse_interval_m
+from tools.study.systems import FilterName, PlannerName, System
+from tools.study.trials import RunSeries, RunTally, joined_in_order, tally_of
 from tools.walk_choice import left_out_lines, mixture_lines
 from tools.walk_figures import walk_lines
 

@@ -20,7 +20,7 @@ from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
 from tools.hostile_campaign import MakeFilter, fault_of
 
-FILTERPY = "sim_link.lab.evaluation.filterpy_ekf"
+FILTERPY = "tools.study.filterpy_ekf"
 
 
 def filters() -> dict[str, MakeFilter]:

@@ -39,8 +39,10 @@ from companion.planning.crossing_kernels import NO_LATCH
 from companion.planning.planner import Plan, Planner, PlanRequest
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.evaluation.campaign import TrialResult, flown_trial, run_trial
-from sim_link.lab.evaluation.case import (
+from sim_link.world.environment import EmitterParams
+from tests.loop.loop_helpers import Loop
+from tools.planner_bench import believed
+from tools.study.case import (
     TRUTH,
     Case,
     channel_draws,
@@ -50,11 +52,9 @@ from sim_link.lab.evaluation.case import (
     stream,
     truth_of,
 )
-from sim_link.lab.evaluation.systems import PlannerName, System, belief_of, pilot_of, steering_of
-from sim_link.lab.evaluation.walk import next_place
-from sim_link.world.environment import EmitterParams
-from tests.loop.loop_helpers import Loop
-from tools.planner_bench import believed
+from tools.study.systems import PlannerName, System, belief_of, pilot_of, steering_of
+from tools.study.trials import TrialResult, flown_trial, run_trial
+from tools.study.walk import next_place
 
 STEPS = 150
 FEW_STEPS = 60

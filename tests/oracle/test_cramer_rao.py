@@ -10,7 +10,8 @@ import pytest
 from scipy.stats import exponnorm, norm
 
 from companion.kernel import Matrix, Vector
-from sim_link.lab.evaluation.case import (
+from sim_link.world.environment import ChannelParams
+from tools.study.case import (
     CHANNEL,
     TRUTH,
     Case,
@@ -20,13 +21,12 @@ from sim_link.lab.evaluation.case import (
     track_of,
     truth_of,
 )
-from sim_link.lab.evaluation.metrics import (
+from tools.study.metrics import (
     ChannelInformation,
     channel_information,
     modified_normal,
     position_bounds_m2,
 )
-from sim_link.world.environment import ChannelParams
 
 PAPER = ChannelParams()
 TARGET = np.array([50.0, 50.0])

@@ -11,9 +11,9 @@ import pytest
 from companion.domain import RangingMeasurement
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
-from sim_link.lab.evaluation.campaign import run_trial
-from sim_link.lab.evaluation.case import Case, channel_draws, measured, run_seeds
-from sim_link.lab.evaluation.systems import PlannerName, System
+from tools.study.case import Case, channel_draws, measured, run_seeds
+from tools.study.systems import PlannerName, System
+from tools.study.trials import run_trial
 
 pytestmark = pytest.mark.slow
 

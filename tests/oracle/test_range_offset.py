@@ -14,10 +14,10 @@ import pytest
 from scipy.optimize import brentq
 
 from companion.estimation.filters.robust_update import asymmetric_huber_influence
-from sim_link.lab.evaluation.campaign import RunSeries, tally_of
-from sim_link.lab.evaluation.case import Case
-from sim_link.lab.evaluation.metrics import modified_normal, normal
-from sim_link.lab.evaluation.systems import FilterName, System
+from tools.study.case import Case
+from tools.study.metrics import modified_normal, normal
+from tools.study.systems import FilterName, System
+from tools.study.trials import RunSeries, tally_of
 
 RUNS = 20
 

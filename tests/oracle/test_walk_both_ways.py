@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from companion.kernel import Matrix
-from sim_link.lab.evaluation.campaign import run_block
-from sim_link.lab.evaluation.case import Case, run_seeds
-from sim_link.lab.evaluation.systems import system_named
 from sim_link.world.environment import ObstacleParams
+from tools.study.case import Case, run_seeds
+from tools.study.systems import system_named
+from tools.study.trials import run_block
 
 pytestmark = pytest.mark.slow
 

@@ -6,8 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from sim_link.lab.evaluation.campaign import run_trial
-from sim_link.lab.evaluation.case import Case
 from tools.filter_bench import (
     FILTERPY_PREDICT,
     FILTERPY_UPDATE,
@@ -26,6 +24,8 @@ from tools.filter_bench import (
     timed,
     window_rows,
 )
+from tools.study.case import Case
+from tools.study.trials import run_trial
 
 COSTS_US = {FILTERPY_PREDICT: 4.0, FILTERPY_UPDATE: 16.0, LOOP: 2.0, OBJECT: 48.0, MAP_STEP: 80.0}
 

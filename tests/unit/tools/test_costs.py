@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import msgspec
 
-from sim_link.lab.evaluation.study import Study, StudyResult
 from tools.planner_bench import costs_of
+from tools.study.study import Study, StudyResult
 
 
 def _result(metrics: list[str]) -> StudyResult:

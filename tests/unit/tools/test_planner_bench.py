@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import pytest
 
-from sim_link.lab.evaluation.case import Case
-from sim_link.lab.evaluation.systems import System
 from tools.planner_bench import (
     FILTER_ALONE,
     FIM,
@@ -19,6 +17,8 @@ from tools.planner_bench import (
     step_cost,
     step_of,
 )
+from tools.study.case import Case
+from tools.study.systems import System
 
 COSTS_US = {
     step_of(REACTIVE.label): 3.0,

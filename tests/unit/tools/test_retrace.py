@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_link.lab.evaluation.campaign import run_trial
-from sim_link.lab.evaluation.case import Case
-from sim_link.lab.evaluation.systems import PlannerName, System
 from tools.filter_bench import SEED
 from tools.planner_bench import believed, decided, recorded_run, retraced
+from tools.study.case import Case
+from tools.study.systems import PlannerName, System
+from tools.study.trials import run_trial
 
 SHORT = Case(steps=40)
 FILTER_ALONE = System("asymmetric_huber", "passive")

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_link.lab.evaluation.campaign import RunSeries, RunTally
-from sim_link.lab.evaluation.case import Case
-from sim_link.lab.evaluation.systems import System
+from tools.study.case import Case
+from tools.study.systems import System
+from tools.study.trials import RunSeries, RunTally
 from tools.verify_estimation import (
     PARTS,
     bound_figure,

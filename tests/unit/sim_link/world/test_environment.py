@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.kernel import Vector
-from sim_link.lab.evaluation.case import STUDY_SHADOW
 from sim_link.world.environment import (
     NO_MEMORY,
     Environment,
@@ -23,6 +22,7 @@ from sim_link.world.environment import (
     shadow_of,
 )
 from sim_link.world.line_of_sight import detour
+from tools.study.case import STUDY_SHADOW
 
 BLOCK = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
 TARGET = (50.0, 50.0, 0.0)

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).parents[4] / "tools"
+
+
+def _main(tool: str) -> Callable[[], int]:
+    """The tool's `main`, without a process of its own."""
+    name = tool.removesuffix(".py")
+    spec = importlib.util.spec_from_file_location(name, TOOLS / tool)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look for it
+    spec.loader.exec_module(module)
+    main: Callable[[], int] = module.main
+    return main
+
+
+def _run(tool: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(TOOLS / tool), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize(
+    ("tool", "arguments"),
+    [
+        ("bench.py", ["filters"]),
+        ("bench.py", ["planners"]),
+        ("verify_estimation.py", []),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_one_line(
+    tool: str,
+    arguments: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = str(tmp_path / "nowhere" / "figures.json")
+    monkeypatch.setattr(sys, "argv", [tool, *arguments, "--json", path])
+    assert _main(tool)() == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
+    assert "nowhere" in said.err
+
+
+@pytest.mark.parametrize(
+    ("tool", "arguments"),
+    [
+        ("bench.py", ["filters", "--rounds", "0"]),
+        ("bench.py", ["planners", "--rounds", "0"]),
+        ("bench.py", ["filter"]),
+        ("bench.py", []),
+        ("verify_estimation.py", ["--runs", "0"]),
+        ("verify_estimation.py", ["--seed", "-1"]),
+        ("verify_estimation.py", ["--only", "planners"]),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(
+    tool: str,
+    arguments: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", [tool, *arguments])
+    with pytest.raises(SystemExit) as end:
+        _main(tool)()
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert said.startswith(tool.removesuffix(".py"))
+
+
+@pytest.mark.slow
+def test_figures_are_printed_and_written(tmp_path: Path) -> None:
+    path = tmp_path / "figures.json"
+    done = _run("bench.py", "filters", "--rounds", "1", "--json", str(path))
+    assert done.returncode == 0
+    assert "filterpy update" in done.stdout
+    assert json.loads(path.read_text())["ratios"]
+
+
+@pytest.mark.slow
+def test_costs_of_planners_are_printed_and_written(tmp_path: Path) -> None:
+    path = tmp_path / "costs.json"
+    done = _run("bench.py", "planners", "--rounds", "1", "--json", str(path))
+    assert done.returncode == 0
+    assert "Proposed (Latched)" in done.stdout
+    assert "FIM over reactive" in done.stdout
+    figures = json.loads(path.read_text())
+    assert figures["costs"]
+    assert figures["fim_over_reactive"]["paper"] == 23.0

@@ -1,0 +1,196 @@
+"""Flights of the whole companion among true radios: what it reports, and how far off that is.
+
+Companion and vehicle are joined in memory. A flight ends with the report, or at the cut. Between
+seeds not only the noise moves, so that nothing is fitted to one place: the emitter lies anywhere in
+a ring about home, evenly by area, and the constants that a flight has and nobody knows are drawn
+anew. Offsets, compass and mount are uniform, with the scenario's figure as root mean square (of the
+range, which is never too short: between 0 and twice the figure); the wind turns. All planners and
+configurations of a seed meet the same.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from companion.config.schema import CompanionConfig, PlannerConfig, load_config
+from companion.domain import FlightMode
+from companion.errors import ConfigError
+from companion.geometry.polygons import Point
+from sim_link.autopilot.scenario import Scenario
+from sim_link.fleet.scenario_io import load_scenario
+from sim_link.lab.lockstep.flight import Flight, MemoryJournal
+from sim_link.lab.pool import Pool, sources_digest
+from tools.study.study import ConfigKind, FlightGrid, FlightRow, hint
+from tools.study.study_run import Store, key_of
+
+ENGAGED_BY_S = 120.0
+"""Boot and take-off take a third of it; who has not begun by then never will."""
+LANES_M = 30.0
+"""Between the lanes of a lawnmower: the whole ring within the cut of most radios."""
+change = msgspec.structs.replace
+
+
+@dataclass(frozen=True, slots=True)
+class FieldFlight:
+    """One flight, which depends on these values only."""
+
+    radio: str
+    told: ConfigKind
+    config: CompanionConfig
+    scenario: Scenario
+    seed: int
+    cut_s: float
+
+    @property
+    def key(self) -> str:
+        """What it is kept under."""
+        parts = (self.radio, self.told, self.seed, self.cut_s)
+        return key_of(self.config, self.scenario, *parts, sources_digest())
+
+
+def flights_of(
+    grid: FlightGrid, folder: Path, runs: int, seed: int, only: Sequence[str] = ()
+) -> list[FieldFlight]:
+    """The flights of a grid, or of what is named of it, the seeds of all cells by turns.
+
+    Args:
+        folder: With `scenarios/field` and `companion/field`.
+        only: Radios, configurations and planners; where none of a kind is named, all of it.
+    """
+    names: tuple[tuple[str, ...], ...] = (tuple(grid.cut_s), grid.configs, grid.planners)
+    known = [name for kind in names for name in kind]
+    for word in only:
+        if word not in known:
+            raise ConfigError(f"--only {word}: there is no such thing here; {hint(word, known)}")
+    radios, configs, planners = (
+        [name for name in kind if name in only] or list(kind) for kind in names
+    )
+    cells: list[tuple[str, ConfigKind, CompanionConfig, Scenario]] = []
+    for radio in radios:
+        scenario = load_scenario(folder / "scenarios" / "field" / f"{radio}.yaml")
+        preset = load_config(folder / "companion" / "field" / f"{radio}.yaml")
+        for told in grid.configs:
+            # who does not know the radio knows as well whether to wait for it or to search
+            not_told = change(CompanionConfig(), planner=preset.planner)
+            base = preset if told == "told" else not_told
+            for planner in grid.planners:
+                if told in configs and planner in planners:
+                    config = _flown_with(base, planner, scenario.start_enu_m, grid.ring_m[1])
+                    cells.append((radio, told, config, scenario))
+    return [
+        FieldFlight(radio, told, config, _drawn(scenario, grid, number), number, grid.cut_s[radio])
+        for number in range(seed * 1_000_000, seed * 1_000_000 + runs)
+        for radio, told, config, scenario in cells
+    ]
+
+
+def _flown_with(config: CompanionConfig, kind: Any, home: Point, reach_m: float) -> CompanionConfig:
+    """The configuration with a planner, engaging by itself; lanes cover the square about home."""
+    (east, north), planner = home, config.planner
+    area = tuple((east + e * reach_m, north + n * reach_m) for e, n in CORNERS)
+    lanes = change(planner.lawnmower, area_enu_m=area, spacing_m=LANES_M)
+    is_pattern = kind in ("lawnmower", "expanding_square", "sector")
+    search = None if is_pattern else planner.search
+    made: PlannerConfig = change(planner, kind=kind, search=search, lawnmower=lanes)
+    return change(config, mission=change(config.mission, engage="auto"), planner=made)
+
+
+CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+
+
+def _drawn(scenario: Scenario, grid: FlightGrid, seed: int) -> Scenario:
+    """The scenario with what moves between seeds."""
+    rng = np.random.default_rng((seed, 0xF1E1D))
+    least_m, most_m = grid.ring_m
+    way_m = math.sqrt(rng.uniform(least_m**2, most_m**2))
+    course, turn = rng.uniform(0.0, 2.0 * math.pi, 2).tolist()
+    high, compass, mount = rng.uniform(-1.0, 1.0, 3).tolist()
+    emitter, channel, wind = scenario.emitter, scenario.channel, scenario.wind
+    (east, north), root3 = scenario.start_enu_m, math.sqrt(3.0)
+    place = (east + way_m * math.cos(course), north + way_m * math.sin(course))
+    cos, sin = math.cos(turn), math.sin(turn)
+    navigation = scenario.navigation
+    return change(
+        scenario,
+        emitter=change(
+            emitter, position_enu_m=place, height_m=emitter.height_m + high * grid.height_spread_m
+        ),
+        channel=change(
+            channel,
+            range_offset_m=channel.range_offset_m * rng.uniform(0.0, 2.0),
+            bearing_offset_deg=root3 * mount * channel.bearing_offset_deg,
+        ),
+        navigation=change(
+            navigation, compass_error_deg=root3 * compass * navigation.compass_error_deg
+        ),
+        wind=change(
+            wind,
+            east_mps=cos * wind.east_mps - sin * wind.north_mps,
+            north_mps=sin * wind.east_mps + cos * wind.north_mps,
+        ),
+        autopilot=change(scenario.autopilot, streams="asked"),  # the others only take time
+    )
+
+
+def fly(task: FieldFlight) -> bytes:
+    """Fly it; the row as JSON."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        return msgspec.json.encode(_flown(task))
+    finally:
+        logging.disable(before)
+
+
+def _flown(task: FieldFlight) -> FlightRow:
+    notes = MemoryJournal()
+    flight = Flight(task.config, task.scenario, task.seed, notes)
+    while flight.mode is not FlightMode.OFFBOARD and flight.now_s < ENGAGED_BY_S:
+        flight.step()
+    engaged_s = flight.now_s
+    while not notes.results and flight.now_s < engaged_s + task.cut_s:
+        flight.step()
+    estimate = notes.results[0][1].estimate if notes.results else flight.companion.session.estimate
+    vehicle, truth = flight.sim.vehicle, task.scenario.emitter.position_enu_m
+    east, north, _ = vehicle.estimator.bias_enu_m
+    shown = (truth[0] + east, truth[1] + north)
+    place = None if estimate is None else estimate.position_enu_m
+    return FlightRow(
+        radio=task.radio,
+        config=task.told,
+        planner=task.config.planner.kind,
+        seed=task.seed,
+        is_reported=bool(notes.results),
+        time_s=flight.now_s - engaged_s,
+        state=None if estimate is None else estimate.state.value,
+        error_m=None if place is None else math.dist(place, shown),
+        absolute_error_m=None if place is None else math.dist(place, truth),
+        r95_m=None if estimate is None else estimate.r95_m,
+        absolute_r95_m=None if estimate is None else estimate.absolute_r95_m,
+        east_m=truth[0],
+        north_m=truth[1],
+        flown_m=vehicle.aircraft.distance_m,
+    )
+
+
+def fly_all(
+    flights: Sequence[FieldFlight], pool: Pool, store: Store, on_done: Callable[[float], None]
+) -> None:
+    """Fly them, keep their rows, and tell how many seconds each was given."""
+    for position, row in pool.results(fly, flights):
+        store.keep(flights[position].key, row)
+        on_done(flights[position].cut_s)
+
+
+def rows_kept(flights: Sequence[FieldFlight], store: Store) -> list[FlightRow]:
+    """The rows of flights that are done, in their order."""
+    kept = store.found(flight.key for flight in flights)
+    return [msgspec.json.decode(kept[f.key], type=FlightRow) for f in flights if f.key in kept]

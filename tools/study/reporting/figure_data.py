@@ -1,0 +1,243 @@
+"""What figures show, as plain numbers: taken from tallies, or flown with one seed.
+
+Why FIM stalls in a shadow: before every step its criterion is taken of its candidates and of
+staying, with the information in the filter (`companion.planning.fim`) and as the paper prints it
+(`walk`). Its *gradient* is how far the best is ahead of the worst, as a share of the best. Paper:
+section "Robustness in Structured NLOS Environments" claims that it is flat there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from companion.domain import TargetEstimate
+from companion.geometry.polygons import Point
+from companion.kernel import Matrix, Vector
+from companion.planning.fim import candidate_ring_m, worst_variance_m2
+from sim_link.world.line_of_sight import is_blocked
+from tools.study import systems
+from tools.study.case import Case, RunSeed, run_inputs, run_seeds, scene_of
+from tools.study.study import CellResult, ResultRow, StudyResult
+from tools.study.systems import System
+from tools.study.trials import TrialResult, run_trial
+from tools.study.walk import information_gradient, printed_criteria
+
+FAR_M = 1e4
+"""How far a shadow is drawn; any picture ends before that."""
+
+PASSIVE, REACTIVE = System("asymmetric_huber", "passive"), System("asymmetric_huber", "reactive")
+FIM, FIM_PRINTED = System("asymmetric_huber", "fim"), System("asymmetric_huber", "fim_printed")
+CROSSING, BEST = System("asymmetric_huber", "latched"), System("map", "latched")
+
+COMPARED = (
+    *(System("admm", "passive"), System("huber", "passive"), PASSIVE, System("huber", "fim")),
+    *(FIM, FIM_PRINTED, REACTIVE, CROSSING, BEST),
+)
+"""The systems of the paper's figures, and ours."""
+BOUNDED = (PASSIVE, BEST)
+"""Whose Cramer-Rao bound is drawn beside them."""
+FLOWN = (PASSIVE, REACTIVE, BEST, FIM)
+"""Whose tracks are drawn, and in the shadow of obstacles also those of FIM as printed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One quantity of a system after every step."""
+
+    system: System
+    values: Vector
+    """(steps,)"""
+    is_bound: bool = False
+
+
+Flight = tuple[System, TrialResult]
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """How a system's final RMSE follows a parameter; vectors are (k,), one for each value."""
+
+    system: System
+    values: Vector
+    ours_m: Vector
+    low_m: Vector
+    high_m: Vector
+    paper_m: Vector
+    """NaN where the paper prints none."""
+    bound_m: Vector
+
+
+def values_of(result: StudyResult) -> list[tuple[str, str]]:
+    """Parameter and value of every case of a study, in its order."""
+    return list(dict.fromkeys((cell.parameter, cell.value) for cell in result.cells))
+
+
+def cells_at(result: StudyResult, parameter: str, value: str) -> dict[System, CellResult]:
+    """The systems flown at one value, each once."""
+    return {
+        cell.system: cell
+        for cell in reversed(result.cells)
+        if (cell.parameter, cell.value) == (parameter, value)
+    }
+
+
+def rmse_curves(cells: dict[System, CellResult]) -> list[Curve]:
+    """RMSE of the compared systems after every step, metres, and the bounds on two of them."""
+    curves = [Curve(s, cells[s].tally.rmse_m) for s in COMPARED if s in cells]
+    bounds = [Curve(s, cells[s].tally.rmse_bound_m, True) for s in BOUNDED if s in cells]
+    return curves + bounds
+
+
+def offset_curves(cells: dict[System, CellResult], *, bearing: bool) -> list[Curve]:
+    """Mean estimates of an offset after every step, metres or degrees."""
+    curves: list[Curve] = []
+    for system in COMPARED:
+        if system in cells:
+            tally = cells[system].tally
+            sums = np.degrees(tally.bearing_offset_rad) if bearing else tally.range_offset_m
+            curves.append(Curve(system, np.asarray(sums / tally.runs)))
+    return curves
+
+
+def flights_of(case: Case, seed: int) -> list[Flight]:
+    """The first run of a study's seed, by each system."""
+    extra = (FIM_PRINTED,) if case.obstacles else ()
+    first = run_seeds(seed, 1)[0]
+    return [(system, run_trial(case, system, first)) for system in (*FLOWN, *extra)]
+
+
+def shadow_quads(corners: Sequence[Point], target_enu_m: Point) -> list[list[Point]]:
+    """Polygons that together are the shadow of an obstacle, as cast by a target outside of it."""
+    return [
+        [a, b, _beyond(b, target_enu_m), _beyond(a, target_enu_m)]
+        for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)
+    ]
+
+
+def sensitivities(
+    result: StudyResult, rows: Sequence[ResultRow], parameter: str
+) -> list[Sensitivity]:
+    """Every system of a sweep that the paper prints, and ours, over a parameter of numbers."""
+    found: list[Sensitivity] = []
+    values = [value for name, value in values_of(result) if name == parameter]
+    table = next(cell.table for cell in result.cells if cell.parameter == parameter)
+    mine = {
+        (row.system, row.value): row
+        for row in rows
+        if (row.table, row.parameter, row.metric) == (table, parameter, "final_rmse_m")
+    }
+    for system in dict.fromkeys(cell.system for cell in result.cells):
+        own = [mine.get((system.label, value)) for value in values]
+        kept = [row for row in own if row is not None]
+        is_printed = any(row.paper for row in kept)
+        if len(kept) == len(values) and (is_printed or system == BEST):
+            found.append(_sensitivity(system, values, kept))
+    return found
+
+
+def numbers(text: str) -> float:
+    """A number of the results, NaN where there is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def interval(text: str) -> tuple[float, float]:
+    """The ends of an interval of the results, NaN where there is none."""
+    low, _, high = text.partition("..")
+    return numbers(low), numbers(high)
+
+
+def _sensitivity(system: System, values: list[str], rows: list[ResultRow]) -> Sensitivity:
+    low_m, high_m = np.array([interval(row.ours_ci95) for row in rows]).T
+    own = ([numbers(getattr(row, name)) for row in rows] for name in ("ours", "paper", "bound"))
+    ours_m, paper_m, bound_m = map(np.array, own)
+    at = np.array([numbers(value) for value in values])
+    return Sensitivity(system, at, ours_m, low_m, high_m, paper_m, bound_m)
+
+
+def _beyond(corner: Point, target_enu_m: Point) -> Point:
+    (ce, cn), (te, tn) = corner, target_enu_m
+    scale = FAR_M / max(np.hypot(ce - te, cn - tn), 1e-6)
+    return (float(ce + scale * (ce - te)), float(cn + scale * (cn - tn)))
+
+
+WATCHED = (FIM, FIM_PRINTED, REACTIVE, CROSSING)
+WATCHED_RUNS = 15
+WATCHED_STEPS = 60
+"""By then whoever left the shadow is at the target."""
+
+
+@dataclass(frozen=True, slots=True)
+class GradientWatch:
+    """What was seen of several runs of one system before every step, (runs, steps - 1) each."""
+
+    system: System
+    gradient: Matrix
+    """With what the filter knows."""
+    printed_gradient: Matrix
+    is_shadowed: Matrix
+    """1 where the path to the target is blocked."""
+    distance_m: Matrix
+
+
+def watched(
+    case: Case, seed: int, runs: int = WATCHED_RUNS, steps: int = WATCHED_STEPS
+) -> list[GradientWatch]:
+    """The first runs of a study's seed, watched."""
+    short = msgspec.structs.replace(case, steps=min(steps, case.steps))
+    return [_watch(short, system, run_seeds(seed, runs)) for system in WATCHED]
+
+
+def _watch(case: Case, system: System, seeds: Sequence[RunSeed]) -> GradientWatch:
+    edges = scene_of(case).surroundings.edges
+    tracks = [run_trial(case, system, seed).track_enu_m for seed in seeds]
+    gradients = np.array(
+        [_gradients(case, system, seed, track) for seed, track in zip(seeds, tracks, strict=True)]
+    )
+    before = np.array(tracks)[:, :-1]
+    shadows = [
+        [float(is_blocked(*case.target_enu_m, e, n, edges)) for e, n in track.tolist()]
+        for track in before
+    ]
+    away_m = np.hypot(*np.moveaxis(before - np.array(case.target_enu_m), -1, 0))
+    return GradientWatch(system, gradients[:, :, 0], gradients[:, :, 1], np.array(shadows), away_m)
+
+
+def _gradients(
+    case: Case, system: System, seed: RunSeed, track_enu_m: Matrix
+) -> list[tuple[float, float]]:
+    """What FIM's candidates promised along a run's track, with the filter and as printed."""
+    draws, truth, start = run_inputs(case, seed)
+    fuse = systems.estimator_of(case, System(system.filter, "passive"), start)
+    steer = systems.steer_along(track_enu_m)
+    ring_m = np.array(candidate_ring_m(case.step_m, case.fim_headings))
+    sigmas = (case.belief.range_sigma_m, math.radians(case.belief.bearing_sigma_deg))
+    found: list[tuple[float, float]] = []
+
+    def watch(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
+        east_m, north_m = estimate.position_enu_m
+        way_m = (east_m - place[0], north_m - place[1])
+        filtered = _criteria(joint, way_m, ring_m, sigmas)
+        printed = printed_criteria(*way_m, ring_m, *sigmas)
+        found.append((information_gradient(filtered), information_gradient(printed)))
+        return steer(step, place, estimate, joint)
+
+    systems.flown(draws, case.start_enu_m, truth, scene_of(case), fuse, watch)
+    return found
+
+
+def _criteria(covariance: Matrix, way_m: Point, ring_m: Matrix, sigmas: Point) -> Vector:
+    """Smallest eigenvalue of the marginal information, (k + 1,), 1/m^2; last: staying."""
+    noise = (sigmas[0] ** 2, sigmas[1] ** 2)
+    variances = [
+        worst_variance_m2(covariance, way_m[0] - east, way_m[1] - north, 0.0, *noise, True)
+        for east, north in [*ring_m.tolist(), (0.0, 0.0)]
+    ]
+    return 1.0 / np.array(variances)

@@ -1,0 +1,307 @@
+"""The rows of results.csv, and the files of studies that they come from.
+
+Definitions of the metrics, and numbers as they are written:
+
+    final_rmse_m         after the last step; bound: the Cramer-Rao RMSE bound of the same tracks
+    median_final_m       median over runs of the error after the last step, beside every RMSE
+    diverged_runs        runs that end farther off than the paper's 2.5 m, beside every RMSE
+    steps_to_2.5m        one more than the last step with an RMSE of at least 2.5 m; bound: that of
+                         the bound's own curve
+    rmse_after_N_steps_m after N steps; bound: at the same step
+    worst_final_m        the largest error of a run after its last step
+    range_offset_m       mean of the estimates after the last step
+    bound_ratio          final RMSE by its bound
+    rmse_ratio           final RMSE by that of Proposed with the same planner and the same draws
+    nees_final           mean NEES of the position after the last step; bound: the band of an honest
+                         filter; nees_mean: over all steps after the 20th
+    coverage_min, _mean, _max
+                         share of runs whose R95 circle contains the target, over steps after the
+                         20th; bound: what is asked for
+
+Intervals are 95 % bootstrap percentiles; resamples are the same for all systems, so that those of
+a ratio are paired.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from companion.config.loader import load_yaml
+from companion.errors import ConfigError
+from companion.kernel import Matrix, Vector
+from tools.study import metrics
+from tools.study import study as studies
+from tools.study.study import Cell, CellResult, Metric, ResultRow, Study, StudyResult
+from tools.study.systems import FilterName, PlannerName
+from tools.study.trials import RunTally
+
+RESAMPLES = 2000
+BOOTSTRAP_SEED = 0
+DIGITS = 5
+REFERENCE_FILTER = "asymmetric_huber"
+
+Numbers = tuple[str, ...]
+"""Metric, ours and perhaps its interval and its bound, as written."""
+
+
+Measure = Callable[[StudyResult, CellResult], list[Numbers]]
+
+
+def rows_of(result: StudyResult) -> list[ResultRow]:
+    """The rows of a study, in the order of its tables; costs are not among them."""
+    return [
+        row
+        for cell in result.cells
+        for metric in metrics_of(result, cell)
+        if metric != "cost_ms_per_step"
+        for name, *numbers in MEASURED[metric](result, cell)
+        for row in rows_about(cell, name, *numbers)
+    ]
+
+
+def metrics_of(result: StudyResult, cell: Cell) -> Sequence[Metric]:
+    """What is said of a cell."""
+    return result.study.metrics if cell.sweep.metrics is None else cell.sweep.metrics
+
+
+def rows_about(
+    cell: Cell, metric: str, ours: str, ours_ci95: str = "", bound: str = ""
+) -> list[ResultRow]:
+    """The row about a cell, and another where the paper prints it under a second name."""
+    rows: list[ResultRow] = []
+    for name in studies.names_of(cell.system):
+        numbers = {str(key): of for key, of in cell.sweep.paper.get(name, {}).items()}
+        printed = numbers[metric][cell.index] if metric in numbers else None
+        paper = "" if printed is None else str(printed)
+        if name == cell.system.label or paper:
+            place = (cell.table, cell.parameter, cell.value, name)
+            rows.append(ResultRow(*place, metric, paper, ours, ours_ci95, bound))
+    return rows
+
+
+def number(value: float) -> str:
+    """A number with the digits that mean something."""
+    return f"{value:.{DIGITS}g}"
+
+
+def bound_text(value: float) -> str:
+    """A bound, or nothing where none is known."""
+    return "" if math.isnan(value) else number(value)
+
+
+def interval(ends: tuple[float, float] | None) -> str:
+    """Both ends, or nothing."""
+    return "" if ends is None else f"{number(ends[0])}..{number(ends[1])}"
+
+
+def rmse_interval_m(errors_m: Vector) -> tuple[float, float] | None:
+    """The interval of the RMSE of (runs,) errors; None where one of them is not finite."""
+    if not np.isfinite(errors_m).all():
+        return None
+    return _ends(np.sqrt(_resampled(errors_m) / errors_m.size))
+
+
+def ratio_interval(errors_m: Vector, others_m: Vector) -> tuple[float, float] | None:
+    """The interval of a ratio of RMSE, (runs,) errors of the same draws; None as above."""
+    if not (np.isfinite(errors_m).all() and np.isfinite(others_m).all()):
+        return None
+    return _ends(np.sqrt(_resampled(errors_m) / _resampled(others_m)))
+
+
+def _resampled(errors_m: Vector) -> Vector:
+    """Sums of squares in each resample, (RESAMPLES,)."""
+    sums: Vector = np.einsum("ij,j->i", resamples(errors_m.size), np.square(errors_m))
+    return sums
+
+
+@lru_cache(maxsize=1)
+def resamples(runs: int) -> Matrix:
+    """How often each run is drawn in each resample, (RESAMPLES, runs)."""
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    return rng.multinomial(runs, np.full(runs, 1.0 / runs), size=RESAMPLES).astype(np.float64)
+
+
+def _ends(values: Vector) -> tuple[float, float]:
+    low, high = np.quantile(values, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _final_rmse(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    tally = cell.tally
+    finals_m = tally.final_errors_m
+    ends = interval(rmse_interval_m(finals_m))
+    return [
+        ("final_rmse_m", number(tally.rmse_m[-1]), ends, bound_text(tally.rmse_bound_m[-1])),
+        ("median_final_m", number(metrics.median_m(finals_m))),
+        ("diverged_runs", str(metrics.diverged_count(finals_m))),
+    ]
+
+
+def _steps(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    ours, bound = cell.tally.rmse_m, cell.tally.rmse_bound_m
+    return [("steps_to_2.5m", _steps_text(ours), "", _steps_text(bound))]
+
+
+def _steps_text(rmse_by_step_m: Vector) -> str:
+    if np.isnan(rmse_by_step_m).all():
+        return ""
+    steps = metrics.steps_to_settle(rmse_by_step_m)
+    return f">{rmse_by_step_m.size}" if steps is None else str(steps)
+
+
+def _after_steps(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    steps = cell.sweep.after_steps[cell.index]
+    rmse_m, bound_m = cell.tally.rmse_m, cell.tally.rmse_bound_m
+    at = min(steps, rmse_m.size) - 1
+    return [(f"rmse_after_{steps}_steps_m", number(rmse_m[at]), "", bound_text(bound_m[at]))]
+
+
+def _single(name: str, told: Callable[[RunTally], str]) -> Measure:
+    return lambda _, cell: [(name, told(cell.tally))]
+
+
+def _bound_ratio(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    tally = cell.tally
+    bound_m = float(tally.rmse_bound_m[-1])
+    ends = rmse_interval_m(tally.final_errors_m)
+    if not 0.0 < bound_m < math.inf:
+        return []
+    scaled = None if ends is None else (ends[0] / bound_m, ends[1] / bound_m)
+    return [("bound_ratio", number(tally.rmse_m[-1] / bound_m), interval(scaled), "1")]
+
+
+def _rmse_ratio(result: StudyResult, cell: CellResult) -> list[Numbers]:
+    other = _reference(result, cell)
+    if other is None:
+        return []
+    ratio = float(cell.tally.rmse_m[-1] / other.rmse_m[-1])
+    ends = ratio_interval(cell.tally.final_errors_m, other.final_errors_m)
+    return [("rmse_ratio", number(ratio), interval(ends))]
+
+
+def _reference(result: StudyResult, cell: Cell) -> RunTally | None:
+    """Proposed with the same planner in the same case, unless the cell is that itself."""
+    if cell.system.filter == REFERENCE_FILTER:
+        return None
+    for other in result.cells:
+        is_same = other.case == cell.case and other.system.planner == cell.system.planner
+        if is_same and other.system.filter == REFERENCE_FILTER:
+            return other.tally
+    return None
+
+
+def _nees(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    means, band = cell.tally.mean_nees, interval(metrics.nees_band(cell.tally.runs))
+    over_steps = float(np.mean(_settled(means)))
+    return [("nees_final", number(means[-1]), "", band), ("nees_mean", number(over_steps))]
+
+
+def _settled(by_step: Vector) -> Vector:
+    """Over the steps that count; of a short run the last one."""
+    return by_step[min(metrics.SETTLED_STEP, by_step.size - 1) :]
+
+
+def _coverage(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    shares, band = _settled(cell.tally.coverage), interval(metrics.COVERAGE_BAND)
+    found = {"min": shares.min(), "mean": shares.mean(), "max": shares.max()}
+    return [(f"coverage_{name}", number(float(share)), "", band) for name, share in found.items()]
+
+
+MEASURED: dict[Metric, Measure] = {
+    "final_rmse_m": _final_rmse,
+    "steps_to_2.5m": _steps,
+    "rmse_after_steps_m": _after_steps,
+    "worst_final_m": _single("worst_final_m", lambda t: number(np.max(t.final_errors_m))),
+    "range_offset_m": _single("range_offset_m", lambda t: number(t.range_offset_m[-1] / t.runs)),
+    "bound_ratio": _bound_ratio,
+    "rmse_ratio": _rmse_ratio,
+    "nees": _nees,
+    "coverage": _coverage,
+}
+"""How each metric is measured; one may come to several rows."""
+
+
+SUFFIX = ".yaml"
+_UNKNOWN_KEY = re.compile(r"(?P<key>[^.\s]+): unknown key; ")
+_UNKNOWN_NAME = re.compile(
+    r"(?P<list>filters|planners|metrics|paper|figures)\S*: "
+    r"(?P<problem>Invalid enum value '(?P<name>.*)')"
+)
+_KNOWN: dict[str, tuple[str, ...]] = {
+    "filters": get_args(FilterName),
+    "planners": get_args(PlannerName),
+    "metrics": get_args(Metric),
+    "paper": get_args(Metric),
+    "figures": get_args(studies.FigureName),
+}
+
+
+def studies_of(name: str, folder: Path) -> list[Study]:
+    """The studies of a name or file, itself or those it collects; `ConfigError`: one is wrong."""
+    return _collected(study_path(name, folder), folder, ())
+
+
+def study_path(name: str, folder: Path) -> Path:
+    """The file of a study; a ConfigError where there is none."""
+    if name.endswith((SUFFIX, ".yml")) or os.sep in name:
+        return Path(name)
+    path = folder / f"{name}{SUFFIX}"
+    if not path.is_file():
+        known = sorted(path.stem for path in folder.glob(f"*{SUFFIX}"))
+        raise ConfigError(f"study {name}: there is none of this name; {studies.hint(name, known)}")
+    return path
+
+
+def load_study(path: Path) -> Study:
+    """The study in a file, all of its cells checked; a ConfigError says what is wrong."""
+    try:
+        study = load_yaml(path, Study)
+    except ConfigError as error:
+        raise ConfigError(_with_hint(str(error))) from None
+    if bool(study.studies) + bool(study.sweeps) + (study.flights is not None) != 1:
+        raise ConfigError(f"{path}: $: give `sweeps`, or `studies` of a collection, or `flights`")
+    try:
+        studies.cells_of(study)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return study
+
+
+def _collected(path: Path, folder: Path, above: tuple[Path, ...]) -> list[Study]:
+    if path in above:
+        raise ConfigError(f"{path}: $.studies: the collection contains itself")
+    study = load_study(path)
+    if not study.studies:
+        return [study]
+    found: list[Study] = []
+    for name in study.studies:
+        try:
+            inner = study_path(name, folder)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: $.studies: {error}") from None
+        found += _collected(inner, folder, (*above, path))
+    return found
+
+
+def _with_hint(problem: str) -> str:
+    """With what a misspelt key or name may have been meant to be."""
+    key, name = _UNKNOWN_KEY.search(problem), _UNKNOWN_NAME.search(problem)
+    if key:
+        names = [
+            field
+            for kind in (Study, studies.Sweep, studies.SystemGrid, studies.FlightGrid)
+            for field in kind.__struct_fields__
+        ]
+        return f"{problem[: key.end()]}{studies.hint(key['key'], names)}"
+    if name:
+        near = studies.hint(name["name"], _KNOWN[name["list"]])
+        return f"{problem[: name.start('problem')]}there is no `{name['name']}`; {near}"
+    return problem

@@ -1,0 +1,166 @@
+"""Carries out studies: kernels, blocks of runs, and the store that keeps them.
+
+Blocks are done once, the longest first, and kept in a folder: a run that was killed goes on where
+it was. A block's key names all that it follows from, sources included, so that blocks of other
+studies may lie in the same folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from companion.errors import CompanionError, ConfigError
+from companion.io.files import write_bytes_atomic
+from companion.kernel import IS_COMPILED
+from sim_link.lab.pool import Pool, sources_digest
+from tools.study import ekf_check, trials
+from tools.study.ekf_check import EkfCheck
+from tools.study.study import Cell, CellResult, Study, StudyResult, cells_of
+from tools.study.systems import FilterName
+from tools.study.trials import RunSeries
+
+FOLDER_NAME = "blocks"
+
+
+def key_of(*parts: object) -> str:
+    """The key of what follows from values that msgspec can encode."""
+    return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
+
+
+class Store:
+    """Results by key, a file for each; a ConfigError where the folder cannot be made."""
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            text = f"{folder}: {error.strerror}; delete it, or choose another --out"
+            raise ConfigError(text) from None
+        self._folder = folder
+
+    def found(self, keys: Iterable[str]) -> dict[str, bytes]:
+        """Those of the keys that have a result, with it; a CompanionError if unreadable."""
+        paths = {key: self._folder / key for key in keys}
+        try:
+            return {key: path.read_bytes() for key, path in paths.items() if path.exists()}
+        except OSError as error:
+            raise CompanionError(f"{error.filename}: {error.strerror}") from error
+
+    def keep(self, key: str, result: bytes) -> None:
+        """Add a result, which then survives the process; a CompanionError where that fails."""
+        write_bytes_atomic(self._folder / key, result)
+
+
+Work = Mapping[str, RunSeries]
+"""What studies come to, by key, each once: blocks of runs and checks of the EKF."""
+
+COST_MS: dict[FilterName, float] = {"admm": 3.0, "map": 7.5, "tracker": 50.0, "filterpy": 120.0}
+"""Roughly, of a run of 500 steps; what is not named takes USUAL_COST_MS."""
+USUAL_COST_MS = 1.7
+USUAL_STEPS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedStudy:
+    """A study with its cells and the number of runs of each."""
+
+    study: Study
+    runs: int
+    cells: tuple[Cell, ...]
+
+    def blocks(self, cell: Cell, seed: int) -> list[RunSeries]:
+        """The runs of one of its cells."""
+        return RunSeries(cell.case, cell.system, seed, self.runs).blocks()
+
+
+def planned(studies: Sequence[Study], runs: int | None) -> list[PlannedStudy]:
+    """Studies with their cells, of so many runs each; None: as many as each study says."""
+    return [PlannedStudy(s, runs or s.runs, tuple(cells_of(s))) for s in studies]
+
+
+def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
+    """All that studies need; what several of them need is in it once."""
+    work: dict[str, RunSeries] = {}
+    for study in studies:
+        for cell in study.cells:
+            found = study.blocks(cell, seed)
+            if cell.system.filter == "ekf":
+                runs = min(ekf_check.CHECKED_RUNS, study.runs)
+                found.append(EkfCheck(cell.case, cell.system, seed, runs))
+            work.update((task_key(task), task) for task in found)
+    return work
+
+
+def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
+    """Do all of it, keep it, and tell the cost of every task that is done.
+
+    Runs of compiled kernels wait until one process has compiled them, which takes a minute after a
+    change of the sources; the others do those that need none meanwhile.
+    """
+    pending = sorted(work.items(), key=lambda item: -cost_of(item[1]))
+    compiled = [item for item in pending if item[1].system.is_compiled]
+    others = [item for item in pending if not item[1].system.is_compiled]
+    for items, first in ((others, first_runs(task for _, task in compiled)), (compiled, ())):
+        for position, result in pool.results(_perform, [first, *((task,) for _, task in items)]):
+            if position > 0:
+                key, task = items[position - 1]
+                store.keep(key, result)
+                on_done(cost_of(task))
+
+
+STEPS = 12
+"""Enough of a run to call everything once."""
+
+
+def first_runs(tasks: Iterable[RunSeries]) -> tuple[RunSeries, ...]:
+    """Short runs that call every kernel which some tasks need; none where nothing is compiled."""
+    kinds: dict[bool, RunSeries] = {}
+    for task in tasks if IS_COMPILED else ():
+        short = msgspec.structs.replace(task.case, steps=STEPS)
+        kinds.setdefault(bool(task.case.obstacles), RunSeries(short, task.system, 0, 1))
+    return tuple(kinds.values())
+
+
+def _perform(tasks: tuple[RunSeries, ...]) -> bytes:
+    """What the last one comes to."""
+    result = b""
+    for task in tasks:
+        if isinstance(task, EkfCheck):
+            result = msgspec.json.encode(ekf_check.largest_difference_m(task))
+        else:
+            result = trials.tally_of(task).packed()
+    return result
+
+
+def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list[StudyResult]:
+    """What studies came to, from what is kept; a KeyError where not all of it was carried out."""
+    tallies: dict[tuple[str, ...], trials.RunTally] = {}
+    results: list[StudyResult] = []
+    for study in studies:
+        cells: list[CellResult] = []
+        for cell in study.cells:
+            keys = tuple(task_key(block) for block in study.blocks(cell, seed))
+            if keys not in tallies:
+                found = store.found(keys)
+                tallies[keys] = trials.joined_in_order(trials.unpacked(found[key]) for key in keys)
+            cells.append(CellResult.of(cell, tallies[keys]))
+        results.append(StudyResult(study.study, study.runs, seed, tuple(cells)))
+    return results
+
+
+def task_key(task: RunSeries) -> str:
+    """What a task is kept under."""
+    kind = "ekf check" if isinstance(task, EkfCheck) else "tally"
+    parts = (kind, task.seed, task.first, task.runs, sources_digest())
+    return key_of(task.case, task.system, *parts)
+
+
+def cost_of(task: RunSeries) -> float:
+    """What a task takes, roughly, milliseconds."""
+    name = "filterpy" if isinstance(task, EkfCheck) else task.system.filter
+    return COST_MS.get(name, USUAL_COST_MS) * task.runs * task.case.steps / USUAL_STEPS
