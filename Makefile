@@ -59,19 +59,19 @@ dist: venv-package
 	$(BIN)/twine check --strict dist/*
 
 parts: venv-dev dist
-	PYTHONPATH=. $(BIN)/python tools/list_parts.py $(PARTS_ARGS)
+	PYTHONPATH=. $(BIN)/python tools/release/list_parts.py $(PARTS_ARGS)
 
 deb: deb-needs dist
-	$(BIN)/python tools/make_deb.py $(DEB_ARGS)
+	$(BIN)/python tools/release/make_deb.py $(DEB_ARGS)
 
 deb-needs:
-	@tools/check_deb_needs.sh
+	@tools/release/check_deb_needs.sh
 
 site: venv-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 venv-demo venv-dev venv-package: venv-%:
-	@tools/make_venv.sh $*
+	@tools/release/make_venv.sh $*
 
 clean:
 	rm -rf .venv build dist site .coverage .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -7,9 +7,9 @@ same functions run as they are.
 Compiled kernels are kept in the user's cache, in a folder named after the state of the sources:
 numba notices when a kernel's own file has changed, but not when a kernel that it calls has.
 
-Where the package `companion_kernels` is installed (tools/build_kernels.py makes it, the Debian
-package brings it) and was compiled of these very sources, its machine code is called and numba is
-not loaded.
+Where the package `companion_kernels` is installed (tools/release/build_kernels.py makes it, the
+Debian package brings it) and was compiled of these very sources, its machine code is called and
+numba is not loaded.
 """
 
 from __future__ import annotations

@@ -13,16 +13,16 @@ from pathlib import Path
 from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
-from tools.console import OneLineParser, positive
-from tools.filter_bench import ROUNDS, FilterBench, Ratio, bench_filters
-from tools.planner_bench import ROUNDS as PLANNER_ROUNDS
-from tools.planner_bench import (
+from tools.benches.filter_bench import ROUNDS, FilterBench, Ratio, bench_filters
+from tools.benches.planner_bench import ROUNDS as PLANNER_ROUNDS
+from tools.benches.planner_bench import (
     SIGHTED,
     SIGHTED_LIMIT_US,
     PlannerBench,
     StepCost,
     bench_planners,
 )
+from tools.console import OneLineParser, positive
 from tools.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCost, tick_cases
 
 

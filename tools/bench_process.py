@@ -4,9 +4,9 @@
 
 Each client gets a simulated PX4 of its own, with the streams of PX4's onboard link, at real time.
 The companion flies the canonical search on it; MAVSDK-Python (its position, attitude and health)
-and pymavlink (`recv_match`) idle. FOLDER is where tools/build_kernels.py wrote to. Figures are of
-the process after it has settled, while it flies: resident memory and processor time as /proc tells.
-Flights by turns, one at a time.
+and pymavlink (`recv_match`) idle. FOLDER is where tools/release/build_kernels.py wrote to. Figures
+are of the process after it has settled, while it flies: resident memory and processor time as /proc
+reports them. Flights alternate, one at a time.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
+from tools.benches.planner_bench import costs_of
 from tools.console import OneLineParser, non_negative, positive, shown
-from tools.planner_bench import costs_of
 from tools.study.ekf_check import LARGEST_DIFFERENCE_M, EkfCheck
 from tools.study.field_flights import flights_of, fly_all, rows_kept
 from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of

@@ -6,7 +6,7 @@ import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
 from tests.contract.filter_helpers import FILTERS, VARIANTS
-from tools.hostile_campaign import MakeFilter
+from tools.campaign.hostile_campaign import MakeFilter
 
 
 @pytest.fixture(params=VARIANTS)

@@ -18,7 +18,7 @@ from companion.estimation.filters.kalman import KINDS
 from companion.estimation.filters.target_filter import FilterParams, FilterState, UpdateReport
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
-from tools.hostile_campaign import MakeFilter, fault_of
+from tools.campaign.hostile_campaign import MakeFilter, fault_of
 
 FILTERPY = "tools.study.filterpy_ekf"
 

@@ -18,7 +18,7 @@ from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkSetup
 from sim_link.autopilot.scenario import Scenario
 from tests.protocol.memory_link import MemoryHub, MemoryLink
-from tools.observed_tables import Fields, Row, Sheet, Step
+from tools.release.observed_tables import Fields, Row, Sheet, Step
 
 NAN = math.nan
 STEP_S = 0.02

@@ -26,7 +26,7 @@ COMMANDS = {
     "sim-link proxy": (["sim_link", "proxy", "--help"], 0),
     "companion-conformance": (["sim_link.lab.conformance", "--list"], 0),
 }
-TOOLS = sorted(path for path in (ROOT / "tools").glob("*.py") if "__main__" in path.read_text())
+TOOLS = sorted(path for path in (ROOT / "tools").rglob("*.py") if "__main__" in path.read_text())
 MISSION = "name: same\nsteps: [connect]\n"
 FAILING = MISSION + "expectations: [{name: late, time_s: {at_least: 999}}]\n"
 
@@ -69,4 +69,5 @@ def test_a_tool_without_a_reader_ends_as_ever(path: Path) -> None:
     text = path.read_text()
     assert 'if __name__ == "__main__":\n    outlive_readers()\n' in text
     if "Parser" in text:
-        assert unread(["-m", f"tools.{path.stem}", "--help"]) == (0, "")
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        assert unread(["-m", module, "--help"]) == (0, "")

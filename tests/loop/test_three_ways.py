@@ -41,7 +41,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
-from tools.planner_bench import believed
+from tools.benches.planner_bench import believed
 from tools.study.case import (
     TRUTH,
     Case,

@@ -25,7 +25,7 @@ from companion.estimation.noise.mixtures import (
     truncated_normal,
 )
 from companion.kernel import Vector
-from tools.range_noise_fit import fit_range_noise, log_prior, summed_range_expectations
+from tools.study.range_noise_fit import fit_range_noise, log_prior, summed_range_expectations
 
 ARGUMENTS = [
     *(-np.logspace(8.0, -3.0, 45)),

@@ -42,7 +42,7 @@ def _results(path: Path, *, compiled: bool, ahead: Path | None = None) -> dict[s
 @pytest.mark.campaign
 @pytest.mark.skipif(shutil.which("cc") is None, reason="compiling ahead needs a C compiler")
 def test_plain_kernels_and_those_compiled_ahead_agree(tmp_path: Path) -> None:
-    _run("-W", "ignore", "tools/build_kernels.py", str(tmp_path))
+    _run("-W", "ignore", "tools/release/build_kernels.py", str(tmp_path))
     is_native = "import companion.kernel as k; assert k.IS_NATIVE and k.numba is None"
     _run("-c", is_native, PYTHONPATH=f"{tmp_path}:{ROOT}", NUMBA_DISABLE_JIT="0")
     plain = _results(tmp_path / "plain.npz", compiled=False)

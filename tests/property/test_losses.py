@@ -29,7 +29,7 @@ from tests.property.yardstick_losses import (
     smoothed_quantile,
     symmetric_huber,
 )
-from tools.printed_adaptation import map_bias_m
+from tools.study.printed_adaptation import map_bias_m
 
 residuals = st.floats(-1e4, 1e4)
 near_residuals = st.floats(-50.0, 50.0)

@@ -1,4 +1,4 @@
-"""Some thousand random frames against the simulator; `tools/fuzz_sim.py` sends a million."""
+"""Some thousand random frames against the simulator; `tools/fuzz/fuzz_sim.py` sends a million."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from companion.mav.endpoint import Chunk
 from sim_link.lab.conformance.rules import Flavour
 from tests.protocol.conformance_rigs import simulator
 from tests.protocol.tampered import Tampered, set_byte
-from tools.frame_fuzzer import FrameFuzzer, FuzzCampaign, FuzzFailure, Meant
+from tools.fuzz.frame_fuzzer import FrameFuzzer, FuzzCampaign, FuzzFailure, Meant
 
 FRAMES = 8_000
 FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)

@@ -17,7 +17,7 @@ forgotten exponentially. Where reflections are nearly all there is, a free offse
 hardly be told apart. Bearings have no sign: theirs is a mixture of two zero-mean normals.
 
 Paper: section IV-C, "Path to Adaptive Estimation". Deviations: as said; the EM as printed, and why
-it is biased, is in `tools/printed_adaptation.py`. Sources: O. Cappe and E. Moulines, J. Royal
+it is biased, is in `tools/study/printed_adaptation.py`. Sources: O. Cappe and E. Moulines, J. Royal
 Statistical Society B 71 (2009), for EM on sums that are updated measurement by measurement;
 P. J. Huber, Robust Statistics (1981), for the variance of an M-estimate.
 """

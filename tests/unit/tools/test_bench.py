@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from tools.filter_bench import (
+from tools.benches.filter_bench import (
     FILTERPY_PREDICT,
     FILTERPY_UPDATE,
     LOOP,

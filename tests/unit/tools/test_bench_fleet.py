@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from tools.bench_fleet import Outcome, Track
+from tools.benches.bench_fleet import Outcome, Track
 
 GOOD = Outcome(
     count=10,

@@ -14,7 +14,7 @@ KERNELS = """
 import sys
 import numba, numpy as np
 from types import SimpleNamespace
-from tools.build_kernels import CC, export_variants
+from tools.release.build_kernels import CC, export_variants
 
 @numba.njit
 def scaled(x, factor):
@@ -47,7 +47,7 @@ assert by_float(rows, 0.25).tolist() == [0.25, 0.25, 0.25]
 """
 TWO_OF_ONE_KEY = """
 import numba
-from tools.build_kernels import export_variants
+from tools.release.build_kernels import export_variants
 
 @numba.njit
 def first(pair):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tools.cell_offsets import preset_with, walk
+from tools.campaign.cell_offsets import preset_with, walk
 
 SEEDS = range(4)
 

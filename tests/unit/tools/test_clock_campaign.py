@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sim_link.autopilot.incidents import ClockRate, ClockSlip
-from tools.clock_campaign import (
+from tools.campaign.clock_campaign import (
     MOST_SLIPS,
     RATES,
     SLIPS_S,

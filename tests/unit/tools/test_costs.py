@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import msgspec
 
-from tools.planner_bench import costs_of
+from tools.benches.planner_bench import costs_of
 from tools.study.study import Study, StudyResult
 
 

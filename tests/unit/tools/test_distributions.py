@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from companion import __version__
-from tools.make_deb import debian_version
+from tools.release.make_deb import debian_version
 
 ROOT = Path(__file__).resolve().parents[3]
 FLIGHT, LABORATORY = "companion-guidance", "companion-sim-link"

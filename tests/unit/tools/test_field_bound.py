@@ -17,7 +17,7 @@ from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import EmitterParams, FieldChannelParams
-from tools.field_bound import bound_m2, median_m
+from tools.study.field_bound import bound_m2, median_m
 
 VIEWS, RADIUS_M, HEIGHT_M = 36, 30.0, 40.0
 SLANT_M = math.hypot(RADIUS_M, HEIGHT_M)

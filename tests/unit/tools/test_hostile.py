@@ -17,7 +17,7 @@ from companion.estimation.filters.target_filter import (
     Inflation,
     UpdateReport,
 )
-from tools.hostile_campaign import (
+from tools.campaign.hostile_campaign import (
     SIGMAS,
     MakeFilter,
     SequenceOutcome,

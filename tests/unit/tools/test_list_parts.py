@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.list_parts import audit
+from tools.release.list_parts import audit
 
 CLEAN = {"name": "numpy", "version": "2.4.6", "vulns": []}
 OURS = {"name": "companion-guidance", "skip_reason": "not on the index"}

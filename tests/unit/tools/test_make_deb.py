@@ -18,7 +18,7 @@ import pytest
 from companion import __version__
 from companion.kernel import sources_digest
 from sim_link.hatch_build import PARSERS, write_manuals
-from tools import make_deb
+from tools.release import make_deb
 
 needs_dpkg = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="dpkg-deb is not here")
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not here")
@@ -89,7 +89,7 @@ def test_bash_completes(tree: Path, words: str, expected: str) -> None:
 
 def run_needs_check(programs: Path, python: str) -> subprocess.CompletedProcess[str]:
     """The check that `make deb` begins with, on a machine with these programs alone."""
-    command = ["/bin/sh", str(make_deb.ROOT / "tools/check_deb_needs.sh")]
+    command = ["/bin/sh", str(make_deb.ROOT / "tools/release/check_deb_needs.sh")]
     environment = {"PATH": str(programs), "PYTHON": python}
     return subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
 
@@ -107,7 +107,7 @@ def test_a_build_without_what_it_needs_ends_at_once_in_a_line(tmp_path: Path) ->
 def test_the_page_names_the_compilers_and_what_else_a_debian_lacks() -> None:
     page = (make_deb.ROOT / "docs/install.md").read_text()
     (named,) = re.findall(r"^sudo apt install (.*\bmake\b.*)$", page, re.MULTILINE)
-    script = (make_deb.ROOT / "tools/check_deb_needs.sh").read_text()
+    script = (make_deb.ROOT / "tools/release/check_deb_needs.sh").read_text()
     checked = set(re.findall(r"\bneeds ([a-z]\S+) ", script))
     of_others = {"libc6-dev", "binutils", "dpkg"}  # g++ depends on two of them, Debian on the third
     assert set(named.split()) == {"make"} | checked - of_others
@@ -130,7 +130,7 @@ def test_the_date_of_a_build_asks_git_only_if_none_is_given(
 
 
 def described_kernels(root: Path, sources: str, tool: str) -> Path:
-    """Kernels as tools/build_kernels.py leaves them, of such sources and such a tool."""
+    """Kernels as tools/release/build_kernels.py leaves them, of such sources and such a tool."""
     place = root / f"build/kernels/{sys.version_info.major}.{sys.version_info.minor}"
     kernels = place / "companion_kernels"
     kernels.mkdir(parents=True)
@@ -142,9 +142,9 @@ def described_kernels(root: Path, sources: str, tool: str) -> Path:
 def test_kernels_of_other_sources_or_by_another_tool_are_compiled_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: str, tool: str
 ) -> None:
-    (tmp_path / "tools").mkdir()
+    (tmp_path / "tools/release").mkdir(parents=True)
     text = b"the tool"
-    (tmp_path / "tools/build_kernels.py").write_bytes(text)
+    (tmp_path / "tools/release/build_kernels.py").write_bytes(text)
     its_digest = hashlib.sha256(text).hexdigest()[:16]
     kernels = described_kernels(tmp_path, sources or sources_digest(), tool or its_digest)
     compiled: list[str] = []

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from tools.measured_tables import TABLES, Table, campaign_rows, process_rows
+from tools.release.measured_tables import TABLES, Table, campaign_rows, process_rows
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
 def test_a_page_has_the_figures_of_its_json(table: Table) -> None:
     text = table.page.read_text(encoding="utf-8")
-    assert table.written(text) == text, "run tools/measured_tables.py"
+    assert table.written(text) == text, "run tools/release/measured_tables.py"
 
 
 def test_a_page_without_marks_is_told() -> None:

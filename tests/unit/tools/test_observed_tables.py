@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from tools.observed_tables import PAGE, Row, Step, renewed, table
+from tools.release.observed_tables import PAGE, Row, Step, renewed, table
 
 
 def test_page_shows_the_rows_as_they_are() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    assert page == renewed(page), "run .venv/bin/python -m tools.observed_tables"
+    assert page == renewed(page), "run .venv/bin/python -m tools.release.observed_tables"
 
 
 def test_one_topic_is_one_line() -> None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from tools.planner_bench import (
+from tools.benches.planner_bench import (
     FILTER_ALONE,
     FIM,
     LATCHED,

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tools.filter_bench import SEED
-from tools.planner_bench import believed, decided, recorded_run, retraced
+from tools.benches.filter_bench import SEED
+from tools.benches.planner_bench import believed, decided, recorded_run, retraced
 from tools.study.case import Case
 from tools.study.systems import PlannerName, System
 from tools.study.trials import run_trial

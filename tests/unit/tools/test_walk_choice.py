@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.domain import EstimateState
-from tools.walk_choice import (
+from tools.walks.walk_choice import (
     LEARNT,
     TRIED,
     Job,
@@ -19,7 +19,7 @@ from tools.walk_choice import (
     variants_of,
     varied,
 )
-from tools.walk_figures import Claim, TargetClaims, preset_of
+from tools.walks.walk_figures import Claim, TargetClaims, preset_of
 
 A, B = Path("wsr_a.csv"), Path("wsr_b.csv")
 VARIANTS = list(variants_of("wifi_aoa"))

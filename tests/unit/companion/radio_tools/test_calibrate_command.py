@@ -17,7 +17,15 @@ from companion.config.schema import load_config
 from companion.geometry.coordinates import LocalOrigin
 from companion.link.radio_stage import RadioSettings
 from companion.radio_tools.calibration import CalibrationRun
-from tools.calibration_campaign import POINT, Course, Truth, all_tests, at, record, simulated
+from tools.campaign.calibration_campaign import (
+    POINT,
+    Course,
+    Truth,
+    all_tests,
+    at,
+    record,
+    simulated,
+)
 
 TRUTH = Truth(
     offset_m=27.3, lag_s=0.31, sign=-1, mount_rad=math.radians(12.0), nlos_share=0.1, between_m=0.05

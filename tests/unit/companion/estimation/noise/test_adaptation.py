@@ -23,14 +23,14 @@ from companion.estimation.noise.adaptation import (
 )
 from companion.estimation.noise.mixtures import range_expectations
 from companion.kernel import Matrix, Vector
-from tools.printed_adaptation import (
+from tools.study.printed_adaptation import (
     PrintedMeanBias,
     compare_mean_bias,
     drawn_residuals_m,
     printed_fixed_point_m,
     printed_mean_bias_m,
 )
-from tools.range_noise_fit import fit_range_noise
+from tools.study.range_noise_fit import fit_range_noise
 
 START = RangeNoise(sigma_m=1.5, mean_bias_m=5.0, nlos_share=0.5)
 BEARING_START = BearingNoise(math.radians(2.0), math.radians(15.0), 0.2)

@@ -12,8 +12,8 @@ from companion.estimation.window.place_noise import PlaceBelief, place_noise, st
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, walk
-from tools.placed_walks import PlacedCase, walks_of
-from tools.walk_figures import CONFIGS, TargetClaims, replayed
+from tools.walks.placed_walks import PlacedCase, walks_of
+from tools.walks.walk_figures import CONFIGS, TargetClaims, replayed
 
 WIFI = load_config(CONFIGS / "wifi_rtt.yaml").estimation
 COUNT = 300

@@ -1,6 +1,6 @@
 """Writes the figures that were measured for a release into the pages.
 
-    .venv/bin/python tools/measured_tables.py
+    .venv/bin/python tools/release/measured_tables.py
 
 Each table of PAGES stands in its page between two marks, and its figures are in `docs/measured`, as
 the tool wrote them that measured. After measuring anew: copy the tool's JSON there, and run this.
@@ -17,7 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+from companion.entry import outlive_readers
+
+ROOT = Path(__file__).resolve().parents[2]
 CLIENTS = {
     "native": "companion of the Debian package",
     "quiet": "the same with `link.stop_unread_streams: true`",
@@ -145,4 +147,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

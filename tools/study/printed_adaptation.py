@@ -33,7 +33,7 @@ from companion.estimation.noise.adaptation import (
 )
 from companion.estimation.noise.mixtures import mean_map_bias
 from companion.kernel import Vector
-from tools.range_noise_fit import fit_range_noise
+from tools.study.range_noise_fit import fit_range_noise
 
 COLLAPSED = 0.05
 """A mean bias below this many sigma is on its way to 0: b* is 0 for all within 20 sigma."""

@@ -1,6 +1,6 @@
 """Whether a cell's constant delay can end as `localised` at a wrong place.
 
-    python tools/cell_offsets.py [--walks 40] [--offsets 0-25]
+    python tools/campaign/cell_offsets.py [--walks 40] [--offsets 0-25]
 
 A vehicle walks a lawn mower about a phone 50 to 400 m away; srsRAN 4G's RACH lines, a constant of
 so many steps added, go through the shipped preset: without calibration, and with `offset_steps`.
@@ -20,11 +20,12 @@ import numpy as np
 from companion.config.radios import RadioConfig, radio_setup
 from companion.config.schema import CompanionConfig, load_config
 from companion.domain import EstimateState
+from companion.entry import outlive_readers
 from companion.estimation.tracker import TargetTracker
 from companion.link.radio_stage import RadioStage
 from sim_link.emulators.cellular import LTE_STEP_M, rach_line
 
-PRESET = Path(__file__).resolve().parents[1] / "configs" / "radios" / "srsran_4g.yaml"
+PRESET = Path(__file__).resolve().parents[2] / "configs" / "radios" / "srsran_4g.yaml"
 ATTACHES, PERIOD_S, SPEED_MPS = 120, 2.0, 5.0
 LEG_M, HEIGHT_M = 240.0, 40.0
 DETOUR_M = 20.0
@@ -110,4 +111,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     main()

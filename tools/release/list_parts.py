@@ -1,6 +1,6 @@
 """What a release is made of: a CycloneDX list of parts, their licences, and known weaknesses.
 
-    make dist && .venv/bin/python tools/list_parts.py [--vulnerability-service osv]
+    make dist && .venv/bin/python tools/release/list_parts.py [--vulnerability-service osv]
 
 Installs the wheels of dist/ with the pinned versions of packaging/constraints.txt into an
 environment of their own, as the Debian package has them, and writes what is installed there to
@@ -18,7 +18,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tools.make_deb import EXTRAS, PACKAGING, ROOT
+from companion.entry import outlive_readers
+from tools.release.make_deb import EXTRAS, PACKAGING, ROOT
 
 DIST = ROOT / "dist"
 PARTS = DIST / "companion-guidance.cdx.json"
@@ -83,4 +84,5 @@ def _licences(part: dict[str, Any]) -> Iterator[str]:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

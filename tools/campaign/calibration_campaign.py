@@ -2,8 +2,8 @@
 
 Every seed draws a radio (range offset, scale, lag, sign, mount, noise, reflections, waves of the
 antenna and of the compass) and flies it through a turn, a line out and back, a circle and a blocked
-run. `tools/calibration_campaign.py --runs 200` prints a row for each figure: how far off it is, how
-often that is within what is promised, and how often its 95 % interval holds the truth.
+run. `tools/campaign/calibration_campaign.py --runs 200` prints a row for each figure: how far off
+it is, how often that is within what is promised, and how often its 95 % interval holds the truth.
 """
 
 from __future__ import annotations

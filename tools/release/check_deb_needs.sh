@@ -2,7 +2,7 @@
 # Says in one line what `make deb` lacks on this machine, before anything is downloaded or compiled.
 set -eu
 
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/../.."
 python=.venv/bin/python
 [ -x "$python" ] || python=${PYTHON:-python3}
 missing=

@@ -15,7 +15,7 @@ import msgspec
 
 from companion.entry import outlive_readers
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "simulator.md"
 FLAVOURS = ("px4", "ardupilot")
 Fields = dict[str, Any]

@@ -1,6 +1,6 @@
 """How much ten browsers on the live map, one stalled, disturb the control tick and fill the memory.
 
-    .venv/bin/python tools/measure_live_map.py [--rounds 6] [--seconds 10] [--browsers 10]
+    .venv/bin/python tools/benches/measure_live_map.py [--rounds 6] [--seconds 10] [--browsers 10]
                                                [--minutes 60] [--json FILE]
 
 First the simulator flies in real time and the map takes turns: a while without, a while with it and

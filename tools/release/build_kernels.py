@@ -1,6 +1,6 @@
 """Compiles the kernels ahead of time, so that what flies loads neither numba nor LLVM.
 
-    .venv/bin/python tools/build_kernels.py FOLDER
+    .venv/bin/python tools/release/build_kernels.py FOLDER
 
 writes the package `companion_kernels` into FOLDER, for this Python and this kind of processor;
 beside `companion` on the path it is found by `companion.kernel`. Which arguments a kernel gets is
@@ -35,8 +35,10 @@ import numba
 import numpy as np
 from numba import types
 
+from companion.entry import outlive_readers
+
 CC: Any = importlib.import_module("numba.pycc").CC  # typed by nobody
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "companion_kernels"
 Variants = dict[str, dict[tuple[object, ...], str]]
 """Exported names, by kernel and by the kinds of its arguments."""
@@ -107,7 +109,7 @@ def main() -> int:
     compile_reproducibly(compiler)
     for module in place.glob("_native.*.so"):  # names of the folders that it was compiled in
         subprocess.run(["strip", "--strip-unneeded", str(module)], check=True)
-    text = f'"""Kernels compiled by tools/{Path(__file__).name}."""\n\n'
+    text = f'"""Kernels compiled by tools/release/{Path(__file__).name}."""\n\n'
     text += f"DIGEST = {sources_digest()!r}\nTOOL = {digest_of_tool()!r}\n"
     text += f"VARIANTS = {variants!r}\n"
     (place / "__init__.py").write_text(text)
@@ -213,4 +215,5 @@ def kind_of(kind: Any) -> object:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

@@ -24,7 +24,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.mavlink_oracle import cut
 from sim_link.lab.conformance.rules import Flavour
-from tools.bench_sim import command, setpoint
+from tools.benches.bench_sim import command, setpoint
 from tools.console import OneLineParser, positive
 
 POSITION_ID = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED

@@ -2,14 +2,14 @@
 # Makes .venv with both distributions (editable) and one extra of the first; does nothing if it is
 # there.
 #
-#   tools/make_venv.sh demo|dev|package
+#   tools/release/make_venv.sh demo|dev|package
 #
 # Needs a Python of at least 3.11 with pip, and the network the first time. PYTHON names the
 # interpreter; otherwise python3, then python3.14 to python3.11 are tried.
 set -eu
 
-cd "$(dirname "$0")/.."
-extra=${1:?usage: tools/make_venv.sh demo|dev|package}
+cd "$(dirname "$0")/../.."
+extra=${1:?usage: tools/release/make_venv.sh demo|dev|package}
 venv=.venv
 venv_python=$venv/bin/python
 export PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_USER=0 PIP_NO_INPUT=1

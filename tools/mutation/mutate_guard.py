@@ -1,12 +1,12 @@
 """Mutants of the guard: every small change to its source must make one of its tests fail.
 
-    .venv/bin/python -m tools.mutate_guard [--json FILE] [--only TEXT] [PATH ...]
+    .venv/bin/python -m tools.mutation.mutate_guard [--json FILE] [--only TEXT] [PATH ...]
 
 PATH is a module or a folder (default: companion/guard), for example companion/mav/framing.py; its
 tests are those of the same place under tests/unit. Each mutant runs in a forked process that loads
 the changed source instead of the file, so nothing on disk changes. Exit code 0: every mutant was
-killed, or is listed in tools/mutate_guard_equivalents.txt with a reason; 1: one survived; 2: bad
-arguments, or tests that fail without any change.
+killed, or is listed in mutate_guard_equivalents.txt beside this file with a reason; 1: one
+survived; 2: bad arguments, or tests that fail without any change.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from companion.entry import outlive_readers
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
 from tools.console import OneLineParser, positive
-from tools.mutants import Mutant, mutants_of
+from tools.mutation.mutants import Mutant, mutants_of
 
-ROOT = Path(__file__).resolve().parent.parent
-EQUIVALENTS = ROOT / "tools" / "mutate_guard_equivalents.txt"
+ROOT = Path(__file__).resolve().parents[2]
+EQUIVALENTS = Path(__file__).with_name("mutate_guard_equivalents.txt")
 MOST_EQUIVALENTS = 3
 TIMEOUT_S = 120.0
 """Of the processor's time, so that nobody is killed because the machine is busy."""

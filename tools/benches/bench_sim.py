@@ -1,4 +1,4 @@
-"""How many simulated vehicles hold real time on one core: `python tools/bench_sim.py [N]`.
+"""How many simulated vehicles hold real time on one core: `python tools/benches/bench_sim.py [N]`.
 
 Every vehicle flies a velocity setpoint streamed at 10 Hz, with its default streams; the frames are
 built and handed out, and a shell would only send them. Printed is the processor time per simulated

@@ -1,4 +1,4 @@
-"""Builds the Debian package: `make deb`, or tools/make_deb.py --architecture arm64.
+"""Builds the Debian package: `make deb`, or tools/release/make_deb.py --architecture arm64.
 
 A virtual environment is a folder with a pyvenv.cfg, a link to the system's Python and
 lib/pythonX.Y/site-packages. The package holds one that is laid out here, with such a folder for
@@ -7,9 +7,9 @@ that one machine makes the packages of every architecture, and installing neithe
 compiles. The same sources and SOURCE_DATE_EPOCH (the last commit's time by default) give the same
 bytes.
 
-The kernels are compiled ahead by tools/build_kernels.py, once for each state of the sources, where
-an interpreter of the version is found here and the architecture is this machine's. Without them
-they run as plain Python, which is told.
+The kernels are compiled ahead by tools/release/build_kernels.py, once for each state of the
+sources, where an interpreter of the version is found here and the architecture is this machine's.
+Without them they run as plain Python, which a line on stderr says.
 
 Needs dpkg-deb, a C compiler, and the package index for what pip does not have in its cache.
 """
@@ -28,9 +28,10 @@ import zipfile
 from pathlib import Path
 
 from companion import __version__
+from companion.entry import outlive_readers
 from companion.kernel import sources_digest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGING = ROOT / "packaging"
 PYTHONS = ("3.11", "3.13")
 """Debian 12 and Raspberry Pi OS of 2023; Debian 13 and Raspberry Pi OS of 2025."""
@@ -129,7 +130,7 @@ def kernels_for(version: str, own: Path) -> Path | None:
     is_this = sys.version.startswith(f"{version}.")
     program = sys.executable if is_this else other_python(version)
     kernels = ROOT / f"build/kernels/{version}/companion_kernels"
-    described, tool = kernels / "__init__.py", ROOT / "tools/build_kernels.py"
+    described, tool = kernels / "__init__.py", ROOT / "tools/release/build_kernels.py"
     states = (sources_digest(), hashlib.sha256(tool.read_bytes()).hexdigest()[:16])
     if described.exists() and all(state in described.read_text() for state in states):
         return kernels
@@ -265,4 +266,5 @@ def build(tree: Path, output: Path, architecture: str) -> Path:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

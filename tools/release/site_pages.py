@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 OF_ROOT = ("CHANGELOG.md", "CONTRIBUTING.md")
 OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?P<path>[^)]*)\)")
 INTO_DOCS = re.compile(r"\]\(docs/")

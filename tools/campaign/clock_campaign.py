@@ -40,7 +40,7 @@ FLIGHT_S, FENCE_M = 180.0, 150.0
 LONGEST_HOLD_S, WORST_ERROR_M = 6.0, 1.5
 FALSE_ALARMS = ("autopilot restarted", "control yielded", "second source", "control lost")
 INTERRUPTED = 130
-REPLAY = "python tools/clock_campaign.py --replay"
+REPLAY = "python tools/campaign/clock_campaign.py --replay"
 
 
 @dataclass(frozen=True, slots=True)

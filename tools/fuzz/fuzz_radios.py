@@ -6,7 +6,7 @@ exception, a reading that is none (NaN, a wrong type), another list for another 
 that was never sent though the frame's checksum is wrong. A checksum of 8 bits is right by chance in
 one of 256 broken frames; those are counted beside it.
 
-.venv/bin/python -m tools.fuzz_radios [--streams 100000] [--seed 1] [--only nlink]
+.venv/bin/python -m tools.fuzz.fuzz_radios [--streams 100000] [--seed 1] [--only nlink]
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 from companion.entry import outlive_readers
 from companion.estimation.noise.adaptation import RangeNoise
 from tools.console import OneLineParser
-from tools.printed_adaptation import BiasComparison, compare_mean_bias
+from tools.study.printed_adaptation import BiasComparison, compare_mean_bias
 
 MEAN_BIASES_M = (2.0, 5.0, 8.0, 15.0)
 SIGMAS_M = (0.5, 1.5, 2.5)

@@ -19,7 +19,7 @@ import msgspec
 from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.tracker import TrackerParams
 from sim_link.lab.pool import open_pool
-from tools.walk_figures import (
+from tools.walks.walk_figures import (
     TargetClaims,
     claims_of,
     name_of_preset,

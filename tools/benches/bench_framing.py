@@ -1,6 +1,6 @@
 """How many frames a second one core cuts, proves, refuses and decodes, beside pymavlink's parser.
 
-.venv/bin/python tools/bench_framing.py
+.venv/bin/python tools/benches/bench_framing.py
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.crossing_kernels import NO_LATCH, LatchRule, latched_step
 from companion.planning.views import Antenna, best_reach_m, leg_over, rate
-from tools.filter_bench import (
+from tools.benches.filter_bench import (
     FILTERPY_UPDATE,
     SEED,
     Contender,
