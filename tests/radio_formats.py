@@ -18,6 +18,7 @@ LINES_PATTERN = (
     r"(?P<emitter>[0-9A-F:]{17}),(?P<range_m>[\d.]+) m, \d+ ns, (?P<quality_percent>\d+)"
 )
 LTE_STEP_M, NR_STEP_M = 78.0709, 39.0355
+NAME = "NAME"
 CELLS = ("srsran_4g", "srsran", "oai")
 
 
@@ -59,9 +60,14 @@ class Format:
         given |= others
         return msgspec.convert(given, RadioSettings)
 
+    def options_for(self, emitter_id: int) -> dict[str, object]:
+        """The options, with the emitter's name where `NAME` stands."""
+        name = self.kind.name_on_wire(emitter_id)
+        return {key: name if value == NAME else value for key, value in self.options.items()}
+
     def setup(self, emitter_id: int, **others: object) -> RadioSetup:
         kind = radio_kind(self.radio)
-        options = msgspec.convert(dict(self.options), kind.decoder.Options)
+        options = msgspec.convert(self.options_for(emitter_id), kind.decoder.Options)
         return RadioSetup(kind, self.settings(emitter_id, **others), options)
 
     def azimuth_step_deg(self, range_m: float) -> float:
@@ -101,6 +107,14 @@ FORMATS = (
     Format("trek1000", "trek1000", 0.5e-3, options={"hidden": "tag"}),
     Format("channel_sounding", "channel_sounding", 0.5e-6),
     Format("silabs_aoa", "silabs_aoa", None, 0.005, 0.005),
+    Format("bu01", "bu01", 0.5e-2),
+    Format("bu03", "bu03", 0.5e-6),
+    Format("ryuw122", "ryuw122", 0.5e-2, options={"tag": NAME}),
+    Format("pozyx", "pozyx", 0.5e-3, time_s=MS, options={"tag": NAME}),
+    Format("pozyx_sketch", "pozyx", 0.5e-3, time_s=MS),
+    Format("lr11xx", "lr11xx", 0.5),
+    Format("doppler_kn5r", "doppler", None, 0.05, time_s=UNIX_MS, has_quality=True),
+    Format("doppler_json", "doppler", None, 0.05, has_quality=True),
     Format("sx1280", "sx1280", 0.0226, options={"bandwidth_khz": 812.5}),
     Format("srsran_4g", "srsran_4g", 0.5 * LTE_STEP_M, options={"offset_steps": 0}),
     Format(

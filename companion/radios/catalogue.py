@@ -30,18 +30,18 @@ BUILT_IN: Mapping[str, str] = {
     "ftm_csv": "companion.radios.wifi_csv:FTM_CSV",
     "iw_ftm": "companion.radios.wifi_ftm:IW_FTM",
     "android_rtt": "companion.radios.wifi_csv:ANDROID_RTT",
-    "makerfabs_at": "companion.radios.text_radios:MAKERFABS_AT",
-    "uudf": "companion.radios.text_radios:UUDF",
-    "sx1280": "companion.radios.text_radios:SX1280",
-    "trek1000": "companion.radios.more_text:TREK1000",
-    "channel_sounding": "companion.radios.more_text:CHANNEL_SOUNDING",
-    "silabs_aoa": "companion.radios.more_text:SILABS_AOA",
-    "lines": "companion.radios.text_radios:LINES",
+    **dict.fromkeys(
+        (
+            *("makerfabs_at", "trek1000", "ryuw122", "bu01", "bu03", "pozyx", "uudf", "silabs_aoa"),
+            *("channel_sounding", "sx1280", "lr11xx", "doppler", "lines"),
+        ),
+        "companion.radios.text_table:RADIOS",
+    ),
     "srsran_4g": "companion.radios.cellular:SRSRAN_4G",
     "srsran": "companion.radios.cellular:SRSRAN",
     "oai": "companion.radios.cellular:OAI",
 }
-"""The radio's name to `module:ATTRIBUTE` of its `RadioKind`."""
+"""The radio's name to `module:ATTRIBUTE` of its `RadioKind`, or of a table of them by name."""
 
 
 def known_radios() -> dict[str, str]:
@@ -61,7 +61,8 @@ def radio_kind(name: str) -> RadioKind:
     Raises ConfigError for a name that nobody has, and for a plugin that is broken.
     """
     if name in BUILT_IN:
-        kind = EntryPoint(name, BUILT_IN[name], GROUP).load()
+        found = EntryPoint(name, BUILT_IN[name], GROUP).load()
+        kind = found[name] if isinstance(found, Mapping) else found
         assert isinstance(kind, RadioKind)
         return kind
     points = list(entry_points(group=GROUP, name=name))

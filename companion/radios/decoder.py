@@ -20,6 +20,7 @@ from enum import Enum
 from re import Pattern
 
 from companion.domain import Params
+from companion.radios.power_only import POWER_ONLY, is_power_only
 
 MOST_KEPT_BYTES = 65_536
 """No decoder keeps more of a stream than this between two calls."""
@@ -82,11 +83,15 @@ class DecoderCounts:
     """Lines that are none of the format's; blank ones do not count."""
     first_unrecognised: str = ""
     """The first of them, cut off and printable."""
+    is_introduced: bool = False
+    """Whether the module has named itself, in answer to the kind's probe."""
 
     def pass_over(self, line: str) -> None:
-        """Count a line that is none of the format's."""
+        """Count a line that is none of the format's, and by its reason one of received power."""
         self.resync_bytes += len(line.encode(errors="replace"))
-        if line.strip():
+        if is_power_only(line):
+            self.refuse(POWER_ONLY)
+        elif line.strip():
             self.unrecognised += 1
             shown = line.strip()[:MOST_SHOWN]
             shown = "".join(char if char.isprintable() else "?" for char in shown)
@@ -108,6 +113,8 @@ class Poll:
     period_s: float
     request: bytes = b""
     """Over a serial port or TCP, each period."""
+    probe: bytes = b""
+    """What makes the module name itself, where a request needs to know whom to ask."""
 
 
 class RadioDecoder(ABC):
@@ -152,7 +159,7 @@ class RadioKind:
     """`range`, `bearing`, `range, azimuth, elevation`."""
     emitter: str
     """What the hidden one must carry: `a LinkTrack tag`, `nothing: any transmitter`."""
-    transport: str
+    transport: str = "serial:115200"
     """The usual one, as in an address: `serial:115200`, `http`, `exec`, `udp`."""
     needs_emitter: bool = False
     """Whether the format names no emitter, so that the settings must."""

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from companion.radios.decoder import AngleFrame, LineDecoder, RadioReading
+from companion.radios.power_only import POWER_ONLY
 
 LIGHT_MPS = 299_792_458.0
 ONE_WAY_M_PER_S = LIGHT_MPS / 2.0
@@ -68,6 +69,8 @@ HEX = "_hex"
 """Behind a name whose field is a whole number in hexadecimal, without a sign."""
 HEX_NAMES = frozenset(name + HEX for name, unit in NUMBERS.items() if unit.attribute != "quality")
 NAMES = frozenset(NUMBERS) | frozenset(WORDS) | HEX_NAMES
+POWERS = frozenset({"rssi", "rssi_dbm", "power", "power_db", "power_dbm", "snr", "snr_db"})
+"""Names of what a radio reports beside, and nothing is made of."""
 SKIPPED = ("", "_", "skip")
 """Names of a column that is not read."""
 
@@ -123,6 +126,8 @@ def emitter_name(text: str) -> str | int | None:
 def complain_of(names: list[str]) -> str | None:
     """What is wrong with the names that a user has given; None: nothing."""
     for name in names:
+        if name in POWERS:
+            return f"`{name}` is a {POWER_ONLY}"
         if name not in NAMES and name not in SKIPPED:
             return f"`{name}` is no quantity with a unit; there are {', '.join(sorted(NAMES))}"
     plain = [name.removesuffix(HEX) for name in names]
@@ -147,6 +152,11 @@ class FieldDecoder(LineDecoder):
         """One frame that was understood, and cannot be used."""
         self.counts.frames += 1
         self.counts.refuse(reason)
+        return []
+
+    def no_reading(self) -> list[RadioReading]:
+        """One frame that was understood, and measures nothing that is needed."""
+        self.counts.frames += 1
         return []
 
     def passed_over(self, line: str) -> list[RadioReading]:

@@ -14,6 +14,7 @@ import msgspec
 
 from companion.domain import NonNegative, Params
 from companion.radios.decoder import AngleFrame, LineDecoder, RadioKind, RadioReading
+from companion.radios.power_only import POWER_ONLY, is_power_only
 
 MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
 MOST_ELEVATION_RAD = 0.5 * math.pi + 1e-6
@@ -98,7 +99,7 @@ class NdjsonDecoder(LineDecoder):
         if not text or text.startswith("#"):
             return []
         parsed = self._parsed(text)
-        reason = parsed if isinstance(parsed, str) else self._wrong_with(parsed)
+        reason = parsed if isinstance(parsed, str) else self._wrong_with(parsed, text)
         if reason is not None:
             self.counts.refuse(reason)
             return []
@@ -106,7 +107,7 @@ class NdjsonDecoder(LineDecoder):
         self.counts.frames += 1
         return [_reading_of(parsed)]
 
-    def _wrong_with(self, line: Line) -> str | None:
+    def _wrong_with(self, line: Line, text: str) -> str | None:
         """Why a line cannot be used, if so.
 
         The unit of angles is the stream's: where some exceed a turn, all are in degrees.
@@ -115,7 +116,7 @@ class NdjsonDecoder(LineDecoder):
         if foreign is not None:
             return f"key `{foreign}` is of another format: companion radio list"
         if line.range is None and line.bearing is None and line.elevation is None:
-            return "no range, bearing or elevation"
+            return POWER_ONLY if is_power_only(text) else "no range, bearing or elevation"
         names = ("bearing", "elevation", "bearing_std", "elevation_std")
         bounds = (MOST_BEARING_RAD, MOST_ELEVATION_RAD, MOST_BEARING_RAD, MOST_BEARING_RAD)
         for name, most_rad in zip(names, bounds, strict=True):

@@ -76,6 +76,7 @@ VARIABLE: Mapping[int, Layout] = {
     0x07: Layout(21, WITH_ANGLE, 11, time_at=6),
     0x08: Layout(24, RANGED_WIDE, 10, time_at=9),
     0x09: Layout(14),
+    0x0B: Layout(SHORTEST),
 }
 """By function mark; the number of elements is the last byte of the header."""
 SKIPPED = {
@@ -84,6 +85,7 @@ SKIPPED = {
     0x03: "NodeFrame1: no ranges",
     0x06: "NodeFrame4: other nodes' ranges",
     0x09: "NodeFrame6: no ranges",
+    0x0B: "NodeFrame7: its layout is not published; choose AOA_NodeFrame0 in NAssistant",
 }
 ANCHOR_FRAME_BYTES, ANCHOR_FRAME_END = 896, 0xEE
 TAG_FRAME_BYTES, TAG_FRAME_DISTANCES_AT, TAG_FRAME_TIME_AT = 128, 22, 108
@@ -95,7 +97,7 @@ class NlinkDecoder(FrameDecoder):
 
     Options = NlinkOptions
     options: NlinkOptions
-    start = re.compile(rb"\x55(?:[\x00-\x09]|\Z)|\x6a(?:\x00|\Z)")
+    start = re.compile(rb"\x55(?:[\x00-\x09\x0b]|\Z)|\x6a(?:\x00|\Z)")
 
     def size_at(self, data: bytes, at: int) -> int | None:
         """By the length, and where the elements are all of one size by their number, too."""

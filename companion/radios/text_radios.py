@@ -1,16 +1,18 @@
-r"""Modules that print a line a measurement: Makerfabs UWB, u-blox direction finding, SX1280.
+r"""Modules that print a line a measurement: Makerfabs UWB, TREK1000, u-blox AoA, SX1280.
 
 And any other one: `lines` is a regular expression with named groups, called by quantity and unit as
 `companion.radios.fields` has them: `(?P<emitter>\w+) at (?P<range_m>[\d.]+)`.
 
-Sources: Makerfabs/MaUWB_DW3000-with-STM32-AT-Command (AT manual 1.0.8); u-blox XPLR-AOA user guide
-UBX-21004616; jgromes/RadioLib `SX128x_Ranging`, StuartsProjects/SX12XX-LoRa examples 54.
+Sources: Makerfabs/MaUWB_DW3000-with-STM32-AT-Command (AT manual 1.0.8); Decawave TREK1000 user
+manual, report of ranges over USB; u-blox XPLR-AOA user guide UBX-21004616; jgromes/RadioLib
+`SX128x_Ranging`, StuartsProjects/SX12XX-LoRa examples 54.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -18,7 +20,7 @@ import msgspec
 
 from companion.domain import Params
 from companion.errors import ConfigError
-from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
+from companion.radios.decoder import AngleFrame, RadioReading
 from companion.radios.fields import FieldDecoder, columns, complain_of, number
 
 SLOTS = 8
@@ -29,28 +31,46 @@ SX1280_M_PER_STEP_KHZ = 150.0 / 4.096
 """Metres of one step of the ranging register, times the bandwidth in kHz."""
 
 
-class MakerfabsOptions(Params, frozen=True):
-    """Who of the two is hidden."""
+class SlotOptions(Params, frozen=True):
+    """Which of the two is hidden."""
 
     hidden: Literal["anchor", "tag"] = "anchor"
     """What the emitter is: the vehicle carries the other one."""
     slot: Annotated[int, msgspec.Meta(ge=0, lt=SLOTS)] = 0
-    """With `hidden: tag`, the slot of the anchor on the vehicle."""
+    """With `hidden: tag`, the slot or number of the anchor on the vehicle."""
 
 
-class MakerfabsAtDecoder(FieldDecoder):
+class SlotDecoder(FieldDecoder):
+    """Base of reports that have a range of one tag to each of several anchors."""
+
+    Options = SlotOptions
+    options: SlotOptions
+
+    def read_slots(
+        self, tag: int, slots: Iterable[tuple[int, float, int]], nothing: str
+    ) -> list[RadioReading]:
+        """Return the readings of (slot, range in metres, anchor) triples that were answered.
+
+        `nothing` is the reason that is counted if there is none.
+        """
+        self.counts.frames += 1
+        options, readings = self.options, []
+        for slot, range_m, anchor in slots:
+            if options.hidden == "anchor" or slot == options.slot:
+                emitter = anchor if options.hidden == "anchor" else tag
+                readings.append(RadioReading(emitter, range_m=range_m))
+        if not readings:
+            self.counts.refuse(nothing)
+        return readings
+
+
+class MakerfabsAtDecoder(SlotDecoder):
     """`AT+RANGE=` reports of Makerfabs' AT firmware."""
 
-    Options = MakerfabsOptions
     _REPORT = re.compile(
         r"AT\+RANGE=tid:([0-9]{1,5}), *mask:([0-9A-Fa-f]{1,2}), *seq:([0-9]{1,3}), *(.*)"
     )
     _LIST = re.compile(r"(range|rssi|ancid):\(([^()]*)\)")
-
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        assert isinstance(self.options, MakerfabsOptions)
-        self._hidden, self._slot = self.options.hidden, self.options.slot
 
     def hello(self) -> bytes:
         """Reports are off after a reset."""
@@ -68,18 +88,38 @@ class MakerfabsAtDecoder(FieldDecoder):
         if not is_whole or None in ranges or None in names:
             return self.refused("torn report")
         mask = int(found[2], 16)
-        self.counts.frames += 1
-        readings = []
-        for slot, (range_cm, name) in enumerate(zip(ranges, names, strict=False)):
-            if not mask >> slot & 1 or not range_cm or name is None or name < 0.0:
-                continue
-            if self._hidden == "tag" and slot != self._slot:
-                continue
-            emitter = int(found[1]) if self._hidden == "tag" else int(name)
-            readings.append(RadioReading(emitter, range_m=range_cm / 100.0))
-        if not readings:
-            self.counts.refuse("no slot answered")
-        return readings
+        answered = [
+            (slot, range_cm / 100.0, int(name))
+            for slot, (range_cm, name) in enumerate(zip(ranges, names, strict=False))
+            if mask >> slot & 1 and range_cm and name is not None and name >= 0.0
+        ]
+        return self.read_slots(int(found[1]), answered, "no slot answered")
+
+
+class TrekDecoder(SlotDecoder):
+    """`mc` reports: four ranges in hexadecimal millimetres, and a mask of those that are valid.
+
+    `mr` reports are the same before a correction, `ma` reports are between anchors.
+    """
+
+    _REPORT = re.compile(
+        r"mc ([0-9a-f]{2})((?: [0-9a-f]{8}){4})"
+        r" [0-9a-f]{4} [0-9a-f]{2} [0-9a-f]{8} [at]([0-9]):[0-9]"
+    )
+    _OTHERS = re.compile(r"m[ra] [0-9a-f]{2}(?: [0-9a-f]{8}){4} ")
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """One report."""
+        found = self._REPORT.search(line)
+        if not found:
+            return self.no_reading() if self._OTHERS.search(line) else self.passed_over(line)
+        mask = int(found[1], 16)
+        answered = [
+            (slot, int(text, 16) / 1000.0, slot)
+            for slot, text in enumerate(found[2].split())
+            if mask >> slot & 1
+        ]
+        return self.read_slots(int(found[3]), answered, "no anchor answered")
 
 
 class UudfOptions(Params, frozen=True):
@@ -244,42 +284,3 @@ def _compiled(pattern: str) -> re.Pattern[str]:
     if problem is not None:
         raise ConfigError(f"lines: pattern: {problem}")
     return compiled
-
-
-MAKERFABS_AT = RadioKind(
-    name="makerfabs_at",
-    decoder=MakerfabsAtDecoder,
-    title="Makerfabs MaUWB_DW3000 with AT firmware",
-    gives="range",
-    emitter="a Makerfabs anchor, or a tag with `hidden: tag`",
-    transport="serial:115200",
-    defaults={"range_sigma_m": 0.5},
-)
-UUDF = RadioKind(
-    name="uudf",
-    decoder=UudfDecoder,
-    title="u-blox direction finding, C209 and ANNA-B4 (+UUDF)",
-    gives="azimuth, elevation",
-    emitter="a Bluetooth tag that sends direction finding advertisements",
-    transport="serial:115200",
-    clock_wrap_s=2**32 / 1000.0,
-    defaults={"bearing_sigma_deg": 5.0, "elevation_sigma_deg": 5.0},
-)
-SX1280 = RadioKind(
-    name="sx1280",
-    decoder=Sx1280Decoder,
-    title="Semtech SX1280 ranging, lines of RadioLib and SX12XX-LoRa",
-    gives="range",
-    emitter="an SX1280 in the slave role",
-    transport="serial:115200",
-    needs_emitter=True,
-    defaults={"range_sigma_m": 3.0},
-)
-LINES = RadioKind(
-    name="lines",
-    decoder=LinesDecoder,
-    title="any text: a regular expression of your own",
-    gives="what its groups are called",
-    emitter="whatever the radio needs",
-    transport="serial:115200",
-)

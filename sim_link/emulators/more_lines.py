@@ -1,7 +1,8 @@
-"""Radios that print lines: TREK1000, Nordic's channel sounding, Silicon Labs' angles by MQTT.
+"""Radios that print lines: TREK1000, BU01, Pozyx sketches, LR11xx, Bluetooth of two makers.
 
 Sources: Decawave, TREK1000 user manual; Nordic, sample `channel_sounding_ras_initiator`; Silicon
-Labs, JSON of `bt_aoa_host_locator` as a subscriber prints it with its topic.
+Labs, JSON of `bt_aoa_host_locator` as a subscriber prints it with its topic; M5Stack, Unit UWB;
+pozyxLabs, Pozyx-Arduino-library `ready_to_range`; Lora-net, SWSD003 `main_rttof.c`.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 
 from sim_link.emulators.bearings import turned_rad
-from sim_link.emulators.emulator import Answer, Emulator, Round, lines
+from sim_link.emulators.emulator import U32, Answer, Emulator, Round, lines
 
 TAGS = 8
 
@@ -110,3 +111,78 @@ class SilabsAoa(Emulator):
     def name_on_wire(cls, emitter_id: int) -> str:
         """The tag's address."""
         return f"02000000{emitter_id:04X}"
+
+
+class Bu01(Emulator):
+    """An Ai-Thinker BU01 in the tag's role: a line an anchor, whole centimetres."""
+
+    name = "bu01"
+    title = "Ai-Thinker BU01, M5Stack Unit UWB"
+    ids = range(10)
+    most = 4
+
+    def hear(self, data: bytes) -> bytes:
+        """Ranging goes on already."""
+        return lines(["+switchdis=OK"]) if b"switchdis" in data else b""
+
+    def tell(self, asked: Round) -> bytes:
+        """A line for each that answered."""
+        return lines(
+            [
+                f"an{answer.emitter_id}:{answer.range_m:.2f}m"
+                for answer in asked.heard
+                if answer.range_m is not None
+            ]
+        )
+
+
+class PozyxSketch(Emulator):
+    """An Arduino with a Pozyx shield and the sketch `ready_to_range`."""
+
+    name = "pozyx_sketch"
+    title = "Pozyx, Arduino sketch ready_to_range"
+    most = 1
+
+    def tell(self, asked: Round) -> bytes:
+        """A line in any case."""
+        clock_ms = self.device_ms(asked.told_s) % U32
+        return lines([self._line(answer, clock_ms) for answer in asked.answers])
+
+    def _line(self, answer: Answer, clock_ms: int) -> str:
+        if answer.range_m is None:
+            return "ERROR: ranging"
+        return f"{clock_ms}ms, {round(1e3 * answer.range_m)}mm, {round(answer.power_dbm)}dBm"
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  no id is printed
+        """Return nothing: the format has no id of the emitter."""
+        return ""
+
+
+class Lr11xx(Emulator):
+    """The manager of Semtech's ranging example: whole metres."""
+
+    name = "lr11xx"
+    title = "Semtech LR1110 and LR1120, RTToF example"
+    rate_hz = 2.0
+    most = 1
+
+    def boot(self) -> bytes:
+        """What it was built for."""
+        return lines(
+            ["===== LR11xx RTToF example =====", "", "===== Running in manager mode ====="]
+        )
+
+    def tell(self, asked: Round) -> bytes:
+        """A result, or that there was none."""
+        return lines([self._line(answer) for answer in asked.answers])
+
+    def _line(self, answer: Answer) -> str:
+        if answer.range_m is None:
+            return "RTTOF request timeout"
+        return f"RTToF result: Distance: {round(answer.range_m)}m, RSSI: {round(answer.power_dbm)} "
+
+    @classmethod
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  no id is printed
+        """Return nothing: the format has no id of the emitter."""
+        return ""

@@ -136,7 +136,11 @@ class Rig:
         if format_.name in BY_PAGE or format_.kind.request:
             own["poll_s"] = POLL_S
         settings = {**own, **sigmas(format_, scenario)}
-        radio = {"name": format_.radio, "settings": settings, "options": dict(format_.options)}
+        radio = {
+            "name": format_.radio,
+            "settings": settings,
+            "options": format_.options_for(emitter_id),
+        }
         write(self.directory / "companion.yaml", config, radios=[radio])
 
     def start(self, *words: str, output: Path | None = None) -> Process:

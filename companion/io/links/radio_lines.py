@@ -40,10 +40,10 @@ def radio_link(setup: RadioSetup, url: str) -> FlightLink:
     greeting, request = decoder.hello(), decoder.request() or poll.request
     is_asked = request or address.partition(":")[0].lower() in ("http", "https", "exec")
     if setup.settings.poll_s is not None and not is_asked:
-        raise ConfigError(
-            f"radio {setup.kind.name}: poll_s: nothing is asked at {url}; "
-            "`lines` has the option `request` for what to ask"
-        )
+        asks = "`lines` has the option `request` for what to ask"
+        if "tag" in setup.kind.decoder.Options.__struct_fields__:
+            asks = "the option `tag` says whom to ask"
+        raise ConfigError(f"radio {setup.kind.name}: poll_s: nothing is asked at {url}; {asks}")
 
     def greeted(index: int, received: Received) -> Link:
         """The link, which makes the radio talk and says when it is gone."""
@@ -67,7 +67,8 @@ def _line(setup: RadioSetup, url: str) -> tuple[str, Make, UdpBind | TcpServer |
             if not rest.strip():
                 raise _wrong(url, "needs a command, for example exec:cat /tmp/radio.txt")
             poll = setup.kind.poll
-            usual_s = poll.period_s if poll is not None and not poll.request else None
+            is_run_again = poll is not None and not poll.request and not poll.probe
+            usual_s = poll.period_s if poll is not None and is_run_again else None
             period_s = setup.settings.poll_s or usual_s
             return url, lambda index, received: ExecLink(rest, period_s, index, received), None
         case "file":

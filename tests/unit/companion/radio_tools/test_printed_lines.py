@@ -157,6 +157,65 @@ def test_few_valid_readings_of_a_session_widen_the_sigma() -> None:
         assert typed.newest[1].range_sigma_m == pytest.approx(sigma_m)
 
 
+POWERS = [
+    "Device found: C4:7C:8D:00:00:01 (random) (RSSI -61), type 0, AD data len 29",
+    "[CHG] Device C4:7C:8D:00:00:01 RSSI: -61",
+    "        RSSI: -61 dBm (0xc3)",
+    "\tsignal: -61.00 dBm",
+    "          Quality=49/70  Signal level=-61 dBm",
+    "12:01:33.120 1.0 Mb/s 2437 MHz 11b -61dBm signal antenna 1 Probe Request (home)",
+    "PACKET TYPE=MGMT, CHAN=06, RSSI=-61, ADDR1=ff:ff:ff:ff:ff:ff, ADDR2=c4:7c:8d:00:00:01",
+    "Received packet 'hello 12' with RSSI -61",
+    "[SX1276] RSSI:\t\t-61.00 dBm",
+    '{"rxpk":[{"tmst":3512348611,"chan":2,"freq":866.3,"rssi":-35,"lsnr":5.1,"size":32}]}',
+    '{"emitter_id":"c4:7c:8d:00:00:01","power_dbm":-61.0}',
+    "Conf: 1 Id:  2 snr:  21.3 heading: 123.0 stft_score:   1e+02 noise_psd: 1e-09 freq: 146000000",
+]
+
+
+@pytest.mark.parametrize("radio", ["ndjson@stdin:", "esp32_ftm@/dev/ttyUSB0", "sx1280@/dev/x"])
+@pytest.mark.parametrize("line", POWERS)
+def test_a_received_power_alone_is_refused_by_that_reason(radio: str, line: str) -> None:
+    typed = Typed(radio, f"{line}\n")
+
+    assert not typed.newest
+    if radio.startswith("ndjson") and not line.startswith("{"):
+        assert "not a JSON object" in typed.head or "not JSON" in typed.head
+    else:
+        assert "received power only" in typed.head
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "tag 7: dist 3.25 RSSI -70",
+        "RSSI: -70 dBm, 3.2 m",
+        "bearing 120 snr 12",
+        "angle=12 rssi=-60",
+    ],
+)
+def test_a_power_beside_a_range_or_an_angle_is_a_format_that_is_not_known(line: str) -> None:
+    typed = Typed("esp32_ftm@/dev/ttyUSB0", f"{line}\n")
+
+    assert typed.head.endswith(f"1 line not recognised; first: {line}")
+
+
+@pytest.mark.parametrize("group", ["power_dbm", "rssi", "snr_db"])
+def test_a_power_is_no_group_of_an_expression(group: str) -> None:
+    with pytest.raises(ConfigError, match="received power only"):
+        radio_setups(flown_radios((), [f"lines:pattern='RSSI (?P<{group}>.*)'@/dev/ttyUSB0"]))
+
+
+def test_a_frame_whose_layout_is_not_published_is_named() -> None:
+    frame = bytes((0x55, 0x0B, 34, 0)) + bytes(range(29))
+    typed = Typed("nlink@/dev/ttyUSB0", "")
+    typed.stage.receive(frame + bytes((sum(frame) & 0xFF,)), 0.5)
+
+    assert [*typed.stage.all_refused] == [
+        "NodeFrame7: its layout is not published; choose AOA_NodeFrame0 in NAssistant"
+    ]
+
+
 @pytest.mark.parametrize("radio", ["nlink", "esp32_ftm", "pans", "kraken", "makerfabs_at"])
 def test_lines_in_no_format_are_counted_and_the_first_is_shown(radio: str) -> None:
     typed = Typed(f"{radio}@/dev/ttyUSB0", "dist tag 7 -> 3.2 m\r\n\r\n[12:01:33] tick\r\n")

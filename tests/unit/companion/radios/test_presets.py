@@ -18,6 +18,12 @@ ALIKE = {
     "kraken_xml": "kraken",
     "pans_tlv": "pans",
     "trek1000": "pans",
+    "ryuw122": "pans",
+    "bu01": "pans",
+    "bu03": "pans",
+    "pozyx": "pans",
+    "lr11xx": "sx1280",
+    "doppler": "kraken",
     "channel_sounding": "lines",
     "silabs_aoa": "uudf",
 }

@@ -10,7 +10,7 @@ from companion.radios.text_radios import (
     LinesDecoder,
     LinesOptions,
     MakerfabsAtDecoder,
-    MakerfabsOptions,
+    SlotOptions,
     Sx1280Decoder,
     Sx1280Options,
     UudfDecoder,
@@ -55,7 +55,7 @@ def test_some_firmware_puts_blanks_after_commas() -> None:
 
 
 def test_a_hidden_tag_is_named_by_its_own_number_and_ranged_by_our_anchor() -> None:
-    (reading,) = read(MakerfabsAtDecoder(MakerfabsOptions(hidden="tag", slot=1)), MAKERFABS[1])
+    (reading,) = read(MakerfabsAtDecoder(SlotOptions(hidden="tag", slot=1)), MAKERFABS[1])
 
     assert (reading.emitter, reading.range_m) == (7, 13.21)
 

@@ -1,0 +1,245 @@
+"""Radios whose lines have a few fixed forms, each a row: an expression, and what it says.
+
+The groups of an expression are named by the vocabulary of `companion.radios.fields`, so that its
+units, its refusals of torn numbers and its missing values are those of every text format. Further
+modules of this kind are a class of such rows here and a row in `companion.radios.text_table`.
+
+Sources: nrfconnect/sdk-nrf and zephyr, samples of Bluetooth channel sounding; REYAX, AT command
+guide of the RYUW122; Ai-Thinker BU01 (M5Stack Unit UWB documentation) and BU03 (AT+DISTANCE);
+pozyxLabs/Pozyx-Arduino-library `ready_to_range`, pozyxLabs/Pozyx-Python-library `pozyx_serial.py`;
+Lora-net/SWSD003 `lr11xx/apps/rttof`; charlieh0tel/rotaryclub `kn5r-format.md` and `src/output`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import msgspec
+
+from companion.domain import Params
+from companion.radios.decoder import RadioReading
+from companion.radios.fields import FieldDecoder
+
+
+@dataclass(frozen=True, slots=True)
+class LineForm:
+    """One form of a radio's lines."""
+
+    pattern: re.Pattern[str]
+    """Searched for; each match is a reading. Without groups it measures nothing that is needed."""
+    refused: str = ""
+    """Why such a line cannot be used; empty: it can."""
+
+
+def form(pattern: str, refused: str = "") -> LineForm:
+    """Return the form of a pattern."""
+    return LineForm(re.compile(pattern), refused)
+
+
+class FormDecoder(FieldDecoder):
+    """Lines of a few forms; the first that fits has the line."""
+
+    forms: ClassVar[tuple[LineForm, ...]]
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """Return what the first fitting form says."""
+        for each in self.forms:
+            if each.pattern.search(line) is None:
+                continue
+            if each.refused:
+                return self.refused(each.refused)
+            if not each.pattern.groups:
+                return self.no_reading()
+            found = each.pattern.finditer(line)
+            return [reading for match in found for reading in self.read_match(match.groupdict())]
+        return self.passed_over(line)
+
+    def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
+        """Return the reading of a match; of some radios the fields are completed first."""
+        return self.read_fields(fields)
+
+
+_AT_STATUS = form(r"^(?:AT\+.*|\+?(?:OK|READY)|\+[A-Za-z_]{2,16}=[^,]*)\s*$")
+"""Commands that are echoed, and answers to them that are no measurement."""
+
+
+class ChannelSoundingDecoder(FormDecoder):
+    """Distances of Nordic's and Zephyr's samples by phases; by round trips they are metres off."""
+
+    forms = (
+        form(r"istance estimates on antenna path [1-9]: ifft: "),
+        form(r"istance estimates on antenna path 0: ifft: (?P<range_m>-?[0-9.]{1,12}), phase_"),
+        form(r"Phase-Based Ranging method: (?P<range_m>-?[0-9.]{1,12}) meters"),
+        form(r"(?:path 0: ifft:|Phase-Based Ranging method:) -?nan", "no distance by phases"),
+        form(r"Round-Trip Timing method: "),
+    )
+
+
+class TagOptions(Params, frozen=True):
+    """Which tag a module asks for its distance."""
+
+    tag: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_]{0,8}$")] = ""
+    """Address; empty: nothing is asked, only what the module says by itself is read."""
+
+
+class Ryuw122Decoder(FormDecoder):
+    """REYAX RYUW122 in the anchor's role: it asks one tag at a time, centimetres."""
+
+    Options = TagOptions
+    options: TagOptions
+    forms = (
+        form(
+            r"\+ANCHOR_RCV= ?(?P<emitter>[^,]{1,12}),[0-9]{1,3},.{0,40},"
+            r" ?0*(?P<range_cm>-?[0-9]{1,7}) ?cm(?:$|[,\s])"
+        ),
+        form(r"\+ANCHOR_RCV", "torn line"),
+        form(r"\+TAG_RCV=", "a tag measures no distance: set the module here to the anchor's role"),
+        form(r"\+ERR=[0-9]", "the module reports an error"),
+        _AT_STATUS,
+    )
+
+    def request(self) -> bytes:
+        """Ask the tag; its answer is the distance."""
+        return f"AT+ANCHOR_SEND={self.options.tag},4,PING\r\n".encode() if self.options.tag else b""
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """Return what a line says; the version names the module."""
+        if "+VER=RYUW122" in line:
+            self.counts.is_introduced = True
+        return super().read_line(line, received_s)
+
+
+class Bu01Decoder(FormDecoder):
+    """Ai-Thinker BU01 in the tag's role: a line an anchor, once ranging is switched on."""
+
+    forms = (form(r"\ban(?P<emitter>[0-9]):\s?(?P<range_m>-?[0-9]{1,6}\.[0-9]+) ?m"), _AT_STATUS)
+
+    def hello(self) -> bytes:
+        """Ranging is off after a reset."""
+        return b"AT+switchdis=1\r\n"
+
+
+class Bu03Decoder(FormDecoder):
+    """Ai-Thinker BU03 and BU04, which say the distance when they are asked; metres."""
+
+    forms = (
+        form(r"\bdistance: ?(?P<range_m>-?[0-9]{1,6}\.[0-9]+)(?![0-9.])"),
+        form(r"\bdistance:", "torn line"),
+        form(r"^ERR(?:OR)?\b", "the module reports an error"),
+        _AT_STATUS,
+    )
+
+
+class PozyxOptions(Params, frozen=True):
+    """Which other Pozyx is ranged to over USB."""
+
+    tag: Annotated[str, msgspec.Meta(pattern=r"^(0[xX])?[0-9A-Fa-f]{4}$|^$")] = ""
+    """Network id in hexadecimal, as it is printed on the device; empty: nothing is asked."""
+
+
+class PozyxDecoder(FormDecoder):
+    """Pozyx by the lines of its Arduino sketches, or asked over its own USB port.
+
+    The port answers a function with `D,`, its status, and its data: a range is u32 milliseconds,
+    u32 millimetres and i16 dBm. What is asked is the last range, and then for a new one, so that a
+    range that did not come about repeats the one before it and is passed over as seen before.
+    """
+
+    Options = PozyxOptions
+    options: PozyxOptions
+    forms = (
+        form(r"(?P<time_ms>[0-9]{1,10}) ?ms, (?P<range_mm>[0-9]{1,10}) ?mm, -?[0-9]{1,5} ?dBm"),
+        form(r"(?P<emitter>0x[0-9A-Fa-f]{3,4}): (?P<range_mm>[0-9]{1,10})mm, -?[0-9]{1,5}dB"),
+        form(r"^D,01(?P<data>[0-9A-Fa-f]{20})\s*$"),
+        form(r"^ERROR: ranging|^D,00", "ranging failed"),
+        form(r"^D,(?:[0-9A-Fa-f]{2}){0,9}\s*$"),
+    )
+    GET_RANGE, DO_RANGING = "c7", "b5"
+
+    def request(self) -> bytes:
+        """Return both questions about the configured device."""
+        digits = self.options.tag[-4:].lower()
+        if not digits:
+            return b""
+        swapped = digits[2:] + digits[:2]
+        return f"F,{self.GET_RANGE},{swapped},11\rF,{self.DO_RANGING},{swapped},1\r".encode()
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """Return what a line says; the register WHO_AM_I, 0x43, names the device."""
+        if line.strip() == "D,43":
+            self.counts.is_introduced = True
+        return super().read_line(line, received_s)
+
+    def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
+        """Return the reading of a sketch's fields, or of an answer's bytes."""
+        data = fields.get("data")
+        if data is None:
+            return self.read_fields(fields)
+        raw = bytes.fromhex(data)
+        time_ms, range_mm = (int.from_bytes(raw[at : at + 4], "little") for at in (0, 4))
+        if not range_mm:
+            return self.refused("no range yet")
+        return self.understood(
+            RadioReading(
+                emitter=self.options.tag or None,
+                device_time_s=time_ms / 1000.0,
+                range_m=range_mm / 1000.0,
+            )
+        )
+
+
+class Lr11xxDecoder(FormDecoder):
+    """Semtech LR1110 and LR1120 as the ranging example of their SDK prints; whole metres."""
+
+    forms = (
+        form(r"RTToF result: Distance: (?P<range_m>-?[0-9]{1,10})m, RSSI: "),
+        form(r"RTTOF request (?:timeout|discarded)", "no answer"),
+    )
+
+
+class DopplerDecoder(FormDecoder):
+    """Doppler direction finders: KN5R-RDF sentences, and the other formats of rotaryclub.
+
+    Degrees clockwise from the array's own zero. KN5R-RDF has no sentence for silence: its quality,
+    the mean length of the phase vectors, goes down to that of noise.
+    """
+
+    forms = (
+        form(r"^Bearing: .*(?:\[no signal\]|NO SIG)", "no signal"),
+        form(r'"bearing":.*"signal_present":false', "no signal"),
+        form(r"^[0-9]{4}-[0-9]{2}-[^,]*Z?(?:,[^,]*){6},false,", "no signal"),
+        form(
+            r'"bearing":(?P<azimuth_deg>-?[0-9.]+),"raw":[^,]*,"confidence":(?P<quality>[0-9.]+),'
+            r'"snr_db":[^,]*,"bearing_uncertainty_deg":(?:null|(?P<azimuth_sigma_deg>[0-9.]+)),'
+        ),
+        form(
+            r"^Bearing: +(?P<azimuth_deg>-?[0-9.]+)\N{DEGREE SIGN} .*?"
+            r"conf(?:idence)?: (?P<quality>[0-9.]+)"
+        ),
+        form(
+            r"^[0-9]{4}-[0-9]{2}-[^,]*,(?P<azimuth_deg>-?[0-9.]+),[^,]*,(?P<quality>[0-9.]+),"
+            r"[^,]*,(?P<azimuth_sigma_deg>[0-9.]*),[^,]*,true,"
+        ),
+        form(r"^C(?P<azimuth>[0-9]{4})(?P<magnitude>[0-9]{3})[0-9]{3}(?P<epoch>[0-9]{15})\s*$"),
+        form(r"^[SBT][0-9]{10,}"),
+    )
+    MOST_MAGNITUDE = 999.0
+    TENTHS = 10.0
+
+    def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
+        """Return the reading of a match; a sentence's digits are tenths and thousandths."""
+        if fields.get("epoch") is None:
+            return self.read_fields(fields)
+        azimuth, magnitude, epoch = (
+            float(fields[name] or "nan") for name in ("azimuth", "magnitude", "epoch")
+        )
+        return self.read_fields(
+            {
+                "azimuth_deg": f"{azimuth / self.TENTHS:.1f}",
+                "quality": f"{magnitude / self.MOST_MAGNITUDE:.4f}",
+                "time_ms": f"{epoch:.0f}.0",
+            }
+        )
