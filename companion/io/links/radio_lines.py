@@ -33,11 +33,15 @@ DEFAULT_POLL = Poll("/", 1.0)
 Make = Callable[[int, Received], Link]
 
 
-def radio_link(setup: RadioSetup, url: str) -> FlightLink:
-    """The link of a radio that is at `url`; a `ConfigError` shows a right one."""
+def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> FlightLink:
+    """The link of a radio that is at `url`; a `ConfigError` shows a right one.
+
+    With `is_probed` a module that needs to know whom to ask is asked for its own name instead.
+    """
     address, make, listens_at = _line(setup, url.strip())
     decoder, poll = setup.kind.decoder(setup.options), setup.kind.poll or DEFAULT_POLL
     greeting, request = decoder.hello(), decoder.request() or poll.request
+    request = request or (poll.probe if is_probed else b"")
     is_asked = request or address.partition(":")[0].lower() in ("http", "https", "exec")
     if setup.settings.poll_s is not None and not is_asked:
         asks = "`lines` has the option `request` for what to ask"

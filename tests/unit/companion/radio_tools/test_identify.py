@@ -1,19 +1,90 @@
-"""`companion radio identify`: the emulated radio's name, and none for noise."""
+"""`companion radio identify`: each emulated radio's name in its time, and none for noise."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.radio_tools.identify import Attempt, Listener, attempts, identify
+from companion.mav.endpoint import Chunk
+from companion.radio_tools.identify import LISTEN_S, Attempt, Ear, Listener, attempts, identify
+from companion.radios.catalogue import radio_kind
 from sim_link.emulators.catalogue import make_emulator
-from sim_link.emulators.emulator import Answer, Round
+from sim_link.emulators.emulator import Answer, Emulator, Round
 from tests.radio_formats import FORMATS, Format
 
 NAMED = [each for each in FORMATS if each.radio != "lines"]
 ALSO = {"ftm_csv": {"esp32_ftm"}}
 """Formats that two decoders share."""
+STEP_S = 0.05
+OTHER_SPEED = np.random.default_rng(0).bytes(1 << 16)
+"""What a serial port hears at another speed."""
+URLS = {"serial": "/dev/ttyUSB0", "http": "http://127.0.0.1:8081", "exec": "exec:radio"}
+"""Where a radio is looked for, by its usual transport; others by UDP."""
+
+
+def round_at(emulator: Emulator, now_s: float, number: int) -> Round:
+    """A round with one emitter that answers."""
+    heard = RangingMeasurement(
+        emitter_id=1,
+        measured_at_s=now_s,
+        range_m=20.0 + 0.1 * number if "range" in emulator.gives else None,
+        range_sigma_m=0.5,
+        bearing_body_rad=0.2 + 0.01 * (number % 9),
+        elevation_rad=-0.1,
+        is_array_angle=emulator.antenna in ("line", "two_axis"),
+        quality=0.8,
+    )
+    return Round(now_s, (Answer(1, heard),))
+
+
+class Bench:
+    """An emulated radio on a desk, in invented time."""
+
+    def __init__(self, name: str, radio: str, rate_hz: float | None = None) -> None:
+        self.now_s = 0.0
+        self.emulator = make_emulator(name, 3)
+        self.kind = radio_kind(radio)
+        self._period_s = 1.0 / (rate_hz or self.emulator.rate_hz)
+        self._rounds = self._told()
+        scheme, _, speed = self.kind.transport.partition(":")
+        self._baud = int(speed) if scheme == "serial" else None
+        self.url = URLS.get(scheme, "udp:127.0.0.1:5005")
+
+    def clock(self) -> float:
+        return self.now_s
+
+    def _told(self) -> Iterator[bytes]:
+        """What it prints until the present, each time that is asked."""
+        number, due_s = 0, 0.0
+        yield self.emulator.boot()
+        while True:
+            said = b""
+            while due_s <= self.now_s:
+                said += self.emulator.tell(round_at(self.emulator, 1.0 + due_s, number))
+                number, due_s = number + 1, due_s + self._period_s
+            yield said
+
+    def _printed(self, attempt: Attempt) -> bytes:
+        told = next(self._rounds)
+        if attempt.baud is not None and attempt.baud != self._baud:
+            return OTHER_SPEED[: len(told)]
+        poll = radio_kind(attempt.radio).poll
+        if self.emulator.request and poll is not None and attempt.radio == self.kind.name:
+            told += self.emulator.hear(poll.request or poll.probe)
+        is_page = attempt.url.startswith("http")
+        return b"" if is_page and attempt.radio != self.kind.name else told
+
+    def hear(self, attempt: Attempt, listener: Listener) -> None:
+        began_s = self.now_s
+        ear = Ear(listener, attempt.share_s, attempt.most_s)
+        while not ear.is_finished:
+            self.now_s += STEP_S
+            ear.handle_timer(self.now_s - began_s)
+            if data := self._printed(attempt):
+                ear.receive(Chunk(0, data, is_datagram=False), self.now_s - began_s)
 
 
 def printed(format_: Format) -> bytes:
@@ -21,31 +92,87 @@ def printed(format_: Format) -> bytes:
     emulator = make_emulator(format_.name, 3)
     said = emulator.boot()
     for number in range(round(10.0 * emulator.rate_hz)):
-        now_s = 1.0 + number / emulator.rate_hz
-        heard = RangingMeasurement(
-            emitter_id=1,
-            measured_at_s=now_s,
-            range_m=20.0 + 0.1 * number if "range" in emulator.gives else None,
-            range_sigma_m=0.5,
-            bearing_body_rad=0.2 + 0.01 * (number % 9),
-            elevation_rad=-0.1,
-            is_array_angle=emulator.antenna in ("line", "two_axis"),
-            quality=0.8,
-        )
-        said += emulator.say(Round(now_s, (Answer(1, heard),)))
+        said += emulator.say(round_at(emulator, 1.0 + number / emulator.rate_hz, number))
     return said
 
 
 @pytest.mark.parametrize("format_", NAMED, ids=lambda each: str(each.name))
-def test_each_emulated_radio_is_named(format_: Format) -> None:
-    listener = Listener()
-    data = printed(format_)
-    for at in range(0, len(data), 512):
-        listener.feed(data[at : at + 512], at / 512.0)
+def test_each_emulated_radio_is_named_in_ten_seconds(format_: Format) -> None:
+    """Where it is plugged in, at its own speed and rate, asked if it must be."""
+    bench = Bench(format_.name, format_.radio)
 
-    found = listener.found
-    assert found is not None
-    assert found.name in {format_.radio} | ALSO.get(format_.radio, set())
+    code, text = identify(bench.url, hear=bench.hear, clock=bench.clock)
+
+    assert code == 0, text
+    assert text.partition(":")[0] in {format_.radio} | ALSO.get(format_.radio, set())
+    assert bench.now_s <= LISTEN_S + STEP_S
+
+
+@pytest.mark.parametrize("name", ["esp32_ftm", "sx1280", "qorvo_cli"])
+def test_a_slow_radio_is_waited_for_once_it_has_measured(name: str) -> None:
+    bench = Bench(name, name, rate_hz=0.4)
+
+    code, text = identify(bench.url, hear=bench.hear, clock=bench.clock)
+
+    assert (code, text.partition(":")[0]) == (0, name)
+
+
+def test_a_module_that_must_know_whom_to_ask_names_itself() -> None:
+    for name in ("ryuw122", "pozyx"):
+        bench = Bench(name, name)
+        code, text = identify(bench.url, hear=bench.hear, clock=bench.clock)
+        assert code == 0
+        assert f"watch '{name}:tag=NAME@serial:/dev/ttyUSB0:115200'" in text
+
+
+def test_received_power_alone_is_named_as_that() -> None:
+    bench = Bench("rssi_scan", "esp32_ftm")
+
+    code, text = identify("udp:127.0.0.1:5005", hear=bench.hear, clock=bench.clock)
+
+    assert code == 1
+    assert "received power only" in text
+    assert bench.now_s < LISTEN_S + STEP_S
+
+
+def noise_of(letters: bytes) -> Callable[[int], bytes]:
+    rng = np.random.default_rng(7)
+    return lambda count: bytes(letters[k] for k in rng.integers(0, len(letters), count))
+
+
+@pytest.mark.parametrize(
+    "letters", [bytes(range(256)), bytes(range(0x20, 0x7F)) + b"\r\n"], ids=["bytes", "text"]
+)
+@pytest.mark.parametrize("url", ["/dev/ttyUSB0", "serial:/dev/ttyUSB0:115200", "udp:127.0.0.1:1"])
+def test_noise_ends_within_the_time_and_is_no_radio(letters: bytes, url: str) -> None:
+    now_s, noise = 0.0, noise_of(letters)
+
+    def hear(attempt: Attempt, listener: Listener) -> None:
+        nonlocal now_s
+        began_s, ear = now_s, Ear(listener, attempt.share_s, attempt.most_s)
+        while not ear.is_finished:
+            now_s += STEP_S
+            ear.handle_timer(now_s - began_s)
+            ear.receive(Chunk(0, noise(576), is_datagram=False), now_s - began_s)
+
+    code, text = identify(url, hear=hear, clock=lambda: now_s)
+
+    assert code == 1
+    assert "of no radio that is known" in text
+    assert now_s <= LISTEN_S + STEP_S
+
+
+def test_a_link_that_opens_slowly_takes_its_time_from_the_others() -> None:
+    now_s = 0.0
+
+    def hear(attempt: Attempt, _: Listener) -> None:
+        nonlocal now_s
+        now_s += 0.4 + attempt.share_s
+
+    identify("/dev/ttyUSB0", hear=hear, clock=lambda: now_s)
+
+    ways = len(attempts("/dev/ttyUSB0"))
+    assert LISTEN_S <= now_s <= LISTEN_S + 0.4 * ways
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -69,7 +196,6 @@ def test_the_speed_of_a_serial_port_is_tried_and_said() -> None:
     assert code == 0
     assert "at 921600 baud" in text
     assert text.endswith("companion radio watch 'nlink@serial:/dev/ttyUSB0:921600'")
-    assert sum(each.seconds for each in attempts("/dev/ttyUSB0", 10.0)) == pytest.approx(10.0)
 
 
 def test_what_is_no_radio_is_said_with_what_was_heard() -> None:
