@@ -98,6 +98,7 @@ FORMATS = (
     Format("kraken", "kraken", None, 0.5, time_s=UNIX_MS),
     Format("kraken_suite", "kraken", None, 0.5),
     Format("kraken_xml", "kraken_xml", None, 0.5, time_s=UNIX_MS),
+    Format("kraken_ws", "kraken_ws", None, 0.01, has_quality=True),
     Format("uudf", "uudf", None, 0.5, 0.5, time_s=MS),
     Format("esp32_ftm", "esp32_ftm", 0.5e-2, time_s=MS, has_quality=True),
     Format("esp32_arduino", "esp32_ftm", 0.5e-2),

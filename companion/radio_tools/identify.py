@@ -177,9 +177,9 @@ def attempts(url: str) -> list[Attempt]:
         ]
         at = f"serial:{device}:{bauds[0]}"
         return heard + [Attempt(name, at, bauds[0], ASKED_SHARE) for name in _asked()]
-    if head in ("http", "https"):
-        pages = [n for n in BUILT_IN if radio_kind(n).transport.startswith("http")]
-        return [Attempt(name, url) for name in pages]
+    if head in ("http", "https", "ws", "wss"):
+        served = [n for n in BUILT_IN if radio_kind(n).transport.startswith(head.rstrip("s"))]
+        return [Attempt(name, url) for name in served]
     asked = _asked() if head.startswith("tcp") else []
     heard = [Attempt("ndjson", url, share=HEARD_SHARES[0])]
     return heard + [Attempt(name, url, share=ASKED_SHARE) for name in asked]

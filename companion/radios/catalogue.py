@@ -26,6 +26,7 @@ BUILT_IN: Mapping[str, str] = {
     "pdoa_js": "companion.radios.qorvo:PDOA_JS",
     "kraken": "companion.radios.kraken:KRAKEN",
     "kraken_xml": "companion.radios.kraken:KRAKEN_XML",
+    "kraken_ws": "companion.radios.kraken_socket:KRAKEN_WS",
     "esp32_ftm": "companion.radios.wifi_ftm:ESP32_FTM",
     "ftm_csv": "companion.radios.wifi_csv:FTM_CSV",
     "iw_ftm": "companion.radios.wifi_ftm:IW_FTM",

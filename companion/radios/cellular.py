@@ -147,6 +147,10 @@ class SrsRanDecoder(_Cell):
             raise ConfigError("srsran: numerology: steps need it; 0: 15 kHz, 1: 30 kHz, ...")
         self._step_m = step_m(known or 0)
 
+    def hello(self) -> bytes:
+        """Ask the station's web socket for its metrics."""
+        return b'{"cmd":"metrics_subscribe"}\n'
+
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """A document of metrics, or a line of the log."""
         if self._RACH.search(line):

@@ -60,7 +60,7 @@ class KrakenOptions(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What both files say of a channel."""
+    """What is said of a channel."""
 
     time_ms: float
     """Of the end of the integration."""
@@ -139,21 +139,26 @@ class _Channels:
         return _Channel(time_ms, now_s, start_ms, is_parallel)
 
 
-class _Kraken(RadioDecoder):
-    """What both files have in common."""
+class KrakenDecoder(RadioDecoder):
+    """Base of what reads a KrakenSDR: which of its results are new and good enough."""
 
     Options = KrakenOptions
+    may_be_unsettled = True
+    """Whether there are results of a receiver that has just been tuned."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
         assert isinstance(self.options, KrakenOptions)
         self._believed = self.options
-        self._channels = _Channels(self.options.settle_s)
+        self._channels = self._new_channels()
 
     def reset(self) -> None:
         """Forget what was begun, and the channels: another receiver may answer next."""
         super().reset()
-        self._channels = _Channels(self._believed.settle_s)
+        self._channels = self._new_channels()
+
+    def _new_channels(self) -> _Channels:
+        return _Channels(self._believed.settle_s if self.may_be_unsettled else 0.0)
 
     def readings_of(self, result: Result | str, now_s: float) -> list[RadioReading]:
         """The reading of a result, if it is new and good enough; a text is why it is none."""
@@ -211,7 +216,7 @@ class _Kraken(RadioDecoder):
         return "low confidence"
 
 
-class KrakenLinesDecoder(_Kraken, LineDecoder):
+class KrakenLinesDecoder(KrakenDecoder, LineDecoder):
     """`DOA_value.html`: a line a channel of 17 fields, and the power seen in each degree."""
 
     longest_line = 16_384
@@ -246,7 +251,7 @@ def _result_of_cells(cells: list[str]) -> Result | str:
     )
 
 
-class KrakenXmlDecoder(_Kraken):
+class KrakenXmlDecoder(KrakenDecoder):
     """`doa.xml`: one document of the first channel; its angle is counter-clockwise."""
 
     longest_document = 8192
@@ -303,7 +308,7 @@ def _result_of_elements(elements: dict[str, str]) -> Result | str:
     )
 
 
-_COMMON_SETTINGS: Mapping[str, object] = {
+COMMON_SETTINGS: Mapping[str, object] = {
     "frequency_tolerance_khz": 12.5,
     "bearing_sigma_deg": 5.0,
     # Of 99: at 10 a direction is three times as wide as at 30.
@@ -317,7 +322,7 @@ KRAKEN = RadioKind(
     emitter="nothing: any transmitter",
     transport="http:8081",
     poll=Poll("/DOA_value.html", 0.2),
-    defaults=_COMMON_SETTINGS,
+    defaults=COMMON_SETTINGS,
 )
 KRAKEN_XML = RadioKind(
     name="kraken_xml",
@@ -327,5 +332,5 @@ KRAKEN_XML = RadioKind(
     emitter="nothing: any transmitter",
     transport="http:8081",
     poll=Poll("/doa.xml", 0.2),
-    defaults={**_COMMON_SETTINGS, "bearing_sign": -1},
+    defaults={**COMMON_SETTINGS, "bearing_sign": -1},
 )

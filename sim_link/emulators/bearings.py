@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -87,7 +88,7 @@ class Kraken(Emulator):
     antenna = "planar"
     measures = "bearing"
     rate_hz = 2.0
-    document = "/DOA_value.html"
+    document: ClassVar[str | None] = "/DOA_value.html"
     epoch_s = SIMULATION_BEGAN_S
     most = 16
 

@@ -112,6 +112,8 @@ class Emulator(ABC):
     """What somebody must ask each time; empty: it talks by itself."""
     document: ClassVar[str | None] = None
     """Path that is polled by HTTP; None: the radio talks by itself."""
+    socket: ClassVar[str | None] = None
+    """Path of a web socket; its bytes are frames of RFC 6455 then. None: it has none."""
     epoch_s: ClassVar[float] = 0.0
     """What its clock counts from: 0 is its own start."""
 

@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     names = ", ".join(sorted(EMULATORS))
     add("--as", dest="radio", metavar="NAME", help=f"print as this radio does: {names}")
     where = "where the radio's bytes go: pty:PATH, serial:DEVICE:BAUD, udpout:HOST:PORT, "
-    where += "tcpin:HOST:PORT, stdout:, or http:HOST:PORT for a radio that is polled"
+    where += "tcpin:HOST:PORT, stdout:, http:HOST:PORT for a radio that is polled, or ws:HOST:PORT"
     add("--to", metavar="URL", help=where)
     clock = "what the emulated radio's clock shows at the vehicle's second 0 (default: by the seed)"
     add("--clock", metavar="S", type=number_in(0.0, 1e9), help=clock)

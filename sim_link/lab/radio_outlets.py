@@ -1,6 +1,7 @@
-"""Where an emulated radio's bytes go beside serial lines, UDP and TCP: standard output and HTTP.
+"""Where an emulated radio's bytes go beside serial lines, UDP and TCP: stdout, HTTP, web sockets.
 
-A radio that is polled serves one document, its latest; until there is one, and for any other path
+A web socket's client is sent what every client is sent first, and the frames from then on. A radio
+that is polled serves one document, its latest; until there is one, and for any other path
 than its own and `/`, it answers 404, as the real ones do.
 """
 
@@ -11,6 +12,7 @@ import os
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from companion.errors import ConfigError, LinkError
@@ -18,6 +20,9 @@ from companion.io.links.link import Link, bind_problem
 from companion.io.links.transports import OwnLine, Transport, UdpBind, parse_transport
 from companion.mav.endpoint import Address, Chunk
 from sim_link.emulators.emulator import Emulator
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import Server, ServerConnection
 
 REQUEST_S = 5.0
 """Wall seconds that a client may take for its request."""
@@ -48,6 +53,11 @@ def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
         )
     if is_stdout(text):
         return OwnLine("stdout:", lambda index, _: StdoutLink(index))
+    if kind.socket is not None and scheme != "ws":
+        raise ConfigError(f"--to {text}: {kind.name} is a web socket; give ws:HOST:PORT")
+    if scheme == "ws":
+        page = parse_page(text.strip(), kind)
+        return OwnLine(f"ws:{page.host}:{page.port}", lambda index, _: SocketLink(page, index))
     if scheme == "http":
         page = parse_page(text.strip(), kind)
         return OwnLine(f"http:{page.host}:{page.port}", lambda index, _: HttpLink(page, index))
@@ -61,9 +71,12 @@ def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
 
 
 def parse_page(text: str, kind: type[Emulator]) -> PageAddress:
-    """Of `http:HOST:PORT`; a `ConfigError` shows a right one."""
-    if kind.document is None:
-        raise ConfigError(f"--to {text}: {kind.name} is not polled; give {EXAMPLES}")
+    """Of `http:HOST:PORT` or `ws:HOST:PORT`; a `ConfigError` shows a right one."""
+    scheme = text.partition(":")[0].lower()
+    path = kind.socket if scheme == "ws" else kind.document
+    if path is None:
+        what = "has no web socket" if scheme == "ws" else "is not polled"
+        raise ConfigError(f"--to {text}: {kind.name} {what}; give {EXAMPLES}")
     rest = text.partition(":")[2].removeprefix("//")
     try:
         parts = urlsplit(f"http://{rest}")
@@ -71,8 +84,9 @@ def parse_page(text: str, kind: type[Emulator]) -> PageAddress:
     except ValueError:
         host = port = None
     if host is None or not port:
-        raise ConfigError(f"--to {text}: give http:HOST:PORT, for example http:127.0.0.1:8081")
-    return PageAddress(host, port, kind.document)
+        example = f"{scheme}:HOST:PORT, for example {scheme}:127.0.0.1:8081"
+        raise ConfigError(f"--to {text}: give {example}")
+    return PageAddress(host, port, path)
 
 
 class StdoutLink(Link):
@@ -96,6 +110,71 @@ class StdoutLink(Link):
 
     def close(self) -> None:
         """It stays open."""
+
+
+class SocketLink(Link):
+    """A port where a web socket is served; `websockets` does the handshake, pings and the end."""
+
+    def __init__(self, page: PageAddress, index: int) -> None:
+        super().__init__(f"ws {page.host}:{page.port}", index, lambda _: None)
+        self._page = page
+        self._first: list[str | bytes] = []
+        self._clients: set[ServerConnection] = set()
+        self._server: Server | None = None
+
+    async def open(self) -> None:
+        """Bind and listen."""
+        from websockets.asyncio.server import serve
+
+        host, port = self._page.host, self._page.port
+        try:
+            self._server = await serve(self._answer, host, port)
+        except OSError as error:
+            raise LinkError(bind_problem("ws", host, port, error)) from error
+
+    def send(self, chunk: Chunk) -> None:
+        """Send each message to every client; the text messages of the beginning are kept."""
+        from websockets.asyncio.server import broadcast
+
+        self.counters.sent += 1
+        for message in messages_of(chunk.data):
+            broadcast(self._clients, message)
+            if isinstance(message, str):
+                self._first.append(message)
+
+    def close(self) -> None:
+        """Close the port and all connections."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+
+    async def _answer(self, client: ServerConnection) -> None:
+        if client.request is None or client.request.path != self._page.path:
+            return
+        for message in self._first:
+            await client.send(message)
+        self._clients.add(client)
+        try:
+            async for _ in client:
+                self.counters.received += 1
+        finally:
+            self._clients.discard(client)
+
+
+def messages_of(frames: bytes) -> list[str | bytes]:
+    """Return the messages of whole frames from a server."""
+    messages: list[str | bytes] = []
+    at = 0
+    while at < len(frames):
+        opcode, length = frames[at] & 0x0F, frames[at + 1]
+        at += 2
+        extra = {126: 2, 127: 8}.get(length, 0)
+        if extra:
+            length = int.from_bytes(frames[at : at + extra], "big")
+        payload = frames[at + extra : at + extra + length]
+        messages.append(payload.decode() if opcode == 1 else payload)
+        at += extra + length
+    return messages
 
 
 class HttpLink(Link):

@@ -24,7 +24,7 @@ OPTIONS: dict[str, Params] = {
 }
 """Of radios that are nothing without."""
 CHECKSUMMED = {"nlink"}
-TELLS_NEW_FROM_OLD = {"kraken", "kraken_xml", "pans_tlv"}
+TELLS_NEW_FROM_OLD = {"kraken", "kraken_xml", "kraken_ws", "pans_tlv"}
 """Polled: they say the same again until there is something new."""
 
 

@@ -46,6 +46,7 @@ POLL_S = 0.03
 """As often as at that speed there is something new."""
 ONE_OF_EACH_LINE = ("ndjson", "fira_uci", "pdoa_js", "kraken", "lines", "iw_ftm", "android_rtt")
 BY_PAGE = ("kraken", "kraken_suite", "kraken_xml")
+BY_SOCKET = ("kraken_ws",)
 BY_UDP = ("ndjson", "nlink_iot", "makerfabs_at")
 BY_TCP = ("lines", "srsran", "pans")
 BY_FILE = ("android_rtt", "oai")
@@ -191,6 +192,8 @@ def rig_of(directory: Path, format_: Format) -> Rig:
     name, port = format_.name, free_port()
     if name in BY_PAGE:
         return Rig(directory, format_, f"http:127.0.0.1:{port}", f"http://127.0.0.1:{port}")
+    if name in BY_SOCKET:
+        return Rig(directory, format_, f"ws:127.0.0.1:{port}", f"ws://127.0.0.1:{port}")
     if name in BY_UDP:
         return Rig(directory, format_, f"udpout:127.0.0.1:{port}", f"udp:127.0.0.1:{port}")
     if name in BY_TCP:

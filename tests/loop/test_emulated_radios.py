@@ -49,6 +49,7 @@ COARSE = {
     "oai": of_a_cell(NR_STEP_M, is_nearest=True),
     "srsran": of_a_cell(NR_STEP_M, is_cut_off=False),
     "sx1280": in_steps(150.0 / (4.096 * 812.5)),
+    "lr11xx": in_steps(1.0),
     "kraken": in_degrees,
     "kraken_suite": in_degrees,
     "kraken_xml": in_degrees,

@@ -24,6 +24,7 @@ from companion.io.links.transports import (
     parse_transport,
 )
 from companion.io.links.waiting_links import FileLink, HttpPollLink, PlayedFileLink
+from companion.io.links.web_sockets import WebSocketLink
 from companion.link.interface import LinkRole, LinkSpec
 from companion.link.radio_stage import RadioSetup
 from companion.radios.decoder import Poll
@@ -65,6 +66,8 @@ def _line(setup: RadioSetup, url: str) -> tuple[str, Make, UdpBind | TcpServer |
     match scheme.lower():
         case "http" | "https":
             return _page(setup, url)
+        case "ws" | "wss":
+            return _socket(setup, url)
         case "stdin":
             return "stdin:", StdinLink, None
         case "exec":
@@ -87,33 +90,51 @@ def _line(setup: RadioSetup, url: str) -> tuple[str, Make, UdpBind | TcpServer |
 def _transport(setup: RadioSetup, url: str) -> Transport:
     """What an ordinary address means, with what the kind's own transport adds to it."""
     usual, _, detail = setup.kind.transport.partition(":")
+    detail = detail.partition("/")[0]
     baud = int(detail) if usual == "serial" and detail.isdigit() else DEFAULT_BAUD
     if url.startswith("/"):
         return parse_transport(f"serial:{url}", baud)
     head = url.partition(":")[0].lower()
     if head not in ("udp", "udpin", "udpout", "tcp", "tcpin", "tcpout", "serial", "pty"):
         host = url if ":" in url or not detail else f"{url}:{detail}"
-        if usual in ("http", "https"):
-            address, make, _ = _page(setup, f"{usual}://{host}")
+        if usual in ("http", "https", "ws", "wss"):
+            page_or_socket = _page if usual in ("http", "https") else _socket
+            address, make, _ = page_or_socket(setup, f"{usual}://{host}")
             return OwnLine(address, make)
         if usual in ("udp", "tcp"):
             return parse_transport(f"{usual}:{host}")
     try:
         return parse_transport(url, baud)
     except ConfigError as error:
-        more = "; or http://, exec:, file:, stdin:" if "must begin with" in str(error) else ""
+        more = (
+            "; or http://, wss://, exec:, file:, stdin:" if "must begin with" in str(error) else ""
+        )
         raise ConfigError(f"radio {setup.kind.name}: {error}{more}") from None
 
 
-def _page(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
-    poll = setup.kind.poll or DEFAULT_POLL
+def _socket(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
+    parts = _parts(url, "web socket, for example wss://192.168.1.10:8080/ws")
+    if parts.path in ("", "/"):
+        parts = parts._replace(path="/" + setup.kind.transport.partition("/")[2])
+    full = urllib.parse.urlunsplit(parts)
+    return full, lambda index, received: WebSocketLink(full, index, received), None
+
+
+def _parts(url: str, what: str) -> urllib.parse.SplitResult:
+    """Return the parts of an address with a host; a `ConfigError` shows a right one."""
     parts = urllib.parse.urlsplit(url)
     try:
         is_right = bool(parts.hostname) and parts.username is None and parts.port != 0
     except ValueError:
         is_right = False
     if not is_right:
-        raise _wrong(url, "is no address of a page, for example http://192.168.1.10:8081/")
+        raise _wrong(url, f"is no address of a {what}")
+    return parts
+
+
+def _page(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
+    poll = setup.kind.poll or DEFAULT_POLL
+    parts = _parts(url, "page, for example http://192.168.1.10:8081/")
     if parts.path in ("", "/"):
         parts = parts._replace(path=poll.path or "/")
     full = urllib.parse.urlunsplit(parts)

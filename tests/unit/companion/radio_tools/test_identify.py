@@ -21,7 +21,12 @@ ALSO = {"ftm_csv": {"esp32_ftm"}}
 STEP_S = 0.05
 OTHER_SPEED = np.random.default_rng(0).bytes(1 << 16)
 """What a serial port hears at another speed."""
-URLS = {"serial": "/dev/ttyUSB0", "http": "http://127.0.0.1:8081", "exec": "exec:radio"}
+URLS = {
+    "serial": "/dev/ttyUSB0",
+    "http": "http://127.0.0.1:8081",
+    "wss": "ws://127.0.0.1:1",
+    "exec": "exec:radio",
+}
 """Where a radio is looked for, by its usual transport; others by UDP."""
 
 

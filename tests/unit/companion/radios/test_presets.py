@@ -16,6 +16,7 @@ PRESETS = sorted((ROOT / "configs" / "radios").glob("*.yaml"))
 ALIKE = {
     "ftm_csv": "esp32_ftm",
     "kraken_xml": "kraken",
+    "kraken_ws": "kraken",
     "pans_tlv": "pans",
     "trek1000": "pans",
     "ryuw122": "pans",
