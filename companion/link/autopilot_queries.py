@@ -1,8 +1,9 @@
 """What the companion asks the autopilot by itself, outside of any mission.
 
 Each query receives the autopilot's messages and says when a question is due: for its fence, for
-streams, for a parameter, for the time. At most one of the first three leaves per control tick, so
-that a slow line is not flooded; that for the fence first: nothing engages before it is answered.
+streams, for a parameter, for modes, for its hardware id, for the time. All but that leave one
+per control tick, so that a slow line is not flooded; that for the fence first: nothing engages
+before it is answered; that for the hardware id last: nothing waits for it.
 
 Streams are asked for because ArduPilot sends nothing but heartbeats unasked, and PX4's rates differ
 by link. Each kind of message is watched on its own, by arrival here and progress there: one with a
@@ -29,6 +30,7 @@ from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import LANDED_PATIENCE_S
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
+from companion.link.conversion.offered_modes import OfferedModes
 from companion.link.fence_download import FenceDownload
 from companion.link.fence_parameters import FenceParameters
 from companion.link.intake import RateLimit
@@ -392,6 +394,7 @@ class AutopilotQueries:
         self._streams = StreamRequester(self.freshness)
         self.stopper = StreamStopper() if stops_unread else None
         self._px4_check = Px4FailsafeCheck()
+        self.modes = OfferedModes()
         self._asks_mode = False
         self._stale: tuple[str, ...] = ()
         self._may_tell = RateLimit(TEXTS_PER_S)
@@ -401,6 +404,7 @@ class AutopilotQueries:
         """Take in a message of the autopilot; what the operator is to be told."""
         self.freshness.receive(message, now_s)
         self.clock.receive(message, now_s)
+        self.modes.receive(message)
         if isinstance(message, mavlink.MAVLink_sys_status_message):
             self._streams.note_rc(hears_transmitter(message))
         warning = self._px4_check.receive(message)
@@ -426,6 +430,9 @@ class AutopilotQueries:
         if request is None and self.stopper is not None:
             request = self.stopper.due(now_s, ids)
         request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
+        request = request or self.modes.due(now_s, binding.autopilot, ids)
+        if request is None and binding.hardware.is_due(now_s):
+            request = request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, ids)
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, ids) if self._asks_mode else None
         self._asks_mode = False
         time = self.clock.due(now_s, *ids)
@@ -475,6 +482,7 @@ class AutopilotQueries:
         self.freshness.restart()
         self.clock.restart()
         self._streams.restart()
+        self.modes.restart()
         if self.stopper is not None:
             self.stopper.restart()
         self.fence.restart()

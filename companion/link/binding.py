@@ -21,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from companion.domain import Autopilot, FlightMode, VehicleClass
+from companion.link.hardware_id import HardwareId, uid_of
 from companion.link.identity import (
     DOUBT_S,
     IdentityCourse,
@@ -94,6 +95,7 @@ class AutopilotBinding:
     _candidates: dict[Ids, Candidate] = field(default_factory=dict)
     _course: IdentityCourse = field(default_factory=IdentityCourse)
     _exchange: IdentityCourse = field(default_factory=IdentityCourse)
+    hardware: HardwareId = field(default_factory=HardwareId)
     _doubted_s: float = 0.0
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
     """Courses of the same ids at other addresses."""
@@ -150,7 +152,12 @@ class AutopilotBinding:
         sign = sign_of(message)
         if peer != self.peer:
             return self._take_elsewhere(message, sign, peer, now_s)
+        if self._is_silent(now_s):
+            self.hardware.ask_again()
         self.heard_s = now_s
+        uid = uid_of(message)
+        if uid is not None and self.hardware.differs(uid, now_s):
+            self._take_other_hardware(uid, now_s)
         self._course.note_sequence(message.get_seq(), now_s)
         exchange = exchange_sign_of(message)
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
@@ -260,6 +267,7 @@ class AutopilotBinding:
         self.binds += 1
         self.problem = None
         self._course, self._exchange = IdentityCourse(), IdentityCourse()
+        self.hardware = HardwareId()
         self._elsewhere.clear()
         self._unproved.clear()
 
@@ -294,6 +302,16 @@ class AutopilotBinding:
         bound.autopilot, bound.vehicle_type = kind
         bound.vehicle_class = class_of(heartbeat)
         self._bind(bound)
+
+    def _take_other_hardware(self, uid: str, now_s: float) -> None:
+        """Another hardware id answered: another vehicle, or one of two."""
+        was = self.hardware.uid
+        if now_s - self.hardware.heard_s <= VANISHED_S:
+            self._doubt(f"two vehicles send as {self._name}: hardware {was} and {uid}", now_s)
+            return
+        self._doubt(f"{self._name} is another vehicle now: hardware {uid}, it was {was}", now_s)
+        if not self.is_committed:
+            self.hardware.uid = uid
 
     def _take_sign(self, sign: Sign, now_s: float) -> bool:
         """Follow the course by a sign; whether it is to be read."""
@@ -337,6 +355,10 @@ class AutopilotBinding:
         course.note_sequence(message.get_seq(), now_s)
         if sign is not None:
             course.take(sign, now_s)
+        uid = uid_of(message)
+        if uid is not None and self.hardware.uid not in (None, uid):
+            self._doubt_elsewhere(f"hardware {uid}", peer, now_s, is_silent=is_silent)
+            return False
         if not is_silent:
             self._compare_senders(course, sign, peer, now_s)
             return False
@@ -354,6 +376,13 @@ class AutopilotBinding:
                 self._bind(self.bound)
         return False
 
+    def _doubt_elsewhere(
+        self, how: str, peer: Address | None, now_s: float, *, is_silent: bool
+    ) -> None:
+        """Another vehicle has our ids at another address; in control only if ours is silent."""
+        if is_silent or not self.is_in_control:
+            self._doubt(f"{self._name} at {_words(peer)} is another vehicle: {how}", now_s)
+
     def _course_at(self, peer: Address | None) -> IdentityCourse | None:
         course = self._elsewhere.get(peer)
         if course is None and len(self._elsewhere) < MOST_ADDRESSES:
@@ -368,6 +397,7 @@ class AutopilotBinding:
     def _move(self, peer: Address | None, now_s: float) -> None:
         self.peer, self.heard_s = peer, now_s
         self.moves += 1
+        self.hardware.ask_again()
         self._elsewhere.clear()
         self._unproved.clear()
 
@@ -394,7 +424,7 @@ def _gives(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
     return (
         is_armed
         and autopilot is not None
-        and (mode_of(heartbeat, autopilot) is FlightMode.OFFBOARD)
+        and mode_of(heartbeat, autopilot, offers_offboard=True) is FlightMode.OFFBOARD
     )
 
 

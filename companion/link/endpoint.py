@@ -62,6 +62,7 @@ FLIGHT_COMMANDS = {getattr(mavlink, f"MAV_CMD_{name}"): name for name in _NAMES}
 SIGNS = (
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
 )
 """What an address is asked for that may be the autopilot's now."""
 PAUSE_S = 0.001

@@ -53,7 +53,7 @@ class SessionExecutor:
         self.binding = binding
         self.outlet = outlet
         self.journal = journal
-        self.inbound = VehicleInbound(queries.clock)
+        self.inbound = VehicleInbound(queries.clock, queries.modes)
         self._params = params
         self._queries = queries
         self._health = health

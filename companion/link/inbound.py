@@ -25,9 +25,16 @@ from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.conversion.geodesy_fit import GeodesyFit
 from companion.link.conversion.health_reports import HealthReports
+from companion.link.conversion.offered_modes import OfferedModes
 from companion.link.conversion.sender_clock import ClockStep, VehicleClock
 from companion.mav.dialect import Message, mavlink
-from companion.mav.flight_modes import autopilot_of, class_of, mode_of, other_mode_name
+from companion.mav.flight_modes import (
+    OFFBOARD_NUMBER,
+    autopilot_of,
+    class_of,
+    mode_of,
+    other_mode_name,
+)
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 FAILSAFE_STATES = (
@@ -77,10 +84,11 @@ they are logged and show that the autopilot is there, but are not decoded."""
 
 
 class VehicleInbound:
-    """Events from the bound autopilot's messages; `sync` knows its clock best."""
+    """Events from the bound autopilot's messages; `sync` knows its clock, `modes` its modes."""
 
-    def __init__(self, sync: ClockSync | None = None) -> None:
+    def __init__(self, sync: ClockSync | None = None, modes: OfferedModes | None = None) -> None:
         self.clock = VehicleClock(sync or ClockSync())
+        self._modes = modes or OfferedModes()
         self.overtaken = 0
         """Messages that came after a newer one of their kind."""
         self._autopilot = Autopilot.OTHER
@@ -159,7 +167,7 @@ class VehicleInbound:
             autopilot = autopilot_of(message)
             is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             is_offboard = (
-                autopilot is not None and mode_of(message, autopilot) is FlightMode.OFFBOARD
+                autopilot is not None and self._mode_of(message, autopilot) is FlightMode.OFFBOARD
             )
             return is_armed and is_offboard
         return True
@@ -197,6 +205,11 @@ class VehicleInbound:
             return [AutopilotClockSlipped(now_s), event, *fitted]
         return [event, *fitted]
 
+    def _mode_of(
+        self, heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot
+    ) -> FlightMode:
+        return mode_of(heartbeat, autopilot, offers_offboard=self._modes.understands_offboard)
+
     def _heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, now_s: float, order: int | None
     ) -> list[Event]:
@@ -207,8 +220,8 @@ class VehicleInbound:
         status = message.system_status
         is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         is_up = status in UP_STATES
-        mode = mode_of(message, autopilot)
-        is_other = mode is FlightMode.UNKNOWN
+        mode = self._mode_of(message, autopilot)
+        is_other = mode is FlightMode.UNKNOWN or message.custom_mode == OFFBOARD_NUMBER
         event = HeartbeatReceived(
             time_s=now_s,
             autopilot=autopilot,

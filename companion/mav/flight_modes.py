@@ -143,12 +143,22 @@ def autopilot_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> Autopilot | No
     return Autopilot.OTHER
 
 
-def mode_of(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) -> FlightMode:
-    """The mode that an autopilot's HEARTBEAT shows; unknown of a class that is not flown."""
+def mode_of(
+    heartbeat: mavlink.MAVLink_heartbeat_message,
+    autopilot: Autopilot,
+    *,
+    offers_offboard: bool = False,
+) -> FlightMode:
+    """The mode that an autopilot's HEARTBEAT shows; unknown of a class that is not flown.
+
+    Mode 30 of an ArduPilot is known only where the vehicle `offers_offboard`.
+    """
     custom_mode = heartbeat.custom_mode
     if not class_of(heartbeat).is_flown:
         return FlightMode.UNKNOWN
     if autopilot is Autopilot.ARDUPILOT:
+        if offers_offboard and custom_mode == OFFBOARD_NUMBER:
+            return FlightMode.OFFBOARD
         return _ARDUCOPTER_MODE.get(custom_mode, FlightMode.UNKNOWN)
     if autopilot is Autopilot.PX4:
         return px4_mode(custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF) or FlightMode.UNKNOWN

@@ -60,6 +60,11 @@ class AutopilotParams(Params, frozen=True):
     flavour: FlavourName = "px4"
     vehicle_type: VehicleTypeName = "quadrotor"
     """Class that it says it is, with the modes of that class; it moves as a multicopter."""
+    uid: Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None = None
+    """Hardware id that AUTOPILOT_VERSION reports; null: the system id; 0: none."""
+    offers_offboard: bool = False
+    """A script of an ArduCopter registered mode 30, OFFBOARD, which flies as GUIDED does, and the
+    vehicle answers AVAILABLE_MODES, as ArduCopter 4.7 does."""
     ready_after_s: NonNegative = 2.0
     """Seconds after boot until it can be armed."""
     offboard_loss_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 1.0

@@ -166,7 +166,12 @@ class Services:
         self._calibration = SensorCalibration(self._commands, firmware.empty_calibration)
         self._build = partial(build_message, vehicle)
         self.requests = MessageRequests(
-            firmware.streams, firmware.requests, self._build, self._texts, links
+            firmware.streams,
+            firmware.requests,
+            self._build,
+            self._texts,
+            links,
+            flavour.available_modes,
         )
         for link in range(len(links)):
             self.requests.open(Channel(link), 0.0)

@@ -141,7 +141,9 @@ def autopilot_version(vehicle: SimVehicle) -> Fields:
     """Flight and middleware software alike; no hashes."""
     firmware = vehicle.flavour.firmware
     versions = (firmware.version, firmware.version, 0, 0)
-    return (firmware.capabilities, *versions, *[[0] * 8] * 3, 0, 0, vehicle.system_id)
+    uid = vehicle.scenario.autopilot.uid
+    uid = vehicle.system_id if uid is None else uid
+    return (firmware.capabilities, *versions, *[[0] * 8] * 3, 0, 0, uid)
 
 
 def mission_progress(vehicle: SimVehicle) -> MissionProgress:

@@ -62,8 +62,9 @@ class Sky(Loop):
         *,
         listens: bool = False,
         vehicle_type: VehicleTypeName = "quadrotor",
+        uid: int | None = None,
     ) -> None:
-        autopilot = AutopilotParams(flavour=flavour, vehicle_type=vehicle_type)
+        autopilot = AutopilotParams(flavour=flavour, vehicle_type=vehicle_type, uid=uid)
         super().__init__(CompanionConfig(), Scenario(autopilot=autopilot), listens=listens)
         self.injector = Injector(self.flight, self.wire, self.operator)
         self.reached = Reached()
@@ -329,3 +330,45 @@ def test_what_is_no_autopilot_is_never_bound(
     sky.in_control()
     assert sky.companion.binding.system_id == 1
     assert sky.companion.binding.component_id == 1
+
+
+def twin_at_another_address(sky: Sky) -> OtherVehicle:
+    """The same ids, boot clock and place as ours: only the hardware id tells them apart."""
+    east_m, north_m, up_m = sky.true_positions[-1]
+    return OtherVehicle(
+        system_id=1, uptime_s=sky.now_s, east_m=east_m + 2.0, north_m=north_m, up_m=up_m
+    )
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("silent_s", [5.0, 9.0])
+def test_a_twin_with_our_clock_and_place_is_refused_by_its_hardware_id(
+    flavour: FlavourName, silent_s: float
+) -> None:
+    sky = Sky(flavour).in_control()
+    sky.add(twin_at_another_address(sky))
+    sky.add(LinkBlackout(duration_s=silent_s))
+    sky.run(silent_s)
+    assert sky.phase not in IN_CONTROL
+    assert len(sky.reached.setpoints) * 0.05 <= 1.5  # until the question was answered
+    assert any("hardware" in text for text in sky.said_of_identity)
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_the_hardware_id_of_ours_is_asked_for_and_known(flavour: FlavourName) -> None:
+    sky = Sky(flavour).in_control()
+    assert sky.companion.binding.hardware.uid == f"{1:016x}"
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_an_autopilot_without_a_hardware_id_is_flown_as_soon_as_any_other(
+    flavour: FlavourName,
+) -> None:
+    """Nothing waits for the answer, and 0 stands for an unknown id."""
+    began_s = {}
+    for uid in (None, 0):
+        sky = Sky(flavour, uid=uid).in_control()
+        (began_s[uid], _), *_ = [each for each in sky.notes.texts if "in control" in each[1]]
+        assert sky.companion.binding.hardware.uid == (None if uid == 0 else f"{1:016x}")
+        assert sky.said_of_identity == []
+    assert began_s[0] == began_s[None]

@@ -30,9 +30,9 @@ from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
 
 
 def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:
-    """The mode in the words of the autopilot's own tools, which `other` has if it is unknown."""
+    """The mode in the words of the autopilot's own tools; `other` has them if ours do not fit."""
     name: str = mode.value
-    if mode is FlightMode.UNKNOWN:
+    if other or mode is FlightMode.UNKNOWN:
         return other or "another mode"
     return ARDUPILOT_NAMES.get(mode, name) if autopilot is Autopilot.ARDUPILOT else name
 

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from importlib.resources import files
 from typing import Any, ClassVar, NamedTuple, get_type_hints
 
 import msgspec
 
 from companion.domain import FlightMode, LandedState, PositionEnu
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
 from sim_link.autopilot.control_inputs import (
     Echo,
@@ -291,6 +291,11 @@ class AutopilotFlavour(ABC):
     @abstractmethod
     def _after_flying(self, now_s: float) -> None:
         """What ends by itself: a takeoff, a mission."""
+
+    @property
+    def available_modes(self) -> Sequence[Message]:
+        """AVAILABLE_MODES of each mode; empty: the autopilot does not have the message."""
+        return ()
 
     def has_home(self, _now_s: float) -> bool:
         """Whether origin and home are known."""

@@ -178,6 +178,7 @@ def cast_to_uint32(value: float) -> int:
     return int(value) & 0xFFFF_FFFF if math.isfinite(value) else 0
 
 
+AVAILABLE_MODES = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
 Build = Callable[[int], Message | None]
 """Makes the message with an id; None if it is unknown or has nothing to say now."""
 
@@ -214,8 +215,10 @@ class MessageRequests:
         build: Build,
         texts: StatusTexts,
         links: Sequence[LinkSetup] = (LinkSetup(),),
+        modes: Sequence[Message] = (),
     ) -> None:
         self._stream_rules = streams
+        self._modes = modes
         self._rules = rules
         self._links = links
         self._build = build
@@ -281,7 +284,17 @@ class MessageRequests:
             return self._tell_interval(command.whole(2), command.partner, now_s)
         if number is None or not 0 <= number <= MAX_MESSAGE_ID:
             return self._rules.no_message, []
+        if number == AVAILABLE_MODES:
+            return self._send_modes(command.whole(2), command.partner)
         return self._send(number, command.partner)
+
+    def _send_modes(
+        self, index: int | None, partner: Partner
+    ) -> tuple[CommandResult, list[Outgoing]]:
+        """All modes that the autopilot lists, or that of an index, from 1."""
+        wanted = self._modes if index == 0 else self._modes[index - 1 : index] if index else ()
+        result = CommandResult.ACCEPTED if wanted else self._rules.no_message
+        return result, [Outgoing(mode, partner.channel) for mode in wanted]
 
     def _request_by_shorthand(
         self, command: Command

@@ -26,6 +26,8 @@ from sim_link.autopilot.scenario import FlavourName, Scenario
 
 STREAM_S = 0.1
 """Of the setpoints of its own companion, and of what it asks for."""
+NEIGHBOURS_UID = 4096
+"""Plus the system id: its hardware is another one than that of our vehicle."""
 STREAMS = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     mavlink.MAVLINK_MSG_ID_ATTITUDE,
@@ -62,6 +64,7 @@ class Neighbour:
             vehicle_type=setup.vehicle_type,
             ready_after_s=0.0,
             parameters={},
+            uid=NEIGHBOURS_UID + setup.system_id,
         )
         own = msgspec.structs.replace(
             scenario,

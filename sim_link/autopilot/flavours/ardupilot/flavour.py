@@ -8,9 +8,11 @@ Source: ArduCopter 4.5 as observed in SITL; ArduPilot documentation, "Failsafe F
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from companion.domain import FlightMode, PositionEnu
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import Message, mavlink
+from companion.mav.flight_modes import OFFBOARD_NUMBER
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.control_inputs import (
     THROTTLE_DOWN,
@@ -34,6 +36,7 @@ from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     STABILIZE,
     WARNING,
     CopterMode,
+    available_modes,
 )
 from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState, target_from
 from sim_link.autopilot.flavours.base import (
@@ -72,7 +75,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         self.guided = Guided()
         self.copter_mode: CopterMode = STABILIZE
         self.chosen_number: int | None = None
-        """Of a class that is no Copter's: the mode that was asked for last, as it numbers it."""
+        """The mode that was asked for last, where its class or a script numbers it otherwise."""
         self.commanded_mps: dict[int, float] = {}
         """By SPEED_TYPE, until the mode changes."""
         self._failsafes = CopterFailsafes(aircraft, parameters)
@@ -106,6 +109,12 @@ class ArduPilotFlavour(AutopilotFlavour):
             is_returning = self.leg is not None and self.leg.kind is LegKind.RETURN
             return Task.RETURN if is_returning else Task.FLY_MISSION
         return mode.task
+
+    @property
+    def available_modes(self) -> Sequence[Message]:
+        """Empty, as of ArduCopter 4.5, unless a script registered another mode."""
+        is_scripted = self.aircraft.scenario.autopilot.offers_offboard
+        return available_modes() if is_scripted else ()
 
     def has_home(self, now_s: float) -> bool:
         """Whether origin and home are known: some time before it can be armed in GUIDED."""
@@ -155,6 +164,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         if why is not None:
             self.aircraft.say(WARNING, f"Mode change to {mode.name} failed: {why}")
             return FAILED
+        self.chosen_number = None
         if mode is not self.copter_mode:
             self.guided.stop()
             self.changes += mode.mode is self.copter_mode.mode  # any other is noted by `settle`
@@ -339,5 +349,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         elif self.is_armed and not self.aircraft.body.is_on_ground:
             status = mavlink.MAV_STATE_ACTIVE
         kind = self.aircraft.scenario.autopilot.vehicle_type
-        number = shown_number(kind, self.copter_mode.number, self.chosen_number)
+        number = self.chosen_number
+        if number != OFFBOARD_NUMBER:
+            number = shown_number(kind, self.copter_mode.number, number)
         return HeartbeatState(base_mode, number, status)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from companion.domain import FlightMode
-from companion.mav.dialect import mavlink
-from companion.mav.flight_modes import CUSTOM_MODE_ENABLED
+from companion.mav.dialect import Message, mavlink
+from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, OFFBOARD_NUMBER
 from sim_link.autopilot.control_inputs import Setpoint
 from sim_link.autopilot.flavours.ardupilot.guided import OUT_OF_SIGHT_M, Target
 from sim_link.autopilot.flavours.base import (
@@ -118,6 +118,11 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     table = ARDUPILOT_TABLES.get(kind)
     if table is not None:
         return _set_class_mode(flavour, table, number, now_s)
+    if number == OFFBOARD_NUMBER and flavour.aircraft.scenario.autopilot.offers_offboard:
+        result = flavour.choose(GUIDED, now_s)
+        if result == ACCEPTED:
+            flavour.chosen_number = number
+        return result
     mode = MODES.get(number)
     if mode is not None:
         return flavour.choose(mode, now_s)
@@ -140,6 +145,15 @@ def _set_class_mode(
     if result == ACCEPTED:
         flavour.chosen_number = number
     return result
+
+
+def available_modes() -> list[Message]:
+    """AVAILABLE_MODES of all modes, a script's OFFBOARD last, as ArduCopter 4.7 lists them."""
+    names = [*((each.number, each.name) for each in _TABLE), (OFFBOARD_NUMBER, "OFFBOARD")]
+    return [
+        mavlink.MAVLink_available_modes_message(len(names), index, 0, number, 0, name.encode())
+        for index, (number, name) in enumerate(names, 1)
+    ]
 
 
 def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
