@@ -74,6 +74,22 @@ POWERS = frozenset({"rssi", "rssi_dbm", "power", "power_db", "power_dbm", "snr",
 SKIPPED = ("", "_", "skip")
 """Names of a column that is not read."""
 
+OVERFLOWS = frozenset({0xFFFF, 0x7FFF_FFFF, 0xFFFF_FFFF})
+"""Whole numbers with all their bits set, which firmware prints where it has no range."""
+_UNIT_WORDS = {
+    **{word: word for word in ("m", "cm", "mm", "km", "ft", "s", "ms", "us", "ns", "ps")},
+    **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("sec", "seconds"), "s"),
+    **{"deg": "deg", "degrees": "deg", "\N{DEGREE SIGN}": "deg", "rad": "rad", "nsec": "ns"},
+    **{"feet": "ft", "usec": "us", "msec": "ms", "psec": "ps"},
+}
+"""What a unit is called behind a number, to the end of a name of the vocabulary."""
+_UNIT_BEHIND = re.compile(r"\s?([A-Za-z]++|\N{DEGREE SIGN})(?!\s*[=:])")
+"""A word that is not itself the name of what follows."""
+_SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])-$")
+_NUMBER_BEFORE = re.compile(r"[0-9][.,]?$")
+_NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]")
+
 _SIGMAS = frozenset(field.name for field in fields(RadioReading) if "_sigma_" in field.name)
 _ANGLE_NAMES = ("azimuth_rad", "elevation_rad")
 
@@ -140,6 +156,35 @@ def complain_of(names: list[str]) -> str | None:
     return None
 
 
+def is_overflow(raw: float) -> bool:
+    """Return True if a whole number of millimetres or centimetres is what firmware has for none."""
+    return raw in OVERFLOWS
+
+
+def complain_of_spans(found: re.Match[str]) -> str | None:
+    """Return what is wrong with where the groups of a match stand in their line; None: nothing.
+
+    A sign that is left out, a number that is cut in two where the expression ends, and another unit
+    behind it than its name has: each would be another value, and pass for one.
+    """
+    line = found.string
+    for name, text in found.groupdict().items():
+        unit = NUMBERS.get(name)
+        if unit is None or not text or not text.strip():
+            continue
+        start, end = found.span(name)
+        if _SIGN_BEFORE.search(line[:start]) and text[0] not in "+-":
+            return f"{name} leaves out the sign before it"
+        is_cut = start == found.start() and _NUMBER_BEFORE.search(line[:start]) is not None
+        if is_cut or (end == found.end() and _NUMBER_BEHIND.match(line, end)):
+            return f"{name} is part of a longer number"
+        behind = _UNIT_BEHIND.match(line, end)
+        word = _UNIT_WORDS.get(behind[1].lower()) if behind else None
+        if word is not None and "_" in name and word != name.rpartition("_")[2]:
+            return f"{name} is followed by `{word}`"
+    return None
+
+
 class FieldDecoder(LineDecoder):
     """A decoder whose lines come apart into named fields."""
 
@@ -181,6 +226,8 @@ class FieldDecoder(LineDecoder):
                 value = number(text)
             if value is None:
                 return self.refused(f"{name} is no number")
+            if unit.attribute == "range_m" and is_overflow(value):
+                return self.refused(f"{name} is {value:.0f}: all bits set, no range")
             values[unit.attribute] = value * unit.factor
         problem = _complain_of_values(values)
         if problem is not None:

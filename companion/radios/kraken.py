@@ -37,6 +37,8 @@ AWAY_MS = 10_000.0
 """A frequency that is away for so long, while another one is heard, was tuned away from."""
 STILL_S = 5.0
 """A page is asked for more often than it changes; one that does not for so long is told of."""
+LEAST_HZ = 1e6
+"""The receivers begin at 24 MHz; what is less was printed in another unit."""
 MOST_CHANNELS = 64
 OVERDRIVEN = {"1", "true"}
 HEADINGS = {"GPS", "Compass"}
@@ -200,7 +202,7 @@ class KrakenDecoder(RadioDecoder):
             return "latency is out of bounds"
         if not 0.0 <= result.azimuth_deg <= 360.0:
             return "bearing is out of bounds"
-        if not 0.0 < result.frequency_hz < 1e11:
+        if not LEAST_HZ < result.frequency_hz < 1e11:
             return "frequency is out of bounds"
         tuned = self._channels.complain_of(result, now_s)
         if tuned is not None:

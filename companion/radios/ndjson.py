@@ -47,6 +47,8 @@ class Line(msgspec.Struct, frozen=True):
     range_mm: Any = msgspec.UNSET
     bearing_deg: Any = msgspec.UNSET
     elevation_deg: Any = msgspec.UNSET
+    unit: Any = msgspec.UNSET
+    units: Any = msgspec.UNSET
 
 
 FOREIGN = {
@@ -115,6 +117,8 @@ class NdjsonDecoder(LineDecoder):
         foreign = _foreign_key(line)
         if foreign is not None:
             return f"key `{foreign}` is of another format: companion radio list"
+        if any(given not in (msgspec.UNSET, "m") for given in (line.unit, line.units)):
+            return "key `unit` is not m: range is in metres"
         if line.range is None and line.bearing is None and line.elevation is None:
             return POWER_ONLY if is_power_only(text) else "no range, bearing or elevation"
         names = ("bearing", "elevation", "bearing_std", "elevation_std")

@@ -1,7 +1,8 @@
 """Qorvo's ultra-wideband kits: the CLI of QM33 and DW3xxx, and the `JS` frames of PDoA kits.
 
-Sources: Qorvo's SDK developer manual as users quote it, and their captures. Neither format has a
-checksum. Angles are those of pairs of antennas, so arcsines, with the device's own sign.
+Sources: Qorvo's SDK developer manual and DWM3001CDK developer guide as users quote them, and their
+captures. No format has a checksum. Angles are those of pairs of antennas, so arcsines, with the
+device's own sign.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import msgspec
 
 from companion.domain import Params
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
-from companion.radios.fields import FieldDecoder, number
+from companion.radios.fields import FieldDecoder, is_overflow, number
 
 MOST_RECORD_BYTES = 8192
 PER_M = 100.0
@@ -39,8 +40,30 @@ FAILURES = {
 }
 
 
+class BlockResult(msgspec.Struct, frozen=True):
+    """What firmware before 2024 prints of one device in a block."""
+
+    address: Annotated[str, msgspec.Meta(pattern="^0x[0-9a-fA-F]{1,16}$")] = msgspec.field(
+        name="Addr"
+    )
+    status: str = msgspec.field(name="Status")
+    distance_cm: float | None = msgspec.field(name="D_cm", default=None)
+    phase_deg: float = msgspec.field(name="LPDoA_deg", default=0.0)
+    azimuth_deg: float = msgspec.field(name="LAoA_deg", default=0.0)
+
+
+class Block(msgspec.Struct, frozen=True):
+    """A block of ranging, on one line."""
+
+    results: list[BlockResult]
+
+
+BLOCK = re.compile(r'\{"Block":')
+BLOCKS = msgspec.json.Decoder(Block)
+
+
 class QorvoCliDecoder(FieldDecoder):
-    """SESSION_INFO_NTF records, over two or more lines each."""
+    """SESSION_INFO_NTF records, over two or more lines each, and the JSON blocks before them."""
 
     longest_line = MOST_RECORD_BYTES
 
@@ -55,6 +78,8 @@ class QorvoCliDecoder(FieldDecoder):
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """The measurements of a record that a line ends, or breaks off."""
+        if found := BLOCK.search(line):
+            return self._block(line[found.start() :])
         readings: list[RadioReading] = []
         is_new = ANY_RECORD in line
         if self._record and (is_new or not line.startswith(CONTINUED)):
@@ -68,6 +93,25 @@ class QorvoCliDecoder(FieldDecoder):
             readings += self._ended()
         return readings
 
+    def _block(self, text: str) -> list[RadioReading]:
+        """Return the measurements of a block; without an angle all its angles are exactly 0."""
+        try:
+            block = BLOCKS.decode(text.strip())
+        except (msgspec.MsgspecError, RecursionError):
+            return self.refused("torn block")
+        self.counts.frames += 1
+        readings = []
+        for result in block.results:
+            values = {"status": "SUCCESS" if result.status == "Ok" else result.status}
+            if result.distance_cm is not None:
+                values["distance[cm]"] = str(result.distance_cm)
+            if result.phase_deg or result.azimuth_deg:
+                values["loc_az"] = str(result.azimuth_deg)
+            reading = self._checked(result.address, values)
+            if reading is not None:
+                readings.append(reading)
+        return readings
+
     def _ended(self) -> list[RadioReading]:
         """Every measurement that is whole."""
         record, self._record = self._record[:MOST_RECORD_BYTES], ""
@@ -77,7 +121,9 @@ class QorvoCliDecoder(FieldDecoder):
 
     def _reading_of(self, text: str) -> RadioReading | None:
         address, *pairs = text.split(",")
-        values = dict(pair.strip().partition("=")[::2] for pair in pairs)
+        return self._checked(address, dict(pair.strip().partition("=")[::2] for pair in pairs))
+
+    def _checked(self, address: str, values: dict[str, str]) -> RadioReading | None:
         status = values.get("status", "").strip('"')
         reason = None
         if not ADDRESS.fullmatch(address) or not status:
@@ -95,6 +141,9 @@ class QorvoCliDecoder(FieldDecoder):
         distance_cm, azimuth_deg, elevation_deg = map(there.get, TOLD)
         if None in there.values() or not there:
             self.counts.refuse("torn measurement" if there else "nothing measured")
+            return None
+        if is_overflow(distance_cm or 0.0):
+            self.counts.refuse("distance with all bits set: nothing measured")
             return None
         if max(abs(azimuth_deg or 0.0), abs(elevation_deg or 0.0)) > MOST_ANGLE_DEG:
             self.counts.refuse("angle is out of bounds")
@@ -160,6 +209,8 @@ class PdoaJsDecoder(FieldDecoder):
                 self.counts.frames += 1
                 return []
             twr = frame.twr
+            if is_overflow(twr.range_cm):
+                return self.refused("distance with all bits set: nothing measured")
             return self.understood(_placed(twr.name, twr.range_cm, twr.right_cm, twr.ahead_cm))
         return self.refused("torn frame")
 

@@ -21,7 +21,14 @@ import msgspec
 from companion.domain import Params
 from companion.errors import ConfigError
 from companion.radios.decoder import AngleFrame, RadioReading
-from companion.radios.fields import FieldDecoder, columns, complain_of, number
+from companion.radios.fields import (
+    FieldDecoder,
+    columns,
+    complain_of,
+    complain_of_spans,
+    is_overflow,
+    number,
+)
 
 SLOTS = 8
 SLOTS_OF_FIRMWARE = (4, SLOTS)
@@ -91,7 +98,11 @@ class MakerfabsAtDecoder(SlotDecoder):
         answered = [
             (slot, range_cm / 100.0, int(name))
             for slot, (range_cm, name) in enumerate(zip(ranges, names, strict=False))
-            if mask >> slot & 1 and range_cm and name is not None and name >= 0.0
+            if mask >> slot & 1
+            and range_cm
+            and not is_overflow(range_cm)
+            and name is not None
+            and name >= 0.0
         ]
         return self.read_slots(int(found[1]), answered, "no slot answered")
 
@@ -264,6 +275,9 @@ class LinesDecoder(FieldDecoder):
         found = self._pattern.search(line)
         if found is None:
             return self.passed_over(line)
+        problem = complain_of_spans(found)
+        if problem is not None:
+            return self.refused(problem)
         return self.read_fields(found.groupdict(), self._frame)
 
 

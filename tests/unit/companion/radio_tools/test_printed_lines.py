@@ -88,6 +88,31 @@ GNB_OLD = OAI.splitlines(keepends=True)[0]
             [3.44],
         ),
         ("sx1280@/dev/ttyUSB0", "[SX1280] Distance:\t\t\t12.34 meters (raw)\n", [12.34]),
+        (
+            "qorvo_cli@/dev/ttyACM0",
+            '{"Block":3948, "results":[{"Addr":"0x0001","Status":"Ok","D_cm":71,"LPDoA_deg":0.00,'
+            '"LAoA_deg":0.00,"LFoM":0,"RAoA_deg":0.00,"CFO_100ppm":622},'
+            '{"Addr":"0x0002","Status":"Err"}]}\n',
+            [0.71],
+        ),
+        (
+            r"lines:pattern='from: (?P<emitter>\w+)\s+Range: (?P<range_m>-?[\d.]+) m'@/dev/x",
+            "from: 1786\t Range: 3.25 m\t RX power: -78.21 dBm\n",
+            [3.25],
+        ),
+        (r"lines:pattern='(?P<rtt_ns>[\d.]+)'@/dev/x", "rtt 49.2 nSec\n", [7.375]),
+        (r"lines:pattern='r=(?P<range_m>\S+) s='@/dev/x", "r=4.5 s=0.1\n", [4.5]),
+        (r"lines:pattern='d=(?P<range_m>[\d.]+)'@/dev/x", "lat-d=4.5, 17\n", [4.5]),
+        ("android_rtt@file:r.csv", "\ufeffbssid,distance_mm\naa:bb:cc:00:00:01,5430\n", [5.43]),
+        ("android_rtt@file:r.csv", "bssid;distance_mm\naa:bb:cc:00:00:01;5430\n", [5.43]),
+        ("android_rtt@file:r.csv", "mac,rangeCm\naa:bb:cc:00:00:01,543\n", [5.43]),
+        ("ftm_csv@/dev/ttyUSB0", "2,33,49,507,2,33120,-61,1,2,3,4,33980,-60,1,2,3,4,\n", [5.07]),
+        (
+            "esp32_ftm@/dev/ttyUSB0",
+            "\x1b[0;32mI (39) ftm_station: Estimated RTT - 33 nSec, Estimated Distance - 5.07 "
+            "meters\x1b[0m\n",
+            [5.07],
+        ),
     ],
 )
 def test_a_line_has_the_value_that_its_radio_measured(
@@ -128,7 +153,7 @@ def test_a_line_has_the_value_that_its_radio_measured(
         ),
         ("sx1280@/dev/ttyUSB0", "[SX1280] Distance: 370096288.00 meters (raw)\n", "beyond every"),
         ("sx1280@/dev/ttyUSB0", "[SX1280] Distance: 0.00 meters (raw)\n", "exactly 0"),
-        ("lines:pattern='(?P<range_mm>[0-9]+)mm'@/dev/x", "0x1, 4294967295mm\n", "beyond every"),
+        ("lines:pattern='(?P<range_mm>[0-9]+)mm'@/dev/x", "0x1, 4294967295mm\n", "all bits set"),
         ("lines:pattern='(?P<range_mm>[0-9]+)mm'@/dev/x", "0x1, 0mm\n", "exactly 0"),
         (
             "ndjson@udp:127.0.0.1:5005",
@@ -136,6 +161,47 @@ def test_a_line_has_the_value_that_its_radio_measured(
             "key `azimuth` is of another format",
         ),
         ("ndjson@stdin:", '{"bearing":45}\n{"bearing":1.2}\n', "angles of this stream"),
+        ("ndjson@stdin:", '{"emitter_id":1,"range":12.5,"unit":"ft"}\n', "range is in metres"),
+        (
+            "qorvo_cli@/dev/ttyACM0",
+            "SESSION_INFO_NTF: {session_handle=1, block_index=1, n_measurements=1\n"
+            ' [mac_address=0x0001, status="SUCCESS", distance[cm]=65535]}\n',
+            "all bits set",
+        ),
+        (
+            "pdoa_js@/dev/ttyACM0",
+            'JS003D{"TWR": {"a16":"2E5C","R":3,"T":8605,"D":65535,"Xcm":0,"Ycm":0}}\n',
+            "all bits set",
+        ),
+        (
+            "makerfabs_at@/dev/ttyUSB0",
+            "AT+RANGE=tid:1,mask:01,seq:7,range:(65535,0,0,0),rssi:(0.00,0.00,0.00,0.00)\n",
+            "no slot answered",
+        ),
+        ("ryuw122@/dev/ttyUSB0", "+ANCHOR_RCV=DAVID123,5,HELLO,65535 cm\n", "all bits set"),
+        ("pozyx@/dev/ttyACM0", "12345ms, 4294967295mm, -83dBm\n", "all bits set"),
+        (r"lines:pattern='az.*?(?P<azimuth_deg>[\d.]+)'@/dev/x", "azimuth: -45.2\n", "the sign"),
+        (r"lines:pattern='d=(?P<range_m>\d+)'@/dev/x", "d=3.25\n", "part of a longer number"),
+        (r"lines:pattern='(?P<range_m>[\d.]+) m'@/dev/x", "d 3,25 m\n", "part of a longer number"),
+        (r"lines:pattern='(?P<range_mm>\d+)'@/dev/x", "1234ms, 5678mm\n", "followed by `ms`"),
+        (r"lines:pattern='d=(?P<range_m>\d+)'@/dev/x", "d=327 cm\n", "followed by `cm`"),
+        (r"lines:pattern='d=(?P<range_m>[\d.]+)'@/dev/x", "d=12.5ft\n", "followed by `ft`"),
+        (
+            "kraken@http://127.0.0.1:8081",
+            "1718000000000, 218, 61.3, -21.4, 433.92, UCA, 403.2, S1, 0.0, 0.0, 0, 0, GPS, R, R, R,"
+            " R\n",
+            "frequency is out of bounds",
+        ),
+        (
+            "oai:numerology=0@file:gnb.log",
+            GNB_OLD.replace("delay 5", "delay 65535"),
+            "timing advance is out of bounds",
+        ),
+        (
+            "esp32_ftm@/dev/ttyUSB0",
+            "I (9) ftm_station: Estimated RTT - 0 nSec, Estimated Distance - 42949672.95 meters\n",
+            "distance is out of bounds",
+        ),
     ],
 )
 def test_what_cannot_be_a_value_is_refused_by_a_reason_that_helps(
