@@ -166,7 +166,10 @@ class Attempt:
 
 
 def attempts(url: str) -> list[Attempt]:
-    """The ways to listen at a URL, in order: speeds of a serial port, pages of a host."""
+    """The ways to listen at a URL, in order: speeds of a serial port, pages of a host.
+
+    What only answers is asked before the other speeds, because it is the first at which it does.
+    """
     head = url.partition(":")[0].lower()
     if url.startswith("/") or head == "serial":
         device, _, given = url.removeprefix("serial:").partition(":")
@@ -176,7 +179,8 @@ def attempts(url: str) -> list[Attempt]:
             for baud, share in zip(bauds, HEARD_SHARES, strict=False)
         ]
         at = f"serial:{device}:{bauds[0]}"
-        return heard + [Attempt(name, at, bauds[0], ASKED_SHARE) for name in _asked()]
+        asked = [Attempt(name, at, bauds[0], ASKED_SHARE) for name in _asked()]
+        return heard[:1] + asked + heard[1:]
     if head in ("http", "https", "ws", "wss"):
         served = [n for n in BUILT_IN if radio_kind(n).transport.startswith(head.rstrip("s"))]
         return [Attempt(name, url) for name in served]

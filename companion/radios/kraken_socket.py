@@ -128,11 +128,11 @@ class KrakenSocketDecoder(KrakenDecoder):
             return (0 if short > 127 else None), 0
         length = short if head == 2 else int.from_bytes(data[at + 2 : at + head], "big")
         if data[at] == TEXT:
-            is_object = data[at + head] == ord("{") and length <= LONGEST_LINE
+            is_object = data[at + head] == ord("{") and 0 < length <= LONGEST_LINE
             return (head + length if is_object else 0), head
         (kind,) = WORD.unpack_from(data, at + head)
         if kind == DIRECTIONS:
-            return (head + length if length <= LONGEST else 0), head
+            return (head + length if 2 * WORD.size <= length <= LONGEST else 0), head
         shown = {BAND: BAND_HEAD.size, BEAM: BAND_HEAD.size, AUDIO: AUDIO_HEAD.size}.get(kind)
         if shown is None or length < shown:
             return 0, 0

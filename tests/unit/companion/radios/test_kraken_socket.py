@@ -126,3 +126,13 @@ def test_a_picture_of_the_band_larger_than_what_is_kept_is_skipped() -> None:
     assert found == [[]] * len(parts)
     assert len(read(decoder, directions((0.0, peak_at(30.0))))) == 1
     assert decoder.counts.resync_bytes == 0
+
+
+@pytest.mark.parametrize("length", range(8))
+@pytest.mark.parametrize("first", [0x81, 0x82])
+def test_a_frame_too_short_for_what_it_says_to_be_is_none(first: int, length: int) -> None:
+    decoder = KrakenSocketDecoder()
+    body = b"{\x00\x00\x00" if first == 0x81 else b"\x03\x00\x00\x00"
+
+    assert read(decoder, bytes((first, length)) + body + bytes(8)) == []
+    assert len(read(decoder, b"\n", band(434.0), directions((0.0, peak_at(30.0))))) == 1
