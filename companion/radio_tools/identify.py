@@ -181,12 +181,13 @@ def attempts(url: str) -> list[Attempt]:
         at = f"serial:{device}:{bauds[0]}"
         asked = [Attempt(name, at, bauds[0], ASKED_SHARE) for name in _asked()]
         return heard[:1] + asked + heard[1:]
-    if head in ("http", "https", "ws", "wss"):
-        served = [n for n in BUILT_IN if radio_kind(n).transport.startswith(head.rstrip("s"))]
-        return [Attempt(name, url) for name in served]
-    asked = _asked() if head.startswith("tcp") else []
+    for plain in ("http", "ws"):
+        if head in (plain, f"{plain}s"):
+            served = [n for n in BUILT_IN if radio_kind(n).transport.startswith(plain)]
+            return [Attempt(name, url) for name in served]
+    names = _asked() if head.startswith("tcp") else []
     heard = [Attempt("ndjson", url, share=HEARD_SHARES[0])]
-    return heard + [Attempt(name, url, share=ASKED_SHARE) for name in asked]
+    return heard + [Attempt(name, url, share=ASKED_SHARE) for name in names]
 
 
 def _asked() -> list[str]:

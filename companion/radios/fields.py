@@ -143,7 +143,7 @@ def complain_of(names: list[str]) -> str | None:
     """What is wrong with the names that a user has given; None: nothing."""
     for name in names:
         if name in POWERS:
-            return f"`{name}` is a {POWER_ONLY}"
+            return f"`{name}`: {POWER_ONLY}"
         if name not in NAMES and name not in SKIPPED:
             return f"`{name}` is no quantity with a unit; there are {', '.join(sorted(NAMES))}"
     plain = [name.removesuffix(HEX) for name in names]

@@ -15,11 +15,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
-
-import msgspec
+from typing import ClassVar
 
 from companion.domain import Params
+from companion.errors import ConfigError
 from companion.radios.decoder import RadioReading
 from companion.radios.fields import FieldDecoder
 
@@ -81,8 +80,8 @@ class ChannelSoundingDecoder(FormDecoder):
 class TagOptions(Params, frozen=True):
     """Which tag a module asks for its distance."""
 
-    tag: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_]{0,8}$")] = ""
-    """Address; empty: nothing is asked, only what the module says by itself is read."""
+    tag: str = ""
+    """Address of up to 8 characters; empty: nothing is asked, and only what comes is read."""
 
 
 class Ryuw122Decoder(FormDecoder):
@@ -100,6 +99,11 @@ class Ryuw122Decoder(FormDecoder):
         form(r"\+ERR=[0-9]", "the module reports an error"),
         _AT_STATUS,
     )
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        if not re.fullmatch(r"[!-+\--~]{0,8}", self.options.tag):
+            raise ConfigError("ryuw122: tag: its AT+ADDRESS, up to 8 characters without a comma")
 
     def request(self) -> bytes:
         """Ask the tag; its answer is the distance."""
@@ -136,7 +140,7 @@ class Bu03Decoder(FormDecoder):
 class PozyxOptions(Params, frozen=True):
     """Which other Pozyx is ranged to over USB."""
 
-    tag: Annotated[str, msgspec.Meta(pattern=r"^(0[xX])?[0-9A-Fa-f]{4}$|^$")] = ""
+    tag: str = ""
     """Network id in hexadecimal, as it is printed on the device; empty: nothing is asked."""
 
 
@@ -158,6 +162,11 @@ class PozyxDecoder(FormDecoder):
         form(r"^D,(?:[0-9A-Fa-f]{2}){0,9}\s*$"),
     )
     GET_RANGE, DO_RANGING = "c7", "b5"
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        if not re.fullmatch(r"(?:(?:0[xX])?[0-9A-Fa-f]{4})?", self.options.tag):
+            raise ConfigError("pozyx: tag: the network id on the other device, such as 0x6951")
 
     def request(self) -> bytes:
         """Return both questions about the configured device."""

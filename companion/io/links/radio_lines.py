@@ -43,6 +43,8 @@ def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> Fligh
     decoder, poll = setup.kind.decoder(setup.options), setup.kind.poll or DEFAULT_POLL
     greeting, request = decoder.hello(), decoder.request() or poll.request
     request = request or (poll.probe if is_probed else b"")
+    if address.startswith("stdin:"):
+        greeting = request = b""  # nothing can be written there
     is_asked = request or address.partition(":")[0].lower() in ("http", "https", "exec")
     if setup.settings.poll_s is not None and not is_asked:
         asks = "`lines` has the option `request` for what to ask"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import pytest
 
-from companion.radios.catalogue import radio_kind
+from companion.errors import ConfigError
+from companion.radios.catalogue import BUILT_IN, radio_kind
 from companion.radios.decoder import RadioDecoder, RadioReading
 from companion.radios.line_forms import PozyxDecoder, PozyxOptions, Ryuw122Decoder, TagOptions
+from companion.radios.text_table import RADIOS
 
 
 def decoder_of(name: str) -> RadioDecoder:
@@ -179,3 +182,22 @@ def test_a_module_names_itself_when_it_is_probed() -> None:
         assert poll.probe
         read(decoder, line)
         assert decoder.counts.is_introduced
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Ryuw122Decoder(TagOptions("LONGERTHAN8")), "ryuw122: tag: its AT.ADDRESS"),
+        (lambda: Ryuw122Decoder(TagOptions("a,b")), "ryuw122: tag: its AT.ADDRESS"),
+        (lambda: PozyxDecoder(PozyxOptions("0x69")), "pozyx: tag: the network id"),
+    ],
+)
+def test_a_tag_that_is_no_address_is_refused_in_words(
+    make: Callable[[], RadioDecoder], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        make()
+
+
+def test_the_table_and_the_catalogue_have_the_same_names() -> None:
+    assert set(RADIOS) == {name for name, place in BUILT_IN.items() if "text_table" in place}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from companion.config.radios import RadioConfig, radio_setup
 from companion.errors import ConfigError, LinkError
 from companion.io.links.link import Link
 from companion.io.links.process_links import StdinLink
@@ -146,3 +147,14 @@ def test_standard_input_that_cannot_be_waited_for_is_refused_in_one_line(
         os.dup2(before, 0)
         os.close(before)
         os.close(given)
+
+
+@pytest.mark.parametrize("name", ["makerfabs_at", "bu01", "bu03", "srsran"])
+def test_nothing_is_written_to_standard_input(name: str) -> None:
+    """Radios that are greeted or asked over a port are read from a pipe, too."""
+    transport = radio_link(radio_setup(RadioConfig(name=name), "test"), "stdin:").transport
+    assert isinstance(transport, OwnLine)
+
+    link = transport.make(0, lambda _: None)
+
+    assert link.greeting == link.request == b""
