@@ -97,8 +97,9 @@ class Listener:
 
     @property
     def is_promising(self) -> bool:
-        """Return True if something was measured: the radio may be a slow one."""
-        return any(self._is_fitting(each, 1) for each in self.candidates)
+        """Return True if something was measured, or its power: the radio may be a slow one."""
+        is_heard = self.powers >= FEWEST_POWERS
+        return is_heard or any(self._is_fitting(each, 1) for each in self.candidates)
 
     @property
     def is_garbage(self) -> bool:
@@ -233,8 +234,8 @@ def identify(
         found = listener.found
         if found is not None:
             return 0, _words(found, attempt, url)
-        if powers >= FEWEST_POWERS:
-            return 1, f"{heard} bytes at {url}: {POWER_ONLY}"
+    if powers >= FEWEST_POWERS:
+        return 1, f"{heard} bytes at {url}: {POWER_ONLY}"
     if not heard:
         reason = problem or "check power, cable and port, and that an emitter is on"
         return 1, f"nothing heard at {url} in {seconds:g} s: {reason}"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from companion.errors import ConfigError, LinkError
+from companion.errors import ConfigError, LinkError, how_to_install
 from companion.io.links.link import Link, bind_problem
 from companion.io.links.transports import OwnLine, Transport, UdpBind, parse_transport
 from companion.mav.endpoint import Address, Chunk
@@ -124,8 +124,11 @@ class SocketLink(Link):
 
     async def open(self) -> None:
         """Bind and listen."""
-        from websockets.asyncio.server import serve
-
+        try:
+            from websockets.asyncio.server import serve
+        except ImportError:
+            hint = how_to_install("websockets")
+            raise LinkError(f"{self.name}: web sockets need a package; {hint}") from None
         host, port = self._page.host, self._page.port
         try:
             self._server = await serve(self._answer, host, port)

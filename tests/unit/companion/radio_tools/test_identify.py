@@ -140,6 +140,28 @@ def test_received_power_alone_is_named_as_that() -> None:
     assert bench.now_s < LISTEN_S + STEP_S
 
 
+def test_a_radio_that_prints_powers_beside_its_ranges_is_named() -> None:
+    """A console has much to say before the first range comes."""
+    now_s = 0.0
+
+    def hear(attempt: Attempt, listener: Listener) -> None:
+        nonlocal now_s
+        ear = Ear(listener, attempt.share_s, attempt.most_s)
+        while not ear.is_finished:
+            now_s += STEP_S
+            ear.handle_timer(now_s)
+            line = "I (9) wifi:state: run, rssi: -61\n"
+            if now_s % 4.0 < STEP_S:
+                line = (
+                    "I (9) ftm_station: Estimated RTT - 33 nSec, Estimated Distance - 5.07 meters\n"
+                )
+            ear.receive(Chunk(0, line.encode(), is_datagram=False), now_s)
+
+    code, text = identify("/dev/ttyUSB0", hear=hear, clock=lambda: now_s)
+
+    assert (code, text.partition(":")[0]) == (0, "esp32_ftm")
+
+
 def noise_of(letters: bytes) -> Callable[[int], bytes]:
     rng = np.random.default_rng(7)
     return lambda count: bytes(letters[k] for k in rng.integers(0, len(letters), count))
