@@ -84,7 +84,7 @@ class DecoderCounts:
     first_unrecognised: str = ""
     """The first of them, cut off and printable."""
     is_introduced: bool = False
-    """Whether the module has named itself, in answer to the kind's probe."""
+    """True once the module has named itself, in answer to the kind's probe."""
 
     def pass_over(self, line: str) -> None:
         """Count a line that is none of the format's, and by its reason one of received power."""
@@ -114,7 +114,7 @@ class Poll:
     request: bytes = b""
     """Over a serial port or TCP, each period."""
     probe: bytes = b""
-    """What makes the module name itself, where a request needs to know whom to ask."""
+    """Question after its own name, for a module whose requests need a configured address."""
 
 
 class RadioDecoder(ABC):

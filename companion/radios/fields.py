@@ -83,7 +83,7 @@ _UNIT_WORDS = {
     **{"deg": "deg", "degrees": "deg", "\N{DEGREE SIGN}": "deg", "rad": "rad", "nsec": "ns"},
     **{"feet": "ft", "usec": "us", "msec": "ms", "psec": "ps"},
 }
-"""What a unit is called behind a number, to the end of a name of the vocabulary."""
+"""Words for a unit behind a number, and the unit as names of the vocabulary end."""
 _UNIT_BEHIND = re.compile(r"\s?([A-Za-z]++|\N{DEGREE SIGN})(?!\s*[=:])")
 """A word that is not itself the name of what follows."""
 _SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])-$")

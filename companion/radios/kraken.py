@@ -62,7 +62,7 @@ class KrakenOptions(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What is said of a channel."""
+    """Result of one channel."""
 
     time_ms: float
     """Of the end of the integration."""
@@ -146,7 +146,7 @@ class KrakenDecoder(RadioDecoder):
 
     Options = KrakenOptions
     may_be_unsettled = True
-    """Whether there are results of a receiver that has just been tuned."""
+    """True where results appear that a receiver made while it was being tuned."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)

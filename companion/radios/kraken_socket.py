@@ -49,7 +49,7 @@ BEST_RATIO = 3.0
 
 
 class KrakenSocketOptions(KrakenOptions, frozen=True):
-    """What the socket needs beside."""
+    """Settings of the socket beside those of every KrakenSDR."""
 
     token: Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9]{0,128}$")] = ""
     """Of `KRAKEN_API_TOKEN` or the file `api_token` of the receiver; empty: it has none."""

@@ -27,7 +27,7 @@ _MEASURED = re.compile(
     r"|dist|rang|rtt|tof|bearing|azimuth|elevation|angle|doa",
     re.IGNORECASE,
 )
-"""What else a line may report: then it is of a format that is not known, and says so."""
+"""Other quantities: a line with one of them is of an unknown format, and is counted as that."""
 
 
 def is_power_only(line: str) -> bool:

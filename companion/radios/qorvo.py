@@ -41,7 +41,7 @@ FAILURES = {
 
 
 class BlockResult(msgspec.Struct, frozen=True):
-    """What firmware before 2024 prints of one device in a block."""
+    """One device in a block of ranging, as firmware before 2024 prints it."""
 
     address: Annotated[str, msgspec.Meta(pattern="^0x[0-9a-fA-F]{1,16}$")] = msgspec.field(
         name="Addr"

@@ -68,10 +68,10 @@ class AskedModule(Emulator):
         return lines([line for command in commands for line in self.answer(command)])
 
     def say(self, asked: Round) -> bytes:
-        """What is said if each emitter of a round is asked for once."""
-        told = self.tell(asked)
+        """Return the answers if each emitter of a round is asked for once."""
+        printed = self.tell(asked)
         names = [self.name_on_wire(each.emitter_id) for each in asked.answers]
-        return told + b"".join(self.hear(self.asks(name)) for name in names)
+        return printed + b"".join(self.hear(self.asks(name)) for name in names)
 
 
 class Ryuw122(AskedModule):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
 LOOK_S = 0.5
-"""How often a silent connection looks whether it is to end."""
+"""Interval at which a silent connection checks for its end."""
 RETRY_S = 1.0
 BINARY = 0x82
 """First byte of a whole binary frame."""

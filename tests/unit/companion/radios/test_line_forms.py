@@ -88,8 +88,8 @@ def test_what_cannot_be_used_is_refused_by_its_reason(name: str, line: str, reas
     decoder = decoder_of(name)
 
     assert read(decoder, line) == []
-    (told,) = decoder.counts.refused
-    assert reason in told
+    (counted,) = decoder.counts.refused
+    assert reason in counted
 
 
 @pytest.mark.parametrize(
