@@ -1,6 +1,7 @@
 """Wi-Fi ranges in CSV: firmware of the ESP32, and apps of Android.
 
-There is no standard of either. Sources: GTEC-UDC/esp32s2-ftm-tag; Android's `RangingResult`.
+There is no standard of either; only what Android's own class prints of itself has always one form.
+Sources: GTEC-UDC/esp32s2-ftm-tag; Android's `RangingResult`, its `toString`.
 """
 
 from __future__ import annotations
@@ -148,10 +149,15 @@ class AndroidRttOptions(Params, frozen=True):
 
 
 class AndroidRttDecoder(FieldDecoder):
-    """CSV of a Wi-Fi RTT app, by its header; names as apps and Android's own API have them."""
+    """CSV of a Wi-Fi RTT app, by its header; names as apps and Android's own API have them.
+
+    Or lines of a log that have results as Android prints them, which are always millimetres.
+    """
 
     Options = AndroidRttOptions
     options: AndroidRttOptions
+    _RESULT = re.compile(r"RangingResult: \[(?=status=)")
+    _VALUE = re.compile(r"(\w{3,32})=([^,\[\]]*)")
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
@@ -161,8 +167,11 @@ class AndroidRttDecoder(FieldDecoder):
             raise ConfigError("android_rtt: header: no column of it is a distance")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """The header, or a row."""
+        """The header, a row, or results of a log."""
         line = line.lstrip("\ufeff")
+        _, *results = self._RESULT.split(line)
+        if results:
+            return [reading for text in results for reading in self._printed(text)]
         if not line.strip() or self._is_header(line):
             return []
         header = self._header
@@ -174,6 +183,30 @@ class AndroidRttDecoder(FieldDecoder):
         row = {name: cells[place] for name, (place, _) in header.places.items()}
         problem = header.problem or self._complain_of(row)
         return self.refused(problem) if problem is not None else self._read(header, row, cells)
+
+    def _printed(self, text: str) -> list[RadioReading]:
+        """Return the reading of one result as the class prints itself."""
+        values = dict(self._VALUE.findall(text))
+        successful = values.get("numSuccessfulMeasurements", "")
+        problem = self._complain_of(
+            {
+                "status": values.get("status", ""),
+                "successful": successful,
+                "two_sided": values.get("is80211mcMeasurement", ""),
+            }
+        )
+        if problem is not None:
+            return self.refused(problem)
+        is_aware = values.get("mac", "null") == "null"
+        quality = ratio(whole(successful), whole(values.get("numAttemptedMeasurements")))
+        return self.read_fields(
+            {
+                "emitter": f"peer {values.get('peerHandle', '')}" if is_aware else values["mac"],
+                "range_mm": values.get("distanceMm"),
+                "range_sigma_mm": values.get("distanceStdDevMm"),
+                "quality": None if quality is None else f"{quality:.6f}",
+            }
+        )
 
     def _is_header(self, line: str) -> bool:
         delimiter = max(",;\t", key=line.count)

@@ -189,3 +189,51 @@ def test_a_header_may_come_again_with_other_columns() -> None:
     first, second = AndroidRttDecoder().feed(text.encode(), 0.0)
 
     assert (first.range_m, second.range_m) == (5.43, 7.5)
+
+
+def printed(**changed: object) -> str:
+    """A result as `RangingResult.toString` has it."""
+    values = {
+        "status": 0,
+        "mac": "aa:bb:cc:00:00:01",
+        "peerHandle": "<null>",
+        "distanceMm": 5430,
+        "distanceStdDevMm": 120,
+        "rssi": -61,
+        "numAttemptedMeasurements": 8,
+        "numSuccessfulMeasurements": 7,
+        "lci": "[1, 0, 8]",
+        "lcr": "null",
+        "timestamp": 81_234,
+        **changed,
+    }
+    return "RangingResult: [" + ", ".join(f"{key}={value}" for key, value in values.items()) + "]"
+
+
+def test_results_in_a_log_are_millimetres_of_each_access_point() -> None:
+    other = printed(mac="aa:bb:cc:00:00:02", distanceMm=-310, distanceStdDevMm=0)
+    decoder = AndroidRttDecoder()
+
+    first, second = decoder.feed(f"06-01 D/Rtt: [{printed()}, {other}]\n".encode(), 0.0)
+
+    assert (first.emitter, first.range_m, first.range_sigma_m) == ("aa:bb:cc:00:00:01", 5.43, 0.12)
+    assert first.quality == pytest.approx(7 / 8)
+    assert (second.emitter, second.range_m) == ("aa:bb:cc:00:00:02", -0.31)
+    assert second.range_sigma_m is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"status": 1}, "status is a failure"),
+        ({"status": 2}, "one-sided: the access point has no 802.11mc"),
+        ({"is80211mcMeasurement": "false"}, "one-sided: the access point has no 802.11mc"),
+        ({"numSuccessfulMeasurements": 0}, "no measurement succeeded"),
+        ({"distanceMm": "x"}, "range_mm is no number"),
+    ],
+)
+def test_a_result_in_a_log_that_is_none_is_refused(changed: dict[str, object], reason: str) -> None:
+    decoder = AndroidRttDecoder()
+
+    assert decoder.feed(f"{printed(**changed)}\n".encode(), 0.0) == []
+    assert decoder.counts.refused == {reason: 1}
