@@ -8,7 +8,7 @@
 # ROOT is as for try_in_root.sh; it needs systemd-nspawn (Debian: systemd-container) and cc. The
 # container has a network of its own with nothing but itself. It has the devices and the clock of its
 # host: so the radio's serial port is a pseudo terminal that goes away, and the clock is moved for the
-# service alone, by moved_clock.c. The package is purged at the end.
+# service alone, by tests/e2e/moved_clock.c. The package is purged at the end.
 set -eu
 
 root=${1:?usage: try_service.sh ROOT PACKAGE.deb} package=${2:?usage: try_service.sh ROOT PACKAGE.deb}
@@ -135,7 +135,7 @@ echo 'radio unplugged: told; killed then, it started again without it; plugged i
 inside systemctl stop companion radio
 
 echo 'COMPANION_OPTIONS=--connect udp:127.0.0.1:14540' >"$root/etc/companion/service.env"
-cc -O2 -shared -fPIC -o "$root/opt/companion/moved_clock.so" "$(dirname "$0")/moved_clock.c"
+cc -O2 -shared -fPIC -o "$root/opt/companion/moved_clock.so" "$(dirname "$0")/../tests/e2e/moved_clock.c"
 mkdir -p "$root/etc/systemd/system/companion.service.d"
 variables='LD_PRELOAD=/opt/companion/moved_clock.so MOVED_CLOCK=/run/moved_clock'
 printf '[Service]\nEnvironment=%s\n' "$variables" >"$root/etc/systemd/system/companion.service.d/clock.conf"
