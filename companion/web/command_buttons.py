@@ -1,4 +1,8 @@
-"""HOLD, RESUME, RETURN and GRANT on the page: grey with the reason, confirmed, and answered."""
+"""Buttons of the page.
+
+HOLD, RESUME, RETURN and GRANT are grey with the reason, confirmed, and answered; HAND OVER shows
+what ground teams need.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,8 @@ from functools import partial
 from typing import Any
 
 from nicegui import ui
+
+from companion.web.panels import DONE, Json
 
 Press = Callable[[str], None]
 
@@ -91,3 +97,31 @@ def _confirmation(
             cancel = ui.button("Cancel", color=None, on_click=dialog.close)
             cancel.props("flat").classes("press plain")
     return dialog
+
+
+class HandoffButton:
+    """HAND OVER, for the ground team; it is there once something was located."""
+
+    def __init__(self) -> None:
+        self._found: object = []
+        with ui.dialog() as self._dialog, ui.card().classes("handoff"):
+            self._content = ui.column().classes("w-full gap-2")
+            with ui.row().classes("w-full justify-end"):
+                close = ui.button("Close", color=None, on_click=self._dialog.close)
+                close.props("outline no-caps").classes("press plain")
+        button = ui.button("HAND OVER", color=DONE, on_click=self._open)
+        self._button = button.props("id=button-handoff unelevated text-color=white")
+        self._button.classes("press").set_visibility(False)
+
+    def show(self, picture: Json) -> None:
+        """Take in what is known now; an open dialog stays as it was."""
+        self._found = picture.get("found", [])
+        self._button.set_visibility(bool(self._found))
+
+    def _open(self) -> None:
+        from companion.web.handoff_dialog import fill
+
+        self._content.clear()
+        with self._content:
+            fill(self._found)
+        self._dialog.open()

@@ -381,31 +381,3 @@ def _level(value: float, name: str) -> dict[str, Any]:
         "label": {"formatter": name, "position": "insideEndTop", "fontSize": 10, **colour},
         "data": [{"yAxis": value}],
     }
-
-
-class HandoffButton:
-    """HAND OVER, for the ground team; it is there once something was located."""
-
-    def __init__(self) -> None:
-        self._found: object = []
-        with ui.dialog() as self._dialog, ui.card().classes("handoff"):
-            self._content = ui.column().classes("w-full gap-2")
-            with ui.row().classes("w-full justify-end"):
-                close = ui.button("Close", color=None, on_click=self._dialog.close)
-                close.props("outline no-caps").classes("press plain")
-        button = ui.button("HAND OVER", color=DONE, on_click=self._open)
-        self._button = button.props("id=button-handoff unelevated text-color=white")
-        self._button.classes("press").set_visibility(False)
-
-    def show(self, picture: Json) -> None:
-        """Take in what is known now; an open dialog stays as it was."""
-        self._found = picture.get("found", [])
-        self._button.set_visibility(bool(self._found))
-
-    def _open(self) -> None:
-        from companion.web.handoff_dialog import fill
-
-        self._content.clear()
-        with self._content:
-            fill(self._found)
-        self._dialog.open()

@@ -32,19 +32,17 @@ from nicegui import Client, ui
 from nicegui.element import Element
 
 from companion.view.history import History, HistoryPart, HistoryReader
-from companion.web.command_buttons import CommandButtons, Press
+from companion.web.command_buttons import CommandButtons, HandoffButton, Press
 from companion.web.panels import (
     AgeBars,
     Charts,
     EmitterList,
-    HandoffButton,
     Numbers,
     PhaseBar,
     RadioList,
     TextList,
 )
 from companion.web.settings import LEFT, VIEWED, Access, WebSettings, tile, zooms_of
-from companion.web.tour import Tour
 
 
 class PictureFeed:
@@ -108,7 +106,6 @@ class Page:
             with ui.column().classes("gap-1 map-half"):
                 self._map = SearchMap(hub.scene, tile_zooms)
                 with ui.row().classes("w-full items-start justify-end gap-2 buttons"):
-                    Tour()
                     self._handoff = HandoffButton()
                     self._commands = None if press is None else CommandButtons(press)
             with ui.column().classes("gap-2 side"):

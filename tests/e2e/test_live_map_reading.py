@@ -13,7 +13,6 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.e2e.live_map_rig import (
     DESK,
-    ENDLESS,
     PHONE,
     Watched,
     chromium,
@@ -111,23 +110,3 @@ def test_every_text_has_the_contrast_that_sunlight_wants(
         expect(watched.page.locator("path.ellipse")).to_have_count(1)
         assert broken_rules(watched.page) == []
         assert least_contrast_of_charts(watched.page) >= LEAST_CONTRAST
-
-
-def test_five_steps_show_a_stranger_the_page(browser: Browser, tmp_path: Path) -> None:
-    with live_flight(tmp_path, config=ENDLESS) as live:
-        watched = Watched(browser, live.settings.url, PHONE)
-        page = watched.page
-        card, shown = page.locator(".tour"), page.locator(".toured")
-        expect(card).to_be_hidden()
-        page.locator("#button-tour").click()
-        seen = set()
-        for number in range(1, 6):
-            expect(card).to_contain_text(f"{number} of 5")
-            expect(shown).to_have_count(1)
-            expect(shown).to_be_in_viewport()
-            seen.add(shown.evaluate("each => each.id || each.className"))
-            page.locator("#tour-next").click()
-        assert len(seen) == 5
-        expect(card).to_be_hidden()
-        expect(shown).to_have_count(0)
-        assert watched.complaints == []
