@@ -94,7 +94,7 @@ class SimEndpoint:
         self.is_finished = False
         self._output: list[Chunk] = []
         components = (mavlink.MAV_COMP_ID_AUTOPILOT1, radio_payload.COMPONENT_ID)
-        dialect = FLAVOURS[scenario.autopilot.flavour][0].firmware.dialect
+        dialect = FLAVOURS[scenario.autopilot.flavour].kind.firmware.dialect
         self.links = LinkLayer(scenario.system_id, components, len(links), security, dialect)
         self.recorder = FlightRecorder()
         self._began_s = started_s

@@ -7,7 +7,8 @@ once, and records the true track and the mode changes for the flight report.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -17,9 +18,11 @@ from companion.geometry.coordinates import LocalOrigin
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
 from sim_link.autopilot.control_inputs import StickInput, Sticks, sticks_at
 from sim_link.autopilot.estimator import Estimator
+from sim_link.autopilot.flavours.ardupilot import commands as ardupilot_commands
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import ardupilot_parameters
 from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.base import AutopilotFlavour
+from sim_link.autopilot.flavours.base import AutopilotFlavour, Handler
+from sim_link.autopilot.flavours.px4 import commands as px4_commands
 from sim_link.autopilot.flavours.px4.firmware_profile import px4_parameters
 from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 from sim_link.autopilot.incidents import (
@@ -44,9 +47,19 @@ from sim_link.autopilot.protocols.parameter_store import ParameterStore
 from sim_link.autopilot.scenario import FlavourName, Scenario
 from sim_link.world.point_mass import PointMass
 
-FLAVOURS: dict[FlavourName, tuple[type[AutopilotFlavour], Callable[[Scenario], ParameterStore]]] = {
-    "px4": (Px4Flavour, px4_parameters),
-    "ardupilot": (ArduPilotFlavour, ardupilot_parameters),
+
+class FlavourParts(NamedTuple):
+    """Parts that make an autopilot of one flavour."""
+
+    kind: type[AutopilotFlavour]
+    parameters: Callable[[Scenario], ParameterStore]
+    handlers: Mapping[int, Handler]
+    """By MAV_CMD."""
+
+
+FLAVOURS: dict[FlavourName, FlavourParts] = {
+    "px4": FlavourParts(Px4Flavour, px4_parameters, px4_commands.HANDLERS),
+    "ardupilot": FlavourParts(ArduPilotFlavour, ardupilot_parameters, ardupilot_commands.HANDLERS),
 }
 
 
@@ -62,10 +75,11 @@ class SimVehicle:
     ) -> None:
         self.scenario = scenario
         self.system_id = scenario.system_id
-        flavour, parameters = FLAVOURS[scenario.autopilot.flavour]
-        first = flavour.firmware.first_mission_item
+        parts = FLAVOURS[scenario.autopilot.flavour]
+        first = parts.kind.firmware.first_mission_item
         self.aircraft = Aircraft(scenario, noise_rng, first, body)
-        self.flavour: AutopilotFlavour = flavour(self.aircraft, parameters(scenario))
+        self.flavour: AutopilotFlavour = parts.kind(self.aircraft, parts.parameters(scenario))
+        self.flavour.handlers = parts.handlers
         self.body = self.aircraft.body
         self.estimator = self.aircraft.estimator
         self.battery = self.aircraft.battery

@@ -16,7 +16,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Mapping, Sequence
 from importlib.resources import files
-from typing import Any, ClassVar, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 import msgspec
 
@@ -208,12 +208,12 @@ class AutopilotFlavour(ABC):
     """One autopilot on one aircraft."""
 
     firmware: Firmware
-    handlers: ClassVar[Mapping[int, Handler]]
-    """What does each MAV_CMD; any other is unsupported."""
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         self.aircraft = aircraft
         self.parameters = parameters
+        self.handlers: Mapping[int, Handler] = {}
+        """Handler of each MAV_CMD; any other command is unsupported."""
         self.setpoints = SetpointMonitor()
         self.occurrences: list[Occurrence] = []
         """Since the list was last emptied by its reader."""

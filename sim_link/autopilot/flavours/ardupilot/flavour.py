@@ -29,12 +29,10 @@ from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     CLIMB,
     DESCENT,
     GUIDED,
-    HANDLERS,
     HORIZONTAL,
     LAND,
     RTL,
     STABILIZE,
-    WARNING,
     CopterMode,
     available_modes,
 )
@@ -61,14 +59,14 @@ LEAST_SPEED_CMPS, LEAST_TIMEOUT_S = 10.0, 0.1
 """What WPNAV_SPEED and its kin, and GUID_TIMEOUT, are taken for if they are less."""
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
-CRITICAL, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
+CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
+INFO = mavlink.MAV_SEVERITY_INFO
 
 
 class ArduPilotFlavour(AutopilotFlavour):
     """ArduCopter 4.5."""
 
     firmware = FIRMWARE
-    handlers = HANDLERS
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)

@@ -1,48 +1,19 @@
-"""ArduCopter's flight modes as data (numbers, names, what each needs), and what each command does.
+"""ArduCopter's flight modes as data: numbers, names, and what each needs.
 
-It is as lax as the real one: a take-off to NaN climbs without end, mode numbers are cut to 8 bits.
-
-Source: ArduPilot `ArduCopter/mode.h`; MAVLink common, MAV_CMD; ArduCopter 4.5 as observed in SITL.
+Source: ArduPilot `ArduCopter/mode.h`; ArduCopter 4.5 as observed in SITL.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from companion.domain import FlightMode
 from companion.mav.dialect import Message, mavlink
-from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, OFFBOARD_NUMBER
-from sim_link.autopilot.control_inputs import Setpoint
-from sim_link.autopilot.flavours.ardupilot.guided import OUT_OF_SIGHT_M, Target
-from sim_link.autopilot.flavours.base import (
-    ACCEPTED,
-    DENIED,
-    FAILED,
-    TEMPORARILY_REJECTED,
-    UNSUPPORTED,
-    UNSUPPORTED_MAV_FRAME,
-    Handler,
-    answers,
-    chooses,
-    is_altitude,
-    is_force,
-    is_place,
-    may_change_mode,
-    set_home,
-    terminate,
-)
-from sim_link.autopilot.flavours.vehicle_types import ARDUPILOT_TABLES, WireMode
+from companion.mav.flight_modes import OFFBOARD_NUMBER
 from sim_link.autopilot.pilot import Task
-from sim_link.autopilot.protocols.command_protocol import Command
-from sim_link.autopilot.protocols.message_streams import cast_to_uint32
-from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
-from sim_link.autopilot.protocols.plan_rules import commands_named
 
-if TYPE_CHECKING:
-    from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
+HORIZONTAL = mavlink.SPEED_TYPE_GROUNDSPEED
+CLIMB, DESCENT = mavlink.SPEED_TYPE_CLIMB_SPEED, mavlink.SPEED_TYPE_DESCENT_SPEED
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,57 +66,6 @@ BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {
 }
 """The plain mode for each purpose."""
 
-TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
-WARNING, ERROR = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_ERROR
-HORIZONTAL = mavlink.SPEED_TYPE_GROUNDSPEED
-CLIMB, DESCENT = mavlink.SPEED_TYPE_CLIMB_SPEED, mavlink.SPEED_TYPE_DESCENT_SPEED
-
-
-def _arm_disarm(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
-    wanted, is_forced = command.params[0], is_force(command.params[1])
-    if wanted == 1.0:
-        return flavour.arm(now_s, is_forced=bool(is_forced))
-    if wanted == 0.0:
-        return flavour.disarm(is_forced=bool(is_forced))
-    return UNSUPPORTED
-
-
-def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
-    base, number = command.whole(1), cast_to_uint32(command.params[1]) & 0xFF
-    if base is None or not base & CUSTOM_MODE_ENABLED:
-        return DENIED
-    kind = flavour.aircraft.scenario.autopilot.vehicle_type
-    table = ARDUPILOT_TABLES.get(kind)
-    if table is not None:
-        return _set_class_mode(flavour, table, number, now_s)
-    if number == OFFBOARD_NUMBER and flavour.aircraft.scenario.autopilot.offers_offboard:
-        result = flavour.choose(GUIDED, now_s)
-        if result == ACCEPTED:
-            flavour.chosen_number = number
-        return result
-    mode = MODES.get(number)
-    if mode is not None:
-        return flavour.choose(mode, now_s)
-    name = NEVER_ENTERED.get(number)
-    refused = f"Mode change to {name} failed: init failed"
-    text = f"No such mode {number}" if name is None else refused
-    flavour.aircraft.say(WARNING, text)
-    return FAILED
-
-
-def _set_class_mode(
-    flavour: ArduPilotFlavour, table: Mapping[int, WireMode], number: int, now_s: float
-) -> int:
-    """A mode by the number of a firmware that is not Copter."""
-    wanted = table.get(number)
-    if wanted is None or wanted.copter_number is None:
-        flavour.aircraft.say(WARNING, f"No such mode {number}")
-        return FAILED
-    result = flavour.choose(MODES[wanted.copter_number], now_s)
-    if result == ACCEPTED:
-        flavour.chosen_number = number
-    return result
-
 
 def available_modes() -> list[Message]:
     """AVAILABLE_MODES of all modes, a script's OFFBOARD last, as ArduCopter 4.7 lists them."""
@@ -154,119 +74,3 @@ def available_modes() -> list[Message]:
         mavlink.MAVLink_available_modes_message(len(names), index, 0, number, 0, name.encode())
         for index, (number, name) in enumerate(names, 1)
     ]
-
-
-def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
-    """Above home; only in GUIDED, armed and on the ground."""
-    if command.frame is not None and command.frame not in TAKEOFF_FRAMES:
-        return UNSUPPORTED_MAV_FRAME
-    asked_m, aircraft = command.params[6], flavour.aircraft
-    height_m = OUT_OF_SIGHT_M if math.isnan(asked_m) else min(asked_m, OUT_OF_SIGHT_M)
-    is_ready = flavour.copter_mode is GUIDED and aircraft.is_armed and aircraft.body.is_on_ground
-    if not is_ready or height_m <= 0.0:
-        return FAILED
-    up_m = aircraft.home_enu_m[2] + height_m
-    if flavour.fence_margin_m((*aircraft.motion.position_enu_m[:2], up_m)) < 0.0:
-        aircraft.say(ERROR, "Takeoff: altitude is outside the fence")
-        return FAILED
-    aircraft.pilot.takeoff_up_m = up_m
-    flavour.guided.take_off()
-    return ACCEPTED
-
-
-def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
-    aircraft = flavour.aircraft
-    place, altitude_m = command.place_e7, command.params[6]
-    frame = -1 if command.frame is None else command.frame
-    if frame not in GLOBAL_FRAMES or place is None or not is_place(place):
-        return DENIED
-    if not is_altitude(altitude_m):
-        aircraft.say(ERROR, "Reposition: altitude is not a number")
-        return DENIED
-    if flavour.copter_mode is not GUIDED:
-        if not may_change_mode(command) or flavour.choose(GUIDED, now_s) != ACCEPTED:
-            return DENIED
-        flavour.settle(now_s, "commanded")
-    goal = aircraft.place_from(*place, altitude_m, frame)
-    if goal is None or flavour.fence_margin_m(goal) < 0.0:
-        return FAILED
-    yaw = command.params[3]
-    setpoint = Setpoint(goal[:2], goal[2], yaw_ned_rad=yaw if math.isfinite(yaw) else None)
-    is_on_ground = aircraft.body.is_on_ground
-    flavour.guided.take(Target(setpoint), aircraft.time_s, is_on_ground=is_on_ground)
-    return ACCEPTED
-
-
-def _start_mission(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:
-    return flavour.choose(AUTO, now_s)
-
-
-def _change_speed(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
-    """Of a SPEED_TYPE, where the mode has such a speed."""
-    kind, speed_mps = command.params[:2]
-    if flavour.copter_mode not in (GUIDED, AUTO, RTL) or not speed_mps > 0.0:
-        return FAILED
-    key = DESCENT if kind > CLIMB else CLIMB if kind > HORIZONTAL else HORIZONTAL
-    flavour.commanded_mps[key] = speed_mps
-    return ACCEPTED
-
-
-def _condition_yaw(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
-    """Turn to a heading, or by an angle, degrees; only in GUIDED and AUTO."""
-    angle_deg, _, direction, is_relative = command.params[:4]
-    if not math.isfinite(angle_deg) or flavour.copter_mode not in (GUIDED, AUTO):
-        return FAILED
-    yaw = math.radians(angle_deg)
-    if is_relative == 1.0:
-        sign = -1.0 if direction == -1.0 else 1.0
-        yaw = flavour.aircraft.heading_ned_rad + sign * yaw
-    flavour.guided.turn_to(yaw)
-    flavour.aircraft.pilot.hold_yaw_ned_rad = yaw
-    return ACCEPTED
-
-
-def _enable_fence(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
-    wanted = command.whole(1)
-    if wanted not in (0, 1):
-        return FAILED
-    flavour.parameters.set("FENCE_ENABLE", float(wanted))
-    return ACCEPTED
-
-
-def _pause(flavour: ArduPilotFlavour, _command: Command, _now_s: float) -> int:
-    """Only in AUTO or GUIDED there is something to pause; here it goes on."""
-    is_flying = flavour.is_armed and not flavour.aircraft.body.is_on_ground
-    return ACCEPTED if is_flying else FAILED
-
-
-def _tell_prearm(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:
-    if flavour.is_armed:
-        return TEMPORARILY_REJECTED
-    flavour.send_rejection("PreArm", now_s)
-    return ACCEPTED
-
-
-HANDLERS: Mapping[int, Handler] = {
-    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_disarm,
-    mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
-    mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
-    mavlink.MAV_CMD_NAV_LAND: chooses(LAND),
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: chooses(RTL),
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM: chooses(LOITER),
-    mavlink.MAV_CMD_DO_REPOSITION: _reposition,
-    mavlink.MAV_CMD_MISSION_START: _start_mission,
-    mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
-    mavlink.MAV_CMD_CONDITION_YAW: _condition_yaw,
-    mavlink.MAV_CMD_DO_FENCE_ENABLE: _enable_fence,
-    mavlink.MAV_CMD_DO_SET_HOME: set_home,
-    mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
-    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _tell_prearm,
-    mavlink.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
-    mavlink.MAV_CMD_PREFLIGHT_STORAGE: answers(DENIED),
-    mavlink.MAV_CMD_DO_MOUNT_CONTROL: answers(FAILED),
-    **dict.fromkeys(
-        commands_named("DO_SET_RELAY DO_SET_SERVO DO_DIGICAM_CONTROL DO_SET_ROI"),
-        answers(ACCEPTED),
-    ),
-}
-"""What ArduCopter does about each command; any other is unsupported."""

@@ -58,7 +58,6 @@ from sim_link.autopilot.flavours.px4.flight_modes import (
     AUTO_FLAGS,
     BASE_MODE_FLAGS,
     ENDED_BY_DISARMING,
-    HANDLERS,
     STICK_MODES,
     TASKS,
     WITHOUT_POSITION_CONTROL,
@@ -76,7 +75,6 @@ class Px4Flavour(AutopilotFlavour):
     """PX4 1.15, multicopter."""
 
     firmware = FIRMWARE
-    handlers = HANDLERS
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         super().__init__(aircraft, parameters)
