@@ -37,6 +37,7 @@ def test_a_vehicle_is_set_up_examined_and_the_setup_undone(flavour: str, tmp_pat
         made = run(*options)
     assert made.returncode == 0, made.stdout + made.stderr
     assert "fit to fly" in made.stdout
+    assert f"{'PX4' if flavour == 'px4' else 'ArduPilot'} multicopter, system 1" in made.stdout
     assert "set in PX4" in made.stdout or "set in ArduPilot" in made.stdout
     assert load_config(etc / "companion.yaml")
     assert run("--remove").returncode == 0
