@@ -43,6 +43,10 @@ class SessionMemory:
     """Of the emitters whose turn it was not."""
     earlier: tuple[ReportResult, ...] = ()
     """What was reported of other emitters, the newest last."""
+    flown_fences: tuple[GeoFence, ...] = ()
+    """The autopilot's fences of the flight, the newest first."""
+    fence_limits: FenceLimits | None = None
+    """The strictest of its fence parameters in the flight."""
 
     @property
     def problem(self) -> str | None:

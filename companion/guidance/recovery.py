@@ -12,6 +12,7 @@ wrong without looking wrong. Nothing of this gives control: the operator does, a
 
 from __future__ import annotations
 
+from companion.domain import LandedState
 from companion.estimation.belief import Belief
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
@@ -35,6 +36,8 @@ def memory_of(context: SessionContext) -> SessionMemory:
         belief=current.belief,
         report=context.result,
         fence_anchor=context.fencing.anchor,
+        flown_fences=context.fencing.flown,
+        fence_limits=context.fencing.flown_limits,
         others=tuple(belief for belief in others if belief is not None),
         earlier=tuple(context.reports.values())[:-1],
     )
@@ -63,6 +66,9 @@ class Recollection:
         context.forbid_launch()
         if memory.fence_anchor is not None:
             context.fencing.recall(memory.fence_anchor)
+        vehicle = context.vehicle
+        if vehicle.is_armed and vehicle.landed is not LandedState.ON_GROUND:
+            context.fencing.recall_flown(memory.flown_fences, memory.fence_limits)
         was = f"resumed after {age_s:.0f} s in {memory.phase.value}"
         context.announce(Severity.NOTICE, f"{was}: give the mode again to fly")
         if memory.phase in HAS_VEHICLE:

@@ -93,6 +93,7 @@ def _fence(fencing: Fencing) -> Json:
     fence = fencing.guard.limits.fence
     return {
         "polygon": None if fence is None else fence.polygon_enu_m,
+        "also_inside": () if fence is None else fence.also_inside_enu_m,
         "keep_out": () if fence is None else fence.keep_out_enu_m,
         "words": fencing.words,
         "refusal": fencing.refusal,

@@ -216,9 +216,9 @@ export default {
     drawStill() {
       this.still.clearLayers();
       const { colours } = this;
-      const { polygon, keep_out: keepOut } = this.fence;
-      if (polygon) {
-        this.still.addLayer(this.area(polygon,
+      const { polygon, also_inside: alsoInside, keep_out: keepOut } = this.fence;
+      for (const corners of polygon ? [polygon, ...(alsoInside || [])] : []) {
+        this.still.addLayer(this.area(corners,
           { color: colours.fence, weight: 2, dashArray: "6 4", fill: false, className: "fence" }));
       }
       for (const corners of keepOut || []) {

@@ -16,6 +16,7 @@ from sim_link.autopilot import incidents
 from sim_link.autopilot.incidents import StationFence
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import StreamMute
+from sim_link.lab.lockstep.flight_harness import Checkpointing
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
 
@@ -244,3 +245,28 @@ def test_a_fence_parameter_that_is_set_has_the_fence_read_again(
     assert loop.said("the autopilot's fence changed: reading it again")
     assert len(loop.companion_bytes) > asked
     assert loop.phase in IN_CONTROL
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("down_s", [1.0, 6.0])
+def test_the_fences_of_a_flight_outlive_a_restart_of_the_companion(
+    flavour: Flavour, down_s: float
+) -> None:
+    loop = started(flavour)
+    Checkpointing(loop.flight)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    for half_m in (40.0, 150.0):
+        change(loop, StationFence(half_side_m=half_m))
+        loop.run(REACTION_S)
+    before = loop.companion.session.fencing.guard.limits.fence
+    assert before is not None
+    assert len(before.also_inside_enu_m) == 1
+    loop.flight.kill_companion()
+    loop.run(down_s)
+    loop.flight.start_companion()
+    loop.run_until(lambda: loop.said("resumed after"), 20.0)
+    loop.run(REACTION_S)
+    after = loop.companion.session.fencing.guard.limits.fence
+    assert after is not None
+    assert max(max(map(abs, corner)) for corner in after.polygon_enu_m) < 41.0
+    assert len(after.also_inside_enu_m) == 1

@@ -8,7 +8,7 @@ something speaks against it, the guard has no fence: nothing engages, and what f
 A fence is a place in the world, in whatever way it is given. One in local metres lies about the
 first origin that was heard, its anchor; when the origin moves, the fence is turned into the new
 frame by the step between both. The anchor outlives restarts of the autopilot, and of the companion
-in mid-mission.
+in mid-mission; the autopilot's fences of a flight outlive those of the companion.
 
 Two fences that differ are worse than one: each protects from what the other allows. So the
 autopilot's is compared, and a difference is refused.
@@ -173,6 +173,24 @@ class Fencing:
     def recall(self, anchor: LocalOrigin) -> None:
         """Take up the anchor of an earlier process: its fence is still in the same place."""
         self.anchor = anchor
+        self._settle()
+
+    @property
+    def flown(self) -> tuple[GeoFence, ...]:
+        """The autopilot's fences of this flight, the newest first."""
+        return self._flown
+
+    @property
+    def flown_limits(self) -> FenceLimits:
+        """What parameters of the autopilot limit; in the air the strictest of this flight."""
+        return self._limits
+
+    def recall_flown(self, fences: tuple[GeoFence, ...], limits: FenceLimits | None) -> None:
+        """Take up the autopilot's fences of the flight that an earlier process began."""
+        self._is_airborne = True
+        self._flown += tuple(fence for fence in fences if fence not in self._flown)
+        if limits is not None:
+            self._limits = self._limits.strictest(limits)
         self._settle()
 
     def take(self, event: AutopilotFenceRead) -> None:
