@@ -17,7 +17,17 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 Steps: TypeAlias = Generator[int, None, T]
-"""Yields after each step how many measurements it went through."""
+"""Yields after each step what it took, in measurements that are gone through once."""
+PASS_ROWS = 1000
+"""What a pass over measurements takes however few they are: the calls of numpy in plain Python.
+
+Measured on one core of a laptop: 0.22 ms and 0.22 us for each measurement; compiled 0.01 ms and
+0.19 us. So a unit is no more than a quarter of a microsecond either way."""
+
+
+def passes(count: int, rows: int) -> int:
+    """What it takes to go so many times through so many measurements."""
+    return count * (PASS_ROWS + rows)
 
 
 def finish(steps: Steps[T]) -> T:

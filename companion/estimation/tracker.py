@@ -54,22 +54,21 @@ from companion.estimation.screening.measurement_screen import (
     Objection,
     RejectReason,
 )
-from companion.estimation.stepwise import Steps, Stepwise, while_same
+from companion.estimation.stepwise import Steps, Stepwise, passes, while_same
 from companion.estimation.target_estimate import (
     estimate_of,
     position_covariance_m2,
     r95_of_covariance_m,
 )
 from companion.estimation.window.antenna_check import AntennaCheck, ToldAntennaWatch
-from companion.estimation.window.optimizer import WindowOptimizer
+from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, SharedSigmas
 from companion.estimation.window.window_map import WindowParams
 
 UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
 """What is not known of the ground's height and of a radio's stamps where nothing is configured."""
 BETWEEN_WALLS = 2.0
-"""By how much receivers without corrections err more there than they tell: nobody told where it is
-flown, where nothing is configured."""
+"""GNSS error over its reported accuracy between buildings, where nothing is configured."""
 FIX_CHANGE = 2.0
 """By how much the accuracy that is told changes when the fix becomes another one."""
 
@@ -315,6 +314,7 @@ class TargetTracker:
             fresh_starts=fresh_starts,
         )
         self._shared = self._optimizer.shared(self.hypotheses[0], self._shared_sigmas)
+        yield passes(SHARED_PASSES, len(rows))
         is_told_array = self.antenna is None and self._filter.params.model.antenna != AZIMUTH
         if is_told_array and len(self.hypotheses) == 1:
             state, optimizer = self.hypotheses[0].state, self._optimizer

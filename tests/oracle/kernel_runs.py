@@ -27,7 +27,7 @@ from companion.estimation.measurement_model import AZIMUTH, jacobian, predicted,
 from companion.estimation.window.map_kernels import (
     clipped,
     map_cost,
-    map_minimum,
+    map_descent,
     map_step,
     measured_offs,
     normal_equations,
@@ -157,13 +157,12 @@ def windows(name: str, params: FilterParams) -> Results:
         A, descent, _ = normal_equations(rows, start, offs, sigmas, thresholds, *prior)
         yield f"{name} {seed} normal matrix", A
         yield f"{name} {seed} descent", descent
-        moved, _, damping, gain = map_step(rows, start, offs, 1e-3, thresholds, bounds, *prior)
+        moved, _, damping, gain, _ = map_step(rows, start, offs, 1e-3, thresholds, bounds, *prior)
         yield f"{name} {seed} step", moved
         yield f"{name} {seed} damping", damping
         yield f"{name} {seed} gain", gain
-        mean, cost = map_minimum(rows, start, thresholds, bounds, *prior)
+        mean, *_ = map_descent(rows, start, 1e-3, 25, thresholds, bounds, *prior)
         yield f"{name} {seed} minimum", mean
-        yield f"{name} {seed} least cost", cost
 
 
 def drawn_rows(params: FilterParams, rng: np.random.Generator) -> tuple[Matrix, Vector]:

@@ -36,7 +36,8 @@ from companion.estimation.filters.target_filter import FilterState
 from companion.estimation.window.map_kernels import (
     COLUMNS,
     DAMPING_START,
-    map_minimum,
+    MAX_ITERATIONS,
+    map_descent,
     map_step,
     measured_offs,
 )
@@ -272,7 +273,7 @@ def stepped_often(
     """The sum of the easts that so many first steps of the window end at."""
     total = 0.0
     for _ in range(steps):
-        moved, _, _, _ = map_step(
+        moved, *_ = map_step(
             rows,
             start,
             measured_offs(rows, start, belief.model),
@@ -299,7 +300,8 @@ def window_seconds(walk: Walk) -> Seconds:
     stepped_often(rows, start, belief, information, pull, MAP_STEPS)
     step_s = (perf_counter() - begun) / MAP_STEPS
     begun = perf_counter()
-    map_minimum(rows, start, belief.thresholds, belief.bounds, information, pull, belief.model)
+    problem = (belief.thresholds, belief.bounds, information, pull, belief.model)
+    map_descent(rows, start, DAMPING_START, MAX_ITERATIONS, *problem)
     return {MAP_STEP: step_s, MAP_MINIMUM: perf_counter() - begun}
 
 

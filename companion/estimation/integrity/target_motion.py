@@ -22,12 +22,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
-from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.stepwise import Steps, Stepwise, passes
 from companion.estimation.window.map_kernels import SEQUENCE, Row, hold_at_bounds, row_vector
 from companion.estimation.window.sandwich import (
     Scores,
@@ -70,6 +71,8 @@ MAX_SPEED_MPS = 3.0
 MAX_ITERATIONS = 12
 MAX_HALVINGS = 6
 STEP_TOLERANCE_M = 5e-3
+SCORES_PASSES, COVARIANCE_PASSES = 2, 10
+"""Over the measurements, measured: for the problem linearised once, and for a covariance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,8 +180,7 @@ class MotionWatch:
         """The motion of the shortest span in which it is significant, or the most significant."""
         best: TargetMotion | None = None
         for rows in self._spans():
-            motion = motion_of(window_map, rows, mean)
-            yield len(rows)
+            motion = yield from motion_of(window_map, rows, mean)
             if motion is None:
                 continue
             if best is None or motion.significance > best.significance:
@@ -188,17 +190,20 @@ class MotionWatch:
         return best
 
 
-def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> TargetMotion | None:
+def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[TargetMotion | None]:
     """How a target believed to lie at `mean` (k,) walks, if it does; rows end with their time."""
-    still, walk = window_map.solve(rows, mean), _Walk(window_map, rows)
+    still, walk = (yield from window_map.solve.steps(rows, mean)), _Walk(window_map, rows)
     if still is None:
         return None
+    place = np.concatenate([still[0], np.zeros(2)])
     try:
         with np.errstate(all="ignore"):
-            place = np.concatenate([still[0], np.zeros(2)])
-            if not walk.may_begin(place):
-                return None
-            walking = walk.minimum(np.concatenate([mean, np.zeros(2)]))
+            may_begin = walk.may_begin(place)
+        yield passes(COVARIANCE_PASSES, len(rows))
+        if not may_begin:
+            return None
+        walking = yield from walk.minimum(np.concatenate([mean, np.zeros(2)]))
+        with np.errstate(all="ignore"):
             covariance, inflation = walk.covariance(walking)
             velocity = walking[-2:]
             significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
@@ -208,6 +213,14 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> TargetMotion
     if not math.isfinite(fall + significance):
         return None
     return TargetMotion(velocity_mps=velocity, significance=min(fall, significance))
+
+
+class _Place(NamedTuple):
+    """A state, the problem linearised there, and its cost."""
+
+    state: Vector
+    scores: Scores
+    cost: float
 
 
 class _Walk:
@@ -242,30 +255,40 @@ class _Walk:
         losses = float(np.sum(scores.psi * (scores.u - 0.5 * scores.psi)))
         return losses + float(state @ (0.5 * self._information @ state - self._pull))
 
-    def minimum(self, state: Vector) -> Vector:
+    def minimum(self, state: Vector) -> Steps[Vector]:
         """Where damped re-weighted Gauss-Newton steps lead."""
-        scores, damping = self.scores(state), 1e-3
-        cost = self._cost(scores, state)
+        with np.errstate(all="ignore"):
+            at, damping = self._at(state), 1e-3
         for _ in range(MAX_ITERATIONS):
-            A, descent = self._system(scores, state)
-            hold_at_bounds(A, descent, state, self._bounds)
-            scale = np.diag(np.diag(A) + 1e-9)
-            for _ in range(MAX_HALVINGS):
-                step = np.linalg.solve(A + damping * scale, descent)
-                moved = np.minimum(np.maximum(state + step, self._bounds[0]), self._bounds[1])
-                after = self.scores(moved)
-                moved_cost = self._cost(after, moved)
-                if moved_cost < cost:
-                    break
-                damping *= 8.0
-            else:
+            with np.errstate(all="ignore"):
+                moved, damping, tries = self._moved(at, damping)
+            yield passes(SCORES_PASSES * tries, len(self._rows))
+            if moved is None:
                 break
-            step_m = math.dist(moved[:2], state[:2])
-            state, scores, cost = moved, after, moved_cost
-            damping = max(damping / 4.0, 1e-9)
+            step_m = math.dist(moved.state[:2], at.state[:2])
+            at = moved
             if step_m < STEP_TOLERANCE_M:
                 break
-        return state
+        return at.state
+
+    def _at(self, state: Vector) -> _Place:
+        scores = self.scores(state)
+        return _Place(state, scores, self._cost(scores, state))
+
+    def _moved(self, at: _Place, damping: float) -> tuple[_Place | None, float, int]:
+        """A place of lower cost, None if there is none; the next damping; how many were tried."""
+        A, descent = self._system(at.scores, at.state)
+        hold_at_bounds(A, descent, at.state, self._bounds)
+        scale = np.diag(np.diag(A) + 1e-9)
+        for tries in range(1, MAX_HALVINGS + 1):
+            step = np.linalg.solve(A + damping * scale, descent)
+            moved = self._at(
+                np.minimum(np.maximum(at.state + step, self._bounds[0]), self._bounds[1])
+            )
+            if moved.cost < at.cost:
+                return moved, max(damping / 4.0, 1e-9), tries
+            damping *= 8.0
+        return None, damping, MAX_HALVINGS
 
     def _system(self, scores: Scores, state: Vector) -> tuple[Matrix, Vector]:
         u, psi = scores.u.reshape(-1), scores.psi.reshape(-1)

@@ -153,9 +153,8 @@ class AntennaCheck:
     ) -> Steps[dict[Candidate, Explained]]:
         found: dict[Candidate, Explained] = {}
         for kind in kinds:
-            each = self._explained(kind, rows, mean, inflation)
+            each = yield from self._explained(kind, rows, mean, inflation)
             found |= {} if each is None else {kind: each}
-            yield len(rows)
         return found
 
     def _judge(self, found: dict[Candidate, Explained], decided: float) -> None:
@@ -181,12 +180,12 @@ class AntennaCheck:
 
     def _explained(
         self, kind: Candidate, rows: Matrix, mean: Vector, inflation: Inflation
-    ) -> Explained | None:
+    ) -> Steps[Explained | None]:
         """The rows as one antenna explains them, at the place where it does best; None: nowhere."""
         window_map, params = self._maps[kind], self._params[kind]
         window_map.expect(inflation)
         seen = rows_as(rows, kind)
-        solution = window_map.solve(seen, mean)
+        solution = yield from window_map.solve.steps(seen, mean)
         if solution is None:
             return None
         model = params.model._replace(bearing_inflation=inflation[BEARING])

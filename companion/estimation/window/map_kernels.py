@@ -372,11 +372,11 @@ def map_step(
     information: Matrix,
     pull: Vector,
     model: RangingModel,
-) -> tuple[Vector, Matrix, float, float]:
+) -> tuple[Vector, Matrix, float, float, int]:
     """One damped step that lowers the cost, with the offs there, the next damping, and by how much.
 
-    The `offs` are those of the modalities that there are, (m, n), at `mean`: `measured_offs`. Where
-    no step lowers the cost, the mean comes back as it was.
+    Last comes how many dampings were tried. The `offs` are those of the modalities that there are,
+    (m, n), at `mean`: `measured_offs`. Where no step lowers the cost, the mean stays as it was.
     """
     sigmas = row_sigmas(rows, mean, model)
     A, descent, cost = normal_equations(
@@ -386,42 +386,47 @@ def map_step(
     scale = np.diag(np.diag(A) + 1e-9)
     floor = MIN_CURVATURE_RATIO * max(A[0, 0], A[1, 1])  # across a straight track there is none
     scale[0, 0], scale[1, 1] = max(scale[0, 0], floor), max(scale[1, 1], floor)
+    tries = 0
     while damping < DAMPING_MAX:
+        tries += 1
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
         after = row_offs(rows, moved, model)[: offs.shape[0]]
         lower = map_cost(after, moved, sigmas, thresholds, information, pull, model)
         if lower < cost:
-            return moved, after, max(damping / 4.0, 1e-9), cost - lower
+            return moved, after, max(damping / 4.0, 1e-9), cost - lower, tries
         damping *= 8.0
-    return mean, offs, damping, 0.0
+    return mean, offs, damping, 0.0, tries
 
 
 @kernel
-def map_minimum(
+def map_descent(
     rows: Matrix,
-    start: Vector,
+    mean: Vector,
+    damping: float,
+    most: int,
     thresholds: Matrix,
     bounds: Matrix,
     information: Matrix,
     pull: Vector,
     model: RangingModel,
-) -> tuple[Vector, float]:
-    """The minimum that `start` (k,) leads to, (k,), and its cost.
+) -> tuple[Vector, float, int, bool]:
+    """At most `most` steps from `mean` (k,) towards the minimum that it leads to, (k,).
 
-    The Gaussian prior has the `information` L (k, k) and the `pull` e (k,), L times its mean.
-    `thresholds` (3, 2) are long and short of each modality, `bounds` (2, k).
+    Then the damping to go on with, how often the measurements were gone through, and True at the
+    minimum. The Gaussian prior has the `information` L (k, k) and the `pull` e (k,), L times its
+    mean. `thresholds` (3, 2) are long and short of each modality, `bounds` (2, k).
     """
-    mean = np.minimum(np.maximum(start, bounds[0]), bounds[1])
-    damping, offs = DAMPING_START, measured_offs(rows, mean, model)
-    for _ in range(MAX_ITERATIONS):
-        moved, offs, damping, gain = map_step(
+    mean = np.minimum(np.maximum(mean, bounds[0]), bounds[1])
+    offs, passes = measured_offs(rows, mean, model), 1
+    for _ in range(most):
+        moved, offs, damping, gain, tries = map_step(
             rows, mean, offs, damping, thresholds, bounds, information, pull, model
         )
+        passes += 1 + tries
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
         mean = moved
         is_level = gain < GAIN_TOLERANCE and damping < DAMPING_START
         if is_level or step_m < STEP_TOLERANCE_M:
-            break
-    sigmas = row_sigmas(rows, mean, model)
-    return mean, map_cost(offs, mean, sigmas, thresholds, information, pull, model)
+            return mean, damping, passes, True
+    return mean, damping, passes, False

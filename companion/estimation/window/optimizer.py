@@ -136,6 +136,8 @@ EARLY_SHARE = 0.1
 """Early on the window is solved whenever it has grown by this share."""
 VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
 """What is believed of a hypothesis while the window finds no place at all."""
+SHARED_PASSES = 8
+"""Over the measurements, measured, for what errors that all of them share make of the place."""
 CONTRADICTING_SHARE = 0.5
 """Of a full window, before it may contradict older evidence."""
 CONTRADICTED_DISTANCE2 = 16.0

@@ -280,6 +280,7 @@ MIN_RISE_SHARE = 0.5
 STRETCHES = tuple(1.5**i for i in range(1, 9))
 
 Cost = Callable[[Vector], float]
+ProfiledCost = Callable[[Vector], Steps[float]]
 
 
 def stretch_covariance(
@@ -287,7 +288,8 @@ def stretch_covariance(
     A: Matrix,
     mean: Vector,
     cost: Cost,
-    profiled: Cost | None = None,
+    profiled: ProfiledCost | None = None,
+    *,
     worth: int = 0,
 ) -> Steps[Matrix]:
     """The covariance, wider along its longest axis where the cost is flatter than its curvature.
@@ -304,24 +306,20 @@ def stretch_covariance(
     wanted = MIN_RISE_SHARE * promised + cost(mean)
     stretch = 1.0
     for side in (-1.0, 1.0):
-        edge, costs = side * EDGE_SIGMAS * axis, (cost, profiled or cost)
-        stretch = max(stretch, (yield from _stretch(mean, edge, wanted, costs, worth)))
+        edge = side * EDGE_SIGMAS * axis
+        for factor in (1.0, *STRETCHES):
+            at = mean + factor * edge
+            is_reached = cost(at) >= wanted
+            yield worth
+            if is_reached and profiled is not None:
+                is_reached = (yield from profiled(at)) >= wanted
+            if is_reached:
+                break
+        stretch = max(stretch, factor)
     if stretch == 1.0:
         return covariance
     wider: Matrix = covariance + (stretch**2 - 1.0) * np.outer(axis, axis)
     return wider
-
-
-def _stretch(
-    mean: Vector, edge: Vector, wanted: float, costs: tuple[Cost, ...], worth: int
-) -> Steps[float]:
-    """How often `edge` must be laid off until all costs reach `wanted`."""
-    for stretch in (1.0, *STRETCHES):
-        is_reached = all(cost(mean + stretch * edge) >= wanted for cost in costs)
-        yield worth
-        if is_reached:
-            return stretch
-    return STRETCHES[-1]
 
 
 COLLINEAR_RATIO = 0.05

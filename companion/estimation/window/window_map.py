@@ -51,13 +51,15 @@ from companion.estimation.measurement_model import (
     RANGE_OFFSET,
     RangingModel,
 )
-from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.stepwise import Steps, Stepwise, passes
 from companion.estimation.window.map_kernels import (
+    DAMPING_START,
+    MAX_ITERATIONS,
     SIGMAS,
     VALUES,
     clipped,
     map_cost,
-    map_minimum,
+    map_descent,
     measured_offs,
     normaliser,
     row_partials,
@@ -95,9 +97,13 @@ GROSS_SIGMAS = 6.0
 """A range shorter by more than this, or a bearing off by more, is no noise."""
 MAX_BEARING_NOISE = 4.0
 """Reflections widen bearings by no more than this (in variance) before they count as gross."""
+BEND_PASSES = 4
+"""Over the measurements in one covariance of an optimum: scores, curvature and variabilities."""
 MAX_BENDS, BENT_RATIO = 6, 1.1
 """At most so many passes in which near bearings lose what they do not say of a vague place; the
 last one is that in which its variance grows by no more than this factor."""
+STEP_ITERATIONS = 4
+"""Between two of so many the search for a minimum may be interrupted."""
 STIFFNESS = 1e6
 """Of the prior that holds a place in one direction, 1/m^2."""
 NEWS = 0.2
@@ -231,8 +237,7 @@ class WindowMap:
         """The distinct minima reached from states (k,), best first, `older` evidence counted in."""
         found: Minima = []
         for start in starts:
-            solution = self.solve(rows, start, older)
-            yield len(rows)
+            solution = yield from self.solve.steps(rows, start, older)
             if solution is None:
                 continue
             mean, cost = solution
@@ -241,29 +246,28 @@ class WindowMap:
         found.sort(key=lambda pair: pair[0])
         return found
 
+    @Stepwise
     def solve(
         self, rows: Matrix, start: Vector, older: OlderEvidence | None = None
-    ) -> tuple[Vector, float] | None:
+    ) -> Steps[tuple[Vector, float] | None]:
         """The minimum that a start leads to, with its cost; None if it leads nowhere."""
         information, pull = self.prior_with(rows, older)
-        try:
-            with np.errstate(all="ignore"):
-                mean, cost = map_minimum(
-                    rows,
-                    np.array(start, dtype=np.float64),
-                    self._thresholds,
-                    self.bounds,
-                    information,
-                    pull,
-                    self._model,
-                )
-        except np.linalg.LinAlgError:
+        prior = (self._thresholds, self.bounds, information, pull, self._model)
+        mean, damping = np.array(start, dtype=np.float64), DAMPING_START
+        for made in range(0, MAX_ITERATIONS, STEP_ITERATIONS):
+            most = min(STEP_ITERATIONS, MAX_ITERATIONS - made)
+            try:
+                with np.errstate(all="ignore"):
+                    mean, damping, count, is_over = map_descent(rows, mean, damping, most, *prior)
+            except np.linalg.LinAlgError:
+                return None
+            yield passes(count, len(rows))
+            if is_over:
+                break
+        if not np.isfinite(mean).all() or np.abs(mean[:2]).max() > FARTHEST_M:
             return None
-        is_finite = np.isfinite(mean).all() and math.isfinite(cost)
-        if not is_finite or np.abs(mean[:2]).max() > FARTHEST_M:
-            return None
-        sigmas = row_sigmas(rows, mean, self._model)
-        return mean, float(cost) + normaliser(rows, sigmas, self._model)
+        cost = self._cost(rows, mean, older)
+        return (mean, cost) if math.isfinite(cost) else None
 
     def scores(self, rows: Matrix, mean: Vector, spread_m2: float = 0.0) -> Scores:
         """The problem linearised at `mean` (k,): what curvature and covariance are made of.
@@ -329,7 +333,7 @@ class WindowMap:
 
     def _profiled_cost(
         self, rows: Matrix, optimum: Vector, at: Vector, older: OlderEvidence | None
-    ) -> float:
+    ) -> Steps[float]:
         """The least cost where the place is as far from an optimum as `at`, in that direction.
 
         What lies across, and the other states, are solved again: a place held by a stiff prior in
@@ -343,7 +347,7 @@ class WindowMap:
         if older is not None:
             stiff = older
         stiff = replace(stiff, information=stiff.information + held, pull=stiff.pull + held @ at)
-        solution = self.solve(rows, at, stiff)
+        solution = yield from self.solve.steps(rows, at, stiff)
         return self._cost(rows, at if solution is None else solution[0], older)
 
     def _cost(self, rows: Matrix, mean: Vector, older: OlderEvidence | None) -> float:
@@ -402,6 +406,7 @@ class WindowMap:
             spread_m2 = float(np.trace(covariance[:2, :2]))
             has_directions = any(scores.counts[row] for row in self._directions)
             for _ in range(MAX_BENDS if has_directions else 0):
+                yield passes(BEND_PASSES, len(rows))
                 bent = self.scores(rows, mean, spread_m2)
                 covariance, A, _ = self._sandwich(rows, bent, older, is_white)
                 before_m2, spread_m2 = spread_m2, float(np.trace(covariance[:2, :2]))
@@ -412,9 +417,10 @@ class WindowMap:
         cost_at, profiled = partial(self._cost, rows, older=older), None
         if self.fields != ALL_WHITE:
             profiled = partial(self._profiled_cost, rows, mean, older=older)
-        yield len(rows)
-        worth = len(rows) if profiled is not None else 0
-        covariance = yield from stretch_covariance(covariance, A, mean, cost_at, profiled, worth)
+        yield passes(BEND_PASSES, len(rows))
+        covariance = yield from stretch_covariance(
+            covariance, A, mean, cost_at, profiled, worth=passes(2, len(rows))
+        )
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
         noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))

@@ -19,10 +19,11 @@ from companion.domain import OwnAccuracy, RangingMeasurement
 from companion.estimation.stepwise import Steps
 from companion.estimation.tracker import FusionReport
 
-WAKE_ROWS = 512
-"""Measurements that the steps of one wake-up go through: a full window once."""
-STEP_ROWS = 128
-"""What a step costs besides, in the same unit: measured, some 0.3 of 1.3 ms in plain Python."""
+WAKE_ROWS = 20_000
+"""Measurements that the steps of one wake-up go through: a tenth of a control period, 5 ms."""
+BEGIN_ROWS = 4_000
+"""What a measurement takes in this unit besides solutions: screen, filter and what follows from
+the estimate, 1 ms in plain Python."""
 MOST_QUEUED = 256
 """The oldest gives way: 16 emitters at 10 Hz for more than a second."""
 
@@ -89,7 +90,7 @@ class FusionQueue:
         steps = self._begun.pop(key, None)
         if steps is None:
             steps = self._begin(self._queues[key][0])
-        self._left -= STEP_ROWS
+            self._left -= BEGIN_ROWS
         is_over = True  # also where a step raises: what makes a filter fail is not tried again
         try:
             self._left -= next(steps)

@@ -18,7 +18,7 @@ from companion.estimation.integrity.target_motion import (
     TargetMotion,
     motion_of,
 )
-from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.stepwise import Steps, Stepwise, finish
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
@@ -90,7 +90,7 @@ def test_who_walks_in_sight_is_seen_at_the_right_velocity(
 ) -> None:
     velocity = velocity_of(speed_mps, direction_rad)
     rows = rows_of(np.random.default_rng(1), velocity_mps=velocity, nlos=0.0)
-    motion = motion_of(MAP, rows, truth())
+    motion = finish(motion_of(MAP, rows, truth()))
     assert motion is not None
     assert motion.significance > SIGNIFICANT
     assert motion.velocity_mps == pytest.approx(velocity, abs=0.1)
@@ -104,7 +104,7 @@ def test_who_walks_among_reflections_is_seen(
 ) -> None:
     velocity = velocity_of(speed_mps, direction_rad)
     rows = rows_of(np.random.default_rng(seed), SPANS_S[-1], velocity_mps=velocity)
-    motion = motion_of(MAP, rows, truth())
+    motion = finish(motion_of(MAP, rows, truth()))
     assert motion is not None
     assert motion.significance > SIGNIFICANT
 
@@ -114,21 +114,21 @@ def test_who_walks_among_reflections_is_seen(
 def test_who_lies_still_is_never_said_to_walk(nlos: float, noise: float) -> None:
     for seed in range(20):
         rng = np.random.default_rng([seed, int(10 * noise), int(10 * nlos)])
-        motion = motion_of(MAP, rows_of(rng, noise=noise, nlos=nlos), truth())
+        motion = finish(motion_of(MAP, rows_of(rng, noise=noise, nlos=nlos), truth()))
         assert motion is None or motion.significance < 0.6 * SIGNIFICANT
 
 
 def test_a_start_from_a_wrong_place_is_no_walk() -> None:
     for seed in range(20):
         start = truth() + np.array([8.0, -6.0, 1.0, 0.02])
-        motion = motion_of(MAP, rows_of(np.random.default_rng(seed)), start)
+        motion = finish(motion_of(MAP, rows_of(np.random.default_rng(seed)), start))
         assert motion is None or motion.significance < 0.6 * SIGNIFICANT
 
 
 def test_measurements_that_say_nothing_are_no_walk() -> None:
     rows = np.full((40, 10), np.nan)
     rows[:, :3], rows[:, 6:9], rows[:, 9] = 0.0, 1.0, np.arange(40)
-    assert motion_of(MAP, rows, truth()) is None
+    assert finish(motion_of(MAP, rows, truth())) is None
 
 
 def test_it_is_believed_when_it_is_seen_twice_in_a_row() -> None:

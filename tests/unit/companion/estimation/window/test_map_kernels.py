@@ -11,8 +11,10 @@ from scipy.optimize import minimize
 from companion.estimation.filters.robust_update import asymmetric_huber_loss
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.window.map_kernels import (
+    DAMPING_START,
+    MAX_ITERATIONS,
     map_cost,
-    map_minimum,
+    map_descent,
     map_step,
     measured_offs,
     normal_equations,
@@ -68,7 +70,7 @@ class Problem:
 
     def step(self, mean: Vector, damping: float) -> tuple[Vector, float]:
         prior = (self.information, self.pull, self.model)
-        moved, offs, after, _ = map_step(
+        moved, offs, after, *_ = map_step(
             self.rows, mean, self.offs(mean), damping, self.thresholds, self.bounds, *prior
         )
         np.testing.assert_array_equal(offs, self.offs(moved))
@@ -76,8 +78,11 @@ class Problem:
 
     def minimum(self, start: Vector) -> tuple[Vector, float]:
         prior = (self.information, self.pull, self.model)
-        mean, cost = map_minimum(self.rows, start, self.thresholds, self.bounds, *prior)
-        return mean, cost
+        most = MAX_ITERATIONS
+        mean, *_ = map_descent(
+            self.rows, start, DAMPING_START, most, self.thresholds, self.bounds, *prior
+        )
+        return mean, self.cost(mean)
 
 
 def _problem(p: FilterParams, seed: int = 1, share: float = 0.4) -> Problem:

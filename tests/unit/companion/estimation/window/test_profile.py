@@ -8,7 +8,7 @@ import pytest
 from companion.estimation.stepwise import finish
 from companion.estimation.window.map_kernels import (
     map_cost,
-    map_minimum,
+    map_descent,
     measured_offs,
     normal_equations,
 )
@@ -96,7 +96,8 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     sigmas = rows[:, 6:9].T.copy()
     known = np.diag([0.0, 0.0, 1e6, 1e8])
     prior = (known, np.zeros(4), p.model)
-    mean, _ = map_minimum(rows, np.array([3.0, 60.0, 0.0, 0.0]), p.thresholds, p.bounds, *prior)
+    start = np.array([3.0, 60.0, 0.0, 0.0])
+    mean, *_ = map_descent(rows, start, 1e-3, 25, p.thresholds, p.bounds, *prior)
     offs = measured_offs(rows, mean, p.model)
     curvature, _, _ = normal_equations(rows, mean, offs, sigmas, p.thresholds, *prior)
     covariance = np.asarray(np.linalg.inv(curvature))

@@ -9,12 +9,19 @@ import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.target_estimate import r95_of_covariance_m
-from companion.estimation.window.map_kernels import map_cost, measured_offs, row_sigmas
+from companion.estimation.window.map_kernels import (
+    MAX_ITERATIONS,
+    map_cost,
+    map_descent,
+    measured_offs,
+    row_sigmas,
+)
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.sandwich import mirrored, shares_of, weigh_optima
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     SAME_PLACE_M,
+    STEP_ITERATIONS,
     WindowMap,
 )
 from companion.kernel import Matrix, Vector
@@ -318,3 +325,21 @@ def test_well_known_places_keep_their_covariance() -> None:
 def test_a_place_so_far_off_that_nothing_points_to_it_is_no_optimum() -> None:
     rows = walk(np.random.default_rng(3), ranges=False)
     assert WindowMap(params()).optima(rows, [np.array([1e157, 4e157, 0.0, 0.0])]) == []
+
+
+def test_a_long_descent_is_cut_into_pieces_that_come_to_the_same() -> None:
+    rows, p = walk(np.random.default_rng(1), 120), params()
+    solver, start = WindowMap(p), np.array([400.0, -300.0, 0.0, 0.0])
+    begun, _, _, is_over = map_descent(
+        rows, start, 1e-3, STEP_ITERATIONS, p.thresholds, p.bounds, *solver.prior, p.model
+    )
+    assert not is_over, "a start from which one piece is enough shows nothing"
+    whole, *_ = map_descent(
+        rows, start, 1e-3, MAX_ITERATIONS, p.thresholds, p.bounds, *solver.prior, p.model
+    )
+    pieces = list(solver.solve.steps(rows, start))
+    solution = solver.solve(rows, start)
+    assert len(pieces) >= 2
+    assert solution is not None
+    np.testing.assert_array_equal(solution[0], whole)
+    assert not np.array_equal(begun, whole)

@@ -8,8 +8,8 @@ from companion.domain import RangingMeasurement
 from companion.estimation.stepwise import Steps, finish
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.guidance.tracking.fusion_queue import (
+    BEGIN_ROWS,
     MOST_QUEUED,
-    STEP_ROWS,
     WAKE_ROWS,
     FusionQueue,
     Queued,
@@ -55,7 +55,7 @@ def test_small_steps_share_a_wake_up() -> None:
     worker = Worker(steps=0)
     for number in range(10):
         worker.add(1, float(number))
-    assert worker.wake() == WAKE_ROWS // STEP_ROWS
+    assert worker.wake() == WAKE_ROWS // BEGIN_ROWS
 
 
 def test_measurements_of_an_emitter_stay_in_order() -> None:
