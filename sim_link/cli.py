@@ -48,7 +48,7 @@ MAX_BOOT_S = 3600.0
 DESCRIPTION = """\
 Fly a simulated PX4 or ArduPilot multicopter with a radio payload that measures a hidden emitter.
 
-It speaks MAVLink 2 over UDP, sends unasked to every --send-to address, and answers whoever
+It speaks MAVLink 2 over UDP, sends unasked to every --send-to address, and answers every peer that
 sends to --listen. It runs until it is stopped (Ctrl-C, SIGTERM)."""
 EPILOG = """\
 example:
@@ -57,7 +57,7 @@ example:
   and writes where the emitter really is to truth.json.
 
 more:
-  sim-link mission run FILE...   fly mission scripts and tell pass or fail
+  sim-link mission run FILE...   fly mission scripts and report pass or fail
   sim-link radio --follow URL    a radio payload for a vehicle that has none
   sim-link proxy --fault MAPPING  a bad link between a vehicle and a companion"""
 
@@ -86,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def simulator_parser() -> ComplaintParser:
-    """What the command understands besides its subcommands; a complaint is a `ConfigError`."""
+    """Return the parser of `sim-link` without subcommands; bad arguments raise `ConfigError`."""
     parser = ComplaintParser(
         prog="sim-link",
         description=DESCRIPTION,
@@ -136,7 +136,7 @@ def _add_files(add: Callable[..., object]) -> None:
     parameters = "load the autopilot's parameters from FILE, and store there what a client "
     parameters += "changes; a FILE that does not exist yet is made then"
     add("--parameters", metavar="FILE", type=Path, help=parameters)
-    key = "sign, and believe only what is signed with this key; SETUP_SIGNING replaces it"
+    key = "sign, and accept only frames signed with this key; SETUP_SIGNING replaces it"
     add("--signing-key", metavar="FILE", type=Path, help=key)
     report = "write the truth as JSON at the start, and the flight with it at the end"
     add("--report", metavar="FILE", type=Path, help=report)

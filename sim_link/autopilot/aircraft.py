@@ -46,7 +46,7 @@ class Battery:
         self.share = params.start_share
         """Charge that is left, 0 to 1."""
         self.is_known = True
-        """Whether the reports tell the charge."""
+        """True if the reports contain the charge."""
         self.current_ca = IDLE_CURRENT_CA
         """Hundredths of an ampere."""
 
@@ -57,7 +57,7 @@ class Battery:
             self.share = max(0.0, self.share - dt_s / self._params.endurance_s)
 
     def set_charge(self, share: float | None) -> None:
-        """Another charge, 0 to 1; None: nobody knows it any more."""
+        """Set the charge, 0 to 1; None: unknown from now on."""
         self.is_known = share is not None
         if share is not None:
             self.share = share
@@ -100,7 +100,7 @@ class Area:
     radius_m: float | None = None
 
     def depth_m(self, place: Point) -> float:
-        """How far inside the area, negative outside."""
+        """Distance to the boundary of the area; negative outside."""
         if self.radius_m is None:
             return depth_m(self.corners_enu_m, place)
         return self.radius_m - math.dist(place, self.corners_enu_m[0])
@@ -118,7 +118,7 @@ class Geofence:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing to keep to."""
+        """True if there is neither an inclusion nor an exclusion."""
         return not (self._inclusions or self._exclusions)
 
     def margin_m(self, place: PositionEnu) -> float:
@@ -203,7 +203,7 @@ class Aircraft:
         """What the autopilot steers by."""
         east, north, _ = self.motion.position_enu_m
         self.home_enu_m: PositionEnu = (east, north, self.motion.ground_up_m)
-        """Launch-and-return point, as it is believed."""
+        """Launch-and-return point, as estimated."""
         self.is_home_given = False
         """Whether a station set it: then arming leaves it alone."""
         self.home_set_s = STEP_S
@@ -231,7 +231,7 @@ class Aircraft:
 
     @property
     def heading_ned_rad(self) -> float:
-        """Where its nose points as it believes, clockwise from north."""
+        """Estimated heading, clockwise from north."""
         return wrap_pi(self.body.yaw_ned_rad + self.estimator.yaw_bias_rad)
 
     @property
@@ -240,7 +240,7 @@ class Aircraft:
         return self.estimator.world_origin.altitude_m + self.home_enu_m[2]
 
     def say(self, severity: int, text: str) -> None:
-        """Tell the operators."""
+        """Queue a text for the operators."""
         self.texts = [*self.texts[-MAX_TEXTS:], (severity, text)]
 
     def move(self, command_enu_mps: PositionEnu | None, yaw_ned_rad: float | None) -> None:
@@ -292,7 +292,7 @@ class Aircraft:
     def place_from(
         self, latitude_e7: int, longitude_e7: int, altitude_m: float, frame: int
     ) -> PositionEnu | None:
-        """Where a geodetic place leads; None if its frame is not one of ours."""
+        """Convert a geodetic target to local ENU; None if its frame is not supported."""
         up_m = self.up_from(altitude_m, frame)
         if up_m is None:
             return None

@@ -1,11 +1,11 @@
-"""What is asked of the vehicle: streamed setpoints, the pilot's sticks, and the target told back.
+"""Control inputs of the vehicle: streamed setpoints, the pilot's sticks, and the echoed target.
 
 Sticks are the scenario's transmitter, or a station's joystick over MAVLink. Setpoints: what the two
 autopilots share in reading one. Source: MAVLink common, POSITION_TARGET_TYPEMASK and messages 84
 and 86.
 
-`Echo` is what POSITION_TARGET_LOCAL_NED and _GLOBAL_INT tell of the target that is flown. The two
-autopilots tell it differently. PX4 shows what its position controller works with, in every mode
+`Echo` is the target that POSITION_TARGET_LOCAL_NED and _GLOBAL_INT report. The two autopilots
+report it differently. PX4 shows what its position controller works with, in every mode
 that has one: the place if there is one, and always the velocity and the acceleration that follow
 from it, the yaw and the yaw rate; fields that mean nothing are NaN. ArduCopter shows the target of
 GUIDED and nothing else; fields that mean nothing are 0, and yaw never means anything.
@@ -44,7 +44,7 @@ MAX_LONGITUDE_E7 = 1_800_000_000
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Where to fly and how fast; None where nothing is asked. All of it None: stay in place."""
+    """Target position and speed; None in a field that is not commanded. All None: stay in place."""
 
     position_en_m: Point | None = None
     """In the world's frame."""
@@ -78,7 +78,7 @@ class SetpointMonitor:
         self.arrived_s = now_s
 
     def is_alive(self, now_s: float, timeout_s: float) -> bool:
-        """Whether the newest valid setpoint is younger than `timeout_s`."""
+        """True if the newest valid setpoint is younger than `timeout_s`."""
         return self.arrived_s is not None and now_s - self.arrived_s < timeout_s
 
 
@@ -99,7 +99,7 @@ def enu_of(x: float, y: float, z: float, heading_rad: float | None) -> tuple[flo
 
 
 def is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:
-    """Whether latitude and longitude in 1e-7 degrees are a place."""
+    """True if latitude and longitude in 1e-7 degrees are in range."""
     return abs(latitude_e7) <= MAX_LATITUDE_E7 and abs(longitude_e7) <= MAX_LONGITUDE_E7
 
 
@@ -120,7 +120,7 @@ DEAD_ZONE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Sticks:
-    """Deflections, -1 to 1; all of them 0 when nobody touches them."""
+    """Deflections, -1 to 1; all of them 0 when released."""
 
     forward: float = 0.0
     right: float = 0.0
@@ -160,11 +160,11 @@ def sticks_at(pulses: tuple[float, float, float, float]) -> Sticks:
 
 
 class StickInput:
-    """Whoever holds the sticks now."""
+    """Stick deflections from the transmitter or from a joystick, if there is either."""
 
     def __init__(self, params: RcParams) -> None:
         self.resting = CENTRED if params.is_present else None
-        """Where the transmitter's sticks are while nobody moves them; None: there is none."""
+        """Where the transmitter's sticks are at rest; None: there is none."""
         self._joystick: Sticks = CENTRED
         self._joystick_s: float | None = None
         self._moved: Sticks = CENTRED
@@ -189,7 +189,7 @@ class StickInput:
         self._lost_until_s, self._lost_pulses = until_s, pulses
 
     def is_joystick_alive(self, now_s: float) -> bool:
-        """Whether a station's joystick still reports."""
+        """True if a station's joystick still reports."""
         return self._joystick_s is not None and now_s - self._joystick_s < JOYSTICK_TIMEOUT_S
 
     def pulses(self, now_s: float) -> Sticks | None:
@@ -198,7 +198,7 @@ class StickInput:
         return self._lost_pulses if held is None and now_s < self._lost_until_s else held
 
     def read(self, now_s: float) -> Sticks | None:
-        """The deflections, or None if nobody holds any sticks."""
+        """The deflections, or None if there are no sticks."""
         if self.is_joystick_alive(now_s):
             return self._joystick
         if now_s < self._lost_until_s:

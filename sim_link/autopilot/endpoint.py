@@ -8,7 +8,7 @@ moves until the caller says what time it is.
 
 Every link has its own streams and sequence numbers, and so has every peer of a shared link that
 asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`). A link with one peer, as a
-port of PX4 is, answers whoever sent first for good; others are heard. What others send to each
+port of PX4 is, answers only the first sender; others are heard. What others send to each
 other is forwarded, on one link and between links, so that a ground station hears the companion and
 reaches it. Vehicle and payload are two components with a sequence number each, as if each had its
 own radio.
@@ -108,7 +108,7 @@ class SimEndpoint:
     def _boot(
         self, started_s: float, parameters: str, name: str, body: PointMass | None = None
     ) -> None:
-        """Power on: all anew but place, wind, sequence numbers and the stored parameters."""
+        """Power on: reset all but place, wind, sequence numbers and the stored parameters."""
         noise_seed, payload_seed = self._seeds.spawn(2)
         scenario = self._scenario
         self._started_s = started_s

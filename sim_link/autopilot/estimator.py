@@ -1,14 +1,13 @@
-"""What the autopilot believes about its position: satellites, estimator, local frame.
+"""The autopilot's position estimate: GNSS, estimator, local frame.
 
 Theory of operation. The world's frame is local east-north-up about the scenario's origin. The
 autopilot's local frame has its zero at the EKF origin, which a station may move
 (SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: the navigation's error
-(`navigation`), jumps, which somebody asks for, and what wanders off while there is no fix. White
-noise is in the reports only. An autopilot flies by what it believes. The navigation's error is
-in the motion that it steers by, and so in every place that it holds. A target goes into that
-frame, the world's as the satellites show it, through `world_from_local` or `world_from_geodetic`,
-which take jumps and drift off; a place that it merely holds stays where it is then, because a real
-estimator tells its controllers of a reset.
+(`navigation`), commanded jumps, and the drift while there is no fix. White noise is in the reports
+only. An autopilot steers by its estimate. The navigation's error is in that estimate, and so in
+every place that it holds. A target goes into that frame, the world's as GNSS shows it, through
+`world_from_local` or `world_from_geodetic`, which subtract jumps and drift; a place that it merely
+holds stays where it is then, because a real estimator announces a reset to its controllers.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ class Estimator:
         self.has_fix = True
         self.is_position_valid = True
         self.yaw_bias_rad = math.radians(navigation.compass_error_deg)
-        """Believed heading minus the true one."""
+        """Estimated heading minus the true one."""
         self.navigation = navigation
         self.error: NavigationError | None = None
         """Of the place; None: it has none."""
@@ -144,7 +143,7 @@ class Estimator:
         self._poor_ratio, self._poor_until_s, self._poor_of = ratio, until_s, of
 
     def jump(self, offset_enu_m: PositionEnu, yaw_rad: float) -> None:
-        """A reset: from now on it believes this much more."""
+        """Reset the estimate by this offset."""
         (e, n, u), (de, dn, du) = self._jumped, offset_enu_m
         self._jumped = (e + de, n + dn, u + du)
         self.yaw_bias_rad = wrap_pi(self.yaw_bias_rad + yaw_rad)
@@ -198,19 +197,19 @@ class Estimator:
         return (e - oe, n - on, u - ou)
 
     def shown_from_world(self, enu_m: PositionEnu) -> PositionEnu:
-        """The local position of a place as the autopilot believes it; undoes `world_from_local`."""
+        """Estimated local position of a place; inverse of `world_from_local`."""
         (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self._shift_enu_m
         return (e - oe + be, n - on + bn, u - ou + bu)
 
     def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
-        """Where the vehicle truly goes when it is sent to a local position."""
+        """Return the true position at which the vehicle arrives when sent to a local position."""
         (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self._shift_enu_m
         return (e + oe - be, n + on - bn, u + ou - bu)
 
     def world_from_geodetic(
         self, latitude_deg: float, longitude_deg: float, altitude_m: float
     ) -> PositionEnu:
-        """Where the vehicle truly goes when it is sent to a geodetic position."""
+        """Return the true position that the vehicle reaches when sent to a geodetic one."""
         place = self.world_origin.enu_from_geodetic(latitude_deg, longitude_deg, altitude_m)
         (e, n, u), (be, bn, bu) = place, self._shift_enu_m
         return (e - be, n - bn, u - bu)

@@ -1,9 +1,9 @@
-"""What may happen to a vehicle: pilot, satellites, weather, power, and another ground station.
+"""Incidents of a simulated vehicle: pilot, GNSS, weather, power, and another ground station.
 
 A scenario lists incidents with their times, a fault schedule holds them among other faults, and
-`SimEndpoint.apply_incident` lets one happen at once. In YAML `kind` names the record:
-`{kind: gps_loss, start_s: 30, duration_s: 10}`. An event (a reboot, a mode switch) happens at its
-start, and its duration means nothing.
+`SimEndpoint.apply_incident` applies one at once. In YAML `kind` names the record: `{kind: gps_loss,
+start_s: 30, duration_s: 10}`. An event (a reboot, a mode switch) happens at its start, and its
+duration means nothing.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 
 
 class FaultRecord(Params, frozen=True, tag_field="kind"):
-    """What goes wrong, when, and for how long; without an end it lasts until the flight is over."""
+    """Fault with its start and duration; without a duration it lasts until the flight is over."""
 
     start_s: NonNegative = 0.0
-    """Seconds since the simulator, or the schedule, began; a reboot does not begin them anew."""
+    """Seconds since the simulator, or the schedule, began; a reboot does not restart them."""
     duration_s: Annotated[float, msgspec.Meta(gt=0.0)] = math.inf
 
     @property
     def end_s(self) -> float:
-        """When it is over."""
+        """Time at which it ends, s."""
         return self.start_s + self.duration_s
 
     def is_active(self, time_s: float) -> bool:
-        """Whether it acts at a time since the schedule began."""
+        """True if it acts at a time since the schedule began."""
         return self.start_s <= time_s < self.end_s
 
 
@@ -48,7 +48,7 @@ class VehicleFault(FaultRecord, frozen=True):
 
 
 class IncidentRecord(VehicleFault, frozen=True):
-    """What the simulated vehicle does by itself when it is told to."""
+    """Fault that the simulated vehicle carries out itself."""
 
 
 class PilotMode(IncidentRecord, frozen=True, tag="pilot_mode"):
@@ -88,7 +88,7 @@ class GpsLoss(IncidentRecord, frozen=True, tag="gps_loss"):
 
 
 class EkfPoor(IncidentRecord, frozen=True, tag="ekf_poor"):
-    """The estimator reports that measurements contradict it; the position is told all the same."""
+    """The estimator reports contradicting measurements, but the position as before."""
 
     ratio: Positive = 1.5
     """PX4's innovation test ratios, ArduPilot's variances; both doubt from 0.8 or 1 on."""
@@ -122,7 +122,7 @@ class BatteryCharge(IncidentRecord, frozen=True, tag="battery"):
     """The charge changes at once; event."""
 
     share: Share | None = 0.14
-    """0 to 1; None: from now on nobody knows it, and the reports say so."""
+    """0 to 1; None: unknown from now on, and reported so."""
 
 
 class WindChange(IncidentRecord, frozen=True, tag="wind"):
@@ -236,7 +236,7 @@ KINDS_OF_0_1 = {"reboot": "vehicle_reboot"}
 
 
 def renew_incidents(scenario: dict[str, Any]) -> None:
-    """Give incidents that a file tells as version 0.1 did their present names, in place."""
+    """Rename incidents of version 0.1 files to their present names, in place."""
     incidents = scenario.get("incidents")
     for incident in incidents if isinstance(incidents, list) else ():
         if not isinstance(incident, dict):

@@ -35,7 +35,7 @@ Locate = Callable[[PlanItem], PositionEnu]
 
 
 class LegKind(Enum):
-    """What an item asks the pilot to do."""
+    """Kind of task that an item gives to the pilot."""
 
     FLY = "fly"
     LAND = "land"
@@ -44,7 +44,7 @@ class LegKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MissionLeg:
-    """What to fly now."""
+    """Target of the present part of a mission."""
 
     kind: LegKind
     goal_enu_m: PositionEnu
@@ -70,7 +70,7 @@ class MissionRun:
 
     @property
     def has_items(self) -> bool:
-        """Whether there is anything to fly."""
+        """True if there is an item to fly."""
         return len(self.items) > self._first
 
     def load(self, items: Sequence[PlanItem]) -> None:
@@ -95,7 +95,7 @@ class MissionRun:
         return True
 
     def start(self) -> None:
-        """Fly on; a mission that is complete begins anew."""
+        """Fly on; a mission that is complete starts over."""
         if self.state is MissionState.COMPLETE:
             self.rewind()
         if self.has_items:
@@ -114,7 +114,7 @@ class MissionRun:
         self._goal = None
 
     def leg(self, place: PositionEnu, is_on_ground: bool, now_s: float) -> MissionLeg | None:
-        """What to fly at `now_s`, or None at the end; moves on where an item is done."""
+        """Return the target at `now_s`, or None at the end; completed items are passed."""
         if self.state is not MissionState.ACTIVE:
             return None
         for _ in range(MAX_STEPS):

@@ -1,7 +1,7 @@
-"""Where the vehicle is, how it moves and what its sensors show, as the fields of MAVLink messages.
+"""Position, motion and sensor readings of the vehicle, as the fields of MAVLink messages.
 
 Each function is named as its message and gives its fields in the order of the XML, or None where
-there is nothing to tell. Degrees, millimetres, NED and boot milliseconds begin here. Sensors and
+there is nothing to report. Degrees, millimetres, NED and boot milliseconds begin here. Sensors and
 actuators are what a point mass with four motors would show. Source: MAVLink common.
 """
 

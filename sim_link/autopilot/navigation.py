@@ -1,12 +1,12 @@
-"""How wrong a vehicle is about its own place, and its motion as it believes it.
+"""Error of the autopilot's position estimate, and the motion as it estimates it.
 
-Theory of operation. The horizontal error of a satellite receiver is first-order Gauss-Markov on
-each axis, correlation exp(-t / tau), stationary from the start: a whole search shares it. The
-height has a process of its own (receiver and barometer), the compass a constant error. The
-autopilot flies by what it believes, so it holds a place by the belief and the truth wanders off by
-the error. A change of the fix (RTK fixed, float, lost) is a jump: another error, of another size.
+Theory of operation. The horizontal error of a GNSS receiver is first-order Gauss-Markov on each
+axis, correlation exp(-t / tau), stationary from the start: a whole search shares it. The height has
+a process of its own (receiver and barometer), the compass a constant error. The autopilot steers by
+its estimate, so it holds the estimated position and the true one wanders off by the error. A change
+of the fix (RTK fixed, float, lost) is a jump: another error, of another size.
 
-The accuracy that is told is the true sigma times `told_ratio`, below 1 for a receiver between walls
+The reported accuracy is the true sigma times `told_ratio`, below 1 for a receiver between walls
 that does not know of its reflections.
 
 Source: P. Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation (2013), 9.3.
@@ -48,23 +48,23 @@ class NavigationParams(Params, frozen=True):
     height_sigma_m: NonNegative = 0.0
     height_time_constant_s: Positive = 300.0
     compass_error_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0
-    """Believed heading minus the true one, clockwise positive."""
+    """Estimated heading minus the true one, clockwise positive."""
     tells_accuracy: bool = True
-    """Whether the accuracies are told; otherwise they are 0, unknown."""
+    """True if the accuracies are reported; otherwise they are 0, unknown."""
     told_ratio: NonNegative = 1.0
-    """Accuracy that is told, as a multiple of the true one."""
+    """Reported accuracy as a multiple of the true one."""
     fix_changes: tuple[FixChange, ...] = ()
     """In any order."""
 
     @property
     def errs_in_place(self) -> bool:
-        """Whether the believed place is ever a wrong one."""
+        """True if the estimated position ever differs from the true one."""
         changed = any(each.sigma_m or each.height_sigma_m for each in self.fix_changes)
         return bool(self.sigma_m or self.height_sigma_m or changed)
 
 
 class NavigationError:
-    """The believed place minus the true one, as time goes on."""
+    """Estimated position minus the true one, over time."""
 
     def __init__(self, params: NavigationParams, rng: np.random.Generator) -> None:
         self._params = params
@@ -112,23 +112,23 @@ class Believed:
 
     @property
     def position_enu_m(self) -> PositionEnu:
-        """Local east, north and up, as believed."""
+        """Local east, north and up, as estimated."""
         (e, n, u), (de, dn, du) = self._body.position_enu_m, self._error.enu_m
         return (e + de, n + dn, u + du)
 
     @property
     def ground_up_m(self) -> float:
-        """Height of the ground on the believed scale."""
+        """Height of the ground on the estimated scale."""
         return self._body.ground_up_m + self._error.enu_m[2]
 
     @property
     def velocity_enu_mps(self) -> PositionEnu:
-        """The true one: satellites tell it to some centimetres a second."""
+        """True velocity: GNSS measures it to some cm/s."""
         return self._body.velocity_enu_mps
 
     @property
     def yaw_ned_rad(self) -> float:
-        """The true one; the compass error is in what is wanted and told."""
+        """True yaw; the compass error is in commands and reports."""
         return self._body.yaw_ned_rad
 
     @property
@@ -138,7 +138,7 @@ class Believed:
 
     @property
     def is_on_ground(self) -> bool:
-        """Whether it touches the ground."""
+        """True if the vehicle touches the ground."""
         return self._body.is_on_ground
 
     @property

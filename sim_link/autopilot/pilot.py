@@ -1,7 +1,7 @@
-"""What each task does: from task, setpoint and motion to a velocity command.
+"""Control laws of the tasks: from task, setpoint and motion to a velocity command.
 
 A task that stays in place stays where a braking vehicle comes to rest. Modes flown by sticks sink
-slowly when nobody holds them: PX4 without a remote control was seen to do the same.
+slowly without a stick input: PX4 without a remote control was seen to do the same.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ STEP_S = 0.02
 
 
 class Task(Enum):
-    """What the pilot does, whatever mode it is for."""
+    """Task of the pilot, whatever mode it belongs to."""
 
     STAY = "stay"
     """At the hold point, which a command may move."""
@@ -51,7 +51,7 @@ class Task(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimits:
-    """How fast it goes to a place by its parameters, within the vehicle's own limits."""
+    """Speed limits from parameters, within the vehicle's own limits."""
 
     horizontal_mps: float = math.inf
     climb_mps: float = math.inf
@@ -82,7 +82,7 @@ class Pilot:
         self.hold_speed_mps: float | None = None
         self.hold_enu_m = home_enu_m
         self._holds_the_ground = True
-        """Whether it stands where it is held: what it believes of that may wander."""
+        """True if the vehicle stands on its support; its estimate may wander."""
         self._cruise_up_m: float | None = None
         self._loitered_s = 0.0
         self._velocity: PositionEnu = (0.0, 0.0, 0.0)
@@ -115,7 +115,7 @@ class Pilot:
         self.hold_speed_mps, self.hold_yaw_ned_rad = speed_mps, yaw
 
     def has_taken_off(self, body: Kinematics) -> bool:
-        """Whether the takeoff height is reached."""
+        """True if the takeoff height is reached."""
         return body.position_enu_m[2] >= self.takeoff_up_m - REACHED_M
 
     def command(
@@ -240,7 +240,7 @@ class Pilot:
         return self._towards((*self.home_enu_m[:2], self._cruise_up_m), body)
 
     def _is_over_home(self, body: Kinematics) -> bool:
-        """Whether the wind lets it come no nearer, or it is there."""
+        """True if it is over home, or as near as the wind lets it come."""
         distance_m = math.dist(body.position_enu_m[:2], self.home_enu_m[:2])
         slack_mps = body.drift_mps + self._vehicle.position_gain_per_s * HOME_REACHED_M
         return approach_speed_mps(distance_m, self._vehicle) <= slack_mps

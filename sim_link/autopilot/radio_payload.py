@@ -1,6 +1,6 @@
 """The radio payload: a component of its own that measures the emitter and sends what it heard.
 
-A radio that integrates, averages or buffers tells late: what it sends and stamps now it measured
+A radio that integrates, averages or buffers reports late: what it sends and stamps now it measured
 `lag_s` ago, from the place and with the attitude of then.
 """
 
@@ -30,7 +30,7 @@ COMMANDS = (mavlink.MAVLink_command_long_message, mavlink.MAVLink_command_int_me
 
 
 class _Pose(NamedTuple):
-    """How the vehicle truly was at a step."""
+    """True pose of the vehicle at a step."""
 
     position_enu_m: PositionEnu
     height_m: float
@@ -64,7 +64,7 @@ class RadioPayload:
         self._heartbeat_due_s = 0.0
 
     def messages(self, body: PointMass, now_s: float, stamp_s: float) -> list[Message]:
-        """What to send at `now_s` seconds since boot, from the vehicle's true position.
+        """Return the messages due at `now_s` seconds since boot, from the vehicle's true position.
 
         Args:
             stamp_s: What the autopilot's clock shows, by which it stamps.

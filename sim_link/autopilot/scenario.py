@@ -55,7 +55,7 @@ class OriginParams(Params, frozen=True):
 
 
 class AutopilotParams(Params, frozen=True):
-    """Which autopilot is simulated; clients may set what is a default of its own parameters."""
+    """Simulated autopilot; clients may set what is a default of its own parameters."""
 
     flavour: FlavourName = "px4"
     vehicle_type: VehicleTypeName = "quadrotor"
@@ -104,7 +104,7 @@ class RcParams(Params, frozen=True):
 
 
 class GpsParams(Params, frozen=True):
-    """What the satellites and the estimator do to the reported position."""
+    """Effects of GNSS and estimator on the reported position."""
 
     drift_mps: NonNegative = 0.3
     """How fast the estimate wanders off without a fix."""
@@ -150,7 +150,7 @@ class Scenario(Params, frozen=True):
     name: str = "canonical"
     system_id: SystemId = 1
     time_limit_s: Positive = 240.0
-    """For whoever judges the flight; the simulator itself flies on."""
+    """For the judgement of the flight; the simulator itself flies on."""
     origin: OriginParams = OriginParams()
     area_m: tuple[Positive, Positive] = (100.0, 100.0)
     """East and north extent of the search area from the origin; information only."""
@@ -170,7 +170,7 @@ class Scenario(Params, frozen=True):
     rc: RcParams = RcParams()
     gps: GpsParams = GpsParams()
     navigation: NavigationParams = NavigationParams()
-    """How wrong the vehicle is about its own place and heading, and what it tells of that."""
+    """Errors of the estimated position and heading, and their reported accuracy."""
     fence: FenceParams = FenceParams()
     emitters: tuple[EmitterParams, ...] = ()
     incidents: tuple[Incident, ...] = ()

@@ -5,7 +5,7 @@ physics; this joins them to the vehicle. A message that is addressed elsewhere n
 `is_for_us`. Answers name the link they go to; what everyone must hear names none.
 
 Services that the vehicle does not have (files, logs) are refused at once instead of by a silence.
-There is nothing to calibrate, but it takes its time and tells of it.
+There is nothing to calibrate, but it takes its time and reports progress.
 
 Source: MAVLink developer guide, "File Transfer Protocol (FTP)" and "Long Running Commands"; MAVLink
 common, LOG_REQUEST_LIST and MAV_CMD_PREFLIGHT_CALIBRATION.
@@ -70,7 +70,7 @@ FTP_FILE_NOT_FOUND = 10
 
 
 def reject_unsupported_service(message: Message, partner: Partner) -> list[Outgoing]:
-    """What is answered to a request of files or logs that is for us; any other gets no answer."""
+    """Answer a request of files or logs that is for us; any other gets no answer."""
     answer: Message | None = None
     if isinstance(message, mavlink.MAVLink_file_transfer_protocol_message):
         answer = _no_such_file(bytes(message.payload), partner)
@@ -185,7 +185,7 @@ class Services:
         self._handlers = self._handlers_by_type()
 
     def _handlers_by_type(self) -> dict[type[Message], Handler]:
-        """What takes each message; what it returns is answered on the sender's channel."""
+        """Map message types to handlers, whose results are answered on the sender's channel."""
         flavour, clocks = self._vehicle.flavour, self.clocks
 
         def take_setpoint(message: TargetMessage, _partner: Partner, now_s: float) -> None:
@@ -224,7 +224,7 @@ class Services:
         return outgoing + reject_unsupported_service(message, partner) + self.announcements()
 
     def _is_for_nobody(self, message: Message) -> bool:
-        """Whether it is a command that neither we nor anybody who was heard is named by."""
+        """True if it is a command that addresses neither us nor a component that was heard."""
         if not isinstance(message, COMMANDS[:2]):
             return False
         target = (message.target_system, message.target_component)
@@ -232,13 +232,13 @@ class Services:
         return not is_ours and not self._is_known(*target)
 
     def step(self, now_s: float) -> list[Outgoing]:
-        """What is due by itself at a physics step."""
+        """Return the messages due at a physics step."""
         outgoing = self._parameters.handle_timer(now_s) + self._plans.handle_timer(now_s)
         outgoing += self._calibration.step(now_s)
         return outgoing + self.announcements()
 
     def announcements(self) -> list[Outgoing]:
-        """Texts, and what is told when it changes."""
+        """Texts, and messages that are sent on change."""
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
         texts, aircraft.texts = aircraft.texts, []
         messages = [each for text in texts for each in self._texts.messages(*text)]

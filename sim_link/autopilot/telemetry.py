@@ -97,7 +97,7 @@ def ping(vehicle: SimVehicle) -> Fields:
 
 
 def extended_sys_state(vehicle: SimVehicle) -> Fields:
-    """Whether it has landed."""
+    """Landed state."""
     return (mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.flavour.landed_state.value)
 
 
@@ -147,7 +147,7 @@ def autopilot_version(vehicle: SimVehicle) -> Fields:
 
 
 def mission_progress(vehicle: SimVehicle) -> MissionProgress:
-    """How far the mission is."""
+    """Return the progress of the mission."""
     mission = vehicle.aircraft.mission
     return MissionProgress(
         mission.current,
@@ -160,7 +160,7 @@ def mission_progress(vehicle: SimVehicle) -> MissionProgress:
 
 
 def mission_current(vehicle: SimVehicle) -> Fields:
-    """How far the mission is."""
+    """Progress of the mission."""
     return mission_progress(vehicle).fields
 
 
@@ -191,7 +191,7 @@ def rc_channels(vehicle: SimVehicle) -> Fields | None:
 
 
 def fence_status(vehicle: SimVehicle) -> Fields:
-    """Whether it is in breach now; breaches are not counted."""
+    """Breach state of the fence; breaches are not counted."""
     is_breached = vehicle.flavour.fence_state(vehicle.aircraft.motion.position_enu_m).is_breached
     kind = mavlink.FENCE_BREACH_BOUNDARY if is_breached else mavlink.FENCE_BREACH_NONE
     return (int(is_breached), int(is_breached), kind, boot_ms(vehicle) if is_breached else 0)
@@ -225,7 +225,7 @@ _CLASSES = {getattr(mavlink, f"MAVLink_{build.__name__}_message"): build for bui
     mavlink.MAVLink_scaled_pressure2_message: motion.scaled_pressure,
 }
 BUILDERS = {int(message.id): (message, build) for message, build in _CLASSES.items()}
-"""What can be told; a firmware's rates say which of these it has."""
+"""All supported messages; a firmware's rates say which of these it has."""
 
 
 def build_message(vehicle: SimVehicle, number: int) -> Message | None:

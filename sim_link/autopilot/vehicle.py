@@ -99,7 +99,7 @@ class SimVehicle:
 
     @property
     def is_armed(self) -> bool:
-        """Whether the motors may turn."""
+        """True if the motors may turn."""
         return self.aircraft.is_armed
 
     @property

@@ -1,1 +1,1 @@
-"""What real radios print, as the simulated one measures: the other end of `companion --radio`."""
+"""Emulators of real radios' output formats: the other end of `companion --radio`."""

@@ -50,11 +50,11 @@ class AskedModule(Emulator):
     def asks(cls, name: str) -> bytes:
         """The request for a range to the emitter of a name."""
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """Nothing; it is kept for the next request."""
         self._fresh = {
             self.name_on_wire(each.emitter_id): Fresh(
-                each.range_m, self.device_ms(asked.told_s), round(each.power_dbm)
+                each.range_m, self.device_ms(asked.sent_at_s), round(each.power_dbm)
             )
             for each in asked.heard
             if each.range_m is not None
@@ -69,7 +69,7 @@ class AskedModule(Emulator):
 
     def say(self, asked: Round) -> bytes:
         """Return the answers if each emitter of a round is asked for once."""
-        printed = self.tell(asked)
+        printed = self.encode(asked)
         names = [self.name_on_wire(each.emitter_id) for each in asked.answers]
         return printed + b"".join(self.hear(self.asks(name)) for name in names)
 

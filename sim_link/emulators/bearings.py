@@ -1,7 +1,7 @@
 """Direction finders: KrakenSDR by its two documents, u-blox AoA lines.
 
 A KrakenSDR says the direction twice: clockwise in its table, counter-clockwise (theta) in its XML.
-It tells transmitters apart by frequency alone. Nothing is added of the vehicle's heading.
+It distinguishes transmitters by frequency alone. Nothing is added of the vehicle's heading.
 
 Sources: krakenrf, krakensdr_doa `kraken_sdr_signal_processor.py`; u-blox, XPLR-AOA user guide
 UBX-21004616.
@@ -28,7 +28,7 @@ RING = tuple(f"{0.5 + 0.5 * math.cos(math.radians(degree)):.2f}" for degree in r
 
 @dataclass(frozen=True, slots=True)
 class KrakenDirection:
-    """What one receiver of a KrakenSDR found."""
+    """Direction found by one receiver of a KrakenSDR."""
 
     epoch_ms: int
     theta_deg: int
@@ -97,7 +97,7 @@ class Kraken(Emulator):
         self._found: dict[int, KrakenDirection] = {}
         """By frequency."""
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """The whole table."""
         self._update(asked)
         return "".join(found.row + " \n" for found in self._found.values()).encode()
@@ -113,7 +113,7 @@ class Kraken(Emulator):
         theta_deg = round(-math.degrees(answer.azimuth_rad or 0.0)) % 360
         confidence = max(MOST_CONFIDENCE * answer.quality, 1.0)
         return KrakenDirection(
-            self.device_ms(asked.told_s),
+            self.device_ms(asked.sent_at_s),
             theta_deg,
             confidence,
             max(-100.0, answer.power_dbm + 40.0),
@@ -136,10 +136,10 @@ class KrakenSuite(Kraken):
     name = "kraken_suite"
     title = "KrakenSDR suite of 2026, DOA_value.html"
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """The whole table, as of now."""
         self._update(asked)
-        epoch_ms = self.device_ms(asked.told_s)
+        epoch_ms = self.device_ms(asked.sent_at_s)
         return "".join(
             f"{_suite_row(found, epoch_ms)} \n" for found in self._found.values()
         ).encode()
@@ -168,21 +168,21 @@ class KrakenXml(Kraken):
     document = "/doa.xml"
     most = 1
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """The whole document."""
         self._update(asked)
         return "".join(found.xml for found in self._found.values()).encode()
 
 
 def frequency_hz(emitter_id: int) -> int:
-    """Where an emitter transmits."""
+    """Return the transmit frequency of an emitter, Hz."""
     return FIRST_HZ + CHANNEL_HZ * emitter_id
 
 
-def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, told: str) -> str:
-    """`+UUDF:`; `told` is what stands behind the second power."""
+def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, tail: str) -> str:
+    """`+UUDF:`; `tail` is everything from the second power on."""
     angles = f"{azimuth_deg},{elevation_deg}"
-    return f"+UUDF:{tag},{rssi_dbm},{angles},{told}"
+    return f"+UUDF:{tag},{rssi_dbm},{angles},{tail}"
 
 
 class Uudf(Emulator):
@@ -203,19 +203,19 @@ class Uudf(Emulator):
         """It has started."""
         return lines(["+STARTUP"])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line for each tag whose advertisement was heard."""
-        clock_ms = self.device_ms(asked.told_s)
-        return lines([self._line(answer, clock_ms) for answer in asked.heard if _is_told(answer)])
+        clock_ms = self.device_ms(asked.sent_at_s)
+        return lines([self._line(answer, clock_ms) for answer in asked.heard if _in_front(answer)])
 
     def _line(self, answer: Answer, clock_ms: int) -> str:
         angles = (turned_rad(answer), answer.elevation_rad or 0.0)
         azimuth_deg, elevation_deg = (clamped(math.degrees(angle), -90, 90) for angle in angles)
         rssi_dbm, number = round(answer.power_dbm), self.next_number()
         channel = self.CHANNELS[int(self._rng.integers(len(self.CHANNELS)))]
-        told = f'{rssi_dbm - 1},{channel},"{self.ANCHOR}","",{clock_ms},{number}'
+        tail = f'{rssi_dbm - 1},{channel},"{self.ANCHOR}","",{clock_ms},{number}'
         name = self.name_on_wire(answer.emitter_id)
-        return uudf_line(name, azimuth_deg, elevation_deg, rssi_dbm, told)
+        return uudf_line(name, azimuth_deg, elevation_deg, rssi_dbm, tail)
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
@@ -232,5 +232,5 @@ def turned_rad(answer: Answer) -> float:
     return math.atan2(right, math.sqrt(max(0.0, 1.0 - right * right - up * up)))
 
 
-def _is_told(answer: Answer) -> bool:
+def _in_front(answer: Answer) -> bool:
     return answer.azimuth_rad is not None and abs(answer.azimuth_rad) <= 0.5 * math.pi

@@ -72,7 +72,7 @@ EMULATORS = {kind.name: kind for kind in KINDS}
 
 
 def kind_of(name: str) -> type[Emulator]:
-    """The emulator of a name; a `ConfigError` tells all that are known."""
+    """Return the emulator of a name; the `ConfigError` for an unknown one lists all."""
     kind = EMULATORS.get(name)
     if kind is None:
         known = ", ".join(sorted(EMULATORS))
@@ -92,7 +92,7 @@ def check_emitters(kind: type[Emulator], emitter_ids: Sequence[int]) -> None:
 
 
 def make_emulator(name: str, seed: int, clock_s: float | None = None) -> Emulator:
-    """A radio that is switched on; its clock shows something under an hour where nobody says."""
+    """Return a radio that is switched on; its clock is drawn below one hour if not given."""
     rng = np.random.default_rng((seed, OWN_STREAM))
     drawn_s = float(rng.uniform(10.0, 3600.0))
     return kind_of(name)(drawn_s if clock_s is None else clock_s, rng)

@@ -1,8 +1,8 @@
-"""Cells on board that tell the timing advance: srsRAN 4G, srsRAN Project, OAI.
+"""Cells on board that report the timing advance: srsRAN 4G, srsRAN Project, OAI.
 
 The timing advance is the round-trip time, in steps that are cut off downwards where the random
-access channel measures it: 16 Ts (78.07 m) in LTE, half of that in NR at 30 kHz. A phone is told
-apart by the temporary identity of its attachment.
+access channel measures it: 16 Ts (78.07 m) in LTE, half of that in NR at 30 kHz. A phone is
+identified by the temporary identity of its attachment.
 
 Sources: 3GPP TS 36.213 4.2.3 and TS 38.213 4.2; the logs' formats as srsRAN_4G, srsRAN Project and
 OpenAirInterface print them.
@@ -21,7 +21,7 @@ NR_STEP_M = 0.5 * LTE_STEP_M
 FIRST_CRNTI = 0x46
 FIRST_RNTI = 17_921
 FRAMES, SUBFRAMES = 1024, 10
-"""After so many the counters begin anew: 10.24 s."""
+"""The counters wrap after so many: 10.24 s."""
 PREAMBLES = 64
 
 
@@ -50,9 +50,9 @@ class Srsran4g(Emulator):
         """A cell that is up."""
         return lines(["", "==== eNodeB started ===", "Type <t> to view trace"])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line for each whose random access was heard, and that it is connected."""
-        tti = self.device_ms(asked.told_s) % (FRAMES * SUBFRAMES)
+        tti = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
         texts = []
         for answer in asked.heard:
             if answer.range_m is not None:
@@ -81,11 +81,11 @@ class Srsran(Emulator):
     ids = range((1 << 16) - FIRST_RNTI)
     epoch_s = SIMULATION_BEGAN_S
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A report with everybody in it; 0.0: not observed."""
         ues = [self._ue(number, answer) for number, answer in enumerate(asked.answers)]
         cell = {"cell_metrics": {"pci": 1}, "ue_list": ues}
-        report = {"timestamp": round(self.device_s(asked.told_s), 3), "cells": [cell]}
+        report = {"timestamp": round(self.device_s(asked.sent_at_s), 3), "cells": [cell]}
         return (json.dumps(report, separators=(",", ":")) + "\n").encode()
 
     def _ue(self, number: int, answer: Answer) -> dict[str, object]:
@@ -109,9 +109,9 @@ class Oai(Emulator):
     rate_hz = 2.0
     most = 1
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line for who was heard."""
-        subframe = self.device_ms(asked.told_s) % (FRAMES * SUBFRAMES)
+        subframe = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
         frame, slot = subframe // SUBFRAMES, 2 * (subframe % SUBFRAMES) + 1
         texts = []
         for answer in asked.heard:
@@ -124,7 +124,7 @@ class Oai(Emulator):
         return lines(texts)
 
     @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
         """None."""
         return ""
 

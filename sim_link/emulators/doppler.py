@@ -39,9 +39,9 @@ class Kn5r(Emulator):
     most = 1
     epoch_s = SIMULATION_BEGAN_S
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """One in any case."""
-        epoch_ms = self.device_ms(asked.told_s)
+        epoch_ms = self.device_ms(asked.sent_at_s)
         return lines([self._sentence(answer, epoch_ms) for answer in asked.answers])
 
     def _sentence(self, answer: Answer, epoch_ms: int) -> str:

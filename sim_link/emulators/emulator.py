@@ -1,4 +1,4 @@
-"""What every emulator of a radio's own format is: rounds of measurements in, its bytes out.
+"""Base of all emulators: rounds of measurements in, bytes of a radio's own format out.
 
 Theory of operation. A simulated radio asks its emitters in rounds. An emulator is what a radio of
 one make would print of a round: in its own units and steps, with its own signs, by its own clock,
@@ -30,7 +30,7 @@ LINE_END = "\r\n"
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came back from one emitter."""
+    """Result of ranging one emitter."""
 
     emitter_id: int
     heard: RangingMeasurement | None = None
@@ -38,7 +38,7 @@ class Answer:
 
     @property
     def range_m(self) -> float | None:
-        """Of what was heard."""
+        """Measured slant range."""
         return None if self.heard is None else self.heard.range_m
 
     @property
@@ -53,13 +53,13 @@ class Answer:
 
     @property
     def quality(self) -> float:
-        """0 to 1; a radio that says nothing of it hears well."""
-        told = None if self.heard is None else self.heard.quality
-        return 1.0 if told is None else told
+        """Signal quality, 0 to 1; 1 where the radio reports none."""
+        quality = None if self.heard is None else self.heard.quality
+        return 1.0 if quality is None else quality
 
     @property
     def power_dbm(self) -> float:
-        """Received, of free space: a number that a log has, and nobody measures by."""
+        """Received power by the free-space law; for the log only, never a measurement."""
         distance_m = max(1.0, self.range_m or 30.0)
         return max(FLOOR_DBM, AT_ONE_METRE_DBM - 20.0 * math.log10(distance_m))
 
@@ -68,29 +68,29 @@ class Answer:
 class Round:
     """All emitters that a radio asked at one time."""
 
-    told_s: float
-    """When the radio says it, on the vehicle's clock."""
+    sent_at_s: float
+    """Time of output on the vehicle's clock."""
     answers: tuple[Answer, ...]
-    """Of everybody who was asked, in the order of the scenario."""
+    """One for each emitter that was asked, in the order of the scenario."""
 
     @property
     def heard(self) -> tuple[Answer, ...]:
-        """Of those who answered."""
+        """Answers that carry a measurement."""
         return tuple(answer for answer in self.answers if answer.heard is not None)
 
     @property
     def lag_s(self) -> float:
-        """How long ago it was measured."""
+        """Age of the oldest measurement at the time of output."""
         times = [answer.heard.measured_at_s for answer in self.answers if answer.heard is not None]
-        return max(0.0, self.told_s - min(times)) if times else 0.0
+        return max(0.0, self.sent_at_s - min(times)) if times else 0.0
 
 
 class Emulator(ABC):
     """One radio that is switched on.
 
     Args:
-        clock_s: What the radio's own clock shows at the vehicle's second 0.
-        rng: For what the radio makes up by itself; never for a measurement.
+        clock_s: Reading of the radio's own clock at the vehicle's second 0.
+        rng: For values that the radio invents; never for a measurement.
     """
 
     name: ClassVar[str]
@@ -98,7 +98,7 @@ class Emulator(ABC):
     title: ClassVar[str]
     gives: ClassVar[str] = "range"
     antenna: ClassVar[AntennaKind] = "ideal"
-    """What the real one has, and what is emulated where no scenario says otherwise."""
+    """Antenna of the real radio, emulated unless the scenario has another."""
     measures: ClassVar[Measures] = "range"
     rate_hz: ClassVar[float] = 10.0
     """Usual."""
@@ -106,16 +106,16 @@ class Emulator(ABC):
     """Of the emitters that the format can name."""
     most: ClassVar[int] = 64
     """Emitters in a round."""
-    tells_north: ClassVar[bool] = False
-    """Whether it can say a bearing from north, where that is what was measured."""
+    reports_north: ClassVar[bool] = False
+    """True if the format can carry a bearing from north."""
     request: ClassVar[bytes] = b""
-    """What somebody must ask each time; empty: it talks by itself."""
+    """Poll that each round needs; empty: the radio sends unasked."""
     document: ClassVar[str | None] = None
-    """Path that is polled by HTTP; None: the radio talks by itself."""
+    """Path that is polled by HTTP; None: the radio sends unasked."""
     socket: ClassVar[str | None] = None
     """Path of a web socket; its bytes are frames of RFC 6455 then. None: it has none."""
     epoch_s: ClassVar[float] = 0.0
-    """What its clock counts from: 0 is its own start."""
+    """Epoch of its clock; 0 is power-on."""
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         self._clock_s = clock_s
@@ -123,33 +123,33 @@ class Emulator(ABC):
         self._count = -1
 
     @abstractmethod
-    def tell(self, asked: Round) -> bytes:
-        """What it prints of a round."""
+    def encode(self, asked: Round) -> bytes:
+        """Encode one round as the radio prints it."""
 
     def boot(self) -> bytes:
-        """What it prints when it is switched on."""
+        """Return the bytes that it prints at power-on."""
         return b""
 
     def hear(self, data: bytes) -> bytes:  # noqa: ARG002  most do not listen
-        """What it answers at once to what it is told."""
+        """Return the immediate answer to received bytes."""
         return b""
 
     def say(self, asked: Round) -> bytes:
-        """All that is said of a round where somebody asks once a round, if it must be asked."""
-        return self.tell(asked) + self.hear(self.request)
+        """Encode one round, and answer one poll if the radio must be polled."""
+        return self.encode(asked) + self.hear(self.request)
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """What an emitter is called in this format; empty: the format names none."""
+        """Return the name of an emitter in this format; empty: the format has no names."""
         return str(emitter_id)
 
-    def device_s(self, told_s: float) -> float:
-        """What the radio's clock shows."""
-        return self.epoch_s + self._clock_s + told_s
+    def device_s(self, sent_at_s: float) -> float:
+        """Return the reading of the radio's clock."""
+        return self.epoch_s + self._clock_s + sent_at_s
 
-    def device_ms(self, told_s: float) -> int:
+    def device_ms(self, sent_at_s: float) -> int:
         """The same in whole milliseconds."""
-        return round(1e3 * self.device_s(told_s))
+        return round(1e3 * self.device_s(sent_at_s))
 
     def next_number(self, modulus: int = U32) -> int:
         """Of the round: counts from 0, and starts again."""

@@ -73,7 +73,7 @@ class KrakenSocket(Kraken):
         texts = ('{"sync_cmd":"TOPOLOGY:UCA"}', '{"sync_cmd":"DOA:1"}')
         return b"".join(frame(TEXT, text.encode()) for text in texts)
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """All channels, new or not."""
         for answer in asked.heard:
             if answer.azimuth_rad is not None:

@@ -32,12 +32,12 @@ class Trek1000(Emulator):
     ids = range(TAGS)
     most = TAGS
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """Both reports of each tag that answered."""
         texts = []
         for answer in asked.heard:
             if answer.range_m is not None:
-                range_mm, clock_ms = round(1e3 * answer.range_m), self.device_ms(asked.told_s)
+                range_mm, clock_ms = round(1e3 * answer.range_m), self.device_ms(asked.sent_at_s)
                 number = self.next_number()
                 report = mc_report(max(0, range_mm), answer.emitter_id, number, clock_ms)
                 texts += [report.replace("mc", "mr", 1), report]
@@ -56,7 +56,7 @@ class ChannelSounding(Emulator):
         """The console of Zephyr."""
         return lines(["*** Booting nRF Connect SDK v3.0.1 ***", "I: Starting initiator sample"])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line for each antenna path."""
         return lines(
             [
@@ -83,7 +83,7 @@ class SilabsAoa(Emulator):
     antenna = "planar"
     measures = "bearing"
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """An object for each tag, over its lines."""
         heard = [answer for answer in asked.heard if answer.azimuth_rad is not None]
         return b"".join(self._object(answer) for answer in heard)
@@ -125,7 +125,7 @@ class Bu01(Emulator):
         """Ranging goes on already."""
         return lines(["+switchdis=OK"]) if b"switchdis" in data else b""
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line for each that answered."""
         return lines(
             [
@@ -143,9 +143,9 @@ class PozyxSketch(Emulator):
     title = "Pozyx, Arduino sketch ready_to_range"
     most = 1
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line in any case."""
-        clock_ms = self.device_ms(asked.told_s) % U32
+        clock_ms = self.device_ms(asked.sent_at_s) % U32
         return lines([self._line(answer, clock_ms) for answer in asked.answers])
 
     def _line(self, answer: Answer, clock_ms: int) -> str:
@@ -173,7 +173,7 @@ class Lr11xx(Emulator):
             ["===== LR11xx RTToF example =====", "", "===== Running in manager mode ====="]
         )
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A result, or that there was none."""
         return lines([self._line(answer) for answer in asked.answers])
 

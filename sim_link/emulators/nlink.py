@@ -54,7 +54,7 @@ class Peer:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """What every frame says of its own node."""
+    """Header fields of a frame that describe its own node."""
 
     id: int = 0
     local_ms: int = 0
@@ -76,7 +76,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class NodeState:
-    """What NodeFrame2 says of its node's place."""
+    """Position, velocity and attitude of a node in NodeFrame2."""
 
     eop: bytes = b"\xff\xff\xff"
     """Expected error of east, north, up in centimetres."""
@@ -188,9 +188,9 @@ class NLinkEmulator(Emulator):
     ids = range(255)
     most = 40
 
-    def tell(self, asked: Round) -> bytes:
-        """A frame, empty where nobody answered."""
-        clock_ms = self.device_ms(asked.told_s)
+    def encode(self, asked: Round) -> bytes:
+        """A frame; it lists no nodes if no emitter answered."""
+        clock_ms = self.device_ms(asked.sent_at_s)
         return self.frame(self.node(clock_ms), [self.peer(answer) for answer in asked.heard])
 
     def node(self, clock_ms: int) -> Node:

@@ -24,7 +24,7 @@ def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
     bearing_rad = heard.bearing_body_rad
     if bearing_rad is None and heard.bearing_enu_rad is not None:
         bearing_rad = math.remainder(0.5 * math.pi - heard.bearing_enu_rad, 2.0 * math.pi)
-    told: dict[str, object] = {
+    fields: dict[str, object] = {
         "emitter_id": answer.emitter_id,
         "time_usec": time_usec,
         "range": heard.range_m,
@@ -38,7 +38,7 @@ def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
         "array_angle": heard.is_array_angle or None,
         "line_of_sight": heard.line_of_sight,
     }
-    return {key: value for key, value in told.items() if value is not None}
+    return {key: value for key, value in fields.items() if value is not None}
 
 
 class Ndjson(Emulator):
@@ -49,16 +49,16 @@ class Ndjson(Emulator):
     gives = "range, azimuth, elevation"
     measures = "both"
     epoch_s = SIMULATION_BEGAN_S
-    tells_north = True
+    reports_north = True
     document = "/"
 
     def boot(self) -> bytes:
         """A comment."""
         return b"# a program that prints what its radio measures\n"
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line for each that answered."""
-        time_usec = round(1e6 * self.device_s(asked.told_s))
+        time_usec = round(1e6 * self.device_s(asked.sent_at_s))
         objects = [ranging_object(answer, time_usec) for answer in asked.heard]
         texts = [json.dumps(each, separators=(",", ":")) + "\n" for each in objects]
         return "".join(texts).encode()
@@ -70,7 +70,7 @@ class Lines(Emulator):
     name = "lines"
     title = "lines of one's own, `MAC,12.34 m, 82 ns, 90`"
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line for each that answered."""
         return lines([self._line(answer) for answer in asked.heard if answer.range_m is not None])
 
@@ -93,7 +93,7 @@ def sx1280_valid(raw: int, rssi_dbm: int) -> str:
 
 
 class Sx1280(Emulator):
-    """A ranging master at 812.5 kHz, which names nobody."""
+    """A ranging master at 812.5 kHz, whose output has no names."""
 
     name = "sx1280"
     title = "Semtech SX1280, lines of the SX12XX-LoRa ranging master"
@@ -101,10 +101,10 @@ class Sx1280(Emulator):
     rate_hz = 5.0
 
     def boot(self) -> bytes:
-        """What it was set to."""
+        """Banner, with the calibration in use."""
         return lines(["54_Ranging_Master Starting", "", "LoRa Device found", "Calibration,11350"])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line in any case."""
         return lines([self._line(answer) for answer in asked.answers])
 
@@ -115,6 +115,6 @@ class Sx1280(Emulator):
         return sx1280_valid(raw, round(answer.power_dbm))
 
     @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
         """None."""
         return ""

@@ -19,7 +19,7 @@ class PowerScan(Emulator):
     gives = "power"
     rate_hz = 5.0
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """What each kind prints of an emitter."""
         return lines([line for answer in asked.heard for line in self._lines(answer)])
 

@@ -81,7 +81,7 @@ def uci_packets(payload: bytes) -> bytes:
 
 
 def path_of(answer: Answer) -> int:
-    """Whether the path is open; a radio that does not know takes it as such."""
+    """Line-of-sight flag; LOS where the radio does not report it."""
     return NLOS if answer.heard is not None and answer.heard.line_of_sight is False else LOS
 
 
@@ -104,7 +104,7 @@ class FiraUci(Emulator):
         """The device is ready."""
         return UCI_BOOT
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A notification with everybody in it."""
         return session_info(self.next_number(), [self._record(each) for each in asked.answers])
 
@@ -162,7 +162,7 @@ class Sr150(Emulator):
     antenna = "two_axis"
     measures = "both"
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A frame for each peer."""
         return b"".join(self._frame(answer).wire for answer in asked.answers)
 
@@ -207,8 +207,8 @@ LOC_GET, UNKNOWN_COMMAND = b"\x0c\x00", b"\x40\x01\x01"
 def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnchor]) -> bytes:
     """The answer to `dwm_loc_get`: no error, the tag's place, its anchors."""
     place = struct.pack("<iiiB", *(round(1e3 * metres) for metres in place_m), quality)
-    told = bytes((len(anchors),)) + b"".join(anchor.wire for anchor in anchors)
-    return b"\x40\x01\x00\x41\x0d" + place + bytes((0x49, len(told))) + told
+    distances = bytes((len(anchors),)) + b"".join(anchor.wire for anchor in anchors)
+    return b"\x40\x01\x00\x41\x0d" + place + bytes((0x49, len(distances))) + distances
 
 
 class PansTlv(Emulator):
@@ -233,7 +233,7 @@ class PansTlv(Emulator):
         self._request = request
         return answers
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """Nothing; it is kept for the next who asks."""
         anchors = [
             PansAnchor(

@@ -32,7 +32,7 @@ SUPERFRAME_US = 100_000
 def dist_line(
     anchors: Sequence[tuple[str, PositionEnu, float]], place: tuple[float, float, float, int]
 ) -> str:
-    """What `lec` prints: anchors by id, place and range; the tag's own place and its quality."""
+    """Format the line of `lec`: anchors with id, position and range; the tag's own position."""
     text = f"DIST,{len(anchors)}"
     for number, (name, (x, y, z), range_m) in enumerate(anchors):
         text += f",AN{number},{name},{x:.2f},{y:.2f},{z:.2f},{range_m:.2f}"
@@ -65,7 +65,7 @@ class Pans(Emulator):
         self._is_on ^= typed.count(b"lec") % 2 == 1
         return (LINE_END + PROMPT).encode() * len(typed)
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line, if it is to print any."""
         nowhere = (0.0, 0.0, 0.0)
         anchors = [
@@ -89,13 +89,13 @@ class QorvoRecord:
 
     address: int
     status: str = "SUCCESS"
-    told: tuple[tuple[str, str], ...] = ()
+    values: tuple[tuple[str, str], ...] = ()
     """Keys and values behind the status."""
 
     @property
     def text(self) -> str:
         """In its brackets."""
-        rest = "".join(f", {key}={value}" for key, value in self.told)
+        rest = "".join(f", {key}={value}" for key, value in self.values)
         return f'[mac_address=0x{self.address:04x}, status="{self.status}"{rest}]'
 
 
@@ -116,10 +116,10 @@ class QorvoCli(Emulator):
     rate_hz = 5.0
 
     def boot(self) -> bytes:
-        """What a session begins with."""
+        """Acknowledge the start of a session."""
         return lines(["ok", 'SESSION_STATUS_NTF: {state="ACTIVE", reason="State change"}'])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A notification with everybody in it."""
         records = [self._record(answer) for answer in asked.answers]
         text = session_info_ntf(self.next_number(), records)
@@ -128,13 +128,13 @@ class QorvoCli(Emulator):
     def _record(self, answer: Answer) -> QorvoRecord:
         if answer.heard is None or answer.range_m is None:
             return QorvoRecord(answer.emitter_id, "RX_TIMEOUT")
-        told = [("distance[cm]", str(round(100.0 * answer.range_m)))]
+        values = [("distance[cm]", str(round(100.0 * answer.range_m)))]
         for side, angle_rad in (("az", answer.azimuth_rad), ("el", answer.elevation_rad)):
             if angle_rad is not None:
                 phase_deg = 180.0 * math.sin(angle_rad)
-                told.append((f"loc_{side}_pdoa", f"{phase_deg:.2f}"))
-                told.append((f"loc_{side}", f"{math.degrees(angle_rad):.2f}"))
-        return QorvoRecord(answer.emitter_id, "SUCCESS", tuple(told))
+                values.append((f"loc_{side}_pdoa", f"{phase_deg:.2f}"))
+                values.append((f"loc_{side}", f"{math.degrees(angle_rad):.2f}"))
+        return QorvoRecord(answer.emitter_id, "SUCCESS", tuple(values))
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
@@ -160,12 +160,12 @@ class PdoaJs(Emulator):
     measures = "both"
 
     def boot(self) -> bytes:
-        """The node tells of itself."""
+        """The node introduces itself."""
         return lines([js_frame({"SN": {"a16": "0001", "V": 1, "X": 12, "Y": -31, "Z": 1003}})])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A frame for each tag that answered."""
-        number, time_us = self.next_number(256), round(1e6 * asked.told_s) % SUPERFRAME_US
+        number, time_us = self.next_number(256), round(1e6 * asked.sent_at_s) % SUPERFRAME_US
         return lines(
             [
                 js_frame({"TWR": self._twr(answer, number, time_us)}, after_colon=" ")
@@ -225,7 +225,7 @@ class MakerfabsAt(Emulator):
     most = SLOTS
     ids = range(256)
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line in any case: who did not answer is 0."""
         slots = enumerate(asked.answers)
         heard = {slot: answer for slot, answer in slots if answer.range_m is not None}

@@ -1,6 +1,6 @@
 """Wi-Fi round-trip times: ESP32 consoles, lines that users print, `iw`, Android.
 
-A distance is half the way that light goes in the round-trip time. None of them tells a direction.
+A distance is half the way that light goes in the round-trip time. None measures a direction.
 
 Sources: Espressif, esp-idf `examples/wifi/ftm` and arduino-esp32 `FTM`; GTEC, esp32s2-ftm-tag; B.
 Greear, iw-ct `event.c`; Android reference, `RangingResult`.
@@ -43,7 +43,7 @@ def esp_log(level: str, clock_ms: int | None, text: str, *, is_coloured: bool = 
 
 
 def esp_estimate(range_m: float) -> str:
-    """What the station example says: whole nanoseconds, centimetres."""
+    """Format the line of the station example: whole nanoseconds, centimetres."""
     cm = clamped(100.0 * range_m, 0, U32 - 1)
     rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
     return (
@@ -53,7 +53,7 @@ def esp_estimate(range_m: float) -> str:
 
 
 def esp_session(valid: int, asked: int, rtt_ns: float, rssi_dbm: int) -> str:
-    """What the driver says of a session before that."""
+    """Format the driver's line that precedes it."""
     return (
         f"wifi:FTM session ends with {valid} valid readings out of {asked}, "
         f"Avg raw RTT: {rtt_ns:.3f} nSec, Avg RSSI: {rssi_dbm}"
@@ -68,7 +68,7 @@ class Esp32Ftm(Emulator):
     rate_hz = 2.0
 
     def boot(self) -> bytes:
-        """What the boot loader says, at another speed first."""
+        """Boot loader messages, the first of them at another baud rate."""
         return b"\xe3\x9c\x00\xfe\r\n" + lines(
             [
                 "ESP-ROM:esp32s2-rc4-20191025",
@@ -80,9 +80,9 @@ class Esp32Ftm(Emulator):
             ]
         )
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A session with each."""
-        clock_ms = self.device_ms(asked.told_s) % U32
+        clock_ms = self.device_ms(asked.sent_at_s) % U32
         texts: list[str] = []
         for answer in asked.answers:
             texts += self._session(answer, clock_ms)
@@ -113,14 +113,14 @@ class Esp32Ftm(Emulator):
 
 
 def arduino_estimate(range_m: float) -> str:
-    """What the Arduino example prints."""
+    """Format the line of the Arduino example."""
     cm = clamped(100.0 * range_m, 0, U32 - 1)
     rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
     return f"FTM Estimate: Distance: {cm / 100.0:.2f} m, Return Time: {rtt_ns} ns"
 
 
 class Esp32Arduino(Emulator):
-    """The Arduino example, which names nobody and has no clock."""
+    """The Arduino example, whose output has neither names nor a clock."""
 
     name = "esp32_arduino"
     title = "ESP32 Wi-Fi FTM, Arduino example"
@@ -128,10 +128,10 @@ class Esp32Arduino(Emulator):
     most = 1
 
     def boot(self) -> bytes:
-        """What it does first."""
+        """Boot loader and connection messages."""
         return lines(["ESP-ROM:esp32s2-rc4-20191025", "Connecting to FTM Access Point", "....."])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A line in any case."""
         ranges_m = [answer.range_m for answer in asked.answers]
         return lines(
@@ -139,7 +139,7 @@ class Esp32Arduino(Emulator):
         )
 
     @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it names nobody
+    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
         """None."""
         return ""
 
@@ -159,7 +159,7 @@ class FtmCsv(Emulator):
     title = "ESP32 Wi-Fi FTM, rows of GTEC's esp32s2-ftm-tag"
     rate_hz = 2.0
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A row for each."""
         rows = []
         for answer in asked.heard:
@@ -172,7 +172,7 @@ class FtmCsv(Emulator):
 
 @dataclass(frozen=True, slots=True)
 class IwBurst:
-    """What `iw` prints of a peer that answered, in its own units."""
+    """Measurement of one peer as `iw` prints it, in its own units."""
 
     mac: str
     boot_ns: int
@@ -184,7 +184,7 @@ class IwBurst:
     @property
     def text(self) -> list[str]:
         """Lines; a power is printed as if it had no sign."""
-        told = {
+        fields = {
             "BURST_INDEX": 0,
             "NUM_BURSTS_EXP": 0,
             "BURST_DURATION": 0,
@@ -196,11 +196,11 @@ class IwBurst:
             "RTT_SPREAD": self.spread_ps,
         }
         head = f"  Peer {self.mac}: status=0 (SUCCESS) @{self.boot_ns} tsf=0"
-        return [head, "    FTM", *(f"      {key}: {value}" for key, value in told.items())]
+        return [head, "    FTM", *(f"      {key}: {value}" for key, value in fields.items())]
 
 
 def iw_failure(mac: str, boot_ns: int, reason: str = "NO_RESPONSE (1)") -> list[str]:
-    """What `iw` prints of a peer that did not answer."""
+    """Format the lines of `iw` for a peer that did not answer."""
     head = f"  Peer {mac}: status=3 (FAILURE) @{boot_ns} tsf=0"
     return [head, f"    FTM failed: {reason}"]
 
@@ -212,9 +212,9 @@ class IwFtm(Emulator):
     title = "Linux iw, measurement ftm_request"
     rate_hz = 1.0
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A run: its head, each peer, its end."""
-        boot_ns = round(1e9 * self.device_s(asked.told_s))
+        boot_ns = round(1e9 * self.device_s(asked.sent_at_s))
         cookie = self.next_number() + 1
         texts = [f"wdev 0x1 (phy #0): Peer measurements (cookie {cookie}):"]
         for answer in asked.answers:
@@ -277,9 +277,9 @@ class AndroidRtt(Emulator):
         """The header."""
         return lines([ANDROID_HEADER])
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """A row for each, also for who did not answer."""
-        epoch_ms = self.device_ms(asked.told_s)
+        epoch_ms = self.device_ms(asked.sent_at_s)
         return lines([self._row(answer, epoch_ms).text for answer in asked.answers])
 
     def _row(self, answer: Answer, epoch_ms: int) -> RttRow:

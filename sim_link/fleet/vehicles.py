@@ -46,11 +46,11 @@ class Fleet:
                 endpoint.handle_timer(now_s)
 
     def next_timer_s(self) -> float:
-        """When the first of them is due."""
+        """Return the earliest timer of all vehicles, s."""
         return min(endpoint.next_timer_s() for endpoint in self.endpoints)
 
     def take_output(self) -> list[Chunk]:
-        """What all of them send."""
+        """Collect the output of all vehicles, with fleet-wide link numbers."""
         return [
             chunk.readdressed(index * self._links_each + chunk.link, chunk.peer)
             for index, endpoint in enumerate(self.endpoints)
@@ -64,7 +64,7 @@ class Fleet:
 
     @property
     def is_finished(self) -> bool:
-        """Whether all of them are."""
+        """True if every vehicle has finished."""
         return all(endpoint.is_finished for endpoint in self.endpoints)
 
 
@@ -85,7 +85,7 @@ NO_KEY = 2 * KEY_LENGTH * "0"
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     scenario: Scenario
     seed: int
@@ -138,15 +138,15 @@ def _signing(path: Path | None) -> Signing | None:
 
 
 def has_signing_ended(path: Path) -> bool:
-    """Whether a client ended signing by SETUP_SIGNING: then the file holds the key of zeros."""
+    """True if a client ended signing by SETUP_SIGNING: then the file holds the key of zeros."""
     try:
         return path.read_text(encoding="ascii").strip() == NO_KEY
     except (OSError, UnicodeDecodeError):
-        return False  # whoever loads the key says what is wrong
+        return False  # loading the key reports what is wrong
 
 
 def is_px4(options: FleetOptions) -> bool:
-    """Whether PX4 is simulated."""
+    """True if PX4 is simulated."""
     return options.scenario.autopilot.flavour == "px4"
 
 

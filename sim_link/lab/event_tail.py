@@ -21,7 +21,7 @@ class EventTail:
         self._rest = b""
 
     def look_for_flight(self) -> bool:
-        """Whether a flight that was not there before has begun; it is the one that is read."""
+        """True if a new flight has begun since the last call; its log is read from now on."""
         for path in sorted(self._root.glob(LOGS)):
             if path not in self._seen:
                 self._seen.add(path)

@@ -206,19 +206,19 @@ class RadioFollower(OneShotEndpoint):
         if is_high and emitter.slant_range_m(place) <= self._params.max_range_m:
             heard = self._radio.hear(emitter, place, stamp_s, self._attitude)
         self.measurements += heard is not None
-        if heard is None or self._emulator is None or self._emulator.tells_north:
+        if heard is None or self._emulator is None or self._emulator.reports_north:
             return Answer(emitter.emitter_id, heard)
         return Answer(emitter.emitter_id, seen_from_nose(heard, self._attitude.yaw_rad))
 
     def _tell_late(self, stamp_s: float) -> None:
-        while self._late and self._late[0].told_s <= stamp_s:
-            told = self._late.popleft()
+        while self._late and self._late[0].sent_at_s <= stamp_s:
+            due = self._late.popleft()
             if self._emulator is not None:
-                self._print(self._emulator.tell(told))
+                self._print(self._emulator.encode(due))
                 continue
-            for answer in told.heard:
+            for answer in due.heard:
                 assert answer.heard is not None
-                stamp_us = round(1e6 * told.told_s)
+                stamp_us = round(1e6 * due.sent_at_s)
                 self._send(message_from_ranging(answer.heard, stamp_us), self._link)
 
     def _print(self, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""What the antennas of a radio print of the direction that a signal truly comes from.
+"""Directions as the antennas of a radio measure and print them.
 
 Theory of operation. An array measures phases between its elements, and so the components of the
 unit vector u to the emitter in its own plane (direction cosines), each with a noise sigma_0 that
@@ -13,8 +13,8 @@ frame is x boresight, y right, z down; with the mount (0, 0, 0) it is the body's
     two_axis   u_y and u_z: asin(u_y), and asin(-u_z) as elevation
 
 A line and a two-axis array do not see which side a signal comes from: what is behind is printed as
-its mirror image in front. An angle is printed as a radio gives it, in the antenna's frame; whoever
-receives it knows the mount.
+its mirror image in front. An angle is printed as a radio gives it, in the antenna's frame; the
+receiving program knows the mount.
 
 Source: H. L. Van Trees, Optimum Array Processing (2002), sections 2.2 and 8.4.
 """
@@ -34,7 +34,7 @@ Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
 
 class AntennaModelParams(Params, frozen=True):
-    """How a radio measures directions."""
+    """Antenna of a radio that measures directions."""
 
     kind: AntennaKind = "ideal"
     """ideal: the azimuth in the world's frame whatever the attitude, as the paper has it."""
@@ -99,8 +99,8 @@ def seen_by_antenna(
 ) -> Components:
     """Components along boresight, right and down of a direction given east, north, up.
 
-    An offset (counter-clockwise positive, as the channel's) is an error of the mount that nobody
-    is told: the antenna stands that much farther clockwise about the body's vertical.
+    An offset (counter-clockwise positive, as the channel's) is an unknown error of the mount:
+    the antenna stands that much farther clockwise about the body's vertical.
     """
     east, north, up = direction
     body = seen_from(attitude, (north, east, -up))
@@ -111,7 +111,7 @@ def seen_by_antenna(
 def printed(
     u: Components, params: AntennaModelParams, sigma_rad: float, normals: Components
 ) -> Printed | None:
-    """What the radio prints of a direction in its frame; None: nothing.
+    """Return the angles that the radio prints for a direction in its frame; None: nothing.
 
     Args:
         u: Unit vector along boresight, right and down.

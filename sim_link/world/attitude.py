@@ -1,4 +1,4 @@
-"""How a vehicle is turned, and vectors seen from turned frames.
+"""Attitude of a vehicle, and transformations of vectors between rotated frames.
 
 Frames are forward, right, down (the body's, an antenna's) within north, east, down. A frame is
 turned first by yaw about its third axis, then by pitch about its second, then by roll about its

@@ -55,7 +55,7 @@ Permittivity = Annotated[float, msgspec.Meta(ge=1.0, le=100.0)]
 
 
 class LossParams(Params, frozen=True):
-    """Which packets are heard at all; theory in `field_radio`."""
+    """Probability that a packet is received; theory in `field_radio`."""
 
     half_range_m: Positive = 150.0
     """In the line of sight, abreast of the antenna, half of the packets are lost at this range."""
@@ -72,7 +72,7 @@ class LossParams(Params, frozen=True):
 
 
 class FieldChannelParams(ChannelParams, frozen=True):
-    """What a radio suffers in the field beyond the paper's model; by default nothing."""
+    """Parameters of a radio in the field, beyond the paper's model; the defaults add nothing."""
 
     correlation_m: NonNegative = 0.0
     """Way over which the open path's obstruction forgets itself to 1/e; 0: every draw is new."""
@@ -93,7 +93,7 @@ class FieldChannelParams(ChannelParams, frozen=True):
 
     @property
     def is_as_in_the_paper(self) -> bool:
-        """Whether nothing is added to its model."""
+        """True if the channel adds nothing to the paper's model."""
         added = (self.correlation_m, self.range_step_m, self.range_sigma_growth, self.burial_m)
         return not any((*added, self.p_gross)) and self.loss is None
 
@@ -165,7 +165,7 @@ class ObstacleParams(Params, frozen=True):
 
 
 class ShadowParams(Params, frozen=True):
-    """What a path suffers that an obstacle blocks."""
+    """Effects of an obstacle on a path that it blocks."""
 
     detour_share: Share = 1.0
     """Share of the shortest detour's excess that the range shows; 0: none of it."""
@@ -180,7 +180,7 @@ class ShadowParams(Params, frozen=True):
 
 
 class OpenPath(NamedTuple):
-    """What a path in the open suffers, as the kernels take it."""
+    """Parameters of an unblocked path, as the kernels take them."""
 
     p_nlos: float
     bias_mean_m: float
@@ -188,7 +188,7 @@ class OpenPath(NamedTuple):
 
 
 class Shadow(NamedTuple):
-    """What a blocked path suffers, as the kernels take it."""
+    """Parameters of a blocked path, as the kernels take them."""
 
     detour_share: float
     pull_share: float

@@ -62,7 +62,7 @@ PATH_NORMALS, GROSS_NORMALS, FREE_NORMALS = 3, 4, 5
 
 
 def burial_excess_m(thickness_m: float, permittivity: float, up: float) -> float:
-    """How much a level slab makes a range too long; `up` is the cosine from the vertical."""
+    """Return the excess range of a level slab in m; `up` is the cosine from the vertical."""
     sine2 = 1.0 - up * up
     return thickness_m * (math.sqrt(permittivity - sine2) - abs(up))
 
@@ -80,12 +80,12 @@ def link_margin_db(params: LossParams, slant_m: float, walls: int, body_down: fl
 
 
 def is_within(share: float, normal: float) -> bool:
-    """Whether a standard normal lies in the lower `share` of its distribution."""
+    """True if a standard normal lies in the lower `share` of its distribution."""
     return 0.5 * math.erfc(-normal / math.sqrt(2.0)) < share
 
 
 class PlaceNormals:
-    """Standard normals that stay with the place."""
+    """Standard normals that are spatially correlated."""
 
     def __init__(self) -> None:
         self._values: list[float] = []
@@ -105,7 +105,7 @@ class PlaceNormals:
 
 @dataclass(slots=True)
 class _Path:
-    """What stays with the place on the way to one emitter."""
+    """Spatially correlated state of the path to one emitter."""
 
     path: PlaceNormals = field(default_factory=PlaceNormals)
     gross: PlaceNormals = field(default_factory=PlaceNormals)
@@ -135,7 +135,7 @@ class _Moment(NamedTuple):
 
     @property
     def gross_direction(self) -> Components | None:
-        """Where a gross error comes from, east, north, up; None: it is none."""
+        """Unit vector (east, north, up) to the source of a gross error; None: no gross error."""
         if not is_within(self.params.p_gross, self.gross[0]):
             return None
         return direction_enu((0.0, 0.0, 0.0), (self.gross[1], self.gross[2], self.gross[3]))
@@ -184,7 +184,7 @@ class FieldRadio(RadioChannel):
         range_m = None if self._measures == "bearing" else self._range_m(moment)
         if bearing is None and range_m is None:
             return None
-        return self._told(moment, time_s, range_m, bearing)
+        return self._measurement(moment, time_s, range_m, bearing)
 
     def _moment(
         self,
@@ -263,7 +263,7 @@ class FieldRadio(RadioChannel):
         return max(MIN_RANGE_M, range_m)
 
     def _bearing(self, moment: _Moment) -> Printed | None:
-        """What is printed: of an ideal antenna counter-clockwise from east."""
+        """Measure the bearing; an ideal antenna counts counter-clockwise from east."""
         draw, gross = moment.draw, moment.gross_direction
         offset_rad = self._character(moment.emitter).bearing_offset_rad
         if self._antenna.kind == "ideal":
@@ -278,7 +278,7 @@ class FieldRadio(RadioChannel):
         return printed(u, self._antenna, self._sigma_rad(moment.emitter), noise)
 
     def _obstructed_direction(self, moment: _Moment) -> Components:
-        """Where the signal comes from, east, north, up: turned by obstacles, bent on its way."""
+        """Unit vector (east, north, up) of the arriving signal, deflected by obstacles."""
         draw, direction = moment.draw, moment.direction
         if draw.range_bias_m == 0.0 and draw.bearing_bias_rad == 0.0:
             return direction
@@ -299,7 +299,7 @@ class FieldRadio(RadioChannel):
             return self._character(emitter).bearing_sigma_rad
         return math.radians(sigma_deg)
 
-    def _told(
+    def _measurement(
         self, moment: _Moment, time_s: float, range_m: float | None, bearing: Printed | None
     ) -> RangingMeasurement:
         """With the standard deviations of the data sheet: a radio knows no better."""

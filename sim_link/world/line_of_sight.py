@@ -61,7 +61,7 @@ def side(ae: float, an: float, be: float, bn: float, e: float, n: float) -> floa
 
 @kernel
 def share_to_wall(ae: float, an: float, be: float, bn: float, index: int, edges: Matrix) -> float:
-    """Where the path from a to b meets a wall, as a share of the path; `NOWHERE` if it does not.
+    """Return where the path from a to b meets a wall, as a share of the path, or `NOWHERE`.
 
     The ends of the wall count, those of the path do not.
     """
@@ -78,7 +78,7 @@ def share_to_wall(ae: float, an: float, be: float, bn: float, index: int, edges:
 
 @kernel
 def is_left_of_wall(e: float, n: float, up: float, index: int, edges: Matrix) -> bool:
-    """Whether a place is level with a wall, below its top and west of it."""
+    """True if a place is level with a wall, below its top and west of it."""
     pn, qn = edges[index, START_NORTH], edges[index, END_NORTH]
     if (pn > n) == (qn > n) or up >= edges[index, TOP]:
         return False
@@ -88,7 +88,7 @@ def is_left_of_wall(e: float, n: float, up: float, index: int, edges: Matrix) ->
 
 @kernel
 def is_inside(e: float, n: float, up: float, edges: Matrix) -> bool:
-    """Whether a place is inside of an obstacle, by the crossing number."""
+    """True if a place is inside an obstacle, by the crossing number."""
     odd = False
     for index in range(len(edges)):
         if odd and edges[index, OWNER] != edges[index - 1, OWNER]:
@@ -100,7 +100,7 @@ def is_inside(e: float, n: float, up: float, edges: Matrix) -> bool:
 
 @kernel
 def holding(e: float, n: float, up: float, edges: Matrix) -> Flags:
-    """Which walls belong to an obstacle that a place is inside of, (k,)."""
+    """Mark the walls of obstacles that contain the place; flags of shape (k,)."""
     flags = np.zeros(len(edges), np.bool_)
     first, odd = 0, False
     for index in range(len(edges)):
@@ -117,7 +117,7 @@ def holding(e: float, n: float, up: float, edges: Matrix) -> Flags:
 def is_blocked_in_space(
     target_e: float, target_n: float, target_up: float, e: float, n: float, up: float, edges: Matrix
 ) -> bool:
-    """Whether an obstacle stands between target and sensor; the same from either end."""
+    """True if an obstacle stands between target and sensor; symmetric in both ends."""
     if target_e > e or (target_e == e and target_n > n):
         target_e, target_n, target_up, e, n, up = e, n, up, target_e, target_n, target_up
     for index in range(len(edges)):
@@ -131,7 +131,7 @@ def is_blocked_in_space(
 def walls_between(
     target_e: float, target_n: float, target_up: float, e: float, n: float, up: float, edges: Matrix
 ) -> int:
-    """How many walls the straight path goes through; at least 1 where it is blocked by a roof."""
+    """Count the walls on the straight path; at least 1 where a roof blocks it."""
     count = 0
     for index in range(len(edges)):
         share = share_to_wall(target_e, target_n, e, n, index, edges)
@@ -150,7 +150,7 @@ def is_blocked(target_e: float, target_n: float, e: float, n: float, edges: Matr
 
 @kernel
 def is_cut(ae: float, an: float, be: float, bn: float, edges: Matrix, lets_out: Flags) -> bool:
-    """Whether a leg in the plane meets a wall, those that let out aside."""
+    """True if a leg in the plane meets a wall other than those in `lets_out`."""
     for index in range(len(edges)):
         if not lets_out[index] and share_to_wall(ae, an, be, bn, index, edges) != NOWHERE:
             return True
@@ -248,10 +248,11 @@ def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out
 
 @kernel
 def detour(e: float, n: float, up: float, surroundings: Surroundings) -> tuple[float, float]:
-    """How much longer than straight a blocked signal goes, and how far its bearing is pulled.
+    """Return the excess path in m and the bearing deflection in rad of a blocked signal.
 
-    Metres, never negative, and radians counter-clockwise in [-pi, pi], from the direction of the
-    emitter to that of the way's first corner; zero for a way over the roofs.
+    The excess is never negative. The deflection is counter-clockwise in [-pi, pi], from the
+    direction of the emitter to that of the first corner on the way around; zero for a way over the
+    roofs.
     """
     de, dn = surroundings.east_m - e, surroundings.north_m - n
     climb_m = surroundings.up_m - up

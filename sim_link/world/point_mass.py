@@ -68,12 +68,12 @@ class WindParams(Params, frozen=True):
 
     @property
     def blows(self) -> bool:
-        """Whether there is any."""
+        """True if there is any wind."""
         return (self.east_mps, self.north_mps, self.gust_sigma_mps) != (0.0, 0.0, 0.0)
 
 
 class Kinematics(Protocol):
-    """Where a vehicle is and how it moves: truly, or as its autopilot believes."""
+    """Position and motion of a vehicle: the truth, or the autopilot's estimate."""
 
     @property
     def position_enu_m(self) -> PositionEnu:
@@ -97,7 +97,7 @@ class Kinematics(Protocol):
 
     @property
     def is_on_ground(self) -> bool:
-        """Whether it touches the ground."""
+        """True if the vehicle touches the ground."""
 
     @property
     def drift_mps(self) -> float:
@@ -177,7 +177,7 @@ class PointMass:
 
     @property
     def is_on_ground(self) -> bool:
-        """Whether it touches the ground."""
+        """True if the vehicle touches the ground."""
         return self.height_m <= GROUND_CONTACT_M
 
     def step(
@@ -238,7 +238,7 @@ def limited_velocity(velocity_enu_mps: PositionEnu, params: MulticopterParams) -
 
 
 def approach_speed_mps(distance_m: float, params: MulticopterParams) -> float:
-    """How fast to close a distance: proportional when near, what can still be braked when far."""
+    """Speed for closing a distance: proportional when near, limited by braking when far."""
     gain = params.position_gain_per_s
     braking = BRAKING_SHARE * params.max_acceleration_mps2
     knee_m = braking / gain**2
@@ -265,7 +265,7 @@ def approach_velocity(
 def stopping_point(
     position_enu_m: PositionEnu, velocity_enu_mps: PositionEnu, params: MulticopterParams
 ) -> PositionEnu:
-    """Where a vehicle that brakes now comes to rest, about."""
+    """Predict where a vehicle that brakes now comes to rest."""
     speed = math.sqrt(sum(v * v for v in velocity_enu_mps))
     time_s = params.velocity_time_constant_s + 0.5 * speed / params.max_acceleration_mps2
     e, n, u = (p + v * time_s for p, v in zip(position_enu_m, velocity_enu_mps, strict=True))

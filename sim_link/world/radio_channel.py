@@ -35,7 +35,7 @@ MIN_RANGE_M = 0.01
 
 @dataclass(frozen=True, slots=True)
 class ChannelDraw:
-    """What chance and obstacles add to one measurement."""
+    """Errors of one measurement, from noise and obstacles."""
 
     range_bias_m: float
     """Of an obstructed path; never negative."""
@@ -105,7 +105,7 @@ class RadioChannel:
     def measure(
         self, emitter: Emitter, sensor_enu_m: PositionEnu, time_s: float
     ) -> RangingMeasurement:
-        """One measurement of `emitter`; it does not tell whether the path was obstructed."""
+        """Measure `emitter`; the result does not show if the path was obstructed."""
         draw, character = self.draw(emitter, sensor_enu_m), self._character(emitter)
         range_m = (
             emitter.slant_range_m(sensor_enu_m)

@@ -335,7 +335,7 @@ class Acme(Emulator):
     name = "acme"
     title = "Acme Pinger"
 
-    def tell(self, asked: Round) -> bytes:
+    def encode(self, asked: Round) -> bytes:
         """In millimetres."""
         return lines([self._line(each) for each in asked.heard if each.range_m is not None])
 

@@ -152,7 +152,7 @@ class OwnRadio(Observer):
         self._due_s = now_s + self._period_s
         data = self._send(self._flight.sim, now_s)
         if data is not None and self.is_up:
-            self._flight.observers.tell("vehicle_sent", Frame(now_s, data, Lane.RANGING))
+            self._flight.observers.notify("vehicle_sent", Frame(now_s, data, Lane.RANGING))
             self._flight.post(data, Lane.RANGING)
 
 
@@ -189,7 +189,7 @@ def said(notes: MemoryJournal, part: str) -> bool:
 def reboot(flight: Flight) -> None:
     """Another vehicle in its place: at home, on the ground, its clock at zero."""
     flight.sim = SimEndpoint(flight.scenario, flight.seed, flight.now_s)
-    flight.observers.tell("vehicle_rebooted", flight.now_s)
+    flight.observers.notify("vehicle_rebooted", flight.now_s)
 
 
 class Loop:
@@ -250,7 +250,7 @@ class Loop:
         if is_told_at_once:
             params = [float(mavlink.MAVLINK_MSG_ID_HEARTBEAT), *[0.0] * 6]
             target = (self.flight.scenario.system_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0)
-            self.operator.tell(mavlink.MAVLink_command_long_message(*target, *params), None)
+            self.operator.send(mavlink.MAVLink_command_long_message(*target, *params), None)
             self.flight.settle()
 
     def take_off(self, height_m: float = 10.0) -> None:

@@ -2,8 +2,8 @@
 
 Companion and vehicle are joined in memory. A flight ends with the report, or at the cut. Between
 seeds not only the noise moves, so that nothing is fitted to one place: the emitter lies anywhere in
-a ring about home, evenly by area, and the constants that a flight has and nobody knows are drawn
-anew. Offsets, compass and mount are uniform, with the scenario's figure as root mean square (of the
+a ring about home, evenly by area, and the unknown constants are drawn for each flight.
+Offsets, compass and mount are uniform, with the scenario's figure as root mean square (of the
 range, which is never too short: between 0 and twice the figure); the wind turns. All planners and
 configurations of a seed meet the same.
 """
@@ -43,7 +43,7 @@ class FieldFlight:
     """One flight, which depends on these values only."""
 
     radio: str
-    told: ConfigKind
+    config_kind: ConfigKind
     config: CompanionConfig
     scenario: Scenario
     seed: int
@@ -51,8 +51,8 @@ class FieldFlight:
 
     @property
     def key(self) -> str:
-        """What it is kept under."""
-        parts = (self.radio, self.told, self.seed, self.cut_s)
+        """Key of the flight in the store."""
+        parts = (self.radio, self.config_kind, self.seed, self.cut_s)
         return key_of(self.config, self.scenario, *parts, sources_digest())
 
 
@@ -77,18 +77,18 @@ def flights_of(
     for radio in radios:
         scenario = load_scenario(folder / "scenarios" / "field" / f"{radio}.yaml")
         preset = load_config(folder / "companion" / "field" / f"{radio}.yaml")
-        for told in grid.configs:
+        for kind in grid.configs:
             # who does not know the radio knows as well whether to wait for it or to search
-            not_told = change(CompanionConfig(), planner=preset.planner)
-            base = preset if told == "told" else not_told
+            unconfigured = change(CompanionConfig(), planner=preset.planner)
+            base = preset if kind == "told" else unconfigured
             for planner in grid.planners:
-                if told in configs and planner in planners:
+                if kind in configs and planner in planners:
                     config = _flown_with(base, planner, scenario.start_enu_m, grid.ring_m[1])
-                    cells.append((radio, told, config, scenario))
+                    cells.append((radio, kind, config, scenario))
     return [
-        FieldFlight(radio, told, config, _drawn(scenario, grid, number), number, grid.cut_s[radio])
+        FieldFlight(radio, kind, config, _drawn(scenario, grid, number), number, grid.cut_s[radio])
         for number in range(seed * 1_000_000, seed * 1_000_000 + runs)
-        for radio, told, config, scenario in cells
+        for radio, kind, config, scenario in cells
     ]
 
 
@@ -165,7 +165,7 @@ def _flown(task: FieldFlight) -> FlightRow:
     place = None if estimate is None else estimate.position_enu_m
     return FlightRow(
         radio=task.radio,
-        config=task.told,
+        config=task.config_kind,
         planner=task.config.planner.kind,
         seed=task.seed,
         is_reported=bool(notes.results),
@@ -184,7 +184,7 @@ def _flown(task: FieldFlight) -> FlightRow:
 def fly_all(
     flights: Sequence[FieldFlight], pool: Pool, store: Store, on_done: Callable[[float], None]
 ) -> None:
-    """Fly them, keep their rows, and tell how many seconds each was given."""
+    """Fly them, keep their rows, and report how many seconds each was given."""
     for position, row in pool.results(fly, flights):
         store.keep(flights[position].key, row)
         on_done(flights[position].cut_s)

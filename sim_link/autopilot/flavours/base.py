@@ -1,13 +1,13 @@
-"""What an autopilot decides, and the order in which it does so in every physics step.
+"""Decisions of an autopilot, and their order in every physics step.
 
 Theory of operation. A flavour owns the mode, the arming and the setpoints of one aircraft. Per step
-it watches its time-outs and failsafes, settles what changed (the pilot is told of a new task, an
+it watches its time-outs and failsafes, settles what changed (the pilot gets a new task, an
 occurrence is noted), flies, and looks at the ground. Commands and setpoints arrive between steps
 and settle at once, so that an answer and the state agree.
 
-It has what both autopilots share in reading a command, too, and `Firmware`: what a firmware is and
-how it speaks. What it does beyond that is in tables as well: its commands (`flight_modes`), its
-failsafes and its parameters (`parameters.csv`).
+The module also has the decoding of commands that both autopilots share, and `Firmware`: identity
+and protocol behaviour of a firmware. The rest is in tables as well: its commands (`flight_modes`),
+its failsafes and its parameters (`parameters.csv`).
 """
 
 from __future__ import annotations
@@ -59,24 +59,24 @@ Handler = Callable[[Any, Command, float], int]
 
 
 def is_place(place: tuple[int, int]) -> bool:
-    """Whether latitude and longitude are somewhere; 0/0 means that nobody knows."""
+    """True if latitude and longitude are valid; 0/0 means unknown."""
     return place != (0, 0) and is_on_earth(*place)
 
 
 def is_altitude(altitude_m: float) -> bool:
-    """Whether an altitude is a number that something may be at."""
+    """True if an altitude is finite and in range."""
     return abs(altitude_m) <= MAX_ALTITUDE_M
 
 
 def is_force(value: float) -> bool | None:
-    """Whether ARM_DISARM's second parameter forces; None if it is nonsense."""
+    """True if ARM_DISARM's second parameter forces; None if it is invalid."""
     if math.isnan(value) or value == 0.0:
         return False
     return True if value == FORCE_ARMING else None
 
 
 def may_change_mode(command: Command) -> bool:
-    """Whether DO_REPOSITION may choose the mode that goes there."""
+    """True if DO_REPOSITION may choose the mode that goes there."""
     return bool((command.whole(2) or 0) & CHANGE_MODE_FLAG)
 
 
@@ -118,7 +118,7 @@ def terminate(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int
 
 
 class Firmware(NamedTuple):
-    """What an autopilot says that it is, and how it speaks each of the services."""
+    """Identity of an autopilot's firmware, and its behaviour in each protocol."""
 
     autopilot: int
     version: int
@@ -167,29 +167,29 @@ class Firmware(NamedTuple):
 def read_firmware(
     package: str, streams: StreamProfile, dialect: Container[int] | None = None
 ) -> Firmware:
-    """What a package's `firmware.yaml` says; names of MAVLink's constants are their values."""
+    """Read a package's `firmware.yaml`; names of MAVLink constants are replaced by their values."""
     text = files(package).joinpath("firmware.yaml").read_bytes()
     kinds = get_type_hints(Firmware)
-    told = {
+    fields = {
         name: msgspec.convert(_with_values(value), kinds[name])
         for name, value in msgspec.yaml.decode(text).items()
     }
-    return Firmware(**told, streams=streams, dialect=dialect)
+    return Firmware(**fields, streams=streams, dialect=dialect)
 
 
-def _with_values(told: object) -> object:
-    match told:
+def _with_values(value: object) -> object:
+    match value:
         case str():
-            return getattr(mavlink, told, told)
+            return getattr(mavlink, value, value)
         case list():
-            return [_with_values(each) for each in told]
+            return [_with_values(each) for each in value]
         case dict():
-            return {key: _with_values(each) for key, each in told.items()}
-    return told
+            return {key: _with_values(each) for key, each in value.items()}
+    return value
 
 
 class HeartbeatState(NamedTuple):
-    """What HEARTBEAT shows."""
+    """Mode and status fields of HEARTBEAT."""
 
     base_mode: int
     custom_mode: int
@@ -197,7 +197,7 @@ class HeartbeatState(NamedTuple):
 
 
 class FenceState(NamedTuple):
-    """What SYS_STATUS tells of the fence."""
+    """Geofence fields of SYS_STATUS."""
 
     is_present: bool
     is_enabled: bool
@@ -231,17 +231,17 @@ class AutopilotFlavour(ABC):
     @property
     @abstractmethod
     def is_failsafe(self) -> bool:
-        """Whether something is wrong that a failsafe acts on."""
+        """True if a failsafe is acting."""
 
     @property
     @abstractmethod
     def reason(self) -> str:
-        """Why a failsafe acts."""
+        """Reason of the acting failsafe."""
 
     @property
     @abstractmethod
     def task(self) -> Task:
-        """What the pilot is to do."""
+        """Task of the pilot."""
 
     @property
     @abstractmethod
@@ -250,7 +250,7 @@ class AutopilotFlavour(ABC):
 
     @abstractmethod
     def arming_refusal(self, now_s: float) -> str | None:
-        """Why it could not be armed now, or None."""
+        """Reason why it could not be armed now, or None."""
 
     @abstractmethod
     def fence_margin_m(self, place: PositionEnu) -> float:
@@ -258,11 +258,11 @@ class AutopilotFlavour(ABC):
 
     @abstractmethod
     def fence_state(self, place: PositionEnu) -> FenceState:
-        """Whether there is a fence, and whether a place is in breach of it."""
+        """Return the state of the fence for a vehicle at `place`."""
 
     @abstractmethod
     def heartbeat_state(self, now_s: float) -> HeartbeatState:
-        """What HEARTBEAT shows."""
+        """Return the state for HEARTBEAT."""
 
     @abstractmethod
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
@@ -278,11 +278,11 @@ class AutopilotFlavour(ABC):
 
     @abstractmethod
     def echo(self) -> Echo | None:
-        """What POSITION_TARGET_* tells; None while it tells nothing."""
+        """Target for POSITION_TARGET_*; None while none is sent."""
 
     @abstractmethod
     def disarm_delay_s(self) -> float | None:
-        """How long it stands armed on the ground before it disarms itself; None: for ever."""
+        """Seconds that it stands armed on the ground before it disarms itself; None: for ever."""
 
     @abstractmethod
     def _watch(self, now_s: float) -> None:
@@ -290,7 +290,7 @@ class AutopilotFlavour(ABC):
 
     @abstractmethod
     def _after_flying(self, now_s: float) -> None:
-        """What ends by itself: a takeoff, a mission."""
+        """End a takeoff or a mission that is complete."""
 
     @property
     def available_modes(self) -> Sequence[Message]:
@@ -298,16 +298,16 @@ class AutopilotFlavour(ABC):
         return ()
 
     def has_home(self, _now_s: float) -> bool:
-        """Whether origin and home are known."""
+        """True if origin and home are known."""
         return True
 
     def has_position(self, _now_s: float) -> bool:
-        """Whether the position is told."""
+        """True if the position is reported."""
         return self.aircraft.estimator.is_position_valid
 
     @property
     def is_armed(self) -> bool:
-        """Whether the motors may turn."""
+        """True if the motors may turn."""
         return self.aircraft.is_armed
 
     @property
@@ -340,7 +340,7 @@ class AutopilotFlavour(ABC):
         return result
 
     def settle(self, now_s: float, why: str = "") -> None:
-        """Tell the pilot of a changed task and note what changed; called after every change."""
+        """Give the pilot a changed task and note what changed; called after every change."""
         mode, is_armed, task = seen = (self.mode, self.is_armed, self.task)
         if seen == self._seen:
             return

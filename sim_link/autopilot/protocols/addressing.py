@@ -1,4 +1,4 @@
-"""Who speaks, over what, and where an answer goes; texts for people, long ones in chunks.
+"""Senders, channels and the addressing of answers; texts for people, long ones in chunks.
 
 Source: MAVLink common, STATUSTEXT: chunks share a non-zero id and count from 0, and a NUL in the
 field marks the last one, so a text that fills its last chunk is followed by an empty one.
@@ -40,15 +40,16 @@ class Newest(OrderedDict[K, V]):
 
 LinkMode = Literal["onboard", "station", "narrow", "asked"]
 """Whom a link is for, which says what it is sent unasked (PX4 MAV_x_MODE): companions, ground
-stations, a line of 4000 bytes/s, whoever asks for all but HEARTBEAT."""
+stations, a line of 4000 bytes/s, a peer that requests all but HEARTBEAT."""
 
 
 class LinkSetup(NamedTuple):
-    """How the autopilot is configured on a link."""
+    """Configuration of the autopilot on a link."""
 
     mode: LinkMode = "onboard"
     has_one_peer: bool = False
-    """Whoever sends first is answered for good, as on a UDP port of PX4; otherwise all share it."""
+    """The first sender is the only one answered, as on a UDP port of PX4; otherwise all share
+    it."""
 
 
 class Channel(NamedTuple):
@@ -82,7 +83,7 @@ class Outgoing(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Addressing:
-    """Which messages are for us.
+    """Filter that selects the messages addressed to this vehicle.
 
     Source: MAVLink developer guide, "Routing": 0 is everyone; ArduCopter 4.5 as observed.
     """
@@ -94,7 +95,7 @@ class Addressing:
     not; None: it does not."""
 
     def is_for_us(self, message: Message) -> bool:
-        """Whether a message is a broadcast or names us."""
+        """True if a message is a broadcast or names us."""
         system_id = int(getattr(message, "target_system", 0))
         component_id = int(getattr(message, "target_component", 0))
         if system_id not in (0, self.system_id):

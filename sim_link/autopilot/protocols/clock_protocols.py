@@ -26,9 +26,9 @@ BITS_PER_BYTE = 10
 
 
 class StampClock:
-    """What the vehicle's own clock shows: it stamps all messages, and answers TIMESYNC.
+    """The vehicle's own clock: it stamps all messages, and answers TIMESYNC.
 
-    Physics and streams go by true time; only what is told of time goes by this.
+    Physics and streams go by true time; only reported times go by this.
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class StampClock:
         self._rate = 1.0
 
     def read_s(self, now_s: float) -> float:
-        """What it shows, seconds; never less than 0.
+        """Return the reading of the clock, s; never less than 0.
 
         Args:
             now_s: True seconds since boot.

@@ -56,7 +56,7 @@ ASKS_FOR_A_MESSAGE = frozenset(
         mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
     }
 )
-"""Obeyed each time: whoever repeats one has not got the message either."""
+"""Obeyed each time: a client repeats one if it has not got the message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +93,14 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Cancel:
-    """Somebody wants a command that is under way to end."""
+    """Request to end a command that is under way."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class CommandForms:
-    """Which commands come in one form only, and how SET_MODE is understood."""
+    """Commands that come in one form only, and the meaning of SET_MODE."""
 
     int_only: frozenset[int] = frozenset()
     """UNSUPPORTED as COMMAND_LONG."""
@@ -160,7 +160,7 @@ class Commands:
     def receive(
         self, message: Message, partner: Partner, now_s: float
     ) -> tuple[Command | Cancel | None, list[Outgoing]]:
-        """What the vehicle is to do, and what was answered already.
+        """Return the command to carry out, and the answers that are due already.
 
         A `Command` is answered by `answer`, a `Cancel` by `finish` or not at all.
         """
@@ -194,7 +194,7 @@ class Commands:
 
     @staticmethod
     def reject(message: Message, partner: Partner) -> Outgoing:
-        """FAILED for a command that is for somebody else."""
+        """FAILED for a command that is for another component."""
         number, result = int(message.command), CommandResult.FAILED  # type: ignore[attr-defined]
         ack = mavlink.MAVLink_command_ack_message(number, result, 0, 0, *partner.ids)
         return Outgoing(ack, partner.channel)
@@ -208,12 +208,12 @@ class Commands:
         return [self.answer(running.command, result, now_s, progress=progress)]
 
     def finish(self, number: int, result: int, now_s: float) -> list[Outgoing]:
-        """The last ACK of a command that was under way, to whoever gave it."""
+        """The last ACK of a command that was under way, to its sender."""
         running = self._running.get(number)
         return [] if running is None else [self.answer(running.command, result, now_s)]
 
     def is_running(self, number: int) -> bool:
-        """Whether a command is under way."""
+        """True if a command is under way."""
         return number in self._running
 
     def _refusal(self, command: Command, now_s: float) -> CommandResult | None:
@@ -228,7 +228,7 @@ class Commands:
         return CommandResult.ACCEPTED if is_repeated else None
 
     def _is_repeated(self, command: Command, now_s: float) -> bool:
-        """Whether it is a command accepted a moment ago, with a higher confirmation number."""
+        """True if it was accepted a moment ago and now has a higher confirmation number."""
         last = self._answered.get(command.partner)
         return (
             last is not None
@@ -244,7 +244,7 @@ class Commands:
 
 
 def _key(command: Command) -> tuple[int, int | None, bytes]:
-    """What makes two commands the same; NaN equals NaN here."""
+    """Identity of a command for comparison; NaN equals NaN here."""
     return command.number, command.frame, repr(command.params).encode()
 
 

@@ -1,22 +1,22 @@
-"""Between bytes and messages on all links of a vehicle: routing, proof, version, sequence numbers.
+"""Link layer of a vehicle: routing, signatures, MAVLink version and sequence numbers.
 
-Theory of operation. What arrives is cut into frames by peer, passed on to others as it is, and only
-then, if it proves itself where there is a key, decoded for the vehicle. What the vehicle says
-leaves each link with the link's own sequence number, in the link's MAVLink version, signed where
-there is a key. Peers that share a link share its frames: a sequence number that somebody did not
-get would look like a loss to them. A peer that is to get other frames than the rest (other streams,
-MAVLink 1) is kept apart: from then on it has sequence numbers of its own, which go on from the
-link's.
+Theory of operation. What arrives is cut into frames by peer, forwarded to the others as it is, and
+only then, if its signature holds where there is a key, decoded for the vehicle. What the vehicle
+sends leaves each link with the link's own sequence number, in the link's MAVLink version, signed
+where there is a key. Peers that share a link share its frames: a sequence number that one of them
+did not get would look like a loss to it. A peer that is to get other frames than the rest (other
+streams, MAVLink 1) is kept apart: from then on it has sequence numbers of its own, which go on from
+the link's.
 
-Routing. Whoever is heard on a channel can be reached there; one component may be heard on several.
+Routing. A component heard on a channel can be reached there; one component may be heard on several.
 A broadcast goes to every other channel, an addressed frame only to where its target was heard, and
 never back to where it came from. A frame is passed on as its bytes are, whether or not we can
-decode or believe it, so routes are read from the bytes too. SETUP_SIGNING stays here. ArduPilot
+decode or accept it, so routes are read from the bytes too. SETUP_SIGNING stays here. ArduPilot
 drops what is not in its dialect, because it cannot prove it a frame: it is neither heard nor passed
 on.
 
 A SYSTEM_TIME whose time since boot went back means that its sender's system restarted: its routes
-are learnt anew.
+are learnt again.
 
 Source: MAVLink developer guide, "Packet Serialization", "Routing", "MAVLink Versions", "Message
 Signing".
@@ -67,7 +67,7 @@ class FrameReceivers:
 
 
 class WireVersion:
-    """Which MAVLink version a link is sent.
+    """MAVLink version in which a link is sent.
 
     MAVLink 2 unless all that was ever heard is MAVLink 1; the first MAVLink 2 frame settles it
     for good. Messages that have no MAVLink 1 form are left out for such a link. Where signing is
@@ -96,13 +96,13 @@ class WireVersion:
             self.is_mavlink1 = not self._is_settled
 
     def can_carry(self, message: Message) -> bool:
-        """Whether a message has a form in the link's version."""
+        """True if a message has a form in the link's version."""
         return not self.is_mavlink1 or message.get_msgId() <= MAX_MAVLINK1_ID
 
 
 MAX_COMPONENTS = 256
 MAX_CHANNELS = 8
-"""On which one component is known; whoever hops between ports leaves the oldest behind."""
+"""On which one component is known; a component that changes ports drops its oldest."""
 REBOOT_BACKWARD_MS = 1000
 """Less is a frame that was overtaken on its way."""
 WRAP_MS = 2**32
@@ -141,7 +141,7 @@ class Router:
         ]
 
     def knows(self, system_id: int, component_id: int) -> bool:
-        """Whether a component is ours, or was heard."""
+        """True if a component is ours, or was heard."""
         if system_id == self._system_id and component_id in self._own_components:
             return True
         return bool(self._channels_of(system_id, component_id))
@@ -189,12 +189,13 @@ class Router:
 
 
 class LinkSecurity(NamedTuple):
-    """Whom a vehicle believes."""
+    """Signing of a vehicle, and the links that it trusts without."""
 
     signing: Signing | None = None
     """With its key; None: neither proves nor signs, until a client sets a key up."""
     trusted_links: frozenset[int] = frozenset()
-    """Nobody else can hear these (a wire): unsigned frames are welcome, and keys may be set up."""
+    """Links without other listeners (a wire): unsigned frames are welcome, and keys may be set
+    up."""
     setup_links: frozenset[int] = frozenset()
     """Keys may be set up over these, too (loopback); then they need signatures like any other."""
     started_unix_s: float = 0.0
@@ -241,7 +242,7 @@ class LinkLayer:
         self._use_key()
 
     def receive(self, chunk: Chunk) -> tuple[list[tuple[Message, Channel]], list[Chunk]]:
-        """Messages that may be believed, each with where it came from; and frames to pass on."""
+        """Return the accepted messages, each with its origin, and frames to pass on."""
         channel = Channel(chunk.link, chunk.peer)
         frames, unknown = map(self._of_its_dialect, self._receivers.split(chunk))
         arrivals: list[tuple[Message, Channel]] = []
@@ -315,7 +316,7 @@ class LinkLayer:
         self._versions[self._sent_as(channel)].observe(frame)
 
     def take_setup(self) -> SigningSetup | None:
-        """What a client set up since the last call, in force already; a shell stores the key."""
+        """Take the signing setup of a client, in force already; a shell stores the key."""
         setup, self._setup = self._setup, None
         return setup
 

@@ -1,4 +1,4 @@
-"""Which messages a channel gets by themselves, how often, and who may change that.
+"""Message streams of a channel: which, at which rate, and how clients change it.
 
 Theory of operation. Every stream has a start and counts its messages from there: number n is due at
 start + n / rate, so rounding never adds up and a stream of 30 Hz on a clock of 50 Hz leaves after
@@ -103,11 +103,11 @@ class StreamTable:
         return [number for _, number in due]
 
     def knows(self, number: int) -> bool:
-        """Whether the autopilot has such a message."""
+        """True if the autopilot has such a message."""
         return number in self._rules.default_rates_hz
 
     def can_change(self, number: int) -> bool:
-        """Whether there is such a message, and its rate is not fixed."""
+        """True if there is such a message, and its rate is not fixed."""
         return self.knows(number) and number not in self._rules.fixed
 
     def interval_us(self, number: int) -> int:
@@ -245,7 +245,7 @@ class MessageRequests:
         self._tables.pop(channel, None)
 
     def take_due(self, now_s: float) -> list[tuple[Channel, int]]:
-        """Which messages go where at `now_s`."""
+        """Return the messages due at `now_s`, with their channels."""
         return [
             (channel, number)
             for channel, table in self._tables.items()

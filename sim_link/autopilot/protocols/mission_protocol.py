@@ -63,11 +63,11 @@ class PlanUploads:
         """The plan and last item of their last uploads, whose ACKs may have been lost."""
 
     def is_running(self, partner: Partner) -> bool:
-        """Whether a partner is uploading."""
+        """True if a partner is uploading."""
         return partner in self._uploads
 
     def is_anyone_uploading(self, plan_type: PlanType, but: Partner | None = None) -> bool:
-        """Whether a plan is being uploaded, by anyone but one partner."""
+        """True if a plan is being uploaded by any partner other than `but`."""
         return any(
             upload.plan_type is plan_type and partner != but
             for partner, upload in self._uploads.items()
@@ -76,7 +76,7 @@ class PlanUploads:
     def begin(
         self, plan_type: PlanType, count: int, partner: Partner, now_s: float
     ) -> list[Outgoing]:
-        """Answer a MISSION_COUNT; it begins an upload anew if one of the partner's is running."""
+        """Answer a MISSION_COUNT; a running upload of the same partner is restarted."""
         refusal = self._refusal(plan_type, count, partner)
         if refusal is not None:
             return [ack(partner, refusal, plan_type)]
@@ -172,7 +172,7 @@ class PlanUploads:
         return [*self._texts.warn(partner, text), ack(partner, result, upload.plan_type)]
 
     def _answer_to_stray(self, message: ItemMessage, partner: Partner) -> Outgoing:
-        """An item that nobody asked for: our ACK was lost, or it is a mistake."""
+        """Answer an item that was not requested: our ACK was lost, or it is a mistake."""
         last = (message.mission_type, message.seq)
         is_repeated = partner not in self._uploads and self._finished.get(partner) == last
         result = PlanResult.ACCEPTED if is_repeated else PlanResult.ERROR
@@ -212,7 +212,7 @@ class PlanDownloads:
         self._downloads: dict[Partner, Download] = {}
 
     def is_running(self, partner: Partner) -> bool:
-        """Whether a partner still owes the ACK that ends its download."""
+        """True if a partner still owes the ACK that ends its download."""
         return partner in self._downloads
 
     def begin(self, plan_type: PlanType, partner: Partner, now_s: float) -> list[Outgoing]:
@@ -339,7 +339,7 @@ class Plans:
         return ack(partner, PlanResult.ACCEPTED, mission_type)
 
     def _set_current(self, seq: int, partner: Partner) -> list[Outgoing]:
-        """The change itself is told to everyone, by MISSION_CURRENT; see `mission_progress`."""
+        """The change itself is broadcast, by MISSION_CURRENT; see `mission_progress`."""
         if self.store.choose(seq):
             return []
         return self._texts.warn(partner, f"there is no mission item {seq}")

@@ -2,7 +2,7 @@
 
 What does not exist is met with silence, and hardly anything is refused: PX4 1.15 stores a NaN and
 what is out of range, and refuses another type in silence; ArduCopter 4.5 lets integers wrap, is
-silent about NaN and tells only of what is read-only. A parameter is never created.
+silent about NaN and reports only read-only parameters. A parameter is never created.
 
 Source: MAVLink developer guide, "Parameter Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 """
@@ -33,7 +33,7 @@ MAX_BURST = 64
 
 @dataclass(frozen=True, slots=True)
 class ParameterProfile:
-    """How an autopilot speaks of its parameters."""
+    """Behaviour of an autopilot in the parameter protocol."""
 
     encoding: ParamEncoding
     checks_type: bool
@@ -46,7 +46,7 @@ class ParameterProfile:
     tells_read_only: bool = False
     """By the value and a text; otherwise silence."""
     echoes: int = 1
-    """How often a value that was set is told."""
+    """Number of times that a changed value is sent."""
     list_rate_hz: float = 1000.0
 
 

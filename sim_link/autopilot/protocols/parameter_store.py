@@ -41,7 +41,7 @@ class ParamSpec:
     """For clients; the vehicle itself may change it."""
 
     def problem_with(self, value: float) -> str | None:
-        """Why `value` may not be, in a few words; None if it may."""
+        """Reason why `value` is not allowed, in a few words; None if it is."""
         if not math.isfinite(value):
             return "not a number"
         if self.kind.is_integer and value != int(value):
@@ -140,7 +140,7 @@ class ParameterStore:
         return checksum
 
     def to_text(self) -> str:
-        """What differs from the defaults, a line each."""
+        """Return the values that differ from their defaults, one per line."""
         lines = [f"{COMMENT} parameters that differ from their defaults"]
         lines += [
             f"{spec.name} {_shortest(value)}"

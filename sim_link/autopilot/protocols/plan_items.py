@@ -134,7 +134,7 @@ class PlanChanged:
 
 @dataclass(frozen=True, slots=True)
 class CurrentChosen:
-    """Somebody wants the mission to go on from another item."""
+    """Request to continue the mission from another item."""
 
     seq: int
 
@@ -143,7 +143,7 @@ PlanEvent = PlanChanged | CurrentChosen
 
 
 class PlanStore:
-    """What a vehicle has been given to fly and to keep to.
+    """Plans stored in a vehicle: mission, fence and rally points.
 
     `home` is item 0 as ArduPilot shows it, whatever was uploaded there; None: there is none.
     """
@@ -174,7 +174,7 @@ class PlanStore:
         return self._home() if self._home is not None and is_home else None
 
     def choose(self, seq: int) -> bool:
-        """Go on from an item because somebody asked; False if there is no such item."""
+        """Continue from a requested item; False if there is no such item."""
         if not 0 <= seq < len(self._plans[PlanType.MISSION]):
             return False
         self.current = seq
@@ -198,7 +198,7 @@ class PlanStore:
         self.replace(plan_type, self._plans[plan_type][:count])
 
     def take_events(self) -> list[PlanEvent]:
-        """What the vehicle must know, since the last call."""
+        """Take the events since the last call."""
         events, self._events = self._events, []
         return events
 
@@ -219,7 +219,7 @@ class MissionState(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress:
-    """How far a mission is."""
+    """Progress of a mission."""
 
     seq: int
     """The item that is flown to, or would be first."""
@@ -241,14 +241,14 @@ class MissionProgress:
 
 
 class MissionAnnouncer:
-    """Tells everyone of a change at once; the steady 1 Hz belongs to the streams."""
+    """Broadcasts a change at once; the steady 1 Hz belongs to the streams."""
 
     def __init__(self) -> None:
-        self._told: MissionProgress | None = None
+        self._sent: MissionProgress | None = None
 
     def changed(self, progress: MissionProgress) -> Message | None:
         """MISSION_CURRENT if anything in it is new."""
-        if progress == self._told:
+        if progress == self._sent:
             return None
-        self._told = progress
+        self._sent = progress
         return IdentifiedMissionCurrent(*progress.fields)

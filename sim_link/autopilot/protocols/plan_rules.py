@@ -1,4 +1,4 @@
-"""How the two autopilots transfer plans, which items they take, and how they refuse the others.
+"""Plan transfer of the two autopilots: accepted items, and the refusals of the others.
 
 PX4 1.15 and ArduCopter 4.5 let through more than is safe; here an infinite number, a position off
 the globe, a terrain altitude without terrain and an altitude that is no number are refused, each by
@@ -70,7 +70,7 @@ PARAM_RESULTS = (
 
 @dataclass(frozen=True, slots=True)
 class PlanChecks:
-    """What one autopilot takes."""
+    """Plan items that one autopilot accepts."""
 
     zero_is_here: bool = False
     """A WAYPOINT at 0/0 is where the vehicle is (ArduPilot); otherwise it is refused."""
@@ -82,7 +82,7 @@ class PlanChecks:
     more_others: frozenset[int] = frozenset()
 
     def problem_with(self, item: PlanItem, plan_type: PlanType) -> PlanResult | None:
-        """Why an item is not taken; None if it is."""
+        """Reason why an item is refused; None if it is accepted."""
         if self.nan_fourth is not None and plan_type is PlanType.MISSION:
             checked = item.params[: 3 if item.command in self.nan_fourth else 4]
             for param, result in zip(checked, PARAM_RESULTS, strict=False):
@@ -101,7 +101,7 @@ class PlanChecks:
         return problem or _meaning_problem(item)
 
     def _has_position(self, command: int, plan_type: PlanType) -> bool | None:
-        """Whether a command has a position; None if it does not belong into such a plan."""
+        """True if a command has a position; None if it does not belong into such a plan."""
         match plan_type:
             case PlanType.FENCE:
                 return True if command in FENCE_COMMANDS else None
@@ -143,7 +143,7 @@ def _meaning_problem(item: PlanItem) -> PlanResult | None:
 
 
 def plan_problem(items: Sequence[PlanItem], plan_type: PlanType) -> PlanResult | None:
-    """Why items that are each right make no plan together: torn polygons, jumps to nowhere."""
+    """Reason why valid items make no valid plan: torn polygons, jumps beyond the end."""
     if plan_type is PlanType.FENCE:
         return _fence_problem(items)
     for item in items:
@@ -175,7 +175,7 @@ MAX_TRANSFERS = 16
 
 @dataclass(frozen=True, slots=True)
 class PlanRules:
-    """How an autopilot transfers plans."""
+    """Behaviour of an autopilot in plan transfers."""
 
     capacity: Mapping[PlanType, int]
     checks: PlanChecks

@@ -1,7 +1,7 @@
 """Fuzzed frames and a day of flight: nothing may raise, grow or slow down.
 
 Random frames have a valid checksum, and a signature where there is a key, and come from the
-autopilot's own address: nobody else is listened to. Half of the fields are random bytes, half are
+autopilot's own address: no other sender is accepted. Half of the fields are random bytes, half are
 numbers that make more sense and do more harm. In the day of flight the companion writes its real
 journal to a real disk; the battery is endless.
 """
@@ -95,7 +95,7 @@ class FrameMaker:
 
 
 def fuzz(trial: Trial) -> TrialOutcome:
-    """Feed a companion that begins anew every so often, so that it is in every phase.
+    """Feed a companion that restarts every so often, so that it is in every phase.
 
     What the process has loaded is put aside from garbage collection, as the companion's own
     process does before it flies.
@@ -151,15 +151,15 @@ def _fuzz(trial: Trial) -> TrialOutcome:
 
 
 JUDGED = ("I6", "I8", "I9", "I11")
-"""Invariants that hold whatever a vehicle says; the others need one that tells the truth."""
+"""Invariants that hold whatever a vehicle reports; the others need truthful reports."""
 
 
 HOUR_S = 3600.0
 SAMPLE_S = 300.0
 SETTLED_H = 1.0
 SLOPE_MB_PER_H = 0.1
-TOLD_FROM_H = 2.0
-"""A flight of more than so many hours tells of each, because it takes minutes."""
+PROGRESS_FROM_H = 2.0
+"""A flight of more than so many hours reports each, because it takes minutes."""
 LOG_CAP_BYTES = 20_000_000
 LOG_SLACK = 1.1
 """The file that is being written, and the names of the others."""
@@ -167,7 +167,7 @@ LOG_SLACK = 1.1
 
 @dataclass(slots=True)
 class Usage:
-    """What a process took of the machine, sample by sample."""
+    """Memory, descriptors and log size of a process, sample by sample."""
 
     hours: list[float] = field(default_factory=list)
     memory_mb: list[float] = field(default_factory=list)
@@ -183,11 +183,11 @@ class Usage:
 
     @property
     def slope_mb_per_h(self) -> float:
-        """How memory grew once it had settled."""
+        """Growth of memory after it has settled, MB/h."""
         return slope_after(self.hours, self.memory_mb, min(SETTLED_H, 0.5 * self.hours[-1]))
 
     def findings(self) -> list[str]:
-        """What grew; memory is judged where there are enough hours to tell."""
+        """Return the resources that grew; memory is judged only over enough hours."""
         findings = []
         if self.slope_mb_per_h > SLOPE_MB_PER_H and self.hours[-1] > 2.0 * SETTLED_H:
             findings.append(f"memory grows by {self.slope_mb_per_h:.3f} MB/h")
@@ -207,7 +207,7 @@ def soak(trial: Trial) -> TrialOutcome:
         while flight.now_s < trial.size * HOUR_S:
             flight.run(min(SAMPLE_S, trial.size * HOUR_S - flight.now_s))
             usage.sample(flight.now_s)
-            if trial.size > TOLD_FROM_H and len(usage.hours) % round(HOUR_S / SAMPLE_S) == 0:
+            if trial.size > PROGRESS_FROM_H and len(usage.hours) % round(HOUR_S / SAMPLE_S) == 0:
                 hours, memory_mb = usage.hours[-1], usage.memory_mb[-1]
                 sys.stderr.write(f"  soak: {hours:.0f} of {trial.size:g} h, {memory_mb:.1f} MB\n")
                 sys.stderr.flush()

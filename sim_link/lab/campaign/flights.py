@@ -44,7 +44,7 @@ class Trial:
 
     @property
     def name(self) -> str:
-        """How a replay is asked for."""
+        """Argument by which a replay is requested."""
         return f"{self.part}:{self.seed}" + ("" if self.size == 1.0 else f":{self.size:g}")
 
 
@@ -58,7 +58,7 @@ class TrialFinding:
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """What a trial found and measured, and its story for whoever replays it.
+    """Findings and measurements of a trial, and its log for a replay.
 
     Over all trials sums are added; of the others the greatest and the least count.
     """
@@ -112,7 +112,7 @@ STATION_LINK = 200
 
 
 class SignedPair:
-    """Makes the two ends of a signed link, and makes them anew."""
+    """Makes the two ends of a signed link, as often as needed."""
 
     def __init__(self) -> None:
         started = timestamp_at(STARTED_UNIX_S)
@@ -138,14 +138,14 @@ class SignedPair:
 
 
 def rules_of(config: CompanionConfig) -> Rules:
-    """What a configuration promises, as the monitor judges it."""
+    """Derive the monitor's rules from a configuration."""
     limits = msgspec.structs.asdict(config.limits)
     shared = {name: limits[name] for name in Rules.__struct_fields__ if name in limits}
     return Rules(system_id=config.vehicle.system_id, **shared)
 
 
 def snapshot_of(flight: Flight) -> object:
-    """What the companion acts by, to be compared."""
+    """Return the state that the companion acts by, for comparison."""
     companion = flight.companion
     session, vehicle = companion.session, companion.session.vehicle
     return (
@@ -189,7 +189,7 @@ class Monitored:
 
     @property
     def story(self) -> tuple[str, ...]:
-        """What the companion told the operator."""
+        """Texts that the companion sent to the operator."""
         return tuple(f"{time_s:8.2f} s  {text}" for time_s, text in self.notes.texts)
 
 
@@ -365,7 +365,7 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
         is_offboard=d.happens(0.7),
     ),
 )
-"""One per kind of fault in the order of `Fault`, but for the transmitter, which nobody holds."""
+"""One per kind of fault in the order of `Fault`, but for the transmitter, which has no pilot."""
 
 
 def random_fault(rng: np.random.Generator) -> Fault:

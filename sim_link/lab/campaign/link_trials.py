@@ -58,7 +58,7 @@ class Gaps(Observer):
 
 
 def pauses_of(gaps: Gaps, share: float) -> list[str]:
-    """What is wrong with the stream at such a loss: that it paused for too long."""
+    """Return a finding if the stream paused for too long at such a loss."""
     if gaps.worst_s <= MOST_GAP_S[share]:
         return []
     return [f"gap of {gaps.worst_s:.3f} s at {share:.0%} loss"]
@@ -117,7 +117,7 @@ REACTION_ENGAGED_S = 14.0
 
 
 class ReactionWatch(Observer):
-    """When a position, anything, a moving setpoint and the word of a lost link came last."""
+    """Times of the last position, message, moving setpoint and of the text about a lost link."""
 
     def __init__(self) -> None:
         self.position_s = 0.0
@@ -147,7 +147,7 @@ class ReactionWatch(Observer):
         self._place = place
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """What the companion says."""
+        """Take a journal entry of the companion."""
         if kind == "text" and "link lost" in str(fields.get("text")) and self.lost_s is None:
             self.lost_s = now_s
 
@@ -189,7 +189,7 @@ class Output(Observer):
 
     def __init__(self) -> None:
         self.acts: list[tuple[float, int, bytes]] = []
-        """Time, message and payload; texts for the operator tell of the attack and are left out."""
+        """Time, message and payload; texts for the operator mention the attack and are left out."""
         self.attacks = 0
         self.slowest_s = 0.0
         self._began_s = 0.0
@@ -206,7 +206,7 @@ class Output(Observer):
         self._began_s = time.thread_time()
 
     def read(self, frame: Frame) -> None:
-        """How long an attacker's frame took."""
+        """Measure the time to reject an attacker's frame."""
         if frame.is_genuine:
             return
         self.slowest_s = max(self.slowest_s, time.thread_time() - self._began_s)

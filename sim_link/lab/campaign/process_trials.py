@@ -74,7 +74,7 @@ def kill(trial: Trial) -> TrialOutcome:
 
 
 def _starts(store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
-    """What goes wrong when a store is read that was damaged; nothing may."""
+    """Load a damaged store and return the faults found; there must be none."""
     findings = []
     for slots in damaged:
         store.slots = slots
@@ -280,7 +280,7 @@ def _kill(
 def _time_of(
     events: Sequence[dict[str, Any]], kind: str, since_s: float = 0.0, **fields: object
 ) -> float | None:
-    """When something was written first."""
+    """Return the time of the first such event, s."""
     for event in events:
         is_it = all(event.get(name) == value for name, value in fields.items())
         if event["kind"] == kind and event["t_s"] >= since_s and is_it:
@@ -289,7 +289,7 @@ def _time_of(
 
 
 def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
-    """When it began to hand the vehicle back; before that is armed there is nothing to ask for."""
+    """Return when the hand-back began; before arming there is nothing to hand back."""
     is_asked = any(e["kind"] == "text" and e["text"].startswith("stopping: ") for e in events)
     return _time_of(events, "phase", new="handback") if is_asked else None
 

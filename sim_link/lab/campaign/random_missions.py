@@ -239,7 +239,7 @@ def _take_off(around: Monitored) -> None:
 
 
 def _give_again(around: Monitored) -> None:
-    """The operator gives control again, if the vehicle flies and somebody else has it."""
+    """The operator gives control again, if the vehicle flies under another control."""
     flight = around.flight
     if not flight.sim.vehicle.is_armed or flight.mode is FlightMode.OFFBOARD:
         return
@@ -284,7 +284,7 @@ def take_over(trial: Trial) -> TrialOutcome:
 
 
 def _give_back(around: Monitored) -> bool:
-    """Whether the vehicle obeys the companion, if need be after the operator gave it back."""
+    """True if the companion is in control, if need be after the operator gave it back."""
     flight = around.flight
     for _ in range(4):
         if flight.mode is FlightMode.OFFBOARD and around.monitor.scene.told.is_ours:

@@ -85,7 +85,7 @@ def trial_named(text: str) -> Trial:
 
 @dataclass(slots=True)
 class CampaignTally:
-    """What all trials so far found and measured."""
+    """Findings and figures of all trials so far."""
 
     trials: int = 0
     findings: list[TrialFinding] = field(default_factory=list)

@@ -98,7 +98,7 @@ class WireLink:
 
     @property
     def is_datagram(self) -> bool:
-        """Whether it is UDP."""
+        """True if the link is UDP."""
         return isinstance(self._spec, transports.UdpBind | transports.UdpConnect)
 
     def send(self, data: bytes) -> None:
@@ -112,7 +112,7 @@ class WireLink:
         self._loop.run_until_complete(asyncio.sleep(0))
 
     def poll(self, until_s: float) -> list[bytes]:
-        """What arrives first, at the latest at `until_s`."""
+        """Return the first datagrams that arrive, waiting until `until_s` at most."""
         self._loop.run_until_complete(self._wait(until_s))
         if self._is_interrupted:
             self._is_interrupted = False
@@ -121,7 +121,7 @@ class WireLink:
         return arrived
 
     def interrupt(self) -> None:
-        """Let whoever waits be interrupted: a signal in the middle of the loop would break it."""
+        """Interrupt the waiting caller: a signal in the middle of the loop would break it."""
         self._is_interrupted = True
         self._wake.set()
 
@@ -198,7 +198,7 @@ By default nothing is done that outlasts the connection: it asks, listens and ch
 --allow-changes overwrites stored missions, fences, parameters, home and the mode of a disarmed
 vehicle. --allow-flight also arms and flies: only for a simulator, or without propellers.
 --allow-harm adds what a weak autopilot may not survive: NaN and absurd values, calibration, reboots
-and a disarming in the air. What was changed is put back after each rule, or told at the end."""
+and a disarming in the air. What was changed is put back after each rule, or listed at the end."""
 EPILOG = """\
 examples:
   companion-conformance --url udpin:127.0.0.1:14550
@@ -207,7 +207,7 @@ examples:
 
 exit code: 0 all that was tried passed; 3 it deviates, but only as the real PX4 1.15.2 or ArduCopter
 4.5.7 is noted to; 1 a rule failed, the vehicle fell silent, or the run did not come to its end;
-2 bad input or nobody there"""
+2 bad input or no peer"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -224,7 +224,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parsed_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    """What the command was asked for; a complaint is a `ConfigError`."""
+    """Parse the arguments; bad ones raise a `ConfigError`."""
     parser = ComplaintParser(
         prog="companion-conformance",
         description=DESCRIPTION,
@@ -243,7 +243,7 @@ def parsed_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--flavour",
         choices=[flavour.value for flavour in rules.Flavour],
         default=rules.Flavour.PX4.value,
-        help="the autopilot that a companion is shown (default px4); a vehicle tells its own",
+        help="the autopilot that a companion is shown (default px4); a vehicle reports its own",
     )
     add("--only", metavar="PATTERN", help="rules whose id matches or begins so")
     add("--list", action="store_true", help="print the rules and try none")
@@ -290,7 +290,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _close(run: RuleRun, arguments: argparse.Namespace, say: Callable[[str], None]) -> None:
-    """Tell and write how it went, however it ended."""
+    """Print and write the outcomes, however the run ended."""
     if not run.outcomes:
         return
     for text in [*run.problems, rules.summary(run.outcomes)]:

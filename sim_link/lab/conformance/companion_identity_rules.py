@@ -20,7 +20,7 @@ OTHER_SYSTEM = 7
 
 
 class IdentityRules(CompanionProbe):
-    """Who a companion is, and whom it listens to."""
+    """Identity of a companion, and the senders that it obeys."""
 
     book = RuleBook("identity")
 
@@ -40,11 +40,18 @@ class IdentityRules(CompanionProbe):
 
     @book.rule(HEARTBEAT_SERVICE)
     def tells_an_onboard_controller(self) -> None:
-        """HEARTBEAT tells ONBOARD_CONTROLLER, no autopilot, no mode, ACTIVE and version 3."""
+        """HEARTBEAT reports ONBOARD_CONTROLLER, no autopilot, no mode, ACTIVE and version 3."""
         m = self._newest()
-        told = (m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status, m.mavlink_version)
+        fields = (
+            m.type,
+            m.autopilot,
+            m.base_mode,
+            m.custom_mode,
+            m.system_status,
+            m.mavlink_version,
+        )
         kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-        require(told == (kind, none, 0, 0, mav.ACTIVE, 3), brief(m))
+        require(fields == (kind, none, 0, 0, mav.ACTIVE, 3), brief(m))
 
     @book.rule(HEARTBEAT_SERVICE)
     def says_so_once_a_second(self) -> None:
@@ -63,7 +70,7 @@ class IdentityRules(CompanionProbe):
 
     @book.rule(SERIALIZATION)
     def sends_mavlink2_with_right_crc(self) -> None:
-        """What it sends is MAVLink 2, passes its CRC and has its trailing zeros cut."""
+        """Everything it sends is MAVLink 2, passes its CRC and has its trailing zeros cut."""
         self.run(2.0)
         broken = self.reader.counters.bad_crc
         require(broken == 0, f"{broken} broken frames")
@@ -101,7 +108,7 @@ class IdentityRules(CompanionProbe):
 
     @book.rule(HEARTBEAT_SERVICE)
     def heartbeat_goes_on_without_the_vehicle(self) -> None:
-        """When the vehicle falls silent its own HEARTBEAT goes on."""
+        """While the vehicle is silent, the companion's HEARTBEAT goes on."""
         self.go_silent()
         self.run(4.0)
         self._newest()
@@ -122,8 +129,8 @@ class IdentityRules(CompanionProbe):
         answers = self.heard(mav.Ping, mark)
         assume(bool(answers), "it does not answer PING, which is optional")
         m = answers[0]
-        told = (m.time_usec, m.seq, m.target_system, m.target_component)
-        require(told == (123_456, 4_711, self.system_id, 1), brief(m))
+        fields = (m.time_usec, m.seq, m.target_system, m.target_component)
+        require(fields == (123_456, 4_711, self.system_id, 1), brief(m))
 
     @book.rule("MAVLink guide, Time Synchronization")
     def timesync_response_is_never_answered(self) -> None:

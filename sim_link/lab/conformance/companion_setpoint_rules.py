@@ -62,7 +62,7 @@ class SetpointRules(CompanionProbe):
         return self.setpoints()
 
     def _late_setpoints(self, mode: str, listen_s: float = LISTEN_S) -> int:
-        """How many setpoints come although another mode was chosen a second ago."""
+        """Count the setpoints that come although another mode was chosen a second ago."""
         self.choose(mode)
         self.run(REACTION_S)
         mark = self.mark
@@ -147,7 +147,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{mav.OBSERVED_BOTH}: a stream still running acts when the mode returns")
     def foreign_mode_ends_the_stream(self) -> None:
-        """When the operator takes the mode away, setpoints stop within a second.
+        """Setpoints stop within a second after the operator takes the mode away.
 
         A stream that makes ready for the next time begins no sooner than two seconds after the
         mode, only where the autopilot needs it, and moves nothing.
@@ -176,7 +176,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{mav.OBSERVED_PX4} (returning setpoints return OFFBOARD)")
     def failsafe_ends_the_stream(self) -> None:
-        """When a failsafe takes the mode, setpoints stop: going on would take the vehicle back."""
+        """Setpoints stop when a failsafe takes the mode: going on would take the vehicle back."""
         self.give_control()
         self.is_failsafe = True
         late = self._late_setpoints(FOREIGN_MODES[self.flavour][1])
@@ -185,7 +185,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(HEARTBEAT_SERVICE)
     def lost_vehicle_ends_control(self) -> None:
-        """When the vehicle falls silent for five seconds nothing new is commanded to move."""
+        """After five seconds of silence from the vehicle no new motion is commanded."""
         self.give_control()
         self.go_silent()
         self.run(6.0)
@@ -207,7 +207,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{OWN_RULE}: control is given, not found")
     def disarmed_vehicle_is_not_armed_unasked(self) -> None:
-        """A disarmed vehicle is not armed unless the companion was told to fly by itself."""
+        """A disarmed vehicle is not armed unless it is set to launch by itself."""
         self.is_armed = False
         self.down_m = 0.0
         mark = self.mark
@@ -219,7 +219,7 @@ class SetpointRules(CompanionProbe):
 
 
 def place_of(message: SetpointMessage) -> tuple[float, ...]:
-    """Where a setpoint goes."""
+    """Return the position of a setpoint."""
     if isinstance(message, LocalTarget):
         return (message.x, message.y, message.z)
     return (message.lat_int, message.lon_int, message.alt)

@@ -1,6 +1,6 @@
 """MAVLink written down a second time: frames, results, modes and setpoints, right and wrong.
 
-The oracle for whoever reads frames: nothing here is shared with the codec under test but the
+Independent oracle for frame readers: nothing here is shared with the codec under test but the
 CRC_EXTRA of each message, and modes have a table apart from the simulator's, so that a probe does
 not agree with a wrong number. Results are numbers because the dialect does not have all of them.
 
@@ -97,7 +97,7 @@ SIGNING_UNITS_PER_S = 100_000
 
 @dataclass(frozen=True, slots=True)
 class FrameSpec:
-    """What is unusual about a frame."""
+    """Deviations of a frame from an ordinary one."""
 
     system_id: int = 255
     component_id: int = 190
@@ -175,7 +175,7 @@ class Signature:
 
 
 def signature_of(frame: bytes, key: bytes) -> Signature | None:
-    """What a frame is signed with; None if it is not signed."""
+    """Return the signature of a frame; None if it is not signed."""
     if frame[0] != MAGIC_V2 or not frame[2] & SIGNED:
         return None
     body, block = frame[:-SIGNATURE_LENGTH], frame[-SIGNATURE_LENGTH:]
@@ -280,7 +280,7 @@ def moved_e7(latitude_e7: int, longitude_e7: int, north_m: float, east_m: float)
 
 
 def distance_m(start_e7: tuple[int, int], end_e7: tuple[int, int]) -> float:
-    """How far two places are from each other; flat earth."""
+    """Distance between two places in m; flat earth."""
     north_m = (end_e7[0] - start_e7[0]) * METRES_PER_E7
     east_m = (end_e7[1] - start_e7[1]) * METRES_PER_E7
     return math.hypot(north_m, east_m * math.cos(math.radians(start_e7[0] / 1e7)))

@@ -47,7 +47,7 @@ class ParameterClient(VehicleProbe):
         return Parameter(m.param_id, m.param_type, raw, m.param_index, m.param_count, value)
 
     def values_since(self, mark: int, name: str | None = None) -> list[Parameter]:
-        """The parameters told since a mark."""
+        """Parameters received since a mark."""
         found = [
             self.parameter(entry)
             for entry in self.inbox[mark:]
@@ -56,10 +56,10 @@ class ParameterClient(VehicleProbe):
         return [p for p in found if name in (None, p.name)]
 
     def await_value(self, name: str) -> Parameter:
-        """The value of a parameter that is told after what was sent."""
+        """Value of a parameter that is reported after a request."""
         mark = self.asked
-        told = self.run_until(lambda: bool(self.values_since(mark, name)), ANSWER_S)
-        require(told, f"no PARAM_VALUE of {name} within {ANSWER_S:g} s")
+        is_heard = self.run_until(lambda: bool(self.values_since(mark, name)), ANSWER_S)
+        require(is_heard, f"no PARAM_VALUE of {name} within {ANSWER_S:g} s")
         return self.values_since(mark, name)[-1]
 
     def remember(self, name: str) -> Parameter:
@@ -70,7 +70,7 @@ class ParameterClient(VehicleProbe):
         return known[name]
 
     def change(self, name: str, value: float) -> Parameter:
-        """Give a parameter another value until the rule is over; what is told of it."""
+        """Give a parameter another value until the rule is over; return what is reported of it."""
         self.write(name, value, self.remember(name).kind)
         return self.await_value(name)
 
@@ -111,9 +111,9 @@ class ParameterClient(VehicleProbe):
 
         def is_complete() -> bool:
             nonlocal cursor
-            told = self.values_since(cursor)
+            values = self.values_since(cursor)
             cursor = self.mark
-            seen.update({p.index: p for p in told if p.index != UNLISTED_INDEX})
+            seen.update({p.index: p for p in values if p.index != UNLISTED_INDEX})
             return bool(seen) and len(seen) == next(iter(seen.values())).count
 
         if not self.run_until(is_complete, LIST_S):
@@ -141,7 +141,7 @@ class MissionItem:
 
     @property
     def place(self) -> tuple[int, int, int, float]:
-        """What must survive a round trip on either flavour."""
+        """Fields that must survive a round trip on either flavour."""
         return (self.command, self.x, self.y, round(self.z, 3))
 
 
@@ -301,10 +301,10 @@ class PlanClient(ParameterClient):
         params = (radius_m, 0.0, 0.0, 0.0)
         return [MissionItem(command, self._fence_frame, params, home.latitude, home.longitude)]
 
-    def polygon(self, told: float = 4.0, half: int = 30_000) -> list[MissionItem]:
-        """A square inclusion fence about home, each vertex telling `told` vertices."""
+    def polygon(self, stated: float = 4.0, half: int = 30_000) -> list[MissionItem]:
+        """A square inclusion fence about home, each vertex stating `stated` vertices."""
         home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
-        params = (told, 0.0, 0.0, 0.0)
+        params = (stated, 0.0, 0.0, 0.0)
         corners = ((-half, -half), (half, -half), (half, half), (-half, half))
         places = [(home.latitude + north, home.longitude + east) for north, east in corners]
         return [MissionItem(command, self._fence_frame, params, *place) for place in places]

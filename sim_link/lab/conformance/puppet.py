@@ -1,6 +1,6 @@
 """A vehicle on strings, shown to a companion: it says what a rule wants it to say.
 
-It has no physics: it hovers where it is told, and its HEARTBEAT shows the mode that the rule set,
+It has no physics: it hovers where it is sent, and its HEARTBEAT shows the mode that the rule set,
 as an operator would have chosen it.
 """
 
@@ -93,7 +93,7 @@ class CompanionProbe(Station):
             self._stops.pop()()
 
     def choose(self, mode: str) -> None:
-        """The operator chooses a mode; HEARTBEAT tells it at once."""
+        """The operator chooses a mode; HEARTBEAT shows it at once."""
         self.mode = mode
         self.send(self._heartbeat())
 
@@ -103,7 +103,7 @@ class CompanionProbe(Station):
 
     @property
     def companion(self) -> tuple[int, int]:
-        """System and component of whoever answers as a companion; `NotApplicable`: nobody does."""
+        """System and component of the companion that answers; `NotApplicable`: none does."""
         none = mavlink.MAV_AUTOPILOT_INVALID
         sources = [
             entry.source
@@ -152,7 +152,7 @@ class CompanionProbe(Station):
         self.run(2.0)
 
     def ask_companion(self, target: tuple[int, int]) -> int | None:
-        """A command that nobody knows, as forwarded for a ground station; its result, or None."""
+        """An unknown command, as forwarded for a ground station; its result, or None."""
         mark = self.mark
         self.send_as(mav.CommandLong(*target, UNKNOWN_COMMAND, 0, *[0.0] * 7), 255, 190)
         self.run(1.0)

@@ -4,7 +4,7 @@ Theory of operation. Every rule has a probe of its own; what all of them touched
 one `Baseline`. After a rule, passed or not, the vehicle lands, and parameters, stream rates and
 home are put back; plans and the mode are at the end. A vehicle that falls silent is waited for. If
 it comes back it is put in order first, and the rules go on; otherwise the rest is not run. What
-could not be put back is told, with the value that it had.
+could not be put back is listed, with the value that it had.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Caretaker(PlanClient):
         self.come_to_rest()
         baseline = self.baseline
         for name in list(baseline.parameters):
-            with suppress(Violation):  # it is told at the end
+            with suppress(Violation):  # it is listed at the end
                 self.put_back(name)
         self.restore_intervals()
         if baseline.home is not None:
@@ -106,7 +106,7 @@ class Caretaker(PlanClient):
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What is there, and what may be done to it."""
+    """Peer under test, and what may be done to it."""
 
     role: Role = Role.VEHICLE
     flavour: Flavour = Flavour.PX4
@@ -120,8 +120,8 @@ class RuleRun:
     """Tries rules over a link.
 
     Args:
-        show: Told of each outcome as it comes.
-        tell: Told what is waited for.
+        show: Called with each outcome as it comes.
+        report: Called with the cause of each wait.
     """
 
     def __init__(
@@ -129,11 +129,11 @@ class RuleRun:
         link: ProbeLink,
         options: RunOptions,
         show: Callable[[RuleOutcome], None],
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
         self.outcomes: list[RuleOutcome] = []
-        self._link, self._options, self._show, self._tell = link, options, show, tell
-        self._baseline = Baseline(HARM_FLAG in options.allowed, tell)
+        self._link, self._options, self._show, self._report = link, options, show, report
+        self._baseline = Baseline(HARM_FLAG in options.allowed, report)
         self._first: Any = None
         self._lost = ""
         """Why the rest cannot be run."""
@@ -143,17 +143,17 @@ class RuleRun:
 
     @property
     def left_behind(self) -> list[str]:
-        """What is not as it was on the vehicle, and what to do about it."""
-        told = self._baseline.leftovers()
-        return told if self._is_in_order else [*told, "not in order: land and disarm the vehicle"]
+        """Return what is not restored on the vehicle, and what to do about it."""
+        left = self._baseline.leftovers()
+        return left if self._is_in_order else [*left, "not in order: land and disarm the vehicle"]
 
     @property
     def problems(self) -> list[str]:
-        """What is worth telling beside the outcomes."""
+        """Return problems to report beside the outcomes."""
         return self._silences + self.left_behind
 
     def run(self, rules: Iterable[Rule]) -> None:
-        """Try the rules that bind the peer; `NotApplicable`: nobody is there."""
+        """Try the rules that bind the peer; `NotApplicable`: there is no peer."""
         rest, is_there = list(rules), False
         self._first = self._probe(VehicleProbe if self._is_vehicle else CompanionProbe)
         try:

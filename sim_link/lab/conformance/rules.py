@@ -1,8 +1,8 @@
-"""Rules, how they are run against a peer, and how the outcome is told to people and to tools.
+"""Rules, how they are run against a peer, and how the outcome is reported to people and tools.
 
 A rule is one sentence, where it is written, whom it binds, and a method of a probe that tries it.
 The method returns when the rule holds, raises `Violation` when it does not, and `NotApplicable`
-when the peer gives no occasion to tell:
+when the peer gives no occasion to judge:
 
     class FrameRules(VehicleProbe):
         book = RuleBook("frames")
@@ -29,7 +29,7 @@ import msgspec
 
 
 class Role(Enum):
-    """What the peer under test is."""
+    """Kind of the peer under test."""
 
     VEHICLE = "vehicle"
     COMPANION = "companion"
@@ -76,7 +76,7 @@ class NotReady(Exception):  # noqa: N818
 
 
 class AutopilotNotes(msgspec.Struct, frozen=True):
-    """What one real autopilot does, by rule; a flavour in `autopilot_notes.yaml`."""
+    """Behaviour of one real autopilot, by rule; a flavour in `autopilot_notes.yaml`."""
 
     version: str
     deviates: dict[str, str]
@@ -119,7 +119,7 @@ class Rule:
 
     @property
     def role(self) -> Role:
-        """Whom it binds."""
+        """Kind of peer that the rule binds."""
         role: Role = self.book.prober.role
         return role
 
@@ -130,7 +130,7 @@ class Rule:
         return [*flags, HARM_FLAG] if self.harms else flags
 
     def deviation(self, flavour: Flavour) -> str:
-        """What the real autopilot does against the rule, with its version; empty: keeps it."""
+        """Known deviation of the real autopilot, with its version; empty: it keeps the rule."""
         notes = autopilot_notes()[flavour]
         text = notes.deviates.get(self.rule_id)
         return f"{flavour.value} {notes.version}: {text}" if text else ""
@@ -200,7 +200,7 @@ def assume(condition: bool, reason: str) -> None:
 
 
 class RuleVerdict(Enum):
-    """How a rule went."""
+    """Outcome of a rule."""
 
     PASS = "PASS"
     NOTED = "NOTED"

@@ -34,13 +34,13 @@ class ProbeLink(Protocol):
 
     @property
     def is_datagram(self) -> bool:
-        """Whether one `send` arrives as one piece."""
+        """True if one `send` arrives as one piece."""
 
     def send(self, data: bytes) -> None:
         """Send bytes as one piece."""
 
     def poll(self, until_s: float) -> list[bytes]:
-        """What arrives first, in order; empty when nothing does until `until_s`."""
+        """Return the first data to arrive, in order; empty when there are none until `until_s`."""
 
     def another(self) -> ProbeLink | None:
         """A second client of the same peer; None where the link has room for one only."""
@@ -74,7 +74,7 @@ class Heard:
 
     @property
     def payload(self) -> bytes:
-        """What of them is the message's payload."""
+        """Payload of the message."""
         start = HEADER_LENGTH[self.frame[0]]
         return self.frame[start : start + self.frame[1]]
 
@@ -119,7 +119,7 @@ class Station:
         self.reader = MavCodec(system_id, component_id)
         self.signer: Signer | None = None
         self.on_message: Callable[[Message], None] = lambda _: None
-        """Told of each message as it arrives."""
+        """Called with each message as it arrives."""
         self.asked = 0
         """The mark before what was sent last; what is repeated does not count."""
         self._pending: deque[bytes] = deque()
@@ -165,7 +165,7 @@ class Station:
         return True
 
     def is_own(self, message: Message) -> bool:  # noqa: ARG002
-        """Whether the peer itself said it."""
+        """True if the peer itself sent it."""
         return True
 
     def is_heard(self, within_s: float) -> bool:
@@ -240,7 +240,7 @@ class Station:
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, kind)]
 
     def times(self, kind: type[M] | tuple[type[M], ...], mark: int = 0) -> list[float]:
-        """When the messages of a kind came after a mark."""
+        """Return the times of the messages of a kind after a mark, s."""
         return [e.time_s for e in self.inbox[mark:] if isinstance(e.message, kind)]
 
     def expect(

@@ -36,7 +36,7 @@ ARM_S = 15.0
 """How long arming may be refused although SYS_STATUS says that it is possible."""
 STREAM_S = 15.0
 SILENCE_S = 8.0
-"""Whoever says nothing for so long has crashed, or hangs."""
+"""A vehicle that is silent for so long has crashed, or hangs."""
 SECOND_CLIENT_S = 3.0
 ACK_S = 2.0
 POSITION_INTERVAL_S = 0.05
@@ -66,11 +66,11 @@ class Parameter:
 
 @dataclass(slots=True)
 class Baseline:
-    """What the vehicle was like before the rules touched it; one for all probes of a run."""
+    """State of the vehicle before the rules touched it; one for all probes of a run."""
 
     allows_harm: bool = False
-    tell: Callable[[str], None] = lambda _: None
-    """Told what is waited for."""
+    report: Callable[[str], None] = lambda _: None
+    """Called with the cause of each wait."""
     custom_mode: int | None = None
     parameters: dict[str, Parameter] = field(default_factory=dict)
     plans: dict[int, list[Any] | None] = field(default_factory=dict)
@@ -83,15 +83,15 @@ class Baseline:
     start_e7: tuple[int, int] | None = None
     """Where flights begin; they come back there, or the next ones would lead ever farther away."""
     unready: str = ""
-    """Why it could not be armed; then nobody waits for it as long again."""
+    """Why it could not be armed; then later rules do not wait as long."""
     serves_one_client: bool = False
 
     def leftovers(self) -> list[str]:
-        """What is not put back, and what to do about it."""
-        told = [
+        """Return what is not restored, and what to do about it."""
+        left = [
             f"{p.name} is not restored: set it to {p.value:.9g}" for p in self.parameters.values()
         ]
-        told += [
+        left += [
             f"plan of type {kind} is not restored: "
             + ("it could not be read before" if items is None else f"it had {len(items)} items")
             for kind, items in self.plans.items()
@@ -100,8 +100,8 @@ class Baseline:
             names = ", ".join(
                 mavlink.mavlink_map[number].msgname for number in sorted(self.unknown_rates)
             )
-            told.append(f"rates are the mode's default now, they could not be read: {names}")
-        return told + (["home is not restored: set it again"] if self.home else [])
+            left.append(f"rates are the mode's default now, they could not be read: {names}")
+        return left + (["home is not restored: set it again"] if self.home else [])
 
 
 class VehicleProbe(Station):
@@ -136,12 +136,12 @@ class VehicleProbe(Station):
 
     @property
     def notes(self) -> AutopilotNotes:
-        """What the real one does."""
+        """Behaviour of the real autopilot of this flavour."""
         return autopilot_notes()[self.flavour]
 
     @property
     def is_px4(self) -> bool:
-        """Whether it is a PX4."""
+        """True if the vehicle is a PX4."""
         return self.flavour is Flavour.PX4
 
     @property
@@ -150,7 +150,7 @@ class VehicleProbe(Station):
         return (self.system_id, self.component_id)
 
     def is_own(self, message: Message) -> bool:
-        """Whether the vehicle's autopilot said it."""
+        """True if the vehicle's autopilot sent it."""
         return source_of(message) == self.target
 
     def from_vehicle(self, kind: type[M], mark: int = 0) -> list[M]:
@@ -278,7 +278,7 @@ class VehicleProbe(Station):
         self.expect(kind, within_s=STREAM_S, mark=self.asked)
 
     def is_alive(self) -> bool:
-        """Whether the vehicle still answers (TIMESYNC)."""
+        """True if the vehicle still answers (TIMESYNC)."""
         stamp = 1_000_000 + self.mark
         self.send(mav.Timesync(0, stamp))
         return self.is_synchronised(stamp, self.asked, ACK_S)
@@ -315,11 +315,11 @@ class VehicleProbe(Station):
         )
 
     def is_armed(self) -> bool:
-        """Whether a new HEARTBEAT says armed."""
+        """True if a new HEARTBEAT says armed."""
         return bool(self.heartbeat().base_mode & mav.ARMED)
 
     def is_in(self, mode: str) -> bool:
-        """Whether a new HEARTBEAT shows a mode."""
+        """True if a new HEARTBEAT shows the mode."""
         return bool(self.heartbeat().custom_mode == mav.custom_mode(self.flavour, mode))
 
     def await_mode(self, mode: str, within_s: float = 5.0) -> None:
@@ -387,7 +387,7 @@ class VehicleProbe(Station):
         self.run_until(lambda: has_position() or self._is_silent(), SHORT_LOOK_S)
         if not has_position() and not self.baseline.unready:
             what = f"LOCAL_POSITION_NED within {READY_S:g} s"
-            self.baseline.tell(f"waiting for the vehicle: {what}")
+            self.baseline.report(f"waiting for the vehicle: {what}")
             self.run_until(lambda: has_position() or self._is_silent(), READY_S)
         if not has_position():
             self.baseline.unready = (
@@ -420,7 +420,7 @@ class VehicleProbe(Station):
             return
         if not baseline.unready:
             what = f"ready to arm within {READY_S:g} s (SYS_STATUS, PREARM_CHECK)"
-            baseline.tell(f"waiting for the vehicle: {what}")
+            baseline.report(f"waiting for the vehicle: {what}")
             if self._is_ready(READY_S):
                 return
             require(not self._is_silent(), "nothing is heard any more")
@@ -441,7 +441,7 @@ class VehicleProbe(Station):
         return bool(self.inbox) and self.now_s - self.inbox[-1].time_s > SILENCE_S
 
     def _reasons_since(self, mark: int) -> str:
-        """What the vehicle said meanwhile, to be put behind a complaint."""
+        """Return the vehicle's texts since a mark, to be appended to a complaint."""
         texts = dict.fromkeys(text.text.strip() for text in self.from_vehicle(mav.StatusText, mark))
         return f"; it says: {'; '.join(list(texts)[-3:])}" if texts else ""
 
@@ -489,9 +489,9 @@ class VehicleProbe(Station):
 
 
 def is_ready(status: mav.SysStatus) -> bool:
-    """Whether a SYS_STATUS says that it can be armed, or does not say that it cannot."""
-    is_told = bool(status.onboard_control_sensors_present & mav.PREARM)
-    return not is_told or bool(status.onboard_control_sensors_health & mav.PREARM)
+    """True if SYS_STATUS says that it can be armed, or does not say that it cannot."""
+    is_reported = bool(status.onboard_control_sensors_present & mav.PREARM)
+    return not is_reported or bool(status.onboard_control_sensors_health & mav.PREARM)
 
 
 def require_unmoved(before: Sequence[float], after: Sequence[float], limit_m: float) -> None:

@@ -1,4 +1,4 @@
-"""What each fault of link or content does to a datagram that is sent while it acts.
+"""Effects of each link or content fault on a datagram that is sent while it acts.
 
 Faults of the link make it lost, late, damaged or copied. Those of content put another one into
 frames from the vehicle and its radio: ids, sequence number and, with the key, the signature stay.
@@ -31,7 +31,7 @@ NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 class FaultEffect(Generic[F]):
     """One fault, in one direction where it has one, until its end on the caller's clock.
 
-    Its record says what it does. A key signs changed frames anew; None where nothing is signed.
+    Its record says what it does. A key signs changed frames again; None: no signing.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class FaultEffect(Generic[F]):
         self._key = key
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """What becomes of what would arrive of one datagram that is sent at `now_s`."""
+        """Return what arrives of one datagram that is sent at `now_s`, given what would."""
         return [each for due_s, data in deliveries for each in self._pass(data, due_s)]
 
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        """What becomes of one of them; by default nothing arrives."""
+        """Return what arrives of one delivery; by default nothing."""
         del data, due_s
         return []
 
@@ -168,9 +168,9 @@ _READER = MavCodec(9, 9)
 
 
 def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
-    """The frame after a change of its fields; as it was if nobody may or can read it.
+    """The frame after a change of its fields; unchanged if it cannot be read.
 
-    The key signs it anew where it was signed; without it such a frame stays as it is.
+    The key signs it again where it was signed; without it such a frame stays as it is.
     """
     if is_signed(frame) and key is None:
         return frame
@@ -227,7 +227,7 @@ class ContentEffect(FaultEffect[F]):
         return number == RadioRanging.id
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        """What comes of a frame that it is about."""
+        """Return a changed frame of the kind that the fault is about."""
         return [(due_s, rewrite_frame(data, self._change, self._key))]
 
     def _change(self, message: Any) -> None:

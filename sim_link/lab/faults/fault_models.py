@@ -182,7 +182,7 @@ class ProcessFault(FaultRecord, frozen=True):
 
 
 class CompanionKilled(ProcessFault, frozen=True, tag="companion_killed"):
-    """The process is killed, and started anew after a while; event."""
+    """The process is killed and restarted after a while; event."""
 
     down_s: NonNegative = 1.0
 
@@ -198,7 +198,7 @@ class CompanionTerminated(ProcessFault, frozen=True, tag="companion_terminated")
 
 
 class SecurityFault(FaultRecord, frozen=True):
-    """Somebody on the link who should not be there."""
+    """An intruder on the link."""
 
     rate_hz: Rate = 50.0
 
@@ -232,7 +232,7 @@ class Disarm(VehicleFault, frozen=True, tag="disarm"):
 
 
 class SecondSender(VehicleFault, frozen=True, tag="second_sender"):
-    """Somebody else sends setpoints to the vehicle."""
+    """A second source sends setpoints to the vehicle."""
 
     rate_hz: Rate = 10.0
     east_m: Length = 20.0
@@ -297,7 +297,7 @@ Fault = (
     | ForeignFrames
     | OtherVehicle
 )
-"""Any fault, told apart by `kind` in a file."""
+"""Any fault, identified by `kind` in a file."""
 
 KINDS: dict[str, type[FaultRecord]] = {
     str(kind.__struct_config__.tag): kind for kind in get_args(Fault)

@@ -39,7 +39,7 @@ class FaultyLink:
     """A wire with faults; an `observer.Wire`.
 
     Faults that are of neither link nor content are left to others. All that is random follows from
-    the seed. With a key, changed frames are signed anew where they are signed.
+    the seed. With a key, changed frames are signed again where they are signed.
     """
 
     def __init__(self, schedule: faults.Schedule, seed: int, key: SigningKey | None = None) -> None:
@@ -70,7 +70,7 @@ class FaultyLink:
             effects.sort(key=lambda effect: LINK_RANKS.get(type(effect.fault), 0))
 
     def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
-        """What arrives of a datagram that is sent at `now_s`."""
+        """Return the deliveries of a datagram that is sent at `now_s`."""
         deliveries: list[Delivery] = [(now_s, data)]
         for effect in self._effects[lane]:
             if effect.start_s <= now_s < effect.end_s:

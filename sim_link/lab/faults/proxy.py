@@ -45,7 +45,7 @@ MOST_ATTACKS_AT_ONCE = 1000
 
 @dataclass(slots=True)
 class Counters:
-    """What passed so far, and what did not: lost to a fault, or refused by the system."""
+    """Datagrams that passed, were lost to a fault, or were refused by the system."""
 
     to_companion: int = 0
     to_vehicle: int = 0
@@ -80,13 +80,13 @@ class FaultProxy(AbstractContextManager["FaultProxy"]):
 
     @property
     def vehicle_side(self) -> Address:
-        """Where the vehicle has to send."""
+        """Address to which the vehicle has to send."""
         host, port = self._vehicle_side.getsockname()
         return str(host), int(port)
 
     @property
     def companion_side(self) -> Address:
-        """Whom the companion hears."""
+        """Address that the companion hears."""
         host, port = self._companion_side.getsockname()
         return str(host), int(port)
 
@@ -129,7 +129,7 @@ class FaultProxy(AbstractContextManager["FaultProxy"]):
                 data, peer = source.recvfrom(MAX_DATAGRAM)
             except BlockingIOError:
                 return
-            except OSError:  # an earlier datagram reached nobody
+            except OSError:  # an earlier datagram had no receiver
                 continue
             now_s = self._now_s()
             if lane is Lane.TO_COMPANION:

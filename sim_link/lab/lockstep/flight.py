@@ -5,7 +5,7 @@ arrivals and actions in the order in which they were posted, physics, radio, con
 whatever those sent if the wire delivers it at once. So a flight depends on its configuration,
 scenario, seed, wire and actions only, and two of the same give the same bytes.
 
-The companion is the process that it is: it may be killed, started anew, told to stop, and
+The companion is the process that it is: it may be killed, restarted, asked to stop, and
 suspended. A suspended one gets what its socket held, in order, when it goes on; the socket holds
 no more than Linux gives it by default, and drops the rest.
 """
@@ -49,7 +49,7 @@ class MemoryJournal:
         self.results: list[tuple[float, ReportResult]] = []
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """Frames are recorded by whoever watches the flight."""
+        """Frames are recorded by the flight's observers."""
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Keep an event."""
@@ -66,7 +66,7 @@ class MemoryJournal:
 
 
 class WatchedJournal:
-    """Passes everything on, and tells observers of it."""
+    """Passes everything on, and notifies observers."""
 
     def __init__(self, journal: Journal, observers: Observers) -> None:
         self._journal = journal
@@ -79,20 +79,20 @@ class WatchedJournal:
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Pass an event on."""
         self._journal.record(kind, fields, now_s)
-        self._tell(kind, fields, now_s)
+        self._notify(kind, fields, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
         """Pass a text on."""
         self._journal.text(severity, text, now_s)
-        self._tell("text", {"severity": severity.name.lower(), "text": text}, now_s)
+        self._notify("text", {"severity": severity.name.lower(), "text": text}, now_s)
 
     def result(self, report: ReportResult, now_s: float) -> None:
         """Pass a report on."""
         self._journal.result(report, now_s)
-        self._tell("result", {"r95_m": report.estimate.r95_m}, now_s)
+        self._notify("result", {"r95_m": report.estimate.r95_m}, now_s)
 
-    def _tell(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        self._observers.tell("noted", kind, fields, now_s)
+    def _notify(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
+        self._observers.notify("noted", kind, fields, now_s)
 
 
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
@@ -112,7 +112,7 @@ MakeSimulator = Callable[[Scenario, int, float], SimEndpoint]
 
 @dataclass(frozen=True, slots=True)
 class Makers:
-    """Who starts the companion process and switches the vehicle on, also after a restart."""
+    """Factories of the companion process and the simulated vehicle, also after a restart."""
 
     companion: MakeCompanion = build_endpoint
     simulator: MakeSimulator = SimEndpoint
@@ -168,7 +168,7 @@ class Flight:
         self.settle()
         if self.sim.next_timer_s() <= now_s:
             self.sim.handle_timer(now_s)
-            self.observers.tell("stepped", self.sim.vehicle, now_s)
+            self.observers.notify("stepped", self.sim.vehicle, now_s)
         for neighbour in self.neighbours:
             if neighbour.sim.next_timer_s() <= now_s:
                 neighbour.step(now_s)
@@ -177,7 +177,7 @@ class Flight:
             ticks = self.companion.ticks
             self.companion.handle_timer(now_s)
             if self.companion.ticks != ticks:
-                self.observers.tell("ticked", now_s)
+                self.observers.notify("ticked", now_s)
         self.settle()
 
     def at(self, time_s: float, action: Callable[[], None]) -> None:
@@ -214,7 +214,7 @@ class Flight:
 
     def _arrive(self, data: bytes, lane: Lane, *, is_intact: bool) -> None:
         if lane is Lane.TO_VEHICLE:
-            self._tell("vehicle_heard", data, lane)
+            self._notify("vehicle_heard", data, lane)
             self.sim.receive(Chunk(0, data, None), self.now_s)
             return
         is_ranging = lane is Lane.RANGING
@@ -253,7 +253,7 @@ class Flight:
                 read(frame)
 
     def _wake_companion(self) -> None:
-        """What waited in the socket while the process was suspended."""
+        """Deliver what waited in the socket while the process was suspended."""
         while self._socket:
             self._give(*self._socket.popleft())
         self._socket_bytes = 0
@@ -265,13 +265,13 @@ class Flight:
             is_payload = chunk.data[COMPONENT_BYTE] == radio_payload.COMPONENT_ID
             if is_payload and not self.is_ranging_up:
                 continue
-            self._tell("vehicle_sent", chunk.data, Lane.TO_COMPANION)
+            self._notify("vehicle_sent", chunk.data, Lane.TO_COMPANION)
             self.post(chunk.data, Lane.TO_COMPANION)
         self._hear_neighbours()
         if not self.is_companion_up:
             return
         for chunk in self.companion.take_output():
-            self._tell("sent", chunk.data, Lane.TO_VEHICLE)
+            self._notify("sent", chunk.data, Lane.TO_VEHICLE)
             self._reach_neighbours(chunk)
             if chunk.peer not in self._other_peers:
                 self.post(chunk.data, Lane.TO_VEHICLE)
@@ -294,7 +294,7 @@ class Flight:
             if chunk.peer in (None, neighbour.peer):
                 for each in frames_in(chunk.data):
                     frame = Frame(self.now_s, each, Lane.TO_VEHICLE)
-                    self.observers.tell("neighbour_heard", frame, neighbour)
+                    self.observers.notify("neighbour_heard", frame, neighbour)
                 neighbour.sim.receive(Chunk(0, chunk.data, None), self.now_s)
 
     def add_neighbour(self, neighbour: Neighbour) -> None:
@@ -302,20 +302,20 @@ class Flight:
         self.neighbours.append(neighbour)
         self.at(neighbour.end_s, lambda: self.neighbours.remove(neighbour))
 
-    def _tell(self, what: str, data: bytes, lane: Lane) -> None:
-        """Tell who looks at it of the frames in a datagram."""
-        tellers = self.observers.of(what)
-        if tellers:
+    def _notify(self, what: str, data: bytes, lane: Lane) -> None:
+        """Notify its observers of the frames in a datagram."""
+        listeners = self.observers.of(what)
+        if listeners:
             for each in frames_in(data):
                 frame = Frame(self.now_s, each, lane)
-                for tell in tellers:
-                    tell(frame)
+                for notify in listeners:
+                    notify(frame)
 
     def start_companion(self) -> None:
         """Start the process, or a new one in place of one that ended."""
         self.companion = self._makers.companion(self.config, self.journal, VEHICLE_ONLY)
         self.is_companion_up = True
-        self.observers.tell("companion_started", self.now_s)
+        self.observers.notify("companion_started", self.now_s)
 
     def kill_companion(self) -> None:
         """End the process without a word (SIGKILL, power)."""
@@ -333,14 +333,14 @@ class Flight:
     def suspend_companion(self, duration_s: float) -> None:
         """Give the process no time (SIGSTOP, starvation)."""
         self._suspended_until_s = max(self._suspended_until_s, self.now_s + duration_s)
-        self.observers.tell("companion_suspended", self.now_s, self._suspended_until_s)
+        self.observers.notify("companion_suspended", self.now_s, self._suspended_until_s)
 
     def _end_companion(self) -> None:
         self.is_companion_up = False
         self._suspended_until_s = 0.0
         self._socket.clear()
         self._socket_bytes = 0
-        self.observers.tell("companion_ended", self.now_s)
+        self.observers.notify("companion_ended", self.now_s)
 
     def apply_incident(self, incident: IncidentRecord) -> None:
         """Let something happen to the vehicle."""
@@ -348,15 +348,15 @@ class Flight:
         if isinstance(incident, PilotMode):
             self.tell_chosen(incident.mode)
         if isinstance(incident, VehicleReboot):
-            self.observers.tell("vehicle_rebooted", self.now_s)
+            self.observers.notify("vehicle_rebooted", self.now_s)
 
     def tell_chosen(self, mode: FlightMode) -> None:
-        """Tell the observers that a person switched the mode."""
-        self.observers.tell("mode_chosen", mode, self.now_s)
+        """Notify the observers that a person switched the mode."""
+        self.observers.notify("mode_chosen", mode, self.now_s)
 
     @property
     def autopilot(self) -> Autopilot:
-        """Which one is simulated."""
+        """Simulated autopilot."""
         is_px4 = self.scenario.autopilot.flavour == "px4"
         return Autopilot.PX4 if is_px4 else Autopilot.ARDUPILOT
 

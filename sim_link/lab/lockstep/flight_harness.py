@@ -1,4 +1,4 @@
-"""What stands beside a flight in lockstep: the operator, and the checkpoints of its process.
+"""Environment of a lockstep flight: the operator, and the checkpoints of its process.
 
 Checkpoints are kept in memory, as the bytes that would be on disk, so that a test can damage them
 between a kill and the next start.
@@ -37,7 +37,7 @@ class Operator:
         self._started_unix_s = started_unix_s
         self._station = MavCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER, signing)
 
-    def tell(self, message: Message, peer: Address | None = STATION_PEER) -> None:
+    def send(self, message: Message, peer: Address | None = STATION_PEER) -> None:
         """Send to the vehicle."""
         self._flight.sim.receive(Chunk(0, self._encoded(message), peer), self._flight.now_s)
 
@@ -45,7 +45,7 @@ class Operator:
         """Command the vehicle; parameters that are left out are NaN."""
         padded = [*params, *[math.nan] * (7 - len(params))]
         system = self._flight.scenario.system_id
-        self.tell(mavlink.MAVLink_command_long_message(system, 1, number, 0, *padded))
+        self.send(mavlink.MAVLink_command_long_message(system, 1, number, 0, *padded))
 
     def arm(self) -> None:
         """Ask to arm."""
@@ -86,7 +86,7 @@ class MemoryStore:
         self.slots: dict[int, bytes] = {}
 
     def load(self) -> checkpoints.StoredCheckpoints:
-        """What is there."""
+        """Load the stored checkpoints."""
         whole, problems = [], []
         for number, data in self.slots.items():
             try:
@@ -157,5 +157,5 @@ class Checkpointing(Observer):
         self._keeper.close(0.0)
 
     def ticked(self, now_s: float) -> None:
-        """What is due at a wake-up."""
+        """Run the tasks due at a wake-up."""
         self._keeper.run(now_s)

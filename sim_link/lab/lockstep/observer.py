@@ -33,7 +33,7 @@ class Wire(Protocol):
     """Carries datagrams; what happens to them depends on its seed and on what it is given only."""
 
     def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
-        """What arrives of a datagram that is sent at `now_s`: nothing, it, or copies of it."""
+        """Return the deliveries of a datagram sent at `now_s`: none, one, or several copies."""
 
 
 class PerfectWire:
@@ -59,7 +59,7 @@ class Frame:
     is_genuine: bool = True
     """Whether it came from the other end of the wire, damaged or not, and not from an attacker."""
     is_intact: bool = False
-    """Whether it is bit by bit as it was sent; otherwise only reading it tells."""
+    """Whether it is bit by bit as it was sent; otherwise only reading it shows."""
     _message: object = field(default=_UNREAD, repr=False)
 
     @property
@@ -75,14 +75,14 @@ class Frame:
 
     @property
     def message(self) -> Message | None:
-        """What it says, decoded once; None if its checksum is wrong or it makes no sense."""
+        """Message in the frame, decoded once; None if its checksum is wrong or it is invalid."""
         if self._message is _UNREAD:
             self._message = _READER.decode_frame(self.data)
         return self._message  # type: ignore[return-value]
 
     @property
     def is_readable(self) -> bool:
-        """Whether its checksum is right."""
+        """True if its checksum is right."""
         return self.is_intact or self.message is not None
 
 
@@ -117,7 +117,7 @@ class Observer:
         """The companion wrote this into its journal; texts and results are kinds as well."""
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process began, at the start or anew."""
+        """The companion process began, at the start or after a restart."""
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:
         """The companion process gets no time until then."""
@@ -129,7 +129,7 @@ class Observer:
         """A person switched the mode: the pilot or the operator."""
 
     def vehicle_rebooted(self, now_s: float) -> None:
-        """The vehicle begins anew."""
+        """The vehicle reboots."""
 
 
 T = TypeVar("T")
@@ -142,28 +142,28 @@ def overriding(objects: Iterable[T], base: type[T], what: str) -> list[T]:
 
 
 class Observers(list[Observer]):
-    """Who watches a flight; what happens often is told only to who looks at it."""
+    """Observers of a flight; frequent calls go only to those that implement them."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._told: list[Observer] = []
-        self._tellers: dict[str, list[Callable[..., None]]] = {}
+        self._known: list[Observer] = []
+        self._listeners: dict[str, list[Callable[..., None]]] = {}
 
     def of(self, what: str) -> list[Callable[..., None]]:
         """The observers' methods of a name in `Observer`, in the order of the observers."""
-        if self._told != self:
-            self._told = list(self)
-            self._tellers.clear()
-        tellers = self._tellers.get(what)
-        if tellers is None:
+        if self._known != self:
+            self._known = list(self)
+            self._listeners.clear()
+        listeners = self._listeners.get(what)
+        if listeners is None:
             looking = overriding(self, Observer, what)
-            tellers = self._tellers[what] = [getattr(each, what) for each in looking]
-        return tellers
+            listeners = self._listeners[what] = [getattr(each, what) for each in looking]
+        return listeners
 
-    def tell(self, what: str, *values: object) -> None:
+    def notify(self, what: str, *values: object) -> None:
         """Call those methods."""
-        for teller in self.of(what):
-            teller(*values)
+        for listener in self.of(what):
+            listener(*values)
 
 
 def frames_in(data: bytes) -> list[bytes]:

@@ -69,7 +69,7 @@ def cleared(name: str) -> FailsafeEvent:
 
 
 class CopterFailsafes:
-    """Which failsafes are active."""
+    """Set of active failsafes."""
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         self.active: set[str] = set()
@@ -84,21 +84,21 @@ class CopterFailsafes:
         self._bad_estimate_s = 0.0
 
     def watch(self, mode: CopterMode, margin_m: float, now_s: float) -> Iterator[FailsafeEvent]:
-        """What begins and ends in this physics step of an armed vehicle."""
+        """Yield the failsafes that begin or end in this physics step of an armed vehicle."""
         heard_s = self._aircraft.stations_s.get(int(self._parameters["SYSID_MYGCS"]))
         is_silent = heard_s is not None and now_s - heard_s > self._parameters["FS_GCS_TIMEOUT"]
         station, sticks = self._reaction("FS_GCS_ENABLE"), self._reaction("FS_THR_ENABLE")
         if self._changes(STATION, is_silent and station is not None):
-            yield self._told(STATION, station)
+            yield self._event(STATION, station)
         has_sticks = self._aircraft.sticks.read(now_s) is not None
         self._had_sticks = self._had_sticks or has_sticks
         if mode is GUIDED and int(self._parameters["FS_OPTIONS"]) & CONTINUE_IN_GUIDED:
             sticks = None
         if self._changes(STICKS, self._had_sticks and not has_sticks and sticks is not None):
-            yield self._told(STICKS, sticks)
+            yield self._event(STICKS, sticks)
         yield from self._watch_battery()
         if self._changes(FENCE, margin_m < 0.0):
-            yield self._told(FENCE, self._reaction("FENCE_ACTION"))
+            yield self._event(FENCE, self._reaction("FENCE_ACTION"))
         yield from self._watch_estimate(mode)
 
     def _watch_battery(self) -> Iterator[FailsafeEvent]:
@@ -122,7 +122,7 @@ class CopterFailsafes:
         concerns = mode.needs_position or value["FS_EKF_ACTION"] == EVEN_WITHOUT_POSITION
         reaction = self._reaction("FS_EKF_ACTION") if concerns else None
         if self._changes(EKF, self._bad_estimate_s >= limit_s):
-            yield self._told(EKF, reaction, tells_mode=reaction is not None)
+            yield self._event(EKF, reaction, tells_mode=reaction is not None)
 
     def _is_outvoted(self) -> bool:
         """Return True by two votes of three, or the velocity at twice the threshold."""
@@ -141,10 +141,10 @@ class CopterFailsafes:
         (self.active.add if is_present else self.active.discard)(name)
         return True
 
-    def _told(
+    def _event(
         self, name: str, reaction: CopterMode | None, *, tells_mode: bool = False
     ) -> FailsafeEvent:
-        """What is told of a failsafe that has just begun or ended."""
+        """Return the event of a failsafe that has just begun or ended."""
         if name in self.active:
             return FailsafeEvent(name, reaction, tells_mode=tells_mode)
         return cleared(name)

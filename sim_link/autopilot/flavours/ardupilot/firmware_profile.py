@@ -1,4 +1,4 @@
-"""What ArduCopter 4.5 is, how it is set up and how it speaks.
+"""Identity, parameters and message rates of ArduCopter 4.5.
 
 `firmware.yaml` has its rules (fields of `Firmware`), `streams.csv` what it sends.
 

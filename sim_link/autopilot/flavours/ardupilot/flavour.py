@@ -87,17 +87,17 @@ class ArduPilotFlavour(AutopilotFlavour):
 
     @property
     def is_failsafe(self) -> bool:
-        """Whether something is wrong."""
+        """True if a failsafe is active on the armed vehicle."""
         return bool(self._failsafes.active) and self.is_armed
 
     @property
     def reason(self) -> str:
-        """What is wrong."""
+        """Names of the active failsafes."""
         return ", ".join(sorted(self._failsafes.active))
 
     @property
     def task(self) -> Task:
-        """What the pilot is to do."""
+        """Task that mode and state give to the pilot."""
         mode = self.copter_mode
         if not self.aircraft.estimator.is_position_valid and mode.task is not Task.FLY_BY_STICKS:
             return Task.DESCEND
@@ -115,16 +115,16 @@ class ArduPilotFlavour(AutopilotFlavour):
         return available_modes() if is_scripted else ()
 
     def has_home(self, now_s: float) -> bool:
-        """Whether origin and home are known: some time before it can be armed in GUIDED."""
+        """True once origin and home are known, some time before it can be armed in GUIDED."""
         return now_s >= ATTITUDE_SHARE * self.aircraft.scenario.autopilot.ready_after_s
 
     def has_position(self, now_s: float) -> bool:
-        """Whether the position is told: not before the estimator has settled."""
+        """True if the position is reported: not before the estimator has settled."""
         is_settled = now_s >= self.aircraft.scenario.autopilot.ready_after_s
         return is_settled and self.aircraft.estimator.is_position_valid
 
     def arming_refusal(self, now_s: float) -> str | None:
-        """Why it could not be armed in the present mode, or None."""
+        """Reason why it could not be armed in the present mode, or None."""
         if not self.copter_mode.is_armable:
             return f"{self.copter_mode.name} mode not armable"
         if not self.has_home(now_s):
@@ -321,7 +321,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         )
 
     def _runs_into_the_fence(self) -> bool:
-        """Whether a motion leads out: it is stopped FENCE_MARGIN inside."""
+        """True if the motion leads out of the fence: it is stopped FENCE_MARGIN inside."""
         if not self.parameters["FENCE_ENABLE"] or self.guided.is_latched:
             return False
         body, setpoint = self.aircraft.motion, self.guided.setpoint
@@ -337,7 +337,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return self.fence_margin_m(ahead) < self.fence_margin_m(place)
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
-        """What HEARTBEAT shows: on the ground STANDBY, also when armed."""
+        """State for HEARTBEAT: on the ground STANDBY, also when armed."""
         base_mode = self.copter_mode.flags | (
             mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.is_armed else 0
         )

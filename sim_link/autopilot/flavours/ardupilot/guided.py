@@ -58,7 +58,7 @@ class Target(NamedTuple):
     """A position is held for ever, once its velocity has timed out; without one it times out after
     GUID_TIMEOUT. None: stop."""
     text: str = ""
-    """What to tell the operators about a refusal."""
+    """Text for the operators about a refusal."""
 
 
 def _refused(why: str) -> Target:
@@ -66,7 +66,7 @@ def _refused(why: str) -> Target:
 
 
 def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
-    """What SET_POSITION_TARGET_LOCAL_NED asks for."""
+    """Decode SET_POSITION_TARGET_LOCAL_NED."""
     frame = message.coordinate_frame
     if frame not in LOCAL_FRAMES:
         return _refused(f"frame {frame} not supported")
@@ -91,7 +91,7 @@ def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
 
 
 def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
-    """What SET_POSITION_TARGET_GLOBAL_INT asks for."""
+    """Decode SET_POSITION_TARGET_GLOBAL_INT."""
     frame = message.coordinate_frame
     if message.type_mask & dialect.POSITION_IGNORE:
         return _target(message, None, None)
@@ -109,7 +109,7 @@ def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
 
 
 def target_from(message: PositionTarget, aircraft: Aircraft) -> Target | None:
-    """What a position target asks for; None: a force, which is ignored."""
+    """Decode a position target; None: a force, which is ignored."""
     if (
         message.type_mask & dialect.FORCE_SET
         and not message.type_mask & dialect.ACCELERATION_IGNORE
@@ -165,7 +165,7 @@ STILL: PositionEnu = (0.0, 0.0, 0.0)
 
 
 class GuidedState(Enum):
-    """What GUIDED is at."""
+    """States of GUIDED."""
 
     IDLE = "idle"
     """In place, in the air or on the ground."""
@@ -174,7 +174,7 @@ class GuidedState(Enum):
 
 
 class Guided:
-    """The state of GUIDED; it begins anew whenever the mode is entered."""
+    """The state of GUIDED; it is reset whenever the mode is entered."""
 
     def __init__(self) -> None:
         self.state = GuidedState.IDLE
@@ -183,7 +183,7 @@ class Guided:
 
     @property
     def task(self) -> Task:
-        """What the pilot is to do."""
+        """Task that the state gives to the pilot."""
         match self.state:
             case GuidedState.CLIMBING:
                 return Task.TAKE_OFF
@@ -193,12 +193,12 @@ class Guided:
 
     @property
     def is_latched(self) -> bool:
-        """Whether it flies to a position and stays there for ever."""
+        """True if it flies to a position and stays there for ever."""
         is_following = self.state is GuidedState.FOLLOWING
         return is_following and self.setpoint.position_en_m is not None and not self._is_moving
 
     def echo(self, climb_goal_enu_m: PositionEnu | None) -> Echo:
-        """What POSITION_TARGET_* tells: a place, or a motion, which is 0 while it stays."""
+        """Target for POSITION_TARGET_*: a place, or a motion, which is 0 while it stays."""
         if self.state is GuidedState.CLIMBING and climb_goal_enu_m is not None:
             return Echo(climb_goal_enu_m)
         if self.state is not GuidedState.FOLLOWING:

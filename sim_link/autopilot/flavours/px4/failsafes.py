@@ -31,7 +31,7 @@ REGROWTH = 0.25
 
 
 class Reaction(Enum):
-    """What is done, in order of severity, and the mode that does it."""
+    """Reactions in order of severity, each with the mode that carries it out."""
 
     WARN = (0, None)
     POSITION = (1, FlightMode.POSITION)
@@ -86,7 +86,7 @@ EXCEPTION_OF = {FlightMode.MISSION: 1, FlightMode.HOLD: 2, FlightMode.OFFBOARD: 
 
 
 class Px4Failsafes:
-    """Which causes are active on one aircraft, and what is flown for them."""
+    """Active failsafe causes of one aircraft, and the reaction that is flown."""
 
     def __init__(self, aircraft: Aircraft, parameters: ParameterStore) -> None:
         self._aircraft = aircraft

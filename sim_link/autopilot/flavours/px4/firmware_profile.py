@@ -1,4 +1,4 @@
-"""What PX4 1.15 is, how it is set up and how it speaks; `firmware.yaml` has its rules.
+"""Identity, parameters and message rates of PX4 1.15; `firmware.yaml` has its rules.
 
 `parameters.csv` has its parameters. Names, types, defaults and ranges of COM_*, NAV_*_ACT, GF_* and
 MPC_* were compared with the sources of its modules; the rest is set after the sense of its
@@ -28,7 +28,7 @@ OFFBOARD_LOSS_ACTION: dict[LossAction, int] = {
 
 
 def speed_limits(parameters: ParameterStore) -> SpeedLimits:
-    """How fast it goes to a place; the vehicle's own limits are no higher by default."""
+    """Speed limits on the way to a place; the vehicle's own limits are no higher by default."""
     names = ("MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN")
     return SpeedLimits(*(parameters[name] for name in names))
 

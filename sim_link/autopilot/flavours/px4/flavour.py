@@ -31,7 +31,7 @@ Disarming ends LAND, RETURN, TAKEOFF, MISSION and a failsafe in HOLD, so that th
 armed.
 
 Source: PX4 1.15 as observed in SITL; PX4 user guide, "Safety Configuration" and "Offboard Mode";
-MAVLink common, MAV_MODE_FLAG and MAV_STATE. Reasons are told as STATUSTEXT; PX4 sends EVENT (410)
+MAVLink common, MAV_MODE_FLAG and MAV_STATE. Reasons are sent as STATUSTEXT; PX4 sends EVENT (410)
 instead, which few clients read.
 """
 
@@ -92,25 +92,25 @@ class Px4Flavour(AutopilotFlavour):
 
     @property
     def is_failsafe(self) -> bool:
-        """Whether a failsafe chose the mode."""
+        """True if a failsafe chose the mode."""
         return self.is_armed and self._reaction is not None
 
     @property
     def reason(self) -> str:
-        """Why a failsafe acts."""
+        """Reason of the acting failsafe."""
         worst = self._failsafes.worst
         return "" if worst is None else worst[0].text
 
     @property
     def task(self) -> Task:
-        """What the pilot is to do."""
+        """Task that mode and state give to the pilot."""
         needs_position = self.mode not in STICK_MODES
         if needs_position and not self.aircraft.estimator.is_position_valid:
             return Task.DESCEND
         return TASKS.get(self.mode, Task.FLY_BY_STICKS)
 
     def arming_refusal(self, now_s: float) -> str | None:
-        """Why it could not be armed now, or None."""
+        """Reason why it could not be armed now, or None."""
         refusal = self._check_refusal(now_s)
         if refusal is not None or self.mode in (FlightMode.HOLD, FlightMode.TAKEOFF):
             return refusal
@@ -156,7 +156,7 @@ class Px4Flavour(AutopilotFlavour):
         return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
     def _choice_refusal(self, mode: FlightMode, now_s: float) -> str | None:
-        """Why an armed vehicle would not be switched to a mode now, or None."""
+        """Reason why an armed vehicle would refuse a mode now, or None."""
         if mode is FlightMode.OFFBOARD and not self._is_stream_alive(now_s):
             return "no setpoints"
         if mode is FlightMode.MISSION and not self.aircraft.mission.has_items:
@@ -221,7 +221,7 @@ class Px4Flavour(AutopilotFlavour):
         return self.setpoints.setpoint
 
     def echo(self) -> Echo | None:
-        """What the position controller works with; nothing in modes without one."""
+        """Target of the position controller; None in modes without one."""
         if not self.is_armed or self.mode in WITHOUT_POSITION_CONTROL:
             return None
         pilot, setpoint = self.aircraft.pilot, self.setpoints.setpoint
@@ -292,7 +292,7 @@ class Px4Flavour(AutopilotFlavour):
             self._reaction = None if reaction is None else reaction.mode
 
     def _tell(self, cause: str) -> None:
-        """Texts end with a tab, which tells clients that an EVENT says the same."""
+        """Texts end with a tab, by which clients know that an EVENT has the same content."""
         self.aircraft.say(CRITICAL, f"Failsafe: {cause}")
         delay_s = self._failsafes.delay_s
         wait = f", entering Hold for {delay_s:.0f} seconds" if delay_s > 0.0 else ""
@@ -306,7 +306,7 @@ class Px4Flavour(AutopilotFlavour):
         super().settle(now_s, why)
 
     def _sticks_override(self) -> bool:
-        """Whether moved sticks end the mode; a failsafe that waits in Hold hears no sticks."""
+        """True if moved sticks end the mode; a failsafe that waits in Hold ignores sticks."""
         if self._failsafes.delay_s > 0.0:
             return False
         bits = int(self.parameters["COM_RC_OVERRIDE"])
@@ -315,7 +315,7 @@ class Px4Flavour(AutopilotFlavour):
         return self.mode not in STICK_MODES and bool(bits & OVERRIDE_AUTO)
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:
-        """What HEARTBEAT shows: disarmed, OFFBOARD without a stream has no flag but the first."""
+        """State for HEARTBEAT: disarmed, OFFBOARD without a stream has only the first flag."""
         base_mode = CUSTOM_MODE_ENABLED
         if self.mode is not FlightMode.OFFBOARD:
             base_mode |= BASE_MODE_FLAGS.get(self.mode, AUTO_FLAGS)

@@ -1,1 +1,1 @@
-"""What a vehicle must do, section by section; a module per MAVLink service."""
+"""Rules for a vehicle; a module per MAVLink service."""

@@ -21,7 +21,7 @@ SERVICE = "MAVLink guide, Command Protocol"
 LONG_RUNNING = f"{SERVICE} (long-running commands)"
 MESSAGES = "MAVLink common, MAV_CMD_REQUEST_MESSAGE"
 INTERVALS = "MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL"
-INTERVAL_TOLD = f"{INTERVALS}; MAVLink common, MESSAGE_INTERVAL"
+INTERVAL_REPORTED = f"{INTERVALS}; MAVLink common, MESSAGE_INTERVAL"
 MODE = "MAVLink common, MAV_CMD_DO_SET_MODE"
 STRICT = "(stricter than the real one, which accepts it)"
 IDEMPOTENT = f"{SERVICE} (commands are idempotent)"
@@ -126,31 +126,31 @@ class CommandRules(VehicleProbe):
     def _interval_us(self, number: int, first: float) -> int:
         """MESSAGE_INTERVAL.interval_us of ATTITUDE, asked by a command."""
         self.require_result(mav.ACCEPTED, number, first, ATTITUDE_ID)
-        told = self.expect(Interval, lambda m: m.message_id == ATTITUDE_ID, mark=self.asked)
-        return int(told.interval_us)
+        reported = self.expect(Interval, lambda m: m.message_id == ATTITUDE_ID, mark=self.asked)
+        return int(reported.interval_us)
 
-    @book.rule(INTERVAL_TOLD)
+    @book.rule(INTERVAL_REPORTED)
     def interval_is_told(self) -> None:
-        """MESSAGE_INTERVAL tells what was set, by command 510 and by REQUEST_MESSAGE."""
+        """MESSAGE_INTERVAL reports what was set, by command 510 and by REQUEST_MESSAGE."""
         result = self.set_interval(mav.Attitude, 0.2)
         require(result == mav.ACCEPTED, "SET_MESSAGE_INTERVAL")
         for number, first in ((GET_INTERVAL, ATTITUDE_ID), (mav.REQUEST, 244.0)):
-            told = self._interval_us(number, first)
-            require(told == 200_000, f"asked by {number}: not 200000 us")
+            interval_us = self._interval_us(number, first)
+            require(interval_us == 200_000, f"asked by {number}: not 200000 us")
 
-    @book.rule(INTERVAL_TOLD)
+    @book.rule(INTERVAL_REPORTED)
     def stopped_stream_has_interval_minus_one(self) -> None:
         """MESSAGE_INTERVAL of a stopped stream is -1."""
         self.set_interval(mav.Attitude, -1.0)
-        told = self._interval_us(GET_INTERVAL, ATTITUDE_ID)
-        require(told == -1, f"{told} us")
+        interval_us = self._interval_us(GET_INTERVAL, ATTITUDE_ID)
+        require(interval_us == -1, f"{interval_us} us")
 
     @book.rule("MAVLink common, MESSAGE_INTERVAL (0: not available)")
     def interval_of_an_unknown_message_is_zero(self) -> None:
         """MESSAGE_INTERVAL of a message that there is not is 0."""
         self.command(GET_INTERVAL, 12_345.0)
-        told = self.expect(Interval, mark=self.asked).interval_us
-        require(told == 0, f"{told} us")
+        interval_us = self.expect(Interval, mark=self.asked).interval_us
+        require(interval_us == 0, f"{interval_us} us")
 
     @book.rule(INTERVALS)
     def interval_of_an_unknown_message_is_refused(self) -> None:

@@ -35,7 +35,7 @@ JITTER_S = 0.25
 
 
 class HeartbeatRules(VehicleProbe):
-    """Who a vehicle is, and in which mode and state."""
+    """Identity, mode and state of a vehicle."""
 
     book = RuleBook("heartbeat")
 
@@ -57,7 +57,7 @@ class HeartbeatRules(VehicleProbe):
 
     @book.rule(SERVICE)
     def tells_type_and_autopilot(self) -> None:
-        """HEARTBEAT tells a multicopter, the flavour's autopilot and MAVLink version 3."""
+        """HEARTBEAT reports a multicopter, the flavour's autopilot and MAVLink version 3."""
         message = self.heartbeat()
         require(message.type in COPTERS, f"type {message.type}")
         wanted = mav.AUTOPILOT_OF[self.flavour]
@@ -108,7 +108,7 @@ class HeartbeatRules(VehicleProbe):
 
     @book.rule(mav.OBSERVED_ARDUPILOT, effect=CHANGES, flavours=ARDUPILOT)
     def mode_change_is_told_at_once(self) -> None:
-        """A changed mode is told by a HEARTBEAT of its own, without waiting for the next second."""
+        """A changed mode shows in a HEARTBEAT at once, without waiting for the next second."""
         self.get_ready()
         self.set_mode("stabilized")
         self.heartbeat()
@@ -164,7 +164,7 @@ CAMERA, ONBOARD = mavlink.MAV_TYPE_CAMERA, mavlink.MAV_TYPE_ONBOARD_CONTROLLER
 
 
 class RoutingRules(ParameterClient):
-    """Who is addressed, and what is passed on to whom."""
+    """Addressing of messages, and forwarding between peers."""
 
     book = RuleBook("routing")
 
@@ -297,7 +297,7 @@ class RoutingRules(ParameterClient):
 
     @book.rule(ROUTING)
     def own_message_never_returns(self) -> None:
-        """What a client sends is not sent back to it."""
+        """Messages of a client are not sent back to it."""
         self._companion()
         mark = len(self.datagrams)
         self.send(text_message(b"no echo please"))
@@ -345,7 +345,7 @@ class RoutingRules(ParameterClient):
 
     @book.rule(ROUTING, effect=CHANGES)
     def parameter_change_reaches_all_clients(self) -> None:
-        """A changed parameter is told to every client."""
+        """A changed parameter is sent to every client."""
         other = self._companion()
         name = self.float_name
         present = self.read(name)
@@ -360,7 +360,7 @@ def request_version(system: int, component: int) -> Message:
 
 
 def asks_for_message(ack: mav.Ack) -> bool:
-    """Whether it acknowledges such a command."""
+    """True if it acknowledges such a command."""
     return bool(ack.command == mav.REQUEST)
 
 

@@ -74,7 +74,7 @@ class FlightRules(VehicleProbe):
 
     @book.rule("MAVLink common, MAV_CMD_NAV_LAND; PX4 COM_DISARM_LAND; ArduPilot DISARM_DELAY")
     def land_ends_disarmed_on_the_ground(self) -> None:
-        """NAV_LAND comes down, tells ON_GROUND and disarms by itself."""
+        """NAV_LAND comes down, reports ON_GROUND and disarms by itself."""
         self.take_off(5.0)
         self.watch(mav.SysState, 0.2)
         self._require_landed_state(mavlink.MAV_LANDED_STATE_IN_AIR, " in the air")
@@ -191,7 +191,7 @@ HOLD_BEFORE_S = 6.0
 
 
 class FailsafeRules(ParameterClient, SetpointClient):
-    """What a vehicle does by itself, and how its parameters say so."""
+    """Failsafes of a vehicle, and their parameters."""
 
     book = RuleBook("failsafes", FLIES)
 
@@ -246,7 +246,7 @@ class FailsafeRules(ParameterClient, SetpointClient):
 
     @book.rule(f"{REBOOTING}; SYSTEM_TIME", effect=CHANGES, harms=True)
     def reboot_restarts_the_clock_and_keeps_parameters(self) -> None:
-        """Disarmed it reboots on command: time_boot_ms begins anew, changed parameters stay."""
+        """Disarmed it reboots on command: time_boot_ms restarts, changed parameters stay."""
         self.get_ready()
         name = self.float_name
         self.change(name, 4.5)

@@ -30,7 +30,7 @@ class FrameProbe(VehicleProbe):
     def is_answered(
         self, data: bytes, asked: int, within_s: float = ACK_S, *, has_junk: bool = False
     ) -> bool:
-        """Whether a TIMESYNC with `ts1` = `asked` comes back after `data` was sent."""
+        """True if a TIMESYNC with `ts1` = `asked` comes back after `data` was sent."""
         mark = self.mark
         self.send_raw(data)
         if has_junk:
@@ -45,7 +45,7 @@ class FrameProbe(VehicleProbe):
 
 
 class FrameRules(FrameProbe):
-    """What becomes of good frames and bad ones."""
+    """Handling of good frames and bad ones."""
 
     book = RuleBook("frames")
 
@@ -88,9 +88,9 @@ class FrameRules(FrameProbe):
     @book.rule(f"{VERSIONS}; MAVLink common, MAV_PROTOCOL_CAPABILITY")
     def mavlink2_capability_is_told(self) -> None:
         """AUTOPILOT_VERSION has the MAVLINK2 capability."""
-        told = self.request(mav.Version).capabilities
+        capabilities = self.request(mav.Version).capabilities
         bit = mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-        require(bool(told & bit), f"capabilities {told:#x}")
+        require(bool(capabilities & bit), f"capabilities {capabilities:#x}")
 
     @book.rule(SERIALIZATION)
     def trailing_zeros_are_cut(self) -> None:
@@ -131,7 +131,7 @@ class FrameRules(FrameProbe):
 
     @book.rule(VERSIONS)
     def mavlink1_frame_is_sent_whole_and_without_extensions(self) -> None:
-        """What is sent in MAVLink 1, if anything is, has its whole payload and no extensions."""
+        """Frames sent in MAVLink 1, if any, have their whole payload and no extensions."""
         self.send_raw(mav.build_frame(self.question(), self.spec(version=1)))
         self.run(LISTEN_S)
         for entry in self.inbox[self.asked :]:
@@ -169,16 +169,16 @@ class FrameRules(FrameProbe):
 
     @book.rule("MAVLink guide, MAVLink IDs; MAVSDK drops system 0 as well")
     def source_system_zero_is_ignored(self) -> None:
-        """A frame from system 0, which nobody may be, has no effect."""
+        """A frame from system 0, which is not allowed, has no effect."""
         spec = replace(self.spec(), system_id=0)
         self._require_silence(spec, "a request from system 0 is answered")
 
     @book.rule(
         "pymavlink mavutil.mavlink_connection, source_component=0 by default; the MAVLink guide "
-        "gives 0 to nobody, but scripts that leave it so depend on it"
+        "assigns 0 to no system, but scripts that leave it so depend on it"
     )
     def source_component_zero_is_heard(self) -> None:
-        """A frame from component 0, as pymavlink sends unless told otherwise, is handled."""
+        """A frame from component 0, as pymavlink sends by default, is handled."""
         spec = replace(self.spec(), component_id=0)
         self._require_answer(spec, "a request from component 0 is not answered")
 
@@ -187,7 +187,7 @@ class FrameRules(FrameProbe):
         """The sequence number goes up by one, modulo 256, with each message of a component."""
         self.run(LISTEN_S)
         counts = [e.message.get_seq() for e in self.inbox if e.source == self.target]
-        require(len(counts) > 2, "too few messages to tell")
+        require(len(counts) > 2, "too few messages to judge")
         for first, second in itertools.pairwise(counts):
             require(second == (first + 1) % 256, f"sequence {first} is followed by {second}")
 
@@ -219,13 +219,13 @@ class FrameRules(FrameProbe):
 
     @book.rule(SERIALIZATION)
     def unknown_message_id_is_ignored(self) -> None:
-        """A frame with a message id that nobody knows does no harm."""
+        """A frame with an unknown message id does no harm."""
         self.send_raw(mav.build_raw(UNKNOWN_ID, b"\x01\x02\x03\x04", 17, self.spec()))
         self.require_hearing()
 
     @book.rule(SERIALIZATION)
     def every_sent_frame_has_a_right_crc(self) -> None:
-        """What the vehicle sends passes its CRC."""
+        """Frames of the vehicle pass their CRC."""
         self.run(LISTEN_S)
         counters = self.reader.counters
         require(counters.good > 0, "nothing was heard")

@@ -216,20 +216,20 @@ class MissionRules(PlanClient):
 
     @book.rule(f"{SERVICE} (MISSION_CURRENT)", flavours=PX4)
     def mission_current_tells_total_and_state(self) -> None:
-        """MISSION_CURRENT tells the total and the state: none, then not started."""
+        """MISSION_CURRENT reports the total and the state: none, then not started."""
         self.clear()
         self.run(1.5)
         state = self.request(mav.Current).mission_state
         require(state in (0, 1), f"without a mission: state {state}")
         self.prepare()
         self.run(1.5)
-        told = self.request(mav.Current)
-        require(told.total == 3, f"total {told.total}")
-        require(told.mission_state in (0, 2), f"state {told.mission_state}")
+        current = self.request(mav.Current)
+        require(current.total == 3, f"total {current.total}")
+        require(current.mission_state in (0, 2), f"state {current.mission_state}")
 
     @book.rule(f"{SERVICE}; MAVSDK mission progress", effect=FLIES)
     def mission_is_flown_and_reported(self) -> None:
-        """A started mission reaches its items in order, as MISSION_ITEM_REACHED tells."""
+        """A started mission reaches its items in order, as MISSION_ITEM_REACHED reports."""
         items = self.prepare(3)
         first = 0 if self.is_px4 else 1
         self.watch(mav.Current, 0.5)

@@ -36,7 +36,7 @@ class ParameterRules(ParameterClient):
         """The list does not come in one burst, and the heartbeat goes on meanwhile."""
         found = self.read_all()
         moments = len(set(self.times(mav.ParamValue, self.asked)))
-        assume(len(found) >= 20, "too few parameters to tell")
+        assume(len(found) >= 20, "too few parameters to judge")
         require(moments > 3, f"{len(found)} parameters in {moments} moments")
 
     @book.rule(SERVICE)
@@ -100,12 +100,12 @@ class ParameterRules(ParameterClient):
         require(self.await_value(before.name).raw == before.raw, "another value")
 
     def _require_encoded(self, kinds: tuple[int, ...], value: float, wanted: bytes) -> None:
-        """An integer of one of the types must be told as certain bytes."""
+        """An integer of one of the types must be sent as certain bytes."""
         name = self.integer_name
         before = self.remember(name)
         require(before.kind in kinds, f"{name} has type {before.kind}")
-        told = self.change(name, value)
-        require(told.raw == wanted, f"{value:g} is sent as {told.raw.hex()}")
+        value_sent = self.change(name, value)
+        require(value_sent.raw == wanted, f"{value:g} is sent as {value_sent.raw.hex()}")
 
     @book.rule(f"{SERVICE} (bytewise encoding)", effect=CHANGES, flavours=PX4)
     def integers_are_encoded_bytewise(self) -> None:
@@ -132,9 +132,9 @@ class ParameterRules(ParameterClient):
     def _require_unknown(self, what: str) -> None:
         """PARAM_ERROR must follow (ArduPilot may be silent), and no PARAM_VALUE."""
         mark = self.asked
-        told = self.run_until(lambda: bool(self.heard(mav.ParamError, mark)), ANSWER_S)
-        require(not self.values_since(mark), f"{what}: a value is told")
-        require(told or not self.is_px4, f"{what}: no PARAM_ERROR")
+        has_error = self.run_until(lambda: bool(self.heard(mav.ParamError, mark)), ANSWER_S)
+        require(not self.values_since(mark), f"{what}: a value is sent")
+        require(has_error or not self.is_px4, f"{what}: no PARAM_ERROR")
         self.read(self.float_name)
 
     @book.rule(ERRORS)
@@ -178,9 +178,9 @@ class ParameterRules(ParameterClient):
         self.write(before.name, NAN, REAL32)
         mark = self.asked
         self.run(ANSWER_S)
-        told = self.values_since(mark, before.name)
-        require(bool(told) or not self.is_px4, "not answered")
-        require(all(each.raw == before.raw for each in told), "another value is told")
+        answers = self.values_since(mark, before.name)
+        require(bool(answers) or not self.is_px4, "not answered")
+        require(all(each.raw == before.raw for each in answers), "another value is sent")
         require(self.read(before.name).raw == before.raw, "it was stored")
 
     @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}", effect=CHANGES, flavours=PX4)

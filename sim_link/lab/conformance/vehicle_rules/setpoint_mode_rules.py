@@ -152,7 +152,7 @@ OFFBOARD_NUMBER = mav.custom_mode(Flavour.PX4, "offboard")
 
 
 class OffboardLossRules(SetpointClient, ParameterClient):
-    """What PX4's OFFBOARD needs, and what ends it."""
+    """Conditions of PX4's OFFBOARD, and the events that end it."""
 
     book = RuleBook("offboard_loss", FLIES, PX4)
 
@@ -207,7 +207,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
 
     @book.rule(OFFBOARD_OBSERVED)
     def returning_stream_returns_offboard(self) -> None:
-        """When the setpoints come back, OFFBOARD comes back without a command."""
+        """OFFBOARD comes back without a command when the setpoints come back."""
         setpoint = self._lose_stream()
         self.run(2.5)
         require(not self.is_in("offboard"), "no failsafe")

@@ -109,15 +109,15 @@ class OffboardRules(SetpointClient):
 
     @book.rule(f"{COMMON}, POSITION_TARGET_LOCAL_NED")
     def flown_target_is_told(self) -> None:
-        """POSITION_TARGET_LOCAL_NED tells the target that is flown."""
+        """POSITION_TARGET_LOCAL_NED reports the target that is flown."""
         north, east, down = self.begin()
         wanted = (north + 5.0, east, down)
         target = mavlink.MAVLink_position_target_local_ned_message
         self.set_interval(target, 0.1)
         self.fly(LocalSetpoint(wanted), 8.0)
-        told = self.latest(target)
-        off_m = math.dist((told.x, told.y, told.z), wanted)
-        require(off_m < 1.0, f"told {off_m:.1f} m off")
+        reported = self.latest(target)
+        off_m = math.dist((reported.x, reported.y, reported.z), wanted)
+        require(off_m < 1.0, f"reported {off_m:.1f} m off")
 
     @book.rule("MAVLink guide, Routing")
     def setpoint_for_another_system_is_ignored(self) -> None:

@@ -93,7 +93,7 @@ class SigningRules(FrameProbe):
         return self.signing_key
 
     def _signatures_after(self, wait_s: float) -> list[tuple[Heard, mav.Signature | None]]:
-        """What the vehicle sent until after a while, and what it is signed with."""
+        """Return the messages of the vehicle until after a while, with their signatures."""
         key = self._key
         self.run(wait_s)
         heard = [entry for entry in self.inbox if entry.source == self.target]
@@ -112,7 +112,7 @@ class SigningRules(FrameProbe):
         return self.signer
 
     def _is_taken(self, finish: Callable[[bytes], bytes], *, version: int = 2) -> bool:
-        """Whether a request is answered, its unsigned frame completed by `finish`."""
+        """True if a request is answered, its unsigned frame completed by `finish`."""
         message = self.question()
         incompat = SIGNED if version == 2 else 0
         frame = mav.build_frame(message, self.spec(version=version, incompat=incompat))

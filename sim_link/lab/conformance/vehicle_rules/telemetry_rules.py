@@ -28,7 +28,7 @@ RATE_TOLERANCE = 0.05
 
 
 class StreamRules(VehicleProbe):
-    """Which streams flow, and how fast."""
+    """Streams of a vehicle, and their rates."""
 
     book = RuleBook("streams")
 
@@ -137,7 +137,7 @@ class StreamRules(VehicleProbe):
 
 
 class TelemetryRules(VehicleProbe):
-    """What telemetry says."""
+    """Content of telemetry."""
 
     book = RuleBook("telemetry", begin=VehicleProbe.get_ready)
 
@@ -152,7 +152,7 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, SYS_STATUS, BATTERY_STATUS")
     def battery_makes_sense(self) -> None:
-        """The battery has a voltage of some cells and 0 to 100 % left, or tells it as unknown."""
+        """The battery has a voltage of some cells and 0 to 100 % left, or reports it as unknown."""
         self.watch(mav.SysStatus, 0.5)
         status = self.latest(mav.SysStatus)
         millivolts, percent = status.voltage_battery, status.battery_remaining
@@ -239,15 +239,15 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, AUTOPILOT_VERSION, MAV_PROTOCOL_CAPABILITY")
     def capabilities_are_told(self) -> None:
-        """AUTOPILOT_VERSION tells missions, COMMAND_INT, setpoints, fences and one encoding."""
-        told = self.request(mav.Version).capabilities
+        """AUTOPILOT_VERSION reports missions, COMMAND_INT, setpoints, fences and one encoding."""
+        reported = self.request(mav.Version).capabilities
         for name, bit in CAPABILITIES.items():
-            require(bool(told & bit), f"{name} is missing in {told:#x}")
-        bytewise, c_cast = bool(told & 16), bool(told & 131_072)
+            require(bool(reported & bit), f"{name} is missing in {reported:#x}")
+        bytewise, c_cast = bool(reported & 16), bool(reported & 131_072)
         if self.is_px4:
-            require(bytewise and not c_cast, f"PX4 encodes bytewise, told {told:#x}")
+            require(bytewise and not c_cast, f"PX4 encodes bytewise, reported {reported:#x}")
         else:
-            require(not bytewise, f"ArduPilot encodes by C-cast, told {told:#x}")
+            require(not bytewise, f"ArduPilot encodes by C-cast, reported {reported:#x}")
 
     @book.rule(f"{COMMON}, GPS_GLOBAL_ORIGIN, HOME_POSITION")
     def origin_and_home_come_on_request(self) -> None:
@@ -270,8 +270,8 @@ class TelemetryRules(VehicleProbe):
             require((after.latitude, after.longitude, after.altitude) == kept, "the origin moved")
             return
         answer = self.expect(mav.Origin, mark=self.asked)
-        told = (answer.latitude, answer.longitude, answer.altitude)
-        require(told == wanted, f"{told}, not {wanted}")
+        place = (answer.latitude, answer.longitude, answer.altitude)
+        require(place == wanted, f"{place}, not {wanted}")
         self.send(mav.SetOrigin(self.target[0], *kept))
         self.run(0.2)
 

@@ -105,7 +105,7 @@ class UploadRules(PlanClient):
 
     @book.rule(f"{SERVICE}; {mav.OBSERVED_PX4}", flavours=PX4)
     def item_without_an_upload_is_an_error(self) -> None:
-        """An item that nobody asked for is answered by an ACK with an error."""
+        """An item that was not requested is answered by an ACK with an error."""
         self.send_item(self.square(1)[0], 0)
         result = self.await_ack()
         require(result != 0, f"ACK {result}")
@@ -140,7 +140,7 @@ class UploadRules(PlanClient):
 
 
 class PlanResultRules(PlanClient):
-    """What plans are refused for."""
+    """Refusals of plans."""
 
     book = RuleBook("plan_results", CHANGES, begin=VehicleProbe.get_ready)
 
@@ -197,8 +197,8 @@ class FenceRules(PlanClient):
     def fences_survive(self) -> None:
         """A polygon and a circle come back with their vertex count and radius."""
         found = self._require_fence_kept(self.polygon() + self.circle())
-        told = [item.params[0] for item in found]
-        require(told == [4.0, 4.0, 4.0, 4.0, 500.0], f"param1 {told}")
+        params = [item.params[0] for item in found]
+        require(params == [4.0, 4.0, 4.0, 4.0, 500.0], f"param1 {params}")
 
     @book.rule(f"{SERVICE}, Geofence")
     def exclusions_survive(self) -> None:
@@ -214,9 +214,9 @@ class FenceRules(PlanClient):
 
     @book.rule(f"{SERVICE}, Geofence")
     def broken_fence_is_refused(self) -> None:
-        """A polygon that tells more vertices than it has is refused, and the old fence stays."""
+        """A polygon that states more vertices than it has is refused, and the old fence stays."""
         self.require_upload(self.circle(), mav.FENCE)
-        require(self.upload(self.polygon(told=7.0), mav.FENCE) != 0, "accepted")
+        require(self.upload(self.polygon(stated=7.0), mav.FENCE) != 0, "accepted")
         found = self.download(mav.FENCE)
         self.clear(mav.FENCE)
         require(len(found) == 1, f"{len(found)} items are left of the old fence")

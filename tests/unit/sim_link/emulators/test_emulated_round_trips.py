@@ -34,11 +34,11 @@ def formats(*needed: str) -> list[object]:
     return [pytest.param(each, id=each.name) for each in chosen]
 
 
-def drawn(rng: np.random.Generator, told_s: float, *, is_array: bool) -> RangingMeasurement:
+def drawn(rng: np.random.Generator, sent_at_s: float, *, is_array: bool) -> RangingMeasurement:
     azimuth_rad, elevation_rad = rng.uniform(-FIELD_RAD, FIELD_RAD, 2).tolist()
     return RangingMeasurement(
         EMITTER,
-        told_s,
+        sent_at_s,
         float(rng.uniform(NEAR_M, FAR_M)),
         float(rng.uniform(0.6, 3.0)),
         bearing_body_rad=azimuth_rad,
@@ -58,10 +58,10 @@ def said(
     radio = make_emulator(format_.name, 1, clock_s)
     measured, printed = [], [(radio.boot(), 0.0)]
     for number in range(rounds):
-        told_s = 1.0 + 0.2 * number + float(rng.uniform(0.0, 0.1))
-        each = drawn(rng, told_s, is_array=radio.antenna in ("line", "two_axis"))
+        sent_at_s = 1.0 + 0.2 * number + float(rng.uniform(0.0, 0.1))
+        each = drawn(rng, sent_at_s, is_array=radio.antenna in ("line", "two_axis"))
         measured.append(each)
-        printed.append((radio.say(Round(told_s, (Answer(EMITTER, each),))), told_s))
+        printed.append((radio.say(Round(sent_at_s, (Answer(EMITTER, each),))), sent_at_s))
     return measured, printed
 
 
@@ -202,7 +202,7 @@ def test_emitters_are_told_apart(format_: Format) -> None:
 
 def test_a_program_that_prints_json_says_of_an_arcsine_that_it_is_one() -> None:
     asked = drawn(np.random.default_rng(3), 1.0, is_array=True)
-    printed = make_emulator("ndjson", 1, 0.0).tell(Round(1.0, (Answer(EMITTER, asked),)))
+    printed = make_emulator("ndjson", 1, 0.0).encode(Round(1.0, (Answer(EMITTER, asked),)))
     (got,) = read(FORMAT_OF["ndjson"], [(printed, 1.0)])
     assert got.is_array_angle
     assert got.bearing_body_rad == pytest.approx(asked.bearing_body_rad, abs=1e-9)
@@ -219,7 +219,7 @@ def test_a_board_turns_two_arcsines_into_azimuth_and_elevation() -> None:
         elevation_rad=math.asin(up),
         is_array_angle=True,
     )
-    printed = make_emulator("uudf", 1, 0.0).tell(Round(1.0, (Answer(EMITTER, asked),)))
+    printed = make_emulator("uudf", 1, 0.0).encode(Round(1.0, (Answer(EMITTER, asked),)))
     half_rad = math.radians(0.51)
     (got,) = read(FORMAT_OF["uudf"], [(printed, 1.0)])
     assert got.bearing_body_rad == pytest.approx(math.atan2(right, ahead), abs=half_rad)

@@ -1,0 +1,123 @@
+"""Print a random sample of docstrings and operator texts to read aloud, or check their wording.
+
+    .venv/bin/python tools/read_aloud.py [--seed 7]    # 60 docstrings and 40 operator texts
+    .venv/bin/python tools/read_aloud.py --check       # exit code 1 if a limit is exceeded
+
+The check counts docstrings that begin with a wh-word, lines with words that this project keeps out
+of code and pages, and public modules, classes and functions without a docstring.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import random
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("companion", "sim_link", "tools")
+TEXTS = (*PACKAGES, "configs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+WH_CLAUSE = re.compile(r"(What|Whether|Who|Whom|Whose|How|Where|When|Which|Why)(ever)?\b")
+WORDS = re.compile(r"\b(told|tells?|anew|whoever|nobody|somebody|somewhen)\b", re.IGNORECASE)
+LIMITS = {"wh-clauses": 0, "words": 20, "missing": 0}
+Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+
+
+class Docstring(NamedTuple):
+    """Docstring of a module, class or function; empty text if there is none."""
+
+    place: str
+    name: str
+    text: str
+
+
+def files_of(*paths: str) -> list[Path]:
+    """Return the files below these paths that git tracks."""
+    command = ["git", "-C", str(ROOT), "ls-files", "-z", "--", *paths]
+    listed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return [ROOT / name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+
+
+def docstrings() -> Iterator[Docstring]:
+    """Yield the docstring of every module, class and function of the product and its tools."""
+    for path in files_of(*PACKAGES):
+        if path.suffix == ".py":
+            yield from _docstrings_of(path)
+
+
+def _docstrings_of(path: Path) -> Iterator[Docstring]:
+    """Functions inside functions count only if they have a docstring."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inner = {
+        id(nested)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        for nested in ast.walk(node)
+        if nested is not node
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, Documented):
+            text = ast.get_docstring(node) or ""
+            if text or id(node) not in inner:
+                name = getattr(node, "name", path.stem)
+                place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}"
+                yield Docstring(place, name, text)
+
+
+def operator_texts() -> list[str]:
+    """Return the rows of the list of operator messages: text, severity, cause and action."""
+    page = (ROOT / "docs/messages.md").read_text(encoding="utf-8")
+    return re.findall(r"^\| (`.+) \|$", page, re.MULTILINE)
+
+
+def findings() -> dict[str, list[str]]:
+    """Return what the check counts, as lines with their places."""
+    every = list(docstrings())
+    lines = []
+    for path in files_of(*TEXTS):
+        if path != Path(__file__) and path.suffix in {
+            ".py",
+            ".yaml",
+            ".md",
+            ".toml",
+            ".html",
+            ".js",
+        }:
+            for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+                if WORDS.search(line):
+                    lines.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
+    return {
+        "wh-clauses": [
+            f"{d.place}: {d.text.splitlines()[0]}" for d in every if WH_CLAUSE.match(d.text)
+        ],
+        "words": lines,
+        "missing": [f"{d.place}: {d.name}" for d in every if not d.text and d.name[0] != "_"],
+    }
+
+
+def main() -> int:
+    """Print the sample, or what the check found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=1, help="of the sample")
+    parser.add_argument("--check", action="store_true", help="count, and exit with 1 over a limit")
+    options = parser.parse_args()
+    if options.check:
+        found = findings()
+        for kind, lines in found.items():
+            print(f"{kind}: {len(lines)}, at most {LIMITS[kind]}", *lines, sep="\n  ")
+        return int(any(len(lines) > LIMITS[kind] for kind, lines in found.items()))
+    draw = random.Random(options.seed)
+    written = [each for each in docstrings() if each.text]
+    for each in draw.sample(written, 60):
+        print(f"{each.place} {each.name}\n    " + each.text.replace("\n", "\n    "))
+    print(*draw.sample(operator_texts(), 40), sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
