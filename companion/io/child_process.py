@@ -96,7 +96,7 @@ class ChildProcess:
         except OSError:
             return []
 
-    def tell(self, line: str) -> None:
+    def write_line(self, line: str) -> None:
         """Write a line to its standard input."""
         process = self._process
         if process is not None and process.stdin is not None:

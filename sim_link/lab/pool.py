@@ -2,7 +2,7 @@
 
 The function is a module's own and needs nothing but its item, so that where it runs changes no
 result. Items are given out in order, no more at a time than keep everybody busy. A worker leaves
-Ctrl-C to whoever gives work, and ends with it; who stops listening ends the work: processes are
+Ctrl-C to its parent, and ends with it; a parent that stops listening ends the work: processes are
 interrupted and clean up, what has begun on a cluster runs to its end and is forgotten.
 """
 
@@ -52,7 +52,7 @@ GRACE_S = 10.0
 CONNECT_S = 3.0
 FIRST_WORKER_S = 5.0
 FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000
-"""A scheduler greets whoever connects with the number of its handshake's frames, which are few."""
+"""A scheduler greets each client with the number of its handshake's frames, which are few."""
 THREADS_OF = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 for processes that are as many as there are cores."""
 
@@ -63,7 +63,7 @@ LIBRARIES = ("numpy", "scipy", "numba", "filterpy")
 
 
 class WorkerLostError(CompanionError):
-    """Whoever worked on some items is gone; their positions are those that did not come back."""
+    """A worker is gone; `positions` are those of its unfinished items."""
 
     def __init__(self, text: str, positions: Sequence[int]) -> None:
         super().__init__(text)
@@ -124,7 +124,7 @@ class Pool:
 
 @contextmanager
 def open_pool(backend: str = LOCAL, jobs: int = 1) -> Iterator[Pool]:
-    """This process, more of this machine, or dask://HOST:PORT (`ConfigError`: nobody answers)."""
+    """This process, more of this machine, or dask://HOST:PORT (`ConfigError`: no answer)."""
     if backend != LOCAL:
         with _connected(backend) as cluster:
             yield Pool(cluster, AHEAD * cluster.size)

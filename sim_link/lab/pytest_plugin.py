@@ -97,7 +97,7 @@ def fly_marked(
 
 
 def _or_fail(find: Callable[[], T]) -> T:
-    """What is found; what is wrong with it fails the test with one line."""
+    """Return what `find` returns; its error fails the test with one line."""
     from companion.errors import CompanionError
 
     try:
@@ -108,7 +108,7 @@ def _or_fail(find: Callable[[], T]) -> T:
 
 
 def _listed(marker: pytest.Mark, folder: Path) -> tuple[FlavourName, ...]:
-    """The autopilots that a marker leaves to its script; of a wrong one none, the flight tells."""
+    """The autopilots that a marker leaves to its script; none if it is wrong."""
     from companion.errors import CompanionError
     from sim_link.lab.mission.batch import flavours_of
     from sim_link.lab.mission.script_file import load_mission
@@ -136,7 +136,7 @@ def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
 def _wanted(
     marker: pytest.Mark, folder: Path, flavour: FlavourName | None
 ) -> tuple[Mission, int, Path]:
-    """What a marker asks to be flown; `CompanionError`, `TypeError`, `ValueError`: it is wrong."""
+    """Parse a mission marker; a wrong one raises `CompanionError`, `TypeError` or `ValueError`."""
     from sim_link.autopilot.scenario import FlavourName
     from sim_link.lab.mission.batch import check_flyable, flavours_of, with_autopilot
     from sim_link.lab.mission.script_file import load_mission
@@ -198,7 +198,7 @@ def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]
 
 
 def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
-    """What a marker says of the vehicle, as options of `sim-link`, which judges the values."""
+    """Convert a vehicle marker to options of `sim-link`, which checks the values."""
 
     def sim_vehicle(
         *,

@@ -28,13 +28,13 @@ from sim_link.world.environment import Emitter
 MOST_HZ = 50.0
 """Positions come no faster."""
 SILENCE_S = 10.0
-"""Seconds without a vehicle after which somebody is told."""
+"""Seconds without a vehicle after which a warning is printed."""
 
 DESCRIPTION = """\
 Ride on a vehicle that is not simulated here: hear its telemetry and send RADIO_RANGING of an
 emitter that is not there, as a payload on board would; or print what a real radio would."""
 EPILOG = """\
-examples, for a companion started with --ranging udp:127.0.0.1:14600, on ports that nobody else has:
+examples, for a companion started with --ranging udp:127.0.0.1:14600, on free ports:
   sim-link radio --follow udpin:127.0.0.1:14030 --send-to 127.0.0.1:14600   beside PX4 SITL
   sim-link radio --follow tcp:127.0.0.1:5763 --send-to 127.0.0.1:14600      beside ArduPilot SITL
 and for one that reads a radio of its own:
@@ -107,7 +107,7 @@ def _check_options(arguments: argparse.Namespace) -> None:
 
 
 def _speaker(arguments: argparse.Namespace) -> Callable[[str], None]:
-    """Tells people, where no radio prints."""
+    """Prints texts for people, apart from the radio's output."""
     is_taken = arguments.to is not None and is_stdout(arguments.to)
     stream = sys.stderr if is_taken else sys.stdout
     return lambda text: print(f"sim-link: {text}", file=stream, flush=True)

@@ -100,7 +100,7 @@ class RadioFollower(OneShotEndpoint):
         self._attitude = LEVEL
         self._attitude_heard_s = -math.inf
         self._late: deque[Round] = deque()
-        """What is still to be told."""
+        """Rounds that are still to be sent."""
         self._wanted = tuple(emitters)
         self._emitters: tuple[Emitter, ...] = ()
         self._place_emitters([each for each in emitters if isinstance(each, Emitter)])
@@ -119,12 +119,12 @@ class RadioFollower(OneShotEndpoint):
 
     @property
     def is_following(self) -> bool:
-        """Whether a vehicle is heard."""
+        """True if a vehicle is heard."""
         return self._system_id is not None
 
     @property
     def needs_origin(self) -> bool:
-        """Whether emitters wait for the origin of the local frame."""
+        """True if emitters wait for the origin of the local frame."""
         return len(self._emitters) < len(self._wanted)
 
     @property
@@ -200,7 +200,7 @@ class RadioFollower(OneShotEndpoint):
         self._late.append(Round(stamp_s + self._params.lag_s, answers))
 
     def _asked(self, emitter: Emitter, place: PositionEnu, stamp_s: float) -> Answer:
-        """What comes back from an emitter; emulated, a world's bearing becomes one of the body."""
+        """Answer of an emitter; for an emulator, a bearing from north becomes one from the nose."""
         heard = None
         is_high = place[2] - self._ground_up_m >= self._params.min_altitude_m
         if is_high and emitter.slant_range_m(place) <= self._params.max_range_m:

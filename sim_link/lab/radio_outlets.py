@@ -1,4 +1,4 @@
-"""Where an emulated radio's bytes go beside serial lines, UDP and TCP: stdout, HTTP, web sockets.
+"""Outlets of an emulated radio beside serial lines, UDP and TCP: stdout, HTTP, web sockets.
 
 A web socket's client is sent what every client is sent first, and the frames from then on. A radio
 that is polled serves one document, its latest; until there is one, and for any other path
@@ -40,12 +40,12 @@ class PageAddress:
 
 
 def is_stdout(text: str) -> bool:
-    """Whether `--to` is standard output, which then is no place to tell people."""
+    """True if `--to` is standard output, which then must not carry texts for people."""
     return text.strip().partition(":")[0].lower() == "stdout"
 
 
 def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
-    """Where `--to` leads; a `ConfigError` shows a right one."""
+    """Parse `--to`; the `ConfigError` for a wrong one shows a right one."""
     scheme = text.strip().partition(":")[0].lower()
     if kind.request and (is_stdout(text) or scheme.startswith("udp")):
         raise ConfigError(

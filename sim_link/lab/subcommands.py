@@ -20,12 +20,12 @@ def run_subcommand(argv: Sequence[str]) -> int:
 
 
 def subcommand_parser() -> argparse.ArgumentParser:
-    """What `sim-link` understands with a subcommand in front."""
+    """Return the parser of `sim-link` with a subcommand."""
     parser = ComplaintParser(prog="sim-link")
     commands = parser.add_subparsers(required=True, metavar="{mission,radio,proxy}")
     mission = commands.add_parser("mission", help="fly mission scripts")
     kinds = mission.add_subparsers(required=True, metavar="{run}")
-    _add(kinds, "run", "fly scripts and tell pass or fail", mission_cli)
+    _add(kinds, "run", "fly scripts and report pass or fail", mission_cli)
     _add(commands, "radio", "a radio payload for a vehicle that has none", radio_command)
     _add(commands, "proxy", "a bad link between a vehicle and a companion", proxy)
     return parser

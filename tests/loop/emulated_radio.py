@@ -150,7 +150,7 @@ class EmulatedRadio:
                 return None
             told = message_from_ranging(self._coarsen(heard), self._stamp(now_s))
             return self._codec.encode(told)
-        if heard is not None and not self._emulator.tells_north:
+        if heard is not None and not self._emulator.reports_north:
             heard = seen_from_nose(heard, sim.vehicle.body.yaw_ned_rad)
         asked = Round(now_s, (Answer(self._emitter.emitter_id, heard),))
         printed, self._boot = self._boot + self._emulator.say(asked), b""

@@ -238,7 +238,7 @@ class Loop:
         self.operator = Operator(self.flight)
         self.run = self.flight.run
         self.command = self.operator.command
-        self.tell_vehicle: Callable[[Message], None] = self.operator.tell
+        self.tell_vehicle: Callable[[Message], None] = self.operator.send
         self.grant = self.operator.grant
 
     def choose(self, mode: FlightMode, *, is_told_at_once: bool = False) -> None:

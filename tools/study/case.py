@@ -55,7 +55,7 @@ Offsets = Literal["fixed", "prior"]
 NlosDraws = Literal["joint", "separate"]
 
 PAPER_BELIEF = FilterParams(own_position_sigma_m=0.0, antenna=AntennaParams(kind="azimuth"))
-"""What every filter believes in the canonical scenario."""
+"""Assumptions of every filter in the canonical scenario."""
 
 STUDY_SHADOW = ShadowParams(
     detour_share=0.0,
@@ -179,7 +179,7 @@ RunSeed = int | np.random.SeedSequence
 
 
 class RunTruth(NamedTuple):
-    """What is true in one run, as the kernels take it."""
+    """True parameters of one run, as the kernels take them."""
 
     east_m: float
     north_m: float
@@ -193,7 +193,7 @@ class RunTruth(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What stands between sensor and target, as the kernels take it."""
+    """Obstacles between sensor and target, as the kernels take them."""
 
     surroundings: Surroundings
     shadow: Shadow
@@ -213,7 +213,7 @@ def stream(seed: RunSeed, which: int) -> np.random.Generator:
 
 @kernel
 def drawn(rng: np.random.Generator, steps: int) -> Matrix:
-    """What the channel draws, (steps, 6)."""
+    """Draw the channel's random numbers, (steps, 6)."""
     draws = np.empty((steps, COLUMNS))
     for index in range(steps):
         draws[index, OBSTRUCTED] = rng.random()
@@ -226,7 +226,7 @@ def drawn(rng: np.random.Generator, steps: int) -> Matrix:
 
 
 def channel_draws(case: Case, seed: RunSeed) -> Matrix:
-    """What the channel of a run draws, (steps, 6)."""
+    """Draw the random numbers of a run's channel, (steps, 6)."""
     draws = drawn(stream(seed, CHANNEL), case.steps)
     if case.nlos_draws == "separate":
         draws[:, BENT] = stream(seed, BEARING_CHANNEL).random(case.steps)
@@ -281,7 +281,7 @@ def scene_of(case: Case) -> Scene:
 
 
 def truth_of(case: Case, rng: np.random.Generator) -> RunTruth:
-    """What is true in a run; draws two numbers whether the case needs them or not."""
+    """Draw the truth of a run; draws two numbers even if the case needs none."""
     channel, belief = case.channel, case.belief
     range_offset_m, bearing_offset_deg = channel.range_offset_m, channel.bearing_offset_deg
     draws = rng.standard_normal(2)
@@ -301,9 +301,9 @@ def truth_of(case: Case, rng: np.random.Generator) -> RunTruth:
 
 
 def run_inputs(case: Case, seed: RunSeed) -> tuple[Matrix, RunTruth, Vector]:
-    """What the channel of a run draws, what is true in it, and where its first estimate is.
+    """Return channel draws, truth and first estimate of a run.
 
-    That place (2,) is drawn over the area; NaN: from the first measurement.
+    The first estimate (2,) is drawn over the area; NaN: from the first measurement.
     """
     rng = stream(seed, TRUTH)
     truth = truth_of(case, rng)

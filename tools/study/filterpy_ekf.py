@@ -104,7 +104,7 @@ def _residual(rows: list[int], z: Vector, expected: Vector) -> Vector:
 def _reports(
     ekf: Any, rows: list[int], noise: Vector, effective: Vector
 ) -> list[ModalityReport | None]:
-    """What each modality did, beside what those before it explained, by variances (3,)."""
+    """Report each modality given those before it; variances of shape (3,)."""
     reports: list[ModalityReport | None] = [None] * MODALITIES
     conditional = np.diag(np.linalg.cholesky(ekf.S)) ** 2 if rows else np.zeros(0)
     for index, row in enumerate(rows):

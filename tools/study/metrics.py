@@ -76,7 +76,7 @@ def nees(errors_enu_m: Matrix, covariances_m2: Matrix) -> Vector:
 
 
 def nees_band(runs: int) -> tuple[float, float]:
-    """Where the mean NEES over independent runs is with a probability of 95 %, if honest.
+    """Return the 95 % interval of the mean NEES over independent runs of a consistent filter.
 
     Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
     Navigation (2001), section 5.4.
@@ -132,7 +132,7 @@ def channel_information(
     """The information J of a channel with thermal noise, or a ValueError, by quadrature.
 
     The trapezoidal rule has so many nodes per thermal standard deviation. If not joint, each error
-    has a draw of its own, and neither tells whether the other is long or bent.
+    has a draw of its own, independent of the other's obstruction.
     """
     if channel.range_sigma_m <= 0.0 or channel.bearing_sigma_deg <= 0.0:
         raise ValueError("a channel without thermal noise has no bound")

@@ -100,13 +100,13 @@ class FlightGrid(Params, frozen=True):
 
 
 class Study(Params, frozen=True):
-    """What is run and reported together."""
+    """Set of sweeps that are run and reported together."""
 
     table: str
     title: str
     note: str = ""
     runs: Count = 200
-    """Of every cell, unless whoever runs it says otherwise."""
+    """Of every cell, unless the command line overrides it."""
     systems: Systems = ()
     metrics: tuple[Metric, ...] = ()
     sweeps: tuple[Sweep, ...] = ()
@@ -204,7 +204,7 @@ def overridden(base: Mapping[str, Any], changes: Mapping[str, Any], where: str) 
 
 
 def names_of(system: System) -> tuple[str, ...]:
-    """What tables call a system; the paper means lanes where it names no planner."""
+    """Return a system's names in tables; the paper means lanes where it names no planner."""
     if system.planner == "passive":
         return system.label, FILTER_LABELS[system.filter]
     return (system.label,)
@@ -218,7 +218,7 @@ def value_text(value: Value) -> str:
 
 
 def hint(name: str, known: Iterable[str]) -> str:
-    """What a misspelt name may have been meant to be."""
+    """Suggest a known name for a misspelt one."""
     names = list(dict.fromkeys(known))
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"did you mean `{near[0]}`?" if near else f"known: {', '.join(names)}"
@@ -302,7 +302,7 @@ class ResultRow:
 
 
 class FlightRow(Params, frozen=True):
-    """What one flight came to: one row of flights.csv; None where there is nothing to say."""
+    """Result of one flight: a row of flights.csv; None where there is no value."""
 
     radio: str
     config: ConfigKind

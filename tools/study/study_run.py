@@ -97,7 +97,7 @@ def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
 
 
 def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
-    """Do all of it, keep it, and tell the cost of every task that is done.
+    """Do all of it, keep it, and report the cost of every task that is done.
 
     Runs of compiled kernels wait until one process has compiled them, which takes a minute after a
     change of the sources; the others do those that need none meanwhile.
@@ -127,7 +127,7 @@ def first_runs(tasks: Iterable[RunSeries]) -> tuple[RunSeries, ...]:
 
 
 def _perform(tasks: tuple[RunSeries, ...]) -> bytes:
-    """What the last one comes to."""
+    """Carry out tasks, and return the encoded result of the last one."""
     result = b""
     for task in tasks:
         if isinstance(task, EkfCheck):
@@ -138,7 +138,7 @@ def _perform(tasks: tuple[RunSeries, ...]) -> bytes:
 
 
 def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list[StudyResult]:
-    """What studies came to, from what is kept; a KeyError where not all of it was carried out."""
+    """Collect the results of studies from the store; KeyError if a task is missing."""
     tallies: dict[tuple[str, ...], trials.RunTally] = {}
     results: list[StudyResult] = []
     for study in studies:
@@ -154,13 +154,13 @@ def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list
 
 
 def task_key(task: RunSeries) -> str:
-    """What a task is kept under."""
+    """Key of a task in the store."""
     kind = "ekf check" if isinstance(task, EkfCheck) else "tally"
     parts = (kind, task.seed, task.first, task.runs, sources_digest())
     return key_of(task.case, task.system, *parts)
 
 
 def cost_of(task: RunSeries) -> float:
-    """What a task takes, roughly, milliseconds."""
+    """Rough duration of a task, ms."""
     name = "filterpy" if isinstance(task, EkfCheck) else task.system.filter
     return COST_MS.get(name, USUAL_COST_MS) * task.runs * task.case.steps / USUAL_STEPS

@@ -39,7 +39,7 @@ STEP_S = 1.0
 EMITTER_ID = 1
 
 Fuse = Callable[[RangingMeasurement, PositionEnu], tuple[TargetEstimate, Matrix]]
-"""Takes in a measurement from a place; where the target is believed to be then, and the (4, 4)
+"""Takes in a measurement from a place; returns the estimated target position, and the (4, 4)
 covariance of [east, north, range offset, bearing offset]."""
 Steer = Callable[[int, Point, TargetEstimate, Matrix], Point]
 """The place of a step, from the place before and what `Fuse` said there."""
@@ -174,7 +174,7 @@ class System:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether its run is one compiled loop."""
+        """True if its run is one compiled loop."""
         return self.filter == "map" or self.filter in KINDS
 
 
@@ -189,7 +189,7 @@ def system_named(name: str) -> System:
 
 
 def belief_of(case: Case, system: System) -> WalkFilter:
-    """What the system's recursive filter believes, as the compiled walk takes it."""
+    """Return the system's filter parameters, as the compiled walk takes them."""
     target_filter = recursive_filter_of(case, system)
     params = target_filter.params
     mean, sigmas = params.prior

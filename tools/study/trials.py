@@ -25,7 +25,7 @@ from tools.study.systems import System
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What happened in a run, after each of its steps."""
+    """Truth and estimates of a run, after each of its steps."""
 
     truth: RunTruth
     record: Matrix
@@ -102,7 +102,7 @@ def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
     """The bound on the squared error after every step of every run, (steps,) each, m^2.
 
     Behind obstacles it is known for shadows whose draws are new at every place. Detours, pulls and
-    correlated draws tell of the place by themselves, so that no bound is given for them (NaN).
+    correlated draws carry information on the place, so that no bound is given for them (NaN).
     """
     shadow = case.shadow
     is_memoryless = shadow.detour_share == shadow.pull_share == shadow.correlation_m == 0.0
@@ -138,7 +138,7 @@ def shaded_places(track_enu_m: Matrix, surroundings: Surroundings) -> Vector:
 
 
 def shadow_channel(case: Case) -> ChannelParams:
-    """What a path suffers behind an obstacle, as a channel of its own."""
+    """Channel parameters of a path behind an obstacle."""
     return msgspec.structs.replace(
         case.channel,
         p_nlos=1.0,
@@ -170,7 +170,7 @@ class RunSeries:
 
 @dataclass(frozen=True, slots=True)
 class RunTally:
-    """What is kept of runs: how each of them ended, and sums over them after every step.
+    """Outcomes of runs, and sums over them after every step.
 
     Sums, (steps,) each, are of squared errors, of the Cramer-Rao bounds on them, of NEES, of runs
     whose R95 circle contained the target, and of the estimated offsets.

@@ -102,7 +102,7 @@ def printed_candidate(criteria: Vector, pick: float) -> int:
 
 
 def information_gradient(criteria: Vector) -> float:
-    """How much the best candidate is ahead of the worst, as a share of the best."""
+    """Return the lead of the best candidate over the worst, as a share of the best."""
     best = float(criteria.max())
     return (best - float(criteria.min())) / best
 
@@ -117,7 +117,7 @@ COLUMNS = 9
 
 
 class WalkFilter(NamedTuple):
-    """What a recursive filter believes, as the kernels take it.
+    """Parameters of a recursive filter, as the kernels take them.
 
     Thresholds are (3, 2), bounds (2, n), priors (n,), the pull is (4,).
     """
@@ -285,7 +285,7 @@ def next_place(
     belief: WalkFilter,
     steering: WalkSteering,
 ) -> tuple[float, float, Latch]:
-    """Where a planner that follows the estimate flies next, and its latch.
+    """Return the next position of a planner that follows the estimate, and its latch.
 
     Both FIM planners fly to the end of the best candidate, or nowhere.
     """

@@ -287,7 +287,7 @@ def _give_back(around: Monitored) -> bool:
     """True if the companion is in control, if need be after the operator gave it back."""
     flight = around.flight
     for _ in range(4):
-        if flight.mode is FlightMode.OFFBOARD and around.monitor.scene.told.is_ours:
+        if flight.mode is FlightMode.OFFBOARD and around.monitor.scene.observed.is_ours:
             return True
         around.operator.grant()
         flight.run(GIVE_BACK_S)

@@ -132,7 +132,7 @@ class RuleRun:
         report: Callable[[str], None],
     ) -> None:
         self.outcomes: list[RuleOutcome] = []
-        self._link, self._options, self._show, self._report = link, options, show, report
+        self._link, self._options, self._show, self._progress = link, options, show, report
         self._baseline = Baseline(HARM_FLAG in options.allowed, report)
         self._first: Any = None
         self._lost = ""
@@ -166,7 +166,7 @@ class RuleRun:
         except KeyboardInterrupt:
             self._lost = "stopped"
             self._is_in_order = not is_there
-            self._tell("stopped: putting the vehicle in order (once more to leave it as it is)")
+            self._progress("stopped: putting the vehicle in order (once more to leave it as it is)")
         with suppress(KeyboardInterrupt):
             self._finish()
         for rule in rest:
@@ -227,7 +227,7 @@ class RuleRun:
             if self._is_in_order:
                 return probe
         except NotApplicable as silence:
-            self._tell(f"{silence}: waiting {COME_BACK_S:g} s for it to come back")
+            self._progress(f"{silence}: waiting {COME_BACK_S:g} s for it to come back")
             before = self.outcomes[-1].rule.rule_id if self.outcomes else "the beginning"
             self._silences.append(f"it fell silent after {before}")
             self._is_in_order = not self._is_vehicle
@@ -246,7 +246,7 @@ class RuleRun:
             self._is_in_order = True
             self._failed_landings = 0
         except Violation as problem:
-            self._tell(f"the vehicle is not in order: {problem}")
+            self._progress(f"the vehicle is not in order: {problem}")
             self._failed_landings += 1
             if self._failed_landings >= MOST_LANDINGS:
                 self._lost = f"the vehicle is not in order: {problem}"
@@ -261,4 +261,4 @@ class RuleRun:
                 self._is_in_order = True
             caretaker.leave()
         except Violation as problem:
-            self._tell(f"not all is as it was: {problem}")
+            self._progress(f"not all is as it was: {problem}")

@@ -48,14 +48,14 @@ class FlightTask:
 
     @property
     def misfit(self) -> str:
-        """Why it is not flown, as far as that is known before anything starts; empty: it is."""
+        """Reason why the task cannot be flown, as far as known before it starts; empty: none."""
         if self.connect is not None:
             return vehicle_fault_of(self.mission)
         return self.mission.misfit(self.mission.autopilot.flavour)
 
     @property
     def flight_name(self) -> str:
-        """What its folder is called while it is flown, when nobody knows yet who answers."""
+        """Name of the flight's folder while the autopilot is still unknown."""
         flavour = self.mission.autopilot.flavour if self.connect is None else "vehicle"
         return flight_name(self.mission.name, flavour, self.how, self.seed)
 
@@ -73,7 +73,7 @@ def check_reports(folder: Path) -> None:
     """Make the folder, and check that reports can be written there; else a `CompanionError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder):  # only trying tells, root may do anything
+        with tempfile.NamedTemporaryFile(dir=folder):  # only trying shows it, root may do anything
             pass
     except OSError as error:
         raise CompanionError(f"--report {folder}: cannot be written ({error.strerror})") from error
@@ -81,7 +81,7 @@ def check_reports(folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class MissionBatch:
-    """What is to be flown."""
+    """Missions to be flown."""
 
     files: Sequence[Path]
     seeds: Sequence[int] = (0,)
@@ -187,9 +187,9 @@ def fly_all(
 ) -> None:
     """Fly them, so many at once (1: in this process) or on a backend of `open_pool`.
 
-    `done` is told the position of a task and its result, as they come; `progress` every slice where
+    `done` gets the position of a task and its result, as they come; `progress` every slice where
     they are flown in this process. `ConfigError`: the backend is not there. After a
-    KeyboardInterrupt nothing is told of what was not over by then.
+    KeyboardInterrupt unfinished flights are not reported.
     """
     jobs = min(jobs, len(tasks))
     is_here = jobs <= 1 and backend == LOCAL
@@ -228,7 +228,7 @@ def fly_task(task: FlightTask, progress: Progress | None = None) -> MissionResul
 
 
 def unflown(task: FlightTask, error: str) -> MissionResult:
-    """What is told of a flight that did not come to an end, and why."""
+    """Return the result of a flight that did not come to an end, with the reason."""
     return MissionResult(task.mission, task.file, task.seed, task.how, error=error)
 
 

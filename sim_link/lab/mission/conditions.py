@@ -28,7 +28,7 @@ from companion.guidance.authority.state_machine import Phase
 
 
 class Kind(Enum):
-    """What a value is, so that only like is compared with like."""
+    """Type of a value, so that only like is compared with like."""
 
     NUMBER = "a number"
     TRUTH = "true or false"
@@ -169,11 +169,11 @@ class Condition:
     _get: Getter
 
     def holds(self, situation: FlightSituation) -> bool:
-        """Whether it holds now; what is unknown does not."""
+        """True if the condition holds now; an unknown value does not hold."""
         return self._get(situation) is True
 
     def is_false(self, situation: FlightSituation) -> bool:
-        """Whether it is known not to hold."""
+        """True if the condition is known not to hold."""
         return self._get(situation) is False
 
 

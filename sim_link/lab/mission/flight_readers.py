@@ -81,7 +81,7 @@ class TelemetryReader:
             self._record.messages["companion", message.get_msgId()] += 1
 
     def _is_ours(self, message: Message) -> bool:
-        """Whether the sender is on the vehicle that was heard first; its radio is, too."""
+        """True if the sender is on the vehicle that was heard first; its radio is, too."""
         match message:
             case mavlink.MAVLink_heartbeat_message() if self.system_id is None:
                 if autopilot_of(message) is not None:
@@ -278,7 +278,7 @@ class WireWatch:
         return self._machine_s + self._late_s
 
     def looked(self, now_s: float) -> None:
-        """The hub looks at the mission; what it comes too late by tells how busy the machine is."""
+        """The hub looks at the mission; its lateness shows how busy the machine is."""
         if self._looked_s is not None:
             self._late_s = max(self._late_s, now_s - self._looked_s - PERIOD_S)
         self._looked_s = now_s

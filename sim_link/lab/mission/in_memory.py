@@ -112,7 +112,7 @@ class _MissionFlight:
         seen.is_ready = vehicle.is_armed or (
             flavour.has_home(vehicle.time_s) and flavour.arming_refusal(vehicle.time_s) is None
         )
-        # by what the autopilot believes, as telemetry has it and as its home is kept
+        # by the autopilot's estimate, as telemetry has it and as its home is kept
         east_m, north_m, up_m = place = vehicle.aircraft.motion.position_enu_m
         velocity = vehicle.body.velocity_enu_mps
         home = vehicle.home_enu_m
@@ -144,7 +144,7 @@ class _Watcher(Observer):
         self._reader = reader
 
     def companion_ended(self, now_s: float) -> None:  # noqa: ARG002  the observer's protocol
-        """What it said of itself is over."""
+        """Forget the state that the companion reported."""
         self._reader.restarted()
 
     def sent(self, frame: Frame) -> None:

@@ -49,9 +49,9 @@ class MavsdkOperator:
         """Whether the autopilot can be armed and knows its home."""
         self.is_heard = False
         self.autopilot = Autopilot.OTHER
-        """Told by whoever watches the vehicle, because modes have other numbers elsewhere."""
+        """Set by the observer of the vehicle: mode numbers differ between autopilots."""
         self.is_armed = False
-        """Told by whoever watches the vehicle."""
+        """Set by the observer of the vehicle."""
 
     async def __aenter__(self) -> MavsdkOperator:
         from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
@@ -87,7 +87,7 @@ class MavsdkOperator:
         self._task = asyncio.create_task(self._do(action))
 
     def take_refusal(self) -> str | None:
-        """Why the last request was refused, told once."""
+        """Take the reason of the last refusal; None: not refused."""
         refusal, self._refusal = self._refusal, None
         return refusal
 
@@ -172,7 +172,7 @@ class MavsdkOperator:
 
 
 async def _ask_for_streams(telemetry: Any) -> None:
-    """What MAVSDK's health and positions stand on; an ArduPilot sends none of it unasked."""
+    """Request the streams of MAVSDK's health and positions; ArduPilot sends none unasked."""
     await telemetry.set_rate_health(2.0)
     await telemetry.set_rate_home(1.0)
     await telemetry.set_rate_position(2.0)

@@ -90,7 +90,7 @@ class LiveProgress(PlainProgress):
 
 
 def progress_for(total: int, jobs: int, output: TextIO | None = None) -> PlainProgress:
-    """What suits the output (None: standard output): live on a terminal with rich, or plain."""
+    """Return a progress display for the output: live on a terminal with rich, or plain."""
     stream = sys.stdout if output is None else output
     if stream.isatty():
         try:
@@ -101,7 +101,7 @@ def progress_for(total: int, jobs: int, output: TextIO | None = None) -> PlainPr
 
 
 def state_line(runner: StepRunner, situation: FlightSituation) -> str:
-    """Where a flight stands, in a line."""
+    """Format the state of a flight in a line."""
     number, total, name = runner.progress
     vehicle, companion, estimate = situation.vehicle, situation.companion, situation.estimate
     parts = [
@@ -117,7 +117,7 @@ def state_line(runner: StepRunner, situation: FlightSituation) -> str:
 
 
 def flight_line(result: MissionResult, number: int, total: int) -> str:
-    """How a flight ended, in a line."""
+    """Format the result of a flight in a line."""
     skipped = result.record.skipped
     verdict = "PASS" if result.is_passed else "SKIP" if skipped else "FAIL"
     line = f"{verdict} [{number}/{total}] {result.title}: "
@@ -211,11 +211,11 @@ MAX_SPEED = 1000.0
 EXIT_PASSED, EXIT_FAILED, EXIT_BAD_INPUT = 0, 1, 2
 
 DESCRIPTION = """\
-Fly mission scripts and tell pass or fail like a test.
+Fly mission scripts and report pass or fail like a test.
 
 In lockstep (the default) companion and vehicle run in memory on a virtual clock. With --speed they
 are processes of their own over UDP, and the operator's side is flown through MAVSDK; --connect
-flies a vehicle that is there already, whoever made it."""
+flies a vehicle that is there already, of any make."""
 EPILOG = """\
 examples:
   sim-link mission run configs/missions/canonical.yaml
@@ -311,7 +311,7 @@ def _in_order(
 
 def _campaign(arguments: argparse.Namespace) -> batch.MissionBatch:
     if arguments.connect is not None and arguments.autopilot is not None:
-        raise ConfigError("--autopilot: with --connect the autopilot is whoever answers")
+        raise ConfigError("--autopilot: with --connect the autopilot is the one that answers")
     if arguments.connect is not None and arguments.jobs > 1:
         raise ConfigError("--jobs: with --connect there is one vehicle")
     speed = _speed(arguments)

@@ -1,4 +1,4 @@
-"""What is told of mission flights: lines for many, and the HTML page of one."""
+"""Reports of mission flights: lines for many, and the HTML page of one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAP_NOTE = (
 
 
 def campaign_lines(results: list[MissionResult]) -> list[str]:
-    """What a campaign came to, in lines for people: each mission, then all of them."""
+    """Summarise a campaign in lines for people: each mission, then all of them."""
     runs: dict[tuple[str, str], list[MissionResult]] = {}
     for result in results:
         runs.setdefault((result.mission.name, result.flavour), []).append(result)

@@ -1,7 +1,7 @@
 """Flies a mission with real processes over UDP, the operator's side through MAVSDK.
 
 Theory of operation. The companion is the `companion` command in a process of its own. The vehicle
-is `sim-link` in another, or whoever answers on the link that was given. Between them stands the
+is `sim-link` in another, or a vehicle on the link that was given. Between them stands the
 hub, in this process: it shares the vehicle's one link among companion, operator and radio, keeps
 the `.tlog`, injects the faults of the link, and looks at the mission ten times a second of flight.
 Everything starts before the first frame is passed on, so the mission's time is the companion's.
@@ -76,7 +76,7 @@ def fly_over_udp(
     The speed of a vehicle to `connect` to cannot be changed; that of a simulated one is lowered.
     The seed is of a simulated vehicle, which is started unless a link to `connect` to is given, its
     radio and its faults. `keep` is a folder for `.tlog`, event log and output of the processes.
-    `progress` is told after every look. `CompanionError`: a process or link does not start.
+    `progress` is called after every look. `CompanionError`: a process or link does not start.
     """
     with tempfile.TemporaryDirectory(prefix="mission-") as temporary:
         folder = Path(temporary) if keep is None else keep
@@ -128,7 +128,7 @@ class _UdpFlight:
             delivered=lambda data, at_s: recording.heard(Frame(at_s, data, Lane.TO_COMPANION)),
         )
         self._end_wall_s: float | None = None
-        self._is_companion_told = False
+        self._is_stop_requested = False
         self._started_unix_s = time.time()
         (folder / "flight.tlog").unlink(missing_ok=True)  # an earlier mission's; it is appended to
         shutil.rmtree(folder / "state", ignore_errors=True)
@@ -260,10 +260,11 @@ class _UdpFlight:
             self._begin_end(now_s)
 
     def _misfit(self, now_s: float) -> str | None:
-        """Why a vehicle of others is not flown by this script; empty: it is; None: not known yet.
+        """Reason why this script does not fit the vehicle; empty: it fits; None: not known yet.
 
-        Its transmitter stays its pilot's, who alone can put the throttle where a mode for sticks
-        neither climbs nor sinks; ArduPilot's simulator has it at its lowest.
+        A vehicle that is not ours keeps its pilot's transmitter: only the pilot can put the
+        throttle where a mode for sticks neither climbs nor sinks; ArduPilot's simulator has it at
+        its lowest.
         """
         if self._connect is None or self._operator.is_armed:
             return ""
@@ -307,8 +308,8 @@ class _UdpFlight:
         if is_stranded and not is_on_its_way and waited_s < HOME_S:
             self._operator.ask(FlightMode.RETURN)
             return
-        if not self._is_companion_told:  # a second signal would end it at once
-            self._is_companion_told = True
+        if not self._is_stop_requested:  # a second signal would end it at once
+            self._is_stop_requested = True
             self._companion.signal(signal.SIGTERM)
         if not self._companion.is_alive or waited_s > HOME_S + HAND_BACK_S:
             self._hub.finish()

@@ -4,7 +4,7 @@ Theory of operation. The hub is a router: what the vehicle says goes to all of i
 client says to the vehicle and to the other clients. It knows nothing about who the vehicle is; it
 answers to wherever that was heard. Between vehicle and companion lies a wire, which may be a
 `FaultyLink`: the operator's link is never touched by faults. A timer drives the mission. Faults of
-the processes are signals, those of the vehicle incidents told to the simulator.
+the processes are signals, those of the vehicle incidents sent to the simulator.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PERIOD_S = 0.1
 class Hub:
     """An `Endpoint` between vehicle, companion and, if there is one, a radio beside the vehicle.
 
-    `watch` is told of every frame with its link and the time, `delivered` of what goes to the
+    `watch` is called with every frame with its link and the time, `delivered` of what goes to the
     companion; `tick` is called every 0.1 s; after `stop` the mission calls `finish`.
     """
 
@@ -107,11 +107,11 @@ class Hub:
             self._tick(now_s)
 
     def next_timer_s(self) -> float:
-        """When something is due."""
+        """Time of the next timer, s."""
         return min(self._due_s, self._late[0][0]) if self._late else self._due_s
 
     def take_output(self) -> list[Chunk]:
-        """What is to be sent; taken once."""
+        """Take the datagrams to send."""
         output, self._output = self._output, []
         return output
 
@@ -125,7 +125,7 @@ class Hub:
 
 
 class ProcessHarness:
-    """Injects faults into processes, of which the vehicle may be absent; tells the watcher."""
+    """Injects faults into processes, of which the vehicle may be absent; notifies the watcher."""
 
     def __init__(
         self,
@@ -192,22 +192,22 @@ class ProcessHarness:
             fields = msgspec.to_builtins(incident)
             endless = {name for name, value in fields.items() if value == math.inf}
             plain = {name: value for name, value in fields.items() if name not in endless}
-            self._vehicle.tell(json.dumps(plain))
+            self._vehicle.write_line(json.dumps(plain))
 
 
 def check_faults(mission: Mission, name: str) -> None:
     """Make sure, before any process starts, that every fault of a script can be injected."""
     for number, (_, step) in enumerate(mission.named_steps):
-        is_told = isinstance(step, IncidentRecord)
+        is_incident = isinstance(step, IncidentRecord)
         if isinstance(step, faults.SecurityFault) or (
-            isinstance(step, VehicleFault) and not is_told
+            isinstance(step, VehicleFault) and not is_incident
         ):
             path, problem = f"$.steps[{number}].inject", "only possible in lockstep"
             raise error_at(read_text(Path(name)), name, path, problem)
 
 
 def vehicle_fault_of(mission: Mission) -> str:
-    """Why a script is not flown on a vehicle that is not ours; empty: nothing of it is broken."""
+    """Reason why a script cannot fly a vehicle that is not ours; empty: none."""
     for number, (name, step) in enumerate(mission.named_steps, 1):
         if isinstance(step, VehicleFault):
             return f"step {number} {name}: a vehicle that is not ours cannot be broken"

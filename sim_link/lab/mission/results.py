@@ -1,6 +1,6 @@
-"""What became of a mission flight: the record of it, and the result with the verdicts on it.
+"""Record of a mission flight, and the result with its verdicts.
 
-Theory of operation. Whoever flies a mission fills a `FlightRecord`, whose `situation` is the
+Theory of operation. The runner of a mission fills a `FlightRecord`, whose `situation` is the
 present moment as conditions see it. At the end every expectation gets a verdict, the steps
 together get one, and record and verdicts are a `MissionResult`.
 """
@@ -37,7 +37,7 @@ from sim_link.lab.monitor.scene import InvariantViolation
 
 @dataclass(frozen=True, slots=True)
 class StepOutcome:
-    """How a step ended."""
+    """Outcome of a step."""
 
     number: int
     """From 1, as people count."""
@@ -51,7 +51,7 @@ class StepOutcome:
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Name of the step in reports."""
         return f"step {self.number} {self.name}"
 
 
@@ -162,7 +162,7 @@ STEPS = "all steps"
 
 @dataclass(frozen=True, slots=True)
 class ExpectationVerdict:
-    """What became of one expectation."""
+    """Verdict on one expectation."""
 
     name: str
     is_met: bool
@@ -177,7 +177,7 @@ def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerd
 
 
 def true_places(mission: Mission) -> dict[int, Point]:
-    """Where the emitters truly are, by id; the one that a script calls `emitter` first."""
+    """True emitter positions by id, local ENU in m; the one that a script calls `emitter` first."""
     return {each.emitter_id: each.position_enu_m for each in (mission.emitter, *mission.emitters)}
 
 
@@ -215,7 +215,7 @@ def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord, of
         return _judge_bound(error_m, bound, "m")
     radius_m = getattr(point, of)
     if radius_m is None:
-        return False, "the absolute R95 was not told"
+        return False, "the absolute R95 was not reported"
     kind = "absolute R95" if of == "absolute_r95_m" else "R95"
     return _judge_bound(error_m / radius_m, bound, f"times the {kind} of {radius_m:.2f} m")
 
@@ -314,7 +314,7 @@ def slug(name: str) -> str:
 
 
 def flight_name(mission: str, flavour: str, how: str, seed: int) -> str:
-    """What the files and the folder of a flight are called, without an ending."""
+    """Return the name of a flight's files and folder, without an ending."""
     return f"{slug(mission)}-{flavour}-{slug(how)}-seed{seed}"
 
 
@@ -331,7 +331,7 @@ BUSY_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class MissionResult:
-    """What a run came to; can be sent between processes."""
+    """Result of a run; can be sent between processes."""
 
     mission: Mission
     file: str
@@ -351,7 +351,7 @@ class MissionResult:
 
     @property
     def is_passed(self) -> bool:
-        """Whether every expectation is met, every step done, and nothing went wrong."""
+        """True if every expectation is met, every step done, and nothing went wrong."""
         return not (self.failed or self.error or self.record.skipped)
 
     @property
@@ -361,17 +361,17 @@ class MissionResult:
 
     @property
     def title(self) -> str:
-        """What reports call it."""
+        """Name of the flight in reports."""
         return f"{self.mission.name} ({self.flavour}), seed {self.seed}"
 
     @property
     def flight_name(self) -> str:
-        """What its files are called, without an ending."""
+        """Name of its files, without an ending."""
         return flight_name(self.mission.name, self.flavour, self.how, self.seed)
 
     @property
     def flavour(self) -> str:
-        """Whose autopilot was flown."""
+        """Flavour of the autopilot that was flown."""
         return self.record.autopilot or self.mission.autopilot.flavour
 
     @property
@@ -386,7 +386,7 @@ class MissionResult:
         return None if point is None else self.error_m(point)
 
     def error_m(self, point: EstimatePoint) -> float:
-        """How far an estimate is from its emitter; without an id it is of the first one."""
+        """Horizontal error of an estimate in m; without an id it is of the first emitter."""
         truth = true_places(self.mission)
         first = truth[self.mission.emitter.emitter_id]
         emitter = point.emitter_id
@@ -395,7 +395,7 @@ class MissionResult:
 
     @property
     def is_inside_r95(self) -> bool | None:
-        """Whether the true emitter is within R95 of the last estimate."""
+        """True if the true emitter is within R95 of the last estimate."""
         point = self.last_estimate
         return None if point is None else self.error_m(point) <= point.r95_m
 
@@ -409,7 +409,7 @@ class MissionResult:
 
     @property
     def doubt(self) -> str:
-        """Why a failure may be the machine's, and what to do; empty: nothing says so."""
+        """Hint that the machine may have caused the failure, and what to do; empty: none."""
         if self.is_passed or self.record.skipped or self.record.late_s <= BUSY_S:
             return ""
         return (

@@ -43,7 +43,7 @@ class Bound(Params, frozen=True):
             raise ValueError("nothing is at least at_least and at most at_most: they are swapped")
 
     def holds(self, value: float) -> bool:
-        """Whether a value is inside."""
+        """True if a value is within the bounds."""
         is_low = self.at_most is None or value <= self.at_most
         return is_low and (self.at_least is None or value >= self.at_least)
 
@@ -93,7 +93,7 @@ class Appears(TextSeen, frozen=True):
 
 
 class Violations(Params, frozen=True):
-    """How often the invariants of the companion may have been violated."""
+    """Violations of the companion's invariants that are allowed."""
 
     at_most: Annotated[int, msgspec.Meta(ge=0)] = 0
     invariants: tuple[str, ...] = INVARIANTS
@@ -137,7 +137,7 @@ class Expectation(Params, frozen=True, kw_only=True):
 
     @property
     def kind(self) -> str:
-        """Which of its kinds it is."""
+        """Kind of the expectation."""
         return _one_given(self, "an expectation")
 
 
@@ -229,7 +229,7 @@ class PilotOverrideStep(StepParams, frozen=True):
 
     @property
     def needs_sticks(self) -> bool:
-        """Whether the vehicle then does what the sticks say."""
+        """True if the vehicle then follows the sticks."""
         return self.mode in ("position", "altitude", "stabilized")
 
 
@@ -311,7 +311,7 @@ class Mission(Scenario, frozen=True, kw_only=True):
         return tuple(_named(step) for step in self.steps)
 
     def misfit(self, flavour: str) -> str:
-        """Why it is not flown on an autopilot; empty: it fits."""
+        """Reason why the script does not fit an autopilot; empty: it fits."""
         if not self.autopilots or flavour in self.autopilots:
             return ""
         return f"the script is for {' and '.join(self.autopilots)}, and this is {flavour}"
@@ -325,7 +325,7 @@ class Mission(Scenario, frozen=True, kw_only=True):
 
     @property
     def scenario(self) -> Scenario:
-        """What the simulator is told."""
+        """Scenario for the simulator."""
         return Scenario(**{name: getattr(self, name) for name in Scenario.__struct_fields__})
 
 

@@ -167,7 +167,7 @@ def _with_companion_file(mission: Mission, text: str, name: str, folder: Path) -
 
 
 def _problems(mission: Mission) -> Iterator[Problem]:
-    """What no single record can see."""
+    """Find the problems that concern several records."""
     if len(mission.name.splitlines()) > 1:
         yield "$.name", ONE_LINE
     contradiction = inconsistency(mission.config)

@@ -25,7 +25,7 @@ from sim_link.lab.mission.script import Mission, Step, StepParams
 
 
 class Request(Enum):
-    """What the operator is asked for in one word."""
+    """Requests to the operator without parameters."""
 
     ARM = "arm the motors"
     GRANT = "let a companion that yielded stand by again"
@@ -43,13 +43,13 @@ Action = Request | TakeOffAction | FlightMode
 
 
 class MissionOperator(Protocol):
-    """Whoever holds the ground station."""
+    """The operator at the ground station."""
 
     def ask(self, action: Action) -> None:
         """Begin something; the one before is forgotten if it is not over."""
 
     def take_refusal(self) -> str | None:
-        """Why the autopilot refused what was asked last, told once; None: it did not (yet)."""
+        """Take the reason of the last refusal; None: not refused (yet)."""
 
 
 ASK_AGAIN_S = 2.0
@@ -63,7 +63,7 @@ ROUNDING_S = 1e-9
 class StepRunner:
     """Flies one mission by an operator; `inject` begins a fault `start_s` from now.
 
-    The situation of the record is kept up to date by whoever runs this.
+    The situation of the record is kept up to date by the caller.
     """
 
     def __init__(
@@ -89,12 +89,12 @@ class StepRunner:
 
     @property
     def is_over(self) -> bool:
-        """Whether the last step is done, or one has failed."""
+        """True if the last step is done, or one has failed."""
         return bool(self.failure) or (self._current is None and self._next >= len(self._steps))
 
     @property
     def failure(self) -> str:
-        """Why the mission ended early; empty: it did not."""
+        """Reason why the mission ended early; empty: it did not."""
         if self._record.failure:
             return self._record.failure
         last = self._record.steps[-1] if self._record.steps else None
@@ -184,7 +184,7 @@ class StepRunner:
 
 @dataclass(frozen=True, slots=True)
 class StepRule:
-    """What a step asks for and when it is over."""
+    """Action of a step, and the condition that ends it."""
 
     what: str
     """What it waits for, in words."""

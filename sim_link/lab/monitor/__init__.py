@@ -1,1 +1,1 @@
-"""What must hold at every frame and every step, judged from the wire and the truth alone."""
+"""Invariants of every frame and every step, judged from the wire and the truth alone."""

@@ -75,7 +75,7 @@ class OnlyWithAuthority(Invariant):
         self._is_launching = False
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
-        """What it gave up is lost although the mode is still its own: nobody gives that again."""
+        """Control that it gave up is lost until it is given again, even in its mode."""
         if kind != "phase":
             return
         self._is_launching = fields.get("new") == "launching"
@@ -83,7 +83,7 @@ class OnlyWithAuthority(Invariant):
             return
         if fields.get("old") in ("handback", "launching"):
             self._lose(is_barred=True)
-        elif self.scene.told.is_ours:
+        elif self.scene.observed.is_ours:
             self._lose(is_barred=fields.get("trigger") != BY_STICKS)
 
     def _lose(self, *, is_barred: bool) -> None:
@@ -95,7 +95,7 @@ class OnlyWithAuthority(Invariant):
         self._lost_s, self._aside_s, self._is_barred = None, None, False
 
     def mode_chosen(self, mode: FlightMode) -> None:
-        """An autopilot that goes back to offboard by itself gives nobody control."""
+        """An autopilot that returns to offboard by itself gives no control."""
         self._given_s = self.scene.now_s if mode is FlightMode.OFFBOARD else -1.0
 
     def heard(self, frame: Frame) -> None:
@@ -217,7 +217,7 @@ class KeepsStreaming(Invariant):
         self._is_stalled = False
         self._excused_s = self._settled_s = -math.inf
         """Until then a pause is excused by a stall, or by a local frame that moved."""
-        self._frame_sent_at = scene.told.frame_sent_at
+        self._frame_sent_at = scene.observed.frame_sent_at
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
         """Follow what the companion claims to be."""
@@ -232,7 +232,7 @@ class KeepsStreaming(Invariant):
         self._is_stalled, self._excused_s = False, -math.inf
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
-        """Judge the gap before it; whoever sends is in no stall any more."""
+        """Judge the gap before it; a setpoint ends a stall."""
         self._judge(setpoint.time_s)
         self._is_stalled, self._excused_s = False, -math.inf
         self._last_s = setpoint.time_s
@@ -244,8 +244,8 @@ class KeepsStreaming(Invariant):
     def _judge(self, now_s: float) -> None:
         scene = self.scene
         self._look_for_stall(now_s)
-        is_in_control = self._is_in_control and scene.is_companion_up and scene.told.is_ours
-        if not is_in_control or scene.told.heartbeat_s is None:
+        is_in_control = self._is_in_control and scene.is_companion_up and scene.observed.is_ours
+        if not is_in_control or scene.observed.heartbeat_s is None:
             self._last_s = None
             return
         is_excused = scene.is_lied_to or now_s <= max(self._excused_s, self._settled_s)
@@ -259,15 +259,15 @@ class KeepsStreaming(Invariant):
             self._last_s = now_s
 
     def _look_for_stall(self, now_s: float) -> None:
-        scene, told = self.scene, self.scene.told
-        silent_s = 0.0 if told.heartbeat_s is None else now_s - told.heartbeat_s
+        scene, observed = self.scene, self.scene.observed
+        silent_s = 0.0 if observed.heartbeat_s is None else now_s - observed.heartbeat_s
         if scene.suspended_until_s >= now_s or silent_s >= scene.rules.silence_s - TICK_S:
             self._is_stalled, self._excused_s = True, now_s + RECOVERY_S
         most_s = scene.rules.state_age_s
-        if told.frame_sent_at != self._frame_sent_at:
-            self._frame_sent_at = told.frame_sent_at
+        if observed.frame_sent_at != self._frame_sent_at:
+            self._frame_sent_at = observed.frame_sent_at
             self._is_stalled, self._settled_s = True, now_s + most_s
-        is_lost = told.position_s is None or now_s - told.position_sent_s > most_s - TICK_S
+        is_lost = observed.position_s is None or now_s - observed.position_sent_s > most_s - TICK_S
         if self._is_stalled and (is_lost or silent_s > HEARTBEATS_S):
             self._excused_s = now_s + RECOVERY_S
 

@@ -1,7 +1,7 @@
 """I1 and I4: setpoints and the ways to them stay inside the fence, and each may be the last.
 
 A jump of the vehicle's own position is an error of the autopilot's, or the end of one; without the
-truth nobody can know which. So for two seconds nothing may be flown by the new position, and if
+truth none can know which. So for two seconds nothing may be flown by the new position, and if
 that lies outside of fence or altitude band, nothing at all: the way back inside may be the way out.
 """
 
@@ -33,7 +33,7 @@ class OwnJumps:
         """Where the vehicle seemed to be after the jump; None: nothing jumped."""
         self._jumped_m = 0.0
         self._jumped_s = 0.0
-        self._is_told = False
+        self._is_reported = False
 
     def stepped(self) -> None:
         """The vehicle moved, and so may have its error."""
@@ -42,25 +42,25 @@ class OwnJumps:
         if bias != before and math.dist(bias, before) > INWARDS_M:
             (e, n, u), (be, bn, bu) = scene.vehicle.body.position_enu_m, bias
             self._seemed, self._jumped_m = (e + be, n + bn, u + bu), math.dist(bias, before)
-            self._jumped_s, self._is_told = scene.now_s, False
+            self._jumped_s, self._is_reported = scene.now_s, False
         if self._seemed is not None and self._is_over():
             self._seemed = None
 
     def chased_m(self, setpoint: SentSetpoint) -> float | None:
-        """How far a setpoint is from where the vehicle seemed to be, if it must stay; else None."""
-        told = self._scene.told.position_enu_m
-        if self._seemed is None or told is None or self._scene.is_lied_to:
+        """Distance of a setpoint from the apparent vehicle position, m; None if free to move."""
+        observed = self._scene.observed.position_enu_m
+        if self._seemed is None or observed is None or self._scene.is_lied_to:
             return None
-        self._is_told |= math.dist(told, self._seemed) < 0.5 * self._jumped_m
+        self._is_reported |= math.dist(observed, self._seemed) < 0.5 * self._jumped_m
         away_m = math.dist(setpoint.place_enu_m, self._seemed)
-        return away_m if self._is_told and away_m > self._scene.rules.step_m else None
+        return away_m if self._is_reported and away_m > self._scene.rules.step_m else None
 
     def _is_over(self) -> bool:
-        """Whether the companion may fly again, does not, or could not see that anything jumped."""
-        scene, told = self._scene, self._scene.told
-        if not told.is_ours or not scene.is_companion_up or told.position_s is None:
+        """True if the companion may fly again, does not fly, or could not see the jump."""
+        scene, observed = self._scene, self._scene.observed
+        if not observed.is_ours or not scene.is_companion_up or observed.position_s is None:
             return True
-        if not self._is_told and scene.now_s - told.position_s > BLIND_S:
+        if not self._is_reported and scene.now_s - observed.position_s > BLIND_S:
             return True
         if self._seemed is None or scene.now_s - self._jumped_s <= STEADY_S:
             return False
@@ -71,7 +71,7 @@ class OwnJumps:
 
 SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT"))
 HEIGHT_ROUNDING_M = 0.05
-"""Home and height are told in millimetres and by a noisy estimate."""
+"""Home and height are reported in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
 """So long after it was in control the companion answers for where the vehicle is."""
 OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
@@ -94,23 +94,23 @@ class SetpointsInside(Invariant):
     _anchor: Point | None = None
     """Where the setpoint stands, or stood last."""
     _near_s = -math.inf
-    """When the vehicle was told to be beyond the border, or nearly there."""
+    """Time when the vehicle was reported beyond the border, or nearly there."""
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
-        """Judge a setpoint by where the companion believed the vehicle to be.
+        """Judge a setpoint by the vehicle position that the companion knew.
 
         Without control it repeats the vehicle's place; for an unknown peer's only the peer answers.
         """
         self._judge_height(setpoint.place_enu_m[2])
-        if not self.scene.is_lied_to or self.scene.told.is_ours:
+        if not self.scene.is_lied_to or self.scene.observed.is_ours:
             self._judge_borders(setpoint)
 
     def _judge_borders(self, setpoint: SentSetpoint) -> None:
-        rules, told = self.scene.rules, self.scene.told
+        rules, observed = self.scene.rules, self.scene.observed
         place = setpoint.place_enu_m[:2]
         depth = rules.depth_m(place)
         least = rules.clearance_m - setpoint.rounding_m
-        vehicle = None if self.scene.is_lied_to else told.position_enu_m
+        vehicle = None if self.scene.is_lied_to else observed.position_enu_m
         own_depth = math.inf if vehicle is None else self.scene.rules.depth_m(vehicle[:2])
         anchor = self._anchor
         is_still = anchor is not None and math.dist(place, anchor) <= setpoint.rounding_m
@@ -155,13 +155,13 @@ class InsideFence(SetpointsInside):
         self._taken = 0
         """How many it took from anybody, since it was switched on."""
         self._is_dragged = False
-        """Whether it flies to a setpoint of somebody else."""
+        """True if it flies to a setpoint of another source."""
         self._dragged_s = -math.inf
         self._mode = FlightMode.OFFBOARD
         self._is_taken_on = False
         """Whether it left the mode, too, that it was in first after it was ours."""
         self._has_yielded = False
-        """It says that somebody else flies, whatever mode is shown; I3 holds it to that ..."""
+        """It reports another source in control, whatever mode is shown; I3 holds it to that ..."""
         self._has_left = False
         """... and the vehicle has left the mode since: until then it flies our last setpoint."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
@@ -188,10 +188,10 @@ class InsideFence(SetpointsInside):
         self._reached += frame.number in SETPOINTS and frame.is_readable
 
     def _watch_others(self, taken: int) -> None:
-        """Whose setpoint the vehicle took last; one of somebody else counts until some time after.
+        """Note the sender of the last setpoint taken; another's counts until some time after.
 
-        Where it went for another sender is not the companion's doing; nor that it has to come back;
-        nor where the wind takes one that does not know its place any more.
+        Motion for another sender is not the companion's doing; nor is the return from it; nor the
+        drift with the wind of a vehicle that does not know its position any more.
         """
         new, self._taken = taken - self._taken, taken
         ours, self._reached = self._reached, 0
@@ -204,11 +204,11 @@ class InsideFence(SetpointsInside):
 
     @property
     def is_dragged(self) -> bool:
-        """Whether somebody else moved the vehicle shortly before, or the wind alone."""
+        """True if another source moved the vehicle shortly before, or the wind alone."""
         return self._truth.now_s - self._dragged_s < CONTROL_FADES_S
 
     def _watch_mode(self) -> None:
-        """Which mode flies: the first after ours brakes what we began, others begin anew."""
+        """Note the mode: the first after ours brakes what we began, others start over."""
         mode, before = self._truth.vehicle.flavour.mode, self._mode
         self._has_left |= self._has_yielded and mode is not FlightMode.OFFBOARD
         if mode is FlightMode.OFFBOARD and self._is_ours:
@@ -219,7 +219,7 @@ class InsideFence(SetpointsInside):
 
     @property
     def _is_ours(self) -> bool:
-        return self._truth.told.is_ours and not self._has_left
+        return self._truth.observed.is_ours and not self._has_left
 
     def stepped(self) -> None:
         """Judge where the vehicle truly is and where it could stop."""
@@ -227,7 +227,7 @@ class InsideFence(SetpointsInside):
         scene, body = self._truth, self._truth.vehicle.body
         if self._is_ours and scene.is_companion_up:
             self._in_control_s = scene.now_s
-        if not scene.vehicle.is_armed:  # it falls, and nobody can do anything about it
+        if not scene.vehicle.is_armed:  # it falls, which no setpoint can change
             self._in_control_s = -math.inf
         self._watch_others(scene.vehicle.setpoints.received)
         self._watch_mode()
@@ -236,7 +236,7 @@ class InsideFence(SetpointsInside):
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
         place = body.position_enu_m[:2]
         if body.is_on_ground or is_flown_by_others or has_faded:
-            # somebody else may have taken it out
+            # another source may have taken it out
             self._is_out = not body.is_on_ground and scene.rules.depth_m(place) + scene.bias_m < 0.0
             return
         at, known = self._known
@@ -267,7 +267,7 @@ class PlacesOnly(Invariant):
 
 
 class SafeToFreeze(PlacesOnly):
-    """Freezing any setpoint for 60 s is safe, or stopping where somebody else moved it."""
+    """Freezing any setpoint for 60 s is safe, or stopping where another source moved it."""
 
     def __init__(self, scene: TrueScene, is_dragged: Callable[[], bool] = lambda: False) -> None:
         super().__init__(scene)
@@ -282,7 +282,7 @@ class SafeToFreeze(PlacesOnly):
         """
         super().setpoint(setpoint)
         scene = self._truth
-        if not scene.told.is_ours or scene.now_s - self._frozen_s < FREEZE_EVERY_S:
+        if not scene.observed.is_ours or scene.now_s - self._frozen_s < FREEZE_EVERY_S:
             return
         self._frozen_s = scene.now_s
         bias = scene.vehicle.estimator.bias_enu_m

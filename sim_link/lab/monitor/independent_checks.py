@@ -24,7 +24,7 @@ INWARDS_M = 2.0 * BORDER_M
 
 
 def _is_wound_around(corners: Corners, point: Point) -> bool:
-    """Whether the border's winding number about a point is not zero."""
+    """True if the border's winding number about a point is not zero."""
     winding = 0
     north = point[1]
     a = corners[-1]
@@ -39,7 +39,7 @@ def _is_wound_around(corners: Corners, point: Point) -> bool:
 
 
 def border_distance_m(corners: Corners, point: Point) -> float:
-    """How far a point is from a polygon's border."""
+    """Distance of a point from a polygon's border, m."""
     least_m = math.inf
     start = corners[-1]
     for end in corners:
@@ -51,7 +51,7 @@ def border_distance_m(corners: Corners, point: Point) -> float:
 
 
 def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float:
-    """How far inside the fence and outside of all keep-outs a point is; negative: it is not."""
+    """Depth of a point inside the fence and outside all keep-outs, m; negative: violated."""
     depth = _inside_m(fence, point)
     for keep_out in keep_outs:
         depth = min(depth, -_inside_m(keep_out, point))
@@ -59,7 +59,7 @@ def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float
 
 
 def _inside_m(corners: Corners, point: Point) -> float:
-    """How far from its border a point is inside a polygon; negative: outside."""
+    """Depth of a point inside a polygon, m; negative: outside."""
     away_m = border_distance_m(corners, point)
     return away_m if _is_wound_around(corners, point) else -away_m
 
@@ -67,13 +67,13 @@ def _inside_m(corners: Corners, point: Point) -> float:
 def is_moved_inwards(
     fence: Corners, keep_outs: Sequence[Corners], vehicle: Point, place: Point
 ) -> bool:
-    """Whether `place` may be where a vehicle at a border, or beyond it, is to stay."""
+    """True if a vehicle at a border, or beyond it, may stay at `place`."""
     depth = depth_m(fence, keep_outs, vehicle)
     return depth < BORDER_M and math.dist(vehicle, place) <= INWARDS_M
 
 
 def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
-    """Whether the straight way between two points inside crosses no border."""
+    """True if the straight line between two points inside crosses no border."""
     return not any(
         _cross(start, end, corners[i - 1], corners[i])
         for corners in (fence, *keep_outs)
@@ -111,7 +111,7 @@ MAGIC_V2, SIGNED_FLAG = 0xFD, 0x01
 class Proof:
     """Follows the newest timestamp of every component, of those that were read.
 
-    A frame that was dropped unread is as new as before, whoever sends a copy of it.
+    A frame that was dropped unread is as new as before, even if a copy of it arrives.
     """
 
     def __init__(self, key: SigningKey) -> None:
@@ -121,7 +121,7 @@ class Proof:
         """Sender of the frame that was accepted last, and what was its newest before that."""
 
     def accepts(self, frame: bytes) -> bool:
-        """Whether it is signed with the key and newer than all before of its sender."""
+        """True if the frame is signed with the key and newer than all before of its sender."""
         self._before = None
         if frame[0] != MAGIC_V2 or not frame[2] & SIGNED_FLAG:
             return False
@@ -138,7 +138,7 @@ class Proof:
         return True
 
     def unreadable(self) -> None:
-        """A frame came that nobody can read."""
+        """An unreadable frame came."""
         self._before = None
 
     def dropped(self) -> None:
@@ -151,30 +151,30 @@ class Proof:
 
 FOLLOWED = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 SILENCE_S = 3.0
-"""How long one address is silent before the other one is believed."""
+"""Silence of one address after which the other one is accepted, s."""
 
 
 class SenderTrust:
-    """Follows one of several senders: the vehicle itself, somebody with its ids, or another one.
+    """Follows one of several senders: the vehicle itself, another with its ids, or a stranger.
 
-    Of a wanted system id, if there is one, nobody else is followed.
+    Only the configured system id, if there is one, is followed.
     """
 
     def __init__(self, wanted_system_id: int | None = None) -> None:
         self._wanted_system_id = wanted_system_id
         self._ids: tuple[int, int] | None = None
-        """Of the autopilot that is followed; None: nobody is yet."""
+        """Of the autopilot that is followed; None: none yet."""
         self._is_genuine: bool | None = None
         """Whether the vehicle itself is followed."""
         self._heard_s = 0.0
 
     @property
     def follows_unknown_peer(self) -> bool:
-        """Whether somebody else than the vehicle is followed."""
+        """True if a sender other than the vehicle is followed."""
         return self._is_genuine is False
 
     def is_beside_unknown_peer(self, frame: Frame) -> bool:
-        """Whether a frame is of a payload of the unknown peer that is followed, as its ids say."""
+        """True if a frame is of a payload of the unknown peer that is followed, by its ids."""
         is_of_it = self._ids is not None and frame.sender[0] == self._ids[0]
         return self.follows_unknown_peer and is_of_it
 
@@ -186,11 +186,11 @@ class SenderTrust:
         return is_wanted and message.autopilot in FOLLOWED
 
     def restart(self) -> None:
-        """A companion that starts anew follows the first that it hears."""
+        """A restarted companion follows the first autopilot that it hears."""
         self._ids = self._is_genuine = None
 
-    def believes(self, frame: Frame) -> bool:
-        """Whether a readable frame of an autopilot had to be believed."""
+    def accepts(self, frame: Frame) -> bool:
+        """True if a readable frame of an autopilot had to be accepted."""
         is_new = self._ids is None
         if is_new and not self._may_follow(frame):
             return frame.is_genuine

@@ -34,11 +34,11 @@ class WithinEnvelope(Invariant):
     def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)
         self._last: SentSetpoint | None = None
-        self._origin_enu_m = scene.told.origin_enu_m
+        self._origin_enu_m = scene.observed.origin_enu_m
         self._velocity: Point | None = None
         """Of the setpoint, once there were two."""
         self._vehicle: Point | None = None
-        """Where the vehicle was told to be when the setpoint before was sent."""
+        """Reported vehicle position when the setpoint before was sent."""
 
     def started(self) -> None:
         """A new process begins a new stream."""
@@ -47,20 +47,24 @@ class WithinEnvelope(Invariant):
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge a setpoint by the one before."""
         last, self._last = self._last, setpoint
-        vehicle, told = self._vehicle, self.scene.told.position_enu_m
-        self._vehicle = None if told is None else told[:2]
-        origin_enu_m = self.scene.told.origin_enu_m
+        vehicle, observed = self._vehicle, self.scene.observed.position_enu_m
+        self._vehicle = None if observed is None else observed[:2]
+        origin_enu_m = self.scene.observed.origin_enu_m
         is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
         crept_m = math.dist(origin_enu_m, self._origin_enu_m)
         is_new |= crept_m > FRAME_STEP_M
         self._origin_enu_m = origin_enu_m
         # One that was sent before it could answer a foreign mode belongs to the stream before.
-        left_s = self.scene.told.left_s + self.scene.rules.answer_s
-        is_ours = self.scene.told.is_ours or setpoint.time_s <= left_s
+        left_s = self.scene.observed.left_s + self.scene.rules.answer_s
+        is_ours = self.scene.observed.is_ours or setpoint.time_s <= left_s
         if last is None or is_new or not is_ours:
             self._velocity = None
             if not self._is_here(setpoint):
-                away = math.inf if told is None else math.dist(setpoint.place_enu_m[:2], told[:2])
+                away = (
+                    math.inf
+                    if observed is None
+                    else math.dist(setpoint.place_enu_m[:2], observed[:2])
+                )
                 self.report("the first setpoint is not where the vehicle is", away_m=away)
             return
         dt_s = setpoint.time_s - last.time_s
@@ -78,8 +82,8 @@ class WithinEnvelope(Invariant):
         if crept_m > 0.0:
             self._velocity = None
             return
-        told_m = math.dist(vehicle, self._vehicle) if vehicle and self._vehicle else 0.0
-        is_slow_enough = moved <= told_m + TOLERANCE_M
+        vehicle_m = math.dist(vehicle, self._vehicle) if vehicle and self._vehicle else 0.0
+        is_slow_enough = moved <= vehicle_m + TOLERANCE_M
         is_anew = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
         self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_anew=is_anew)
 
@@ -116,17 +120,17 @@ class WithinEnvelope(Invariant):
         if is_anew:  # at rest
             self._velocity = (0.0, 0.0)
             return
-        if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it began anew
+        if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it restarted from here
             self._velocity = None
         else:
             self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
 
     def _is_here(self, setpoint: SentSetpoint) -> bool:
-        """Where the vehicle is, or, for one at a border, what is allowed next to that."""
+        """True at the vehicle's position, or, at a border, where it may be moved to."""
         if self.scene.is_lied_to:
             return True
         rules, place = self.scene.rules, setpoint.place_enu_m[:2]
-        speed_mps = math.hypot(*self.scene.told.velocity_enu_mps[:2])
+        speed_mps = math.hypot(*self.scene.observed.velocity_enu_mps[:2])
         for seen_enu_m, seen_s in self.scene.seen_at:
             age_s = self.scene.now_s - seen_s
             near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
@@ -152,8 +156,8 @@ class FreshState(Invariant):
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge whether it moved, and what it stands on."""
         last, self._last = self._last, setpoint
-        told = self.scene.told
-        age_s = math.inf if told.position_s is None else self.scene.now_s - told.position_s
+        observed = self.scene.observed
+        age_s = math.inf if observed.position_s is None else self.scene.now_s - observed.position_s
         if age_s <= self.scene.rules.state_age_s + TICK_S or last is None:
             return
         moved = math.dist(setpoint.place_enu_m, last.place_enu_m)
@@ -232,7 +236,7 @@ class KnownFrames(Invariant):
 
 
 class Bounded(Invariant):
-    """What is sent and written stays within bounds."""
+    """Bounds on the amount sent and written."""
 
     name = "I11"
     title = "frames, log lines and queues stay within bounds"
@@ -315,7 +319,7 @@ class HonestCovariance(Invariant):
 
 
 class OnlyProvedFrames(Invariant):
-    """What is damaged, of an unknown peer or, with a key, not proved, changes nothing."""
+    """Damaged, foreign or, with a key, unsigned frames change nothing."""
 
     name = "I10"
     title = "no unproved frame changes any state"

@@ -1,6 +1,6 @@
 """The monitor: an observer of a flight that reports every invariant that does not hold.
 
-Theory of operation. One `ObservedScene` keeps what the companion was told and what is true; twelve
+Theory of operation. One `ObservedScene` keeps the reports to the companion and the truth; twelve
 small invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the
 vehicle moved. None uses the companion's own guard, estimator or guidance; its own word (its phase,
 its estimate) is only held against it. A `Scope` says by which of them a kind of flight is judged.
@@ -59,7 +59,7 @@ TITLES = {
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What is judged, and what is not."""
+    """Invariants that are judged, and those that are not."""
 
     judged: Mapping[str, str]
     """How, by the invariant's name; empty: without any restriction."""
@@ -71,7 +71,7 @@ class Scope:
         return tuple(name for name in names if name not in self.judged)
 
 
-NOTHING = Scope({}, dict.fromkeys(TITLES, "nobody watched"))
+NOTHING = Scope({}, dict.fromkeys(TITLES, "not watched"))
 _TWICE = "needs a second flight with the same seed"
 LOCKSTEP = Scope(
     judged={
@@ -88,7 +88,7 @@ WIRE = Scope(
     judged={
         "I1": "setpoints and the ways to them, not the true vehicle",
         "I2": "",
-        "I3": "whoever gave the mode back, a person or the autopilot by itself",
+        "I3": "the mode may come back from a person or from the autopilot itself",
         "I4": "every setpoint is a place; where it leads is not flown on",
         "I5": "",
         "I6": "",
@@ -106,7 +106,7 @@ WIRE = Scope(
 
 
 class FrameMonitor(Observer):
-    """Shows a flight to invariants, as far as frames, journal and the companion's process tell it.
+    """Shows a flight to invariants, as far as frames, journal and the companion's process show it.
 
     The key is that of the link, where it is signed.
     """
@@ -131,7 +131,7 @@ class FrameMonitor(Observer):
 
     @property
     def violations(self) -> list[InvariantViolation]:
-        """What did not hold, in the order of time; at most twenty of a kind."""
+        """Violations in the order of time; at most twenty of a kind."""
         return self._shared.violations
 
     def sent(self, frame: Frame) -> None:
@@ -151,14 +151,14 @@ class FrameMonitor(Observer):
         scene.is_believable = frame.is_readable and self._is_believed(frame)
         scene.is_lied_to = self._proof is None and self._whose.follows_unknown_peer
         if scene.is_believable:
-            scene.tell(frame)
+            scene.observe(frame)
         self._show("heard", frame)
 
     def _is_believed(self, frame: Frame) -> bool:
         if self._proof is not None:
             return self._proof.accepts(frame.data)
         if frame.sender[1] == AUTOPILOT_COMPONENT:
-            return self._whose.believes(frame)
+            return self._whose.accepts(frame)
         return frame.is_genuine or self._whose.is_beside_unknown_peer(frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
@@ -171,12 +171,12 @@ class FrameMonitor(Observer):
         self._show("noted", kind, fields)
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process began anew."""
+        """The companion process restarted."""
         scene = self._shared
         scene.now_s, scene.tick_s = now_s, None
         scene.is_companion_up = True
         self._whose.restart()
-        scene.told = ObservedState(origin_enu_m=scene.told.origin_enu_m)
+        scene.observed = ObservedState(origin_enu_m=scene.observed.origin_enu_m)
         self._show("started")
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002
@@ -193,11 +193,11 @@ class FrameMonitor(Observer):
         self._show("mode_chosen", mode)
 
     def vehicle_rebooted(self, now_s: float) -> None:
-        """The vehicle begins anew; what it said before means nothing."""
+        """The vehicle rebooted; its earlier reports are void."""
         scene = self._shared
         scene.now_s = now_s
-        scene.told.position_boot_ms = -1
-        scene.told.mode_sent_at = (-1.0, 0)
+        scene.observed.position_boot_ms = -1
+        scene.observed.mode_sent_at = (-1.0, 0)
 
 
 class Monitor(FrameMonitor):

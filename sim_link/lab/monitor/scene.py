@@ -1,7 +1,7 @@
-"""What invariants are made of: rules, the observed scene, violations and the base class.
+"""Base of the invariants: rules, the observed scene, violations and the base class.
 
 Theory of operation. The companion is judged by what it could know: the frames that reached it and
-that it had to believe. A report of the mode is dated by when the vehicle sent it, because frames
+that it had to accept. A report of the mode is dated by when the vehicle sent it, because frames
 overtake each other: an old one that arrives late takes nothing away and gives nothing back.
 """
 
@@ -28,11 +28,11 @@ TICK_S = 0.05
 
 
 class Rules(Params, frozen=True):
-    """What must hold; positions in the world's frame, east and north about the first origin."""
+    """Limits to keep; positions in the world's frame, east and north about the first origin."""
 
     fence_enu_m: Corners
     system_id: int | None = None
-    """The vehicle that the companion was told to follow; None: the first that it hears."""
+    """The vehicle that the companion is configured to follow; None: the first that it hears."""
     keep_out_enu_m: tuple[Corners, ...] = ()
     altitude_min_m: Positive = 5.0
     altitude_max_m: Positive = 60.0
@@ -50,7 +50,7 @@ class Rules(Params, frozen=True):
     gap_s: Positive = 0.1
     """Longest silence of the setpoints while in control."""
     silence_s: Positive = 10.0
-    """Without a HEARTBEAT for this long nobody knows who flies: the companion may fall silent."""
+    """Without a HEARTBEAT for this long control is unknown: the companion may fall silent."""
     stall_s: Positive = 0.5
     """A control tick later than this must have stopped heartbeat and setpoints."""
     sent_frames_per_s: Positive = 150.0
@@ -60,11 +60,11 @@ class Rules(Params, frozen=True):
 
     @property
     def clearance_m(self) -> float:
-        """What every setpoint keeps from a border: three standard deviations."""
+        """Clearance of every setpoint from a border: three standard deviations, m."""
         return 3.0 * self.navigation_sigma_m
 
     def depth_m(self, place: Point) -> float:
-        """How far inside the fence and outside of all keep-outs a place is; negative: it is not."""
+        """Depth inside the fence and outside all keep-outs, m; negative: violated."""
         return independent_checks.depth_m(self.fence_enu_m, self.keep_out_enu_m, place)
 
 
@@ -103,7 +103,7 @@ MOST_OF_A_KIND = 20
 
 
 def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
-    """Whether the mode obeys setpoints: PX4 main mode 6, ArduPilot mode 4."""
+    """True if the mode obeys setpoints: PX4 main mode 6, ArduPilot mode 4."""
     if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
         return int(heartbeat.custom_mode) >> 16 & 0xFF == PX4_OFFBOARD_MAIN
     return int(heartbeat.custom_mode) == ARDUPILOT_GUIDED
@@ -111,7 +111,7 @@ def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
 
 @dataclass(slots=True)
 class ObservedState:
-    """What reached the companion since its process began."""
+    """Reports that reached the companion since its process began."""
 
     heartbeat_s: float | None = None
     is_ours: bool = False
@@ -120,7 +120,7 @@ class ObservedState:
     """When the newest mode was heard that ended ours."""
     mode_sent_at: tuple[float, int] = (-1.0, 0)
     position_enu_m: PositionEnu | None = None
-    """In the world's frame, by the origin that was told."""
+    """In the world's frame, by the reported origin."""
     velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
     position_s: float | None = None
     position_sent_s: float = -math.inf
@@ -129,9 +129,9 @@ class ObservedState:
     """The last place before the vehicle's stamps went back, and when it arrived."""
     origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
-    """When the vehicle told that its origin moved; places from before are of another frame."""
+    """Time of the report that the origin moved; places from before are of another frame."""
     origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
-    """Zero of the local frame, as it was told last."""
+    """Zero of the local frame, as last reported."""
 
 
 @dataclass(slots=True)
@@ -144,7 +144,7 @@ class SentSetpoint:
 
     @property
     def rounding_m(self) -> float:
-        """How far the wire moves a place over the ground."""
+        """Rounding of a horizontal position on the wire, m."""
         is_global = isinstance(self.message, mavlink.MAVLink_set_position_target_global_int_message)
         return DEGREES_ROUNDING_M if is_global else METRES_ROUNDING_M
 
@@ -165,16 +165,16 @@ class ObservedScene:
     """How wrong the autopilot may be about its height."""
     is_flying: bool = False
     now_s: float = 0.0
-    told: ObservedState = field(default_factory=ObservedState)
+    observed: ObservedState = field(default_factory=ObservedState)
     is_companion_up: bool = True
     tick_s: float | None = None
     """When the companion's control tick last ran."""
     suspended_until_s: float = -1.0
     """The companion process gets no time until then."""
     is_believable: bool = True
-    """Whether the frame that was heard last had to be believed."""
+    """True if the last frame had to be accepted."""
     is_lied_to: bool = False
-    """An unknown peer had to be believed: of a flood of its places nobody knows which counts."""
+    """An unknown peer had to be accepted: in a flood of its positions any may count."""
     violations: list[InvariantViolation] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     _sent_s: OrderedDict[bytes, tuple[float, int]] = field(default_factory=OrderedDict, repr=False)
@@ -196,28 +196,28 @@ class ObservedScene:
             self._sent_s.popitem(last=False)
 
     def sent_at(self, frame: Frame) -> tuple[float, int]:
-        """When, and as its how many-th, the vehicle sent a frame; now, if that is unknown."""
+        """Return time and sequence number at which the vehicle sent a frame; now, if unknown."""
         return self._sent_s.get(frame.data, (frame.time_s, self._sent_count))
 
     def is_of_autopilot(self, frame: Frame) -> bool:
-        """Whether it is in the name of the vehicle's autopilot."""
+        """True if its sender ids are those of the vehicle's autopilot."""
         return frame.sender == (self.system_id, AUTOPILOT_COMPONENT)
 
-    def tell(self, frame: Frame) -> None:
-        """This reached the companion, which had to believe it."""
+    def observe(self, frame: Frame) -> None:
+        """Take a frame that the companion had to accept."""
         if not self.is_of_autopilot(frame) or frame.number not in OBSERVED_MESSAGES:
             return
-        told, message = self.told, frame.message
+        observed, message = self.observed, frame.message
         match message:
             case mavlink.MAVLink_heartbeat_message():
-                told.heartbeat_s = frame.time_s
+                observed.heartbeat_s = frame.time_s
                 sent_at = self.sent_at(frame)
-                if sent_at >= told.mode_sent_at:
-                    told.mode_sent_at = sent_at
+                if sent_at >= observed.mode_sent_at:
+                    observed.mode_sent_at = sent_at
                     is_armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-                    was_ours, told.is_ours = told.is_ours, is_armed and is_offboard(message)
-                    if was_ours and not told.is_ours:
-                        told.left_s = frame.time_s
+                    was_ours, observed.is_ours = observed.is_ours, is_armed and is_offboard(message)
+                    if was_ours and not observed.is_ours:
+                        observed.left_s = frame.time_s
             case mavlink.MAVLink_local_position_ned_message():
                 self._tell_position(message, frame.time_s, self.sent_at(frame))
             case mavlink.MAVLink_gps_global_origin_message():
@@ -227,14 +227,14 @@ class ObservedScene:
                     self._tell_origin(world.enu_from_geodetic(*place), self.sent_at(frame))
 
     def _tell_origin(self, origin_enu_m: PositionEnu, sent_at: tuple[float, int]) -> None:
-        told = self.told
-        if sent_at < told.origin_sent_at:
+        observed = self.observed
+        if sent_at < observed.origin_sent_at:
             return
-        told.origin_sent_at = sent_at
-        if math.dist(origin_enu_m, told.origin_enu_m) > FRAME_STEP_M:
-            told.position_enu_m = told.position_s = None
-            told.frame_sent_at = sent_at
-        told.origin_enu_m = origin_enu_m
+        observed.origin_sent_at = sent_at
+        if math.dist(origin_enu_m, observed.origin_enu_m) > FRAME_STEP_M:
+            observed.position_enu_m = observed.position_s = None
+            observed.frame_sent_at = sent_at
+        observed.origin_enu_m = origin_enu_m
 
     def _tell_position(
         self,
@@ -242,22 +242,22 @@ class ObservedScene:
         now_s: float,
         sent_at: tuple[float, int],
     ) -> None:
-        told = self.told
-        if sent_at < told.frame_sent_at:
+        observed = self.observed
+        if sent_at < observed.frame_sent_at:
             return
         values = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
         if not all(abs(value) < 1e5 for value in values):
             return
-        has_rebooted = message.time_boot_ms < told.position_boot_ms - 5000
-        is_older = message.time_boot_ms < told.position_boot_ms and not has_rebooted
-        if is_older and not (self._sent_s and sent_at[0] > told.position_sent_s):
+        has_rebooted = message.time_boot_ms < observed.position_boot_ms - 5000
+        is_older = message.time_boot_ms < observed.position_boot_ms and not has_rebooted
+        if is_older and not (self._sent_s and sent_at[0] > observed.position_sent_s):
             return  # overtaken; one that was truly sent later is of a clock that slipped
-        if has_rebooted and told.position_enu_m is not None and told.position_s is not None:
-            told.before_restart = (told.position_enu_m, told.position_s)
-        told.position_boot_ms = message.time_boot_ms
-        told.position_s, told.position_sent_s = now_s, sent_at[0]
-        told.position_enu_m = self.world_from_local((message.y, message.x, -message.z))
-        told.velocity_enu_mps = (message.vy, message.vx, -message.vz)
+        if has_rebooted and observed.position_enu_m is not None and observed.position_s is not None:
+            observed.before_restart = (observed.position_enu_m, observed.position_s)
+        observed.position_boot_ms = message.time_boot_ms
+        observed.position_s, observed.position_sent_s = now_s, sent_at[0]
+        observed.position_enu_m = self.world_from_local((message.y, message.x, -message.z))
+        observed.velocity_enu_mps = (message.vy, message.vx, -message.vz)
 
     @property
     def seen_at(self) -> tuple[tuple[PositionEnu, float], ...]:
@@ -266,23 +266,23 @@ class ObservedScene:
         That is the newest; and, while it would not be stale, the last one before the stamps went
         back, because some such stamps are no proof yet that the vehicle restarted.
         """
-        told, oldest_s = self.told, self.now_s - self.rules.state_age_s - TICK_S
-        newest, before = (told.position_enu_m, told.position_s), told.before_restart
+        observed, oldest_s = self.observed, self.now_s - self.rules.state_age_s - TICK_S
+        newest, before = (observed.position_enu_m, observed.position_s), observed.before_restart
         places = [] if newest[0] is None or newest[1] is None else [(newest[0], newest[1])]
         if before is not None and before[1] >= oldest_s:
             places.append(before)
         return tuple(places)
 
     def is_moved_inwards(self, place: Point) -> bool:
-        """Whether a place may be where a vehicle at a border, or beyond it, is to stay."""
-        told, rules = self.told.position_enu_m, self.rules
-        return told is not None and independent_checks.is_moved_inwards(
-            rules.fence_enu_m, rules.keep_out_enu_m, told[:2], place
+        """True if a vehicle at a border, or beyond it, may stay at `place`."""
+        observed, rules = self.observed.position_enu_m, self.rules
+        return observed is not None and independent_checks.is_moved_inwards(
+            rules.fence_enu_m, rules.keep_out_enu_m, observed[:2], place
         )
 
     def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
-        """By the origin that the companion was told last."""
-        origin = self.told.origin_enu_m
+        """Convert by the origin last reported to the companion."""
+        origin = self.observed.origin_enu_m
         return (enu_m[0] + origin[0], enu_m[1] + origin[1], enu_m[2] + origin[2])
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
@@ -325,7 +325,7 @@ class TrueScene(ObservedScene):
 
     @property
     def bias_m(self) -> float:
-        """How wrong the autopilot is about the vehicle's horizontal place."""
+        """Horizontal error of the autopilot's position estimate, m."""
         return math.hypot(*self.vehicle.estimator.bias_enu_m[:2])
 
 

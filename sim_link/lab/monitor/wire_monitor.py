@@ -71,7 +71,7 @@ class Recording(Observer):
         self._keep(now_s, "noted", kind, fields, now_s)
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process began anew."""
+        """The companion process restarted."""
         self._keep(now_s, "companion_started", now_s)
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:
@@ -125,8 +125,8 @@ class HeardScene(ObservedScene):
                 self._is_in_air = message.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND
         self.is_flying = self._is_armed or self._is_in_air
 
-    def tell(self, frame: Frame) -> None:
-        """This reached the companion, which had to believe it."""
+    def observe(self, frame: Frame) -> None:
+        """Take a frame that the companion had to accept."""
         if self.is_of_autopilot(frame):
             message = frame.message
             match message:
@@ -143,7 +143,7 @@ class HeardScene(ObservedScene):
             if home is not None and world is not None:
                 place = (home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3)
                 self.home_up_m = world.enu_from_geodetic(*place)[2]
-        super(HeardScene, self).tell(frame)
+        super(HeardScene, self).observe(frame)
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
         """The setpoint in a frame that the companion sent, at the time of its stamp."""
@@ -180,7 +180,7 @@ class WireMonitor(FrameMonitor):
         super().__init__(scene, invariants)
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """The vehicle sent this; a mode that changes was given by whoever may give it."""
+        """The vehicle sent this; a changed mode counts as given by an authorised person."""
         super().vehicle_sent(frame)
         message = frame.message
         if not isinstance(message, mavlink.MAVLink_heartbeat_message):
@@ -207,7 +207,7 @@ class WireMonitor(FrameMonitor):
             self._covariance.ticked()
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process began anew."""
+        """The companion process restarted."""
         self.scene.stamps_from_s = None  # another process stamps by another clock
         super().companion_started(now_s)
 

@@ -1,1 +1,1 @@
-"""What a study looks like: figures, tables, verdicts and the page that holds them."""
+"""Report of a study: figures, tables, verdicts and the page that holds them."""

@@ -1,4 +1,4 @@
-"""What must hold, and whether it did: the claims of the evaluation, measured in this run.
+"""Claims of the evaluation, and their verdicts measured in this run.
 
 A claim whose cells were not flown is left out; one that could be measured only in part says so.
 """
@@ -45,7 +45,7 @@ MAX_COST_MS = {"Proposed (Reactive)": 0.003, "Proposed (FIM)": 0.015}
 PAPER_COST_RATIO = 23
 """Section "Bias Learning and the Performance-Complexity Trade-off"."""
 PAPER_STEPS = 5
-"""The paper's least steps to 2.5 m, whose bound is told."""
+"""The paper's least steps to 2.5 m, whose bound is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class Claim:
 
 
 class NotFlownError(Exception):
-    """What a claim is about was not flown."""
+    """The cells that a claim is about were not flown."""
 
 
 class Findings:
@@ -172,13 +172,13 @@ def _settling(findings: Findings) -> Claim:
     steps = [steps_to_settle(cell.tally.rmse_m) for cell in cells]
     limits = [MAX_STEPS[cell.value] for cell in cells]
     bound_m = float(cells[0].tally.rmse_bound_m[min(PAPER_STEPS, cells[0].case.steps) - 1])
-    told = f"{bound_m:.1f} m" if bound_m < FAR_M else f"over {FAR_M:g} m"
+    text = f"{bound_m:.1f} m" if bound_m < FAR_M else f"over {FAR_M:g} m"
     return Claim(
         f"The same, steps to 2.5 m, range noise {' / '.join(cell.value for cell in cells)} m",
         "5 / 20 / 24",
         "<= " + " / ".join(str(limit) for limit in limits),
         " / ".join("never" if s is None else str(s) for s in steps)
-        + f"; the bound after {PAPER_STEPS} steps at {cells[0].value} m is {told}",
+        + f"; the bound after {PAPER_STEPS} steps at {cells[0].value} m is {text}",
         all(s is not None and s <= limit for s, limit in zip(steps, limits, strict=True)),
     )
 
@@ -362,7 +362,7 @@ def worst_m(cell: CellResult) -> float:
 
 
 def _honest_cells(findings: Findings) -> list[CellResult]:
-    """The companion's own tracker, in noise as it believes, in runs that are long enough."""
+    """The companion's own tracker, in the noise that it assumes, in runs that are long enough."""
     return _flown(
         [
             cell

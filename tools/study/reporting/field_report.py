@@ -1,4 +1,4 @@
-"""What flights in the field came to: a summary of each cell, its tables and its figure.
+"""Results of flights in the field: a summary of each cell, its tables and its figure.
 
 A cell is a radio with a configuration and a planner. Definitions:
 
@@ -29,7 +29,7 @@ from tools.study.study import FlightRow, ResultRow
 
 Z95 = 1.959964
 """Of the standard normal: 2.5 % are beyond."""
-TOLD_COLOURS = {"told": plots.LATCHED, "not_told": plots.PASSIVE}
+CONFIG_COLOURS = {"told": plots.LATCHED, "not_told": plots.PASSIVE}
 SHOWN_PLANNER = "latched_crossing"
 
 
@@ -57,8 +57,8 @@ def by_cell(rows: Iterable[FlightRow]) -> dict[tuple[str, str, str], list[Flight
 def summary_of(rows: Iterable[FlightRow]) -> list[ResultRow]:
     """The rows of results.csv."""
     return [
-        ResultRow("field", "radio", radio, f"{planner}, {told.replace('_', ' ')}", metric, "", *own)
-        for (radio, planner, told), flights in by_cell(rows).items()
+        ResultRow("field", "radio", radio, f"{planner}, {kind.replace('_', ' ')}", metric, "", *own)
+        for (radio, planner, kind), flights in by_cell(rows).items()
         for metric, *own in _figures(flights)
     ]
 
@@ -157,11 +157,11 @@ def drawing_of(rows: Sequence[FlightRow]) -> Drawing:
         figure = plots.new_figure(2.5 * columns + 0.4, 2.4 * lines + 0.35)
         grid = figure.subplots(lines, columns, squeeze=False)
         for axes, radio in zip(grid.flat, radios, strict=False):
-            for told, colour in TOLD_COLOURS.items():
-                own = [r for r in rows if (r.radio, r.config) == (radio, told) and r.is_reported]
+            for kind, colour in CONFIG_COLOURS.items():
+                own = [r for r in rows if (r.radio, r.config) == (radio, kind) and r.is_reported]
                 shown = [r for r in own if r.planner == SHOWN_PLANNER] or own
                 pairs = [(r.r95_m or math.nan, max(r.error_m or 0.0, 0.01)) for r in shown]
-                label = told.replace("_", " ")
+                label = kind.replace("_", " ")
                 places = tuple(zip(*pairs, strict=True)) or ((), ())
                 axes.plot(*places, "o", color=colour, ms=3, alpha=0.6, label=label)
             axes.set(xscale="log", yscale="log", title=radio.replace("_", " "))

@@ -1,4 +1,4 @@
-"""What figures show, as plain numbers: taken from tallies, or flown with one seed.
+"""Data of the figures: taken from tallies, or flown with one seed.
 
 Why FIM stalls in a shadow: before every step its criterion is taken of its candidates and of
 staying, with the information in the filter (`companion.planning.fim`) and as the paper prints it
@@ -60,7 +60,7 @@ Flight = tuple[System, TrialResult]
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """How a system's final RMSE follows a parameter; vectors are (k,), one for each value."""
+    """Final RMSE of a system as a function of a parameter; vectors are (k,), one per value."""
 
     system: System
     values: Vector
@@ -171,12 +171,12 @@ def _beyond(corner: Point, target_enu_m: Point) -> Point:
 WATCHED = (FIM, FIM_PRINTED, REACTIVE, CROSSING)
 WATCHED_RUNS = 15
 WATCHED_STEPS = 60
-"""By then whoever left the shadow is at the target."""
+"""By then a vehicle that left the shadow is at the target."""
 
 
 @dataclass(frozen=True, slots=True)
 class GradientWatch:
-    """What was seen of several runs of one system before every step, (runs, steps - 1) each."""
+    """FIM criterion of one system before every step of several runs, (runs, steps - 1) each."""
 
     system: System
     gradient: Matrix
@@ -213,7 +213,7 @@ def _watch(case: Case, system: System, seeds: Sequence[RunSeed]) -> GradientWatc
 def _gradients(
     case: Case, system: System, seed: RunSeed, track_enu_m: Matrix
 ) -> list[tuple[float, float]]:
-    """What FIM's candidates promised along a run's track, with the filter and as printed."""
+    """Return the information gradients along a run's track, with the filter and as printed."""
     draws, truth, start = run_inputs(case, seed)
     fuse = systems.estimator_of(case, System(system.filter, "passive"), start)
     steer = systems.steer_along(track_enu_m)

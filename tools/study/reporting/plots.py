@@ -300,7 +300,7 @@ def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
 
 
 def _has_double(curve: Curve, curves: Sequence[Curve]) -> bool:
-    """Whether the name of a bound is already at another line of the same planner."""
+    """True if another line of the same planner already names a bound."""
     bounds = [c for c in curves if c.is_bound and c.system.planner == curve.system.planner]
     return curve.is_bound and bounds[0] is not curve
 
@@ -325,7 +325,7 @@ def _draw_sensitivity(axes: Axes, one: Sensitivity) -> None:
 
 
 def gradients(watches: Sequence[GradientWatch]) -> Figure:
-    """What FIM's candidates differ by along flights, and where these are meanwhile."""
+    """Plot the gradients of FIM's criterion along flights, with distance and shadow."""
     figure = new_figure(7.2, 5.0)
     (filtered, printed), (distance, shadow) = figure.subplots(2, 2, sharex=True)
     for watch in watches:

@@ -1,7 +1,7 @@
 """`report.html` of a study: one page with verdicts, tables and figures, complete in itself.
 
 The page needs no network and no scripts. What it says of the scenario and of the paper's open
-points is read from the canonical case, so that it cannot tell another story than the code.
+points is read from the canonical case, so that it cannot differ from the code.
 """
 
 from __future__ import annotations
@@ -149,12 +149,12 @@ def page(
 
 
 def title_of(results: Sequence[StudyResult]) -> str:
-    """What the page is about."""
+    """Return the title of the page."""
     return results[0].study.title if len(results) == 1 else "The paper's evaluation, measured"
 
 
 def verdict_line(claims: Sequence[Claim]) -> str:
-    """How many of the claims are met, in words."""
+    """Count the claims that are met, in words."""
     if not claims:
         return ""
     met = sum(claim.is_met for claim in claims)

@@ -68,7 +68,7 @@ def rows_of(result: StudyResult) -> list[ResultRow]:
 
 
 def metrics_of(result: StudyResult, cell: Cell) -> Sequence[Metric]:
-    """What is said of a cell."""
+    """Return the metrics shown for a cell."""
     return result.study.metrics if cell.sweep.metrics is None else cell.sweep.metrics
 
 
@@ -124,7 +124,7 @@ def _resampled(errors_m: Vector) -> Vector:
 
 @lru_cache(maxsize=1)
 def resamples(runs: int) -> Matrix:
-    """How often each run is drawn in each resample, (RESAMPLES, runs)."""
+    """Return how often each run is drawn in each bootstrap resample, (RESAMPLES, runs)."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     return rng.multinomial(runs, np.full(runs, 1.0 / runs), size=RESAMPLES).astype(np.float64)
 
@@ -164,8 +164,8 @@ def _after_steps(_: StudyResult, cell: CellResult) -> list[Numbers]:
     return [(f"rmse_after_{steps}_steps_m", number(rmse_m[at]), "", bound_text(bound_m[at]))]
 
 
-def _single(name: str, told: Callable[[RunTally], str]) -> Measure:
-    return lambda _, cell: [(name, told(cell.tally))]
+def _single(name: str, format_value: Callable[[RunTally], str]) -> Measure:
+    return lambda _, cell: [(name, format_value(cell.tally))]
 
 
 def _bound_ratio(_: StudyResult, cell: CellResult) -> list[Numbers]:

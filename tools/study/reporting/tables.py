@@ -251,7 +251,7 @@ Factors = list[tuple[str, float]]
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """What the values of an assumption make of one system's final RMSE."""
+    """Effect of an assumption's values on one system's final RMSE."""
 
     factors: tuple[tuple[str, float], ...]
     """Value, and final RMSE by that of our choice."""
@@ -261,7 +261,7 @@ class Swing:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the bar goes on beyond the axis."""
+        """True if the bar goes on beyond the axis."""
         return self.left_percent <= 0.0 or self.left_percent + self.width_percent >= 100.0
 
 
@@ -327,5 +327,5 @@ def _swing(factors: Factors, span: float) -> Swing:
 
 
 def _share(factor: float, span: float) -> float:
-    """Where a factor is on the axis, logarithmic, from 0 to 1."""
+    """Position of a factor on the logarithmic axis, from 0 to 1."""
     return min(max(0.5 + 0.5 * math.log(factor) / math.log(span), 0.0), 1.0)

@@ -68,7 +68,7 @@ class Bench:
         while True:
             said = b""
             while due_s <= self.now_s:
-                said += self.emulator.tell(round_at(self.emulator, 1.0 + due_s, number))
+                said += self.emulator.encode(round_at(self.emulator, 1.0 + due_s, number))
                 number, due_s = number + 1, due_s + self._period_s
             yield said
 

@@ -32,7 +32,7 @@ def test_everything_with_each_other_the_seeds_by_turns() -> None:
 
 def test_only_what_is_named_is_flown() -> None:
     flights = flights_of(GRID, CONFIGS, 2, 1, ["phone_ftm", "told"])
-    assert {(f.radio, f.told) for f in flights} == {("phone_ftm", "told")}
+    assert {(f.radio, f.config_kind) for f in flights} == {("phone_ftm", "told")}
     assert {f.config.planner.kind for f in flights} == {"latched_crossing", "lawnmower"}
     with pytest.raises(ConfigError, match=r"--only phone: .*did you mean `phone_ftm`"):
         flights_of(GRID, CONFIGS, 2, 1, ["phone"])
@@ -42,7 +42,7 @@ def test_who_does_not_know_the_radio_knows_how_to_search() -> None:
     grid = msgspec.structs.replace(GRID, cut_s={"rubble": 240.0})
     flights = flights_of(grid, CONFIGS, 1, 1, ["latched_crossing"])
     told, not_told = (flight.config for flight in flights)
-    assert (flights[0].told, flights[1].told) == ("told", "not_told")
+    assert (flights[0].config_kind, flights[1].config_kind) == ("told", "not_told")
     assert not_told.planner == told.planner
     assert not_told.planner.search == "expanding_square"
     assert not_told.estimation == CompanionConfig().estimation

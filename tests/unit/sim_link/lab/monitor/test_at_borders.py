@@ -38,11 +38,11 @@ def sent_beside(
     """What is reported of setpoints, tick by tick, while the vehicle is told to be there."""
     around = monitored_flight(AUTO, Scenario(), 1)
     scene = around.monitor.scene
-    scene.told.is_ours, scene.is_lied_to = is_ours, is_lied_to
+    scene.observed.is_ours, scene.is_lied_to = is_ours, is_lied_to
     invariant = invariant_type(scene)
     for tick, (vehicle, place) in enumerate(zip(vehicles, setpoints, strict=True)):
         scene.now_s = tick * TICK_S
-        scene.told.position_enu_m, scene.told.position_s = (*vehicle, up_m), scene.now_s
+        scene.observed.position_enu_m, scene.observed.position_s = (*vehicle, up_m), scene.now_s
         invariant.setpoint(SentSetpoint(scene.now_s, (*place, up_m), SETPOINT))
     return [violation.what for violation in around.monitor.violations]
 
@@ -167,7 +167,7 @@ def test_a_vehicle_that_somebody_else_made_too_fast_can_only_be_stopped(
 ) -> None:
     around = monitored_flight(AUTO, Scenario(), 1)
     scene, place = around.monitor.scene, (10.0, BORDER_NORTH_M + 2.0, 15.0)
-    scene.told.is_ours = True
+    scene.observed.is_ours = True
     body = scene.vehicle.body
     body.position_enu_m, body.velocity_enu_mps = place, (0.0, -8.0, 0.0)
     invariant = SafeToFreeze(scene, lambda: is_dragged)

@@ -37,16 +37,16 @@ def found(around: Monitored) -> list[str]:
 def followed_while_origin_moves(around: Monitored, origin_m: float, step_m: float) -> list[str]:
     """What is found of a setpoint that is stepped aside as the origin moves to the east."""
     scene = around.monitor.scene
-    scene.told.is_ours = True
+    scene.observed.is_ours = True
     invariant = WithinEnvelope(scene)
     for tick in range(20):
         scene.now_s = tick * TICK_S
         if tick == STEP_TICK:
-            scene.told.origin_enu_m = (origin_m, 0.0, 0.0)
+            scene.observed.origin_enu_m = (origin_m, 0.0, 0.0)
         east_m = SPEED_MPS * scene.now_s + (step_m if tick >= STEP_TICK else 0.0)
         vehicle_east_m = east_m if tick == 0 else east_m - LEAD_M  # the first is where it is
-        scene.told.position_enu_m = (vehicle_east_m, 30.0, 15.0)
-        scene.told.position_s = scene.now_s
+        scene.observed.position_enu_m = (vehicle_east_m, 30.0, 15.0)
+        scene.observed.position_s = scene.now_s
         invariant.setpoint(SentSetpoint(scene.now_s, (east_m, 30.0, 15.0), SETPOINT))
     return found(around)
 
@@ -85,8 +85,8 @@ def test_before_a_restart_is_proved_the_vehicle_is_where_it_was(
     is_found: bool,
 ) -> None:
     scene, before, after = around.monitor.scene, (0.0, 7.0, 15.0), (0.0, 0.0, 15.0)
-    scene.tell(position(42.0, before, now_s=42.0))
-    scene.tell(position(0.3, after, now_s=42.05))
+    scene.observe(position(42.0, before, now_s=42.0))
+    scene.observe(position(0.3, after, now_s=42.05))
     scene.now_s = 42.0 + asked_s
     invariant_type(scene).setpoint(SentSetpoint(scene.now_s, before, SETPOINT))
     assert bool(found(around)) is is_found
@@ -94,8 +94,8 @@ def test_before_a_restart_is_proved_the_vehicle_is_where_it_was(
 
 def test_where_it_is_since_is_never_an_offence(around: Monitored) -> None:
     scene, after = around.monitor.scene, (0.0, 0.0, 15.0)
-    scene.tell(position(42.0, (0.0, 7.0, 15.0), now_s=42.0))
-    scene.tell(position(0.3, after, now_s=42.05))
+    scene.observe(position(42.0, (0.0, 7.0, 15.0), now_s=42.0))
+    scene.observe(position(0.3, after, now_s=42.05))
     scene.now_s = 42.1
     WithinEnvelope(scene).setpoint(SentSetpoint(scene.now_s, after, SETPOINT))
     assert found(around) == []

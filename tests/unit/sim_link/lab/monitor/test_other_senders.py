@@ -133,14 +133,14 @@ def frame(time_s: float, message: Message = ATTITUDE, *, is_genuine: bool = True
 
 def followed() -> SenderTrust:
     whose = SenderTrust()
-    assert whose.believes(frame(0.0, HEARTBEAT))
+    assert whose.accepts(frame(0.0, HEARTBEAT))
     return whose
 
 
 def test_a_stranger_is_not_believed_beside_the_vehicle() -> None:
     whose = followed()
-    assert not whose.believes(frame(SILENCE_S - 0.1, is_genuine=False))
-    assert whose.believes(frame(SILENCE_S - 0.05))
+    assert not whose.accepts(frame(SILENCE_S - 0.1, is_genuine=False))
+    assert whose.accepts(frame(SILENCE_S - 0.05))
 
 
 def test_the_payload_of_a_stranger_is_believed_while_that_is_followed() -> None:
@@ -148,45 +148,45 @@ def test_the_payload_of_a_stranger_is_believed_while_that_is_followed() -> None:
     payload = Frame(0.1, MavCodec(1, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
     of_another = Frame(0.1, MavCodec(77, 158).encode(ATTITUDE), Lane.TO_COMPANION, is_genuine=False)
     assert not whose.is_beside_unknown_peer(payload)
-    assert whose.believes(frame(SILENCE_S, is_genuine=False))
+    assert whose.accepts(frame(SILENCE_S, is_genuine=False))
     assert whose.is_beside_unknown_peer(payload)
     assert not whose.is_beside_unknown_peer(of_another)
 
 
 def test_a_stranger_is_followed_after_a_silence_and_the_vehicle_after_another() -> None:
     whose = followed()
-    assert whose.believes(frame(SILENCE_S, is_genuine=False))
-    assert not whose.believes(frame(SILENCE_S + 0.1))
-    assert whose.believes(frame(2.0 * SILENCE_S + 0.1))
+    assert whose.accepts(frame(SILENCE_S, is_genuine=False))
+    assert not whose.accepts(frame(SILENCE_S + 0.1))
+    assert whose.accepts(frame(2.0 * SILENCE_S + 0.1))
 
 
 def test_before_a_heartbeat_and_after_a_restart_nobody_is_followed_yet() -> None:
     whose = followed()
     whose.restart()
-    assert not whose.believes(frame(1.0, is_genuine=False))
-    assert whose.believes(frame(1.1, HEARTBEAT, is_genuine=False))
-    assert not whose.believes(frame(1.2))
+    assert not whose.accepts(frame(1.0, is_genuine=False))
+    assert whose.accepts(frame(1.1, HEARTBEAT, is_genuine=False))
+    assert not whose.accepts(frame(1.2))
 
 
 def test_of_two_autopilots_the_first_that_is_heard_is_followed_for_good() -> None:
     whose = SenderTrust()
     other = MavCodec(77, 1).encode(HEARTBEAT)
-    assert whose.believes(Frame(1.0, other, Lane.TO_COMPANION, is_genuine=False))
+    assert whose.accepts(Frame(1.0, other, Lane.TO_COMPANION, is_genuine=False))
     assert whose.follows_unknown_peer
-    assert not whose.believes(frame(1.1, HEARTBEAT))
-    assert not whose.believes(frame(1.0 + 2.0 * SILENCE_S, HEARTBEAT))
+    assert not whose.accepts(frame(1.1, HEARTBEAT))
+    assert not whose.accepts(frame(1.0 + 2.0 * SILENCE_S, HEARTBEAT))
     whose.restart()
-    assert whose.believes(frame(9.0, HEARTBEAT))
-    assert not whose.believes(Frame(20.0, other, Lane.TO_COMPANION, is_genuine=False))
+    assert whose.accepts(frame(9.0, HEARTBEAT))
+    assert not whose.accepts(Frame(20.0, other, Lane.TO_COMPANION, is_genuine=False))
 
 
 def test_a_station_and_a_vehicle_that_is_not_wanted_are_not_followed() -> None:
     station = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     other = Frame(1.0, MavCodec(77, 1).encode(HEARTBEAT), Lane.TO_COMPANION, is_genuine=False)
     whose = SenderTrust(wanted_system_id=1)
-    assert not whose.believes(frame(0.5, station, is_genuine=False))
-    assert not whose.believes(other)
-    assert whose.believes(frame(1.5, HEARTBEAT))
+    assert not whose.accepts(frame(0.5, station, is_genuine=False))
+    assert not whose.accepts(other)
+    assert whose.accepts(frame(1.5, HEARTBEAT))
     assert not whose.follows_unknown_peer
 
 

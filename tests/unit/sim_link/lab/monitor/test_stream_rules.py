@@ -23,7 +23,7 @@ class Stream:
     def __init__(self) -> None:
         self.scene: ObservedScene = monitored_flight(AUTO, Scenario(), 1).monitor.scene
         self.invariant = KeepsStreaming(self.scene)
-        told = self.scene.told
+        told = self.scene.observed
         told.is_ours, told.heartbeat_s, told.position_enu_m = True, 0.0, (0.0, 0.0, 15.0)
         self.invariant.noted("phase", {"new": "hold"})
 
@@ -40,9 +40,9 @@ class Stream:
         while scene.now_s < until_s:
             scene.now_s += STEP_S
             if is_mode_heard:
-                scene.told.heartbeat_s = scene.now_s
+                scene.observed.heartbeat_s = scene.now_s
             if is_fresh:
-                scene.told.position_s = scene.told.position_sent_s = scene.now_s
+                scene.observed.position_s = scene.observed.position_sent_s = scene.now_s
             if not is_silent:
                 self.invariant.setpoint(SentSetpoint(scene.now_s, (0.0, 0.0, 15.0), SETPOINT))
             self.invariant.stepped()
@@ -87,7 +87,7 @@ def test_how_old_the_places_of_a_stranger_are_only_the_companion_knows(stream: S
 def test_a_frame_that_moved_settles_within_half_a_second(
     stream: Stream, until_s: float, *, has_paused: bool
 ) -> None:
-    stream.scene.told.frame_sent_at = (1.0, 100)
+    stream.scene.observed.frame_sent_at = (1.0, 100)
     stream.lasts(until_s, is_silent=True)
     assert stream.has_paused is has_paused
 
