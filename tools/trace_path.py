@@ -25,6 +25,7 @@ sys.path.insert(0, str(ROOT))
 
 from companion.config.schema import CompanionConfig  # noqa: E402
 from companion.entry import outlive_readers  # noqa: E402
+from companion.estimation.tracker import FusionReport  # noqa: E402
 from companion.guidance.session_params import SessionParams  # noqa: E402
 from companion.mav.dialect import MAVLink_radio_ranging_message  # noqa: E402
 from companion.mav.endpoint import Chunk  # noqa: E402
@@ -34,7 +35,10 @@ from sim_link.lab.lockstep.flight import Flight, MemoryJournal  # noqa: E402
 
 PRODUCT = str(ROOT / "companion") + "/"
 END = "TargetTracker.fuse"
-"""When this returns, the measurement has moved the estimate, or was refused."""
+"""When this returns its report, the measurement has moved the estimate, or was refused.
+
+Between its steps it returns numbers, which is no end.
+"""
 FROM_S, DURATION_S = 22.0, 5.0
 """The canonical flight searches then, beyond its first crossing."""
 
@@ -52,7 +56,7 @@ class DatagramPath:
         """The files of the functions."""
         return {name for name, _ in self.calls}
 
-    def profile(self, frame: FrameType, event: str, _argument: object) -> None:
+    def profile(self, frame: FrameType, event: str, argument: object) -> None:
         """Note a call, until the end; for `sys.setprofile`."""
         code = frame.f_code
         if self.is_fused or not code.co_filename.startswith(PRODUCT):
@@ -60,19 +64,24 @@ class DatagramPath:
         if event == "call":
             name = code.co_qualname.partition(".<locals>.<")[0]
             self.calls[code.co_filename.removeprefix(PRODUCT), name] += 1
-        elif event == "return" and code.co_qualname == END:
+        elif event == "return" and code.co_qualname == END and isinstance(argument, FusionReport):
             self.is_fused = True
 
 
-def traced_paths() -> list[DatagramPath]:
-    """The path of every ranging datagram that was fused at once in a window of flight."""
+def traced_paths() -> tuple[list[DatagramPath], int]:
+    """The paths of ranging datagrams that were fused at once in a window of flight.
+
+    And how many more there were, which waited for a position or whose solution took longer.
+    """
     config = CompanionConfig(mission=SessionParams(engage="auto"))
     flight = Flight(config, Scenario(), 1, MemoryJournal())
     flight.run(FROM_S)
     paths: list[DatagramPath] = []
+    later = 0
     receive = flight.companion.receive
 
     def traced(chunk: Chunk, now_s: float) -> None:
+        nonlocal later
         if message_id(chunk.data) != MAVLink_radio_ranging_message.id:
             receive(chunk, now_s)
             return
@@ -84,11 +93,13 @@ def traced_paths() -> list[DatagramPath]:
             sys.setprofile(None)
         if path.is_fused:
             paths.append(path)
+        else:
+            later += 1
 
     endpoint: Any = flight.companion
     endpoint.receive = traced
     flight.run(DURATION_S)
-    return paths
+    return paths, later
 
 
 def main() -> int:
@@ -96,9 +107,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--list", action="store_true", help="also the functions, in order")
     arguments = parser.parse_args()
-    paths = sorted(traced_paths(), key=lambda path: len(path.calls))
+    paths, later = traced_paths()
+    if not paths:
+        print(f"trace_path: none of {later} ranging datagrams was fused at once", file=sys.stderr)
+        return 1
+    paths.sort(key=lambda path: len(path.calls))
     middle = paths[len(paths) // 2]
-    print(f"{len(paths)} ranging datagrams, from bytes to the fused estimate")
+    print(f"{len(paths)} ranging datagrams, from bytes to the fused estimate; {later} were later")
     print("| | functions | files | calls |\n|---|---|---|---|")
     median_calls = statistics.median(path.calls.total() for path in paths)
     print(f"| median | {len(middle.calls)} | {len(middle.files)} | {median_calls:.0f} |")
