@@ -108,7 +108,7 @@ def test_what_never_came_is_never_good_enough() -> None:
 
 def test_a_log_from_before_the_absolute_radius_is_no_promise_of_it() -> None:
     bound = "error_over_absolute_r95: {at_most: 1000, emitter: 2}"
-    assert "not told" in verdict(bound).found
+    assert "not reported" in verdict(bound).found
     assert not verdict(bound).is_met
 
 
