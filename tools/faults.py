@@ -21,7 +21,8 @@ from companion.entry import outlive_readers
 from companion.errors import CompanionError
 from companion.io.files import write_json_atomic
 from sim_link.lab.campaign.flights import Trial
-from sim_link.lab.campaign.runner import (
+from sim_link.lab.pool import LOCAL
+from tools.campaign.runner import (
     AMOUNTS,
     PARTS,
     CampaignTally,
@@ -32,7 +33,6 @@ from sim_link.lab.campaign.runner import (
     trial_named,
     trials_of,
 )
-from sim_link.lab.pool import LOCAL
 from tools.console import OneLineParser, non_negative, positive, shown
 
 REPLAY = "python tools/faults.py --replay"

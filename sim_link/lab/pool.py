@@ -56,8 +56,11 @@ FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000
 THREADS_OF = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 for processes that are as many as there are cores."""
 
-ROOT, PACKAGES = Path(__file__).resolve().parents[2], ("companion", "sim_link", "tools/study")
-"""Sources that results depend on; the last one exists in a checkout only."""
+ROOT, PACKAGES = (
+    Path(__file__).resolve().parents[2],
+    ("companion", "sim_link", "tools/study", "tools/campaign"),
+)
+"""Sources that results depend on; the last two exist in a checkout only."""
 LIBRARIES = ("numpy", "scipy", "numba", "filterpy")
 """Another version of these may round differently."""
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from sim_link.lab.campaign import process_trials
 from sim_link.lab.campaign.flights import Trial
-from sim_link.lab.campaign.runner import run_one
+from tools.campaign import process_trials
+from tools.campaign.runner import run_one
 
 KILLED, STOPPED = 4, 5
 """Seeds: even ones kill, odd ones stop."""

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.path import Path
 
-from sim_link.lab.campaign.random_missions import PLACES, Place
 from sim_link.lab.monitor.independent_checks import Corners, depth_m, is_way_clear
+from tools.campaign.random_missions import PLACES, Place
 
 coordinates = st.floats(-160.0, 160.0, allow_nan=False)
 points = st.tuples(coordinates, coordinates)

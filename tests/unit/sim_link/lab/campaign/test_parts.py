@@ -7,15 +7,15 @@ import pytest
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from sim_link.lab.campaign.endurance import FrameMaker, Usage, slope_after
 from sim_link.lab.campaign.flights import Trial
-from sim_link.lab.campaign.link_trials import Gaps, pauses_of
-from sim_link.lab.campaign.process_trials import damages
-from sim_link.lab.campaign.random_missions import MOST_FAULTS, mission_case
-from sim_link.lab.campaign.runner import PARTS, run_one
 from sim_link.lab.faults.fault_models import KINDS
 from sim_link.lab.lockstep.flight_harness import MemoryStore
 from sim_link.lab.lockstep.observer import Frame, Lane
+from tools.campaign.endurance import FrameMaker, Usage, slope_after
+from tools.campaign.link_trials import Gaps, pauses_of
+from tools.campaign.process_trials import damages
+from tools.campaign.random_missions import MOST_FAULTS, mission_case
+from tools.campaign.runner import PARTS, run_one
 
 SMALL = {"gaps": 0.003, "forged": 0.1, "fuzz": 0.05, "soak": 0.01}
 MEASURES = {

@@ -8,9 +8,9 @@ import time
 import pytest
 
 from companion.errors import ConfigError
-from sim_link.lab.campaign import runner
 from sim_link.lab.campaign.flights import Part, Trial, TrialOutcome, frames_each
-from sim_link.lab.campaign.runner import (
+from tools.campaign import runner
+from tools.campaign.runner import (
     AMOUNTS,
     PARTS,
     PROMISED,
