@@ -52,8 +52,10 @@ class WithinEnvelope(Invariant):
         origin_enu_m = self.scene.observed.origin_enu_m
         is_new = last is None or setpoint.time_s - last.time_s > STREAM_BREAK_S
         crept_m = math.dist(origin_enu_m, self._origin_enu_m)
-        is_new |= crept_m > FRAME_STEP_M
-        self._origin_enu_m = origin_enu_m
+        # A frame that moved takes the setpoint along, or begins a new stream at the vehicle.
+        has_moved, self._origin_enu_m = crept_m > FRAME_STEP_M, origin_enu_m
+        is_new |= has_moved and last is not None and not self._goes_on(setpoint, last)
+        crept_m = 0.0 if has_moved else crept_m
         # One that was sent before it could answer a foreign mode belongs to the stream before.
         left_s = self.scene.observed.left_s + self.scene.rules.answer_s
         is_ours = self.scene.observed.is_ours or setpoint.time_s <= left_s
@@ -79,13 +81,21 @@ class WithinEnvelope(Invariant):
         most_m = SHARE * rules.climb_mps * dt_s + TOLERANCE_M + crept_m
         if climbed > most_m and not self._is_here(setpoint):
             self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
-        if crept_m > 0.0:
+        if crept_m > 0.0 or has_moved:
             self._velocity = None
             return
         vehicle_m = math.dist(vehicle, self._vehicle) if vehicle and self._vehicle else 0.0
         is_slow_enough = moved <= vehicle_m + TOLERANCE_M
         is_anew = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
         self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_anew=is_anew)
+
+    def _goes_on(self, setpoint: SentSetpoint, last: SentSetpoint) -> bool:
+        """Return True if a setpoint is as near to the one before as speed and climb allow."""
+        rules, dt_s = self.scene.rules, setpoint.time_s - last.time_s
+        place, before = setpoint.place_enu_m, last.place_enu_m
+        is_near = math.dist(place[:2], before[:2]) <= SHARE * rules.speed_mps * dt_s + TOLERANCE_M
+        most_m = SHARE * rules.climb_mps * dt_s + TOLERANCE_M
+        return is_near and abs(place[2] - before[2]) <= most_m
 
     def _judge_change(
         self,

@@ -59,8 +59,12 @@ def test_it_may_not_step_farther_than_that(around: Monitored) -> None:
     assert followed_while_origin_moves(around, 0.9, 1.5) == ["setpoint too fast"]
 
 
-def test_an_origin_that_moved_farther_begins_another_stream(around: Monitored) -> None:
-    what = followed_while_origin_moves(around, 3.0, 0.0)
+def test_a_setpoint_stays_in_place_when_the_origin_moves_farther(around: Monitored) -> None:
+    assert followed_while_origin_moves(around, 9.0, 0.0) == []
+
+
+def test_one_that_is_not_moved_along_with_the_origin_is_found(around: Monitored) -> None:
+    what = followed_while_origin_moves(around, 9.0, 9.0)
     assert what == ["the first setpoint is not where the vehicle is"]
 
 
