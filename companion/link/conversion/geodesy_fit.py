@@ -6,7 +6,8 @@ centimetres. Where it is not (another firmware, another origin than is told), a 
 reported or flown to would be off by as much. So pairs of one moment are compared all the time. What
 they show beyond the projection is used once it is more than pairs can be off by chance: another
 projection, if that explains them all, which holds far away, too; or else an offset and a scale of
-each axis, fitted by least squares with a prior of nothing.
+each axis, fitted by least squares with a prior of nothing. A pair that differs from the one before
+counts only once the next one differs alike: a single wrong report is in no fit.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from companion.geometry.coordinates import LocalOrigin, Projection
 
 PAIR_SIGMA_M = 0.05
 """1e-7 degrees are a centimetre, and so is a millisecond at 10 m/s."""
+ALIKE_M = 3.0 * math.sqrt(2.0) * PAIR_SIGMA_M
+"""Three sigma of the difference of two pairs; farther apart one of them is wrong."""
 PRIOR_OFFSET_M, PRIOR_SCALE = 10.0, 0.01
 FEWEST_PAIRS = 20
 """Ten seconds of them."""
@@ -79,12 +82,16 @@ class GeodesyFit:
         self._squares_m2 = [0.0] * len(self._candidates)
         """Sum of how far pairs are apart by each."""
         self._pairs = 0
+        self._rest_m: PositionEnu = (0.0, 0.0, 0.0)
+        """Local minus projected position of the pair before."""
         self._before: tuple[float, PositionEnu] | None = None
         self._latest: tuple[float, PositionEnu] | None = None
         self._waiting: tuple[float, tuple[float, float, float]] | None = None
 
     def note_local(self, stamp_s: float, enu_m: PositionEnu) -> bool:
         """A local position by the autopilot's own stamp; whether the fit changed."""
+        if not all(abs(value) <= MAX_COORDINATE_M for value in enu_m):
+            return False
         self._before, self._latest = self._latest, (stamp_s, enu_m)
         return self._compare()
 
@@ -110,9 +117,12 @@ class GeodesyFit:
 
     def _take(self, place: tuple[float, float, float], local: PositionEnu) -> bool:
         projected = self.told.enu_from_geodetic(*place)
-        self.off_m = math.dist(projected, local)
-        if not self.off_m <= FARTHEST_OFF_M or math.hypot(*local) > MAX_COORDINATE_M:
+        (e, n, u), (pe, pn, pu) = local, projected
+        before_m, self._rest_m = self._rest_m, (e - pe, n - pn, u - pu)
+        off_m = math.hypot(*self._rest_m)
+        if not off_m <= FARTHEST_OFF_M or math.dist(before_m, self._rest_m) > ALIKE_M:
             return False
+        self.off_m = off_m
         for line, projected_m, local_m in zip(self._lines, projected, local, strict=True):
             line.add(projected_m, local_m)
         for number, candidate in enumerate(self._candidates):

@@ -15,6 +15,8 @@ from companion.link.conversion.geodesy_fit import FEWEST_PAIRS, LEAST_OFF_M, Geo
 TOLD = LocalOrigin(47.397742, 8.545594, 488.0, Projection.SPHERE)
 GLOBAL_PERIOD_S = 0.5
 Path = Callable[[float], PositionEnu]
+Damaged = Callable[[int, PositionEnu], PositionEnu]
+"""Number of a local position and its place to the place that arrives."""
 
 
 def circle(time_s: float) -> PositionEnu:
@@ -28,7 +30,13 @@ def still(time_s: float) -> PositionEnu:
     return (100.0, -60.0, 20.0)
 
 
-def flown(fit: GeodesyFit, true: LocalOrigin, path: Path = circle, seconds: float = 60.0) -> int:
+def flown(
+    fit: GeodesyFit,
+    true: LocalOrigin,
+    path: Path = circle,
+    seconds: float = 60.0,
+    damaged: Damaged = lambda _, place: place,
+) -> int:
     """How often the fit changed while an autopilot told positions as it does about an origin."""
     changes, next_s = 0, 0.1
     for step in range(round(seconds / 0.05)):
@@ -38,7 +46,7 @@ def flown(fit: GeodesyFit, true: LocalOrigin, path: Path = circle, seconds: floa
             place = (round(lat * 1e7) / 1e7, round(lon * 1e7) / 1e7, round(alt_m, 3))
             changes += fit.note_global(round(next_s, 3), place)
             next_s += GLOBAL_PERIOD_S + 0.013
-        changes += fit.note_local(now_s, path(now_s))
+        changes += fit.note_local(now_s, damaged(step, path(now_s)))
     return changes
 
 
@@ -88,4 +96,31 @@ def test_a_few_pairs_prove_nothing_and_two_frames_cannot_be_fitted() -> None:
     assert flown(few, true, seconds=0.5 * (FEWEST_PAIRS - 2)) == 0
     elsewhere, fit = replace(TOLD, latitude_deg=48.0), GeodesyFit(TOLD)
     assert flown(fit, elsewhere) == 0
+    assert fit.origin == TOLD
+
+
+@pytest.mark.parametrize("absurd", [1e30, -1e30, math.inf, math.nan, 2e5])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_places_that_are_none_are_in_no_pair(absurd: float, axis: int) -> None:
+    def damaged(step: int, place: PositionEnu) -> PositionEnu:
+        values = [
+            absurd if step % 3 == 0 and number == axis else v for number, v in enumerate(place)
+        ]
+        return (values[0], values[1], values[2])
+
+    fit = GeodesyFit(TOLD)
+    assert flown(fit, TOLD, damaged=damaged) == 0
+    for stamp_s in (100.0, 100.1, 100.2):  # a global one of the very moment of a local one
+        fit.note_local(stamp_s - 0.05, damaged(0, still(stamp_s)))
+        fit.note_local(stamp_s, still(stamp_s))
+        assert not fit.note_global(stamp_s, TOLD.geodetic_from_enu(still(stamp_s)))
+    assert fit.origin == TOLD
+    assert fit.off_m < 0.03
+
+
+@pytest.mark.parametrize("every", [15, 37])
+def test_single_places_that_are_wrong_prove_nothing(every: int) -> None:
+    """A jump that is over with the next report, damage that passes its checksum."""
+    fit = GeodesyFit(TOLD)
+    assert flown(fit, TOLD, damaged=lambda n, p: (0.0, *p[1:]) if n % every == 0 else p) == 0
     assert fit.origin == TOLD
