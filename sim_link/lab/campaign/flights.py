@@ -144,12 +144,11 @@ def rules_of(config: CompanionConfig) -> Rules:
     return Rules(system_id=config.vehicle.system_id, **shared)
 
 
-def snapshot_of(flight: Flight) -> object:
-    """Return the state that the companion acts by, for comparison."""
+def snapshot_of(flight: Flight) -> tuple[str, object]:
+    """Return the companion's phase, and the other state it acts by, for comparison."""
     companion = flight.companion
     session, vehicle = companion.session, companion.session.vehicle
-    return (
-        session.phase,
+    acted_on = (
         session.estimate,
         vehicle.heartbeat,
         vehicle.position_enu_m,
@@ -160,6 +159,7 @@ def snapshot_of(flight: Flight) -> object:
         companion.binding.peer,
         companion.binding.heard_s,
     )
+    return session.phase.value, acted_on
 
 
 ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))

@@ -241,7 +241,7 @@ class Flight:
         lane = Lane.TO_COMPANION if chunk.link == 0 else Lane.RANGING
         hearing, reading = self.observers.of("heard"), self.observers.of("read")
         frames = [
-            Frame(self.now_s, each, lane, is_genuine, is_intact)
+            Frame(self.now_s, each, lane, is_genuine, is_intact, chunk.peer)
             for each in (frames_in(chunk.data) if hearing or reading else ())
         ]
         for frame in frames:

@@ -15,6 +15,7 @@ from companion.domain import FlightMode
 from companion.mav import framing
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message
+from companion.mav.endpoint import Address
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.neighbours import Neighbour
 
@@ -60,6 +61,8 @@ class Frame:
     """Whether it came from the other end of the wire, damaged or not, and not from an attacker."""
     is_intact: bool = False
     """Whether it is bit by bit as it was sent; otherwise only reading it shows."""
+    peer: Address | None = None
+    """Address that a frame to the companion came from."""
     _message: object = field(default=_UNREAD, repr=False)
 
     @property

@@ -290,8 +290,8 @@ NEGATIVE = 1e-9
 """Share of the larger eigenvalue by which rounding makes the smaller one negative."""
 
 Estimate = Callable[[], TargetEstimate | None]
-Snapshot = Callable[[], object]
-"""Something that compares equal as long as nothing changed that the companion acts by."""
+Snapshot = Callable[[], tuple[str, object]]
+"""The phase, and what compares equal as long as nothing else changed that the companion acts by."""
 
 
 class HonestCovariance(Invariant):
@@ -328,8 +328,17 @@ class HonestCovariance(Invariant):
             self.report("a negative radius", r95_m=estimate.r95_m)
 
 
+BARRED = ("standby", "waiting")
+"""Phases before and after control that was not given yet is barred."""
+
+
 class OnlyProvedFrames(Invariant):
-    """Damaged, foreign or, with a key, unsigned frames change nothing."""
+    """Damaged, foreign or, with a key, unsigned frames change nothing.
+
+    Without a key a frame with the vehicle's ids and address is none of these, whoever sends it; and
+    one with its ids from elsewhere may bar control that was not given yet, as of two vehicles with
+    the same ids none is flown.
+    """
 
     name = "I10"
     title = "no unproved frame changes any state"
@@ -337,23 +346,27 @@ class OnlyProvedFrames(Invariant):
     def __init__(self, scene: ObservedScene, snapshot: Snapshot) -> None:
         super().__init__(scene)
         self._snapshot = snapshot
-        self._before: object = None
-        self._is_unproved = False
+        self._before: tuple[str, object] | None = None
         self.unproved = 0
         """Frames that had to change nothing."""
 
     def heard(self, frame: Frame) -> None:  # noqa: ARG002
         """Remember the state before a frame that must not change it."""
-        self._is_unproved = not self.scene.is_believable
-        if self._is_unproved:
+        self._before = None
+        if not self.scene.is_believable and not self.scene.is_indistinct:
             self.unproved += 1
             self._before = self._snapshot()
 
     def read(self, frame: Frame) -> None:
         """Compare afterwards."""
-        if self._is_unproved and self._snapshot() != self._before:
+        before, self._before = self._before, None
+        if before is None:
+            return
+        after = self._snapshot()
+        is_rival = not self.scene.is_signed and self.scene.is_of_autopilot(frame)
+        is_barred = is_rival and frame.is_readable and (before[0], after[0]) == BARRED
+        if after != before and not (is_barred and after[1] == before[1]):
             self.report("an unproved frame changed the state", number=float(frame.number))
-        self._is_unproved = False
 
 
 class Repeatable(Invariant):

@@ -117,6 +117,7 @@ class FrameMonitor(Observer):
         self._shared = scene
         self.invariants = list(invariants)
         self._proof = None if key is None else Proof(key)
+        scene.is_signed = key is not None
         self._whose = SenderTrust(scene.rules.system_id)
         self._hooks = {
             name: [getattr(each, name) for each in overriding(self.invariants, Invariant, name)]
@@ -149,7 +150,9 @@ class FrameMonitor(Observer):
         if self._proof is not None and not frame.is_readable:
             self._proof.unreadable()
         scene.is_believable = frame.is_readable and self._is_believed(frame)
-        scene.is_lied_to = self._proof is None and self._whose.follows_unknown_peer
+        is_here = frame.peer == VEHICLE_PEER and frame.is_readable and not scene.is_signed
+        scene.is_indistinct = is_here and not frame.is_genuine and scene.is_of_autopilot(frame)
+        scene.is_lied_to = not scene.is_signed and self._whose.follows_unknown_peer
         if scene.is_believable:
             scene.observe(frame)
         self._show("heard", frame)
@@ -260,7 +263,9 @@ class Monitor(FrameMonitor):
     def neighbour_heard(self, frame: Frame, neighbour: Neighbour) -> None:
         """A setpoint or a request that another vehicle obeys is never right.
 
-        Where one with our ids appears behind our own address, it takes a moment to be seen.
+        Where one with our ids appears behind our own address, it takes a moment to be seen. With a
+        key it is not seen at all, as all that it sends is refused: else any forged frame could end
+        control.
         """
         message, setup = frame.message, neighbour.setup
         is_command = isinstance(message, mavlink.MAVLink_command_long_message)
@@ -269,6 +274,8 @@ class Monitor(FrameMonitor):
         if not is_obeyed or getattr(message, "target_system", 0) not in (0, setup.system_id):
             return
         is_alike = setup.system_id == self.scene.system_id and neighbour.peer == VEHICLE_PEER
+        if is_alike and self.scene.is_signed:
+            return
         if frame.time_s - neighbour.began_s > (NOTICE_S if is_alike else 0.0):
             self.scene.now_s = frame.time_s
             self.scene.report("I3", "a setpoint or a request to another vehicle")

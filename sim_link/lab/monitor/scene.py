@@ -173,6 +173,10 @@ class ObservedScene:
     """The companion process gets no time until then."""
     is_believable: bool = True
     """True if the last frame had to be accepted."""
+    is_indistinct: bool = False
+    """True if it was of another vehicle with our ids and address, and without a signature."""
+    is_signed: bool = False
+    """Frames without a signature of our key are refused."""
     is_lied_to: bool = False
     """An unknown peer had to be accepted: in a flood of its positions any may count."""
     violations: list[InvariantViolation] = field(default_factory=list)

@@ -1,0 +1,86 @@
+"""Other vehicles with the ids of ours: what they may change, and setpoints that reach them."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.guidance.session_params import SessionParams
+from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.campaign.flights import Monitored, monitored_flight
+from sim_link.lab.faults.fault_models import ForgedFrames, OtherVehicle, Schedule
+from tests.loop.loop_helpers import said
+
+AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
+OPERATED = CompanionConfig()
+FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
+
+
+def flown(
+    flavour: FlavourName,
+    fault: OtherVehicle | ForgedFrames,
+    config: CompanionConfig = AUTO,
+    *,
+    is_signed: bool = False,
+) -> Monitored:
+    """A flight in which something else sends under the ids of our vehicle for some seconds."""
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+    around = monitored_flight(config, scenario, 3, is_signed=is_signed)
+    around.flight.run(18.0)
+    around.injector.inject(Schedule(faults=(fault,)))
+    around.flight.run(10.0)
+    return around
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("is_offboard", [True, False])
+def test_a_signed_link_flies_on_beside_an_unsigned_vehicle_with_our_ids(
+    flavour: FlavourName, *, is_offboard: bool
+) -> None:
+    """All that it sends is refused; else any forged frame could end control."""
+    alike = OtherVehicle(
+        system_id=1, duration_s=8.0, has_own_address=False, is_offboard=is_offboard
+    )
+    around = flown(flavour, alike, is_signed=True)
+    assert around.flight.companion.session.phase in IN_CONTROL
+    assert said(around.notes, "x unsigned")
+    assert around.monitor.violations == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("vehicle_type", ["quadrotor", "hexarotor", "rover"])
+def test_without_a_key_one_behind_our_address_ends_control(
+    flavour: FlavourName, vehicle_type: VehicleTypeName
+) -> None:
+    alike = OtherVehicle(
+        system_id=1, duration_s=8.0, has_own_address=False, vehicle_type=vehicle_type
+    )
+    around = flown(flavour, alike)
+    assert around.flight.companion.session.phase is Phase.YIELD
+    assert around.monitor.violations == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize(
+    "fault", [OtherVehicle(system_id=1, duration_s=8.0), ForgedFrames(duration_s=8.0, rate_hz=12.0)]
+)
+def test_one_at_another_address_bars_control_before_it_was_given_and_changes_nothing_else(
+    flavour: FlavourName, fault: OtherVehicle | ForgedFrames
+) -> None:
+    around = flown(flavour, fault, OPERATED)
+    assert said(around.notes, "two vehicles send as 1/1")
+    assert around.flight.companion.session.phase is Phase.WAITING
+    assert around.monitor.violations == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_one_at_another_address_ends_no_control(flavour: FlavourName) -> None:
+    around = flown(flavour, OtherVehicle(system_id=1, duration_s=8.0))
+    assert around.flight.companion.session.phase in IN_CONTROL
+    assert around.monitor.violations == []
