@@ -184,6 +184,19 @@ class AsksAgain(Planted):
         return [frame, self._encoded(ask)]
 
 
+class SendsToEverybody(Planted):
+    """Its setpoints go to every address that is heard."""
+
+    invariant = "I3"
+
+    def take_output(self) -> list[Chunk]:
+        """Setpoints without an address."""
+        return [
+            replace(chunk, peer=None) if message_id(chunk.data) == SETPOINT else chunk
+            for chunk in super().take_output()
+        ]
+
+
 class SendsVelocity(Planted):
     """Its setpoints are velocities, which go on for ever if nothing follows."""
 

@@ -12,6 +12,7 @@ from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.faults.fault_models import ForgedFrames, OtherVehicle, Schedule
 from tests.loop.loop_helpers import said
+from tests.planted_companions import Planted, SendsToEverybody, maker
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 OPERATED = CompanionConfig()
@@ -24,10 +25,12 @@ def flown(
     config: CompanionConfig = AUTO,
     *,
     is_signed: bool = False,
+    defect: type[Planted] | None = None,
 ) -> Monitored:
     """A flight in which something else sends under the ids of our vehicle for some seconds."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
-    around = monitored_flight(config, scenario, 3, is_signed=is_signed)
+    make = None if defect is None else maker(defect)
+    around = monitored_flight(config, scenario, 3, is_signed=is_signed, make_companion=make)
     around.flight.run(18.0)
     around.injector.inject(Schedule(faults=(fault,)))
     around.flight.run(10.0)
@@ -84,3 +87,13 @@ def test_one_at_another_address_ends_no_control(flavour: FlavourName) -> None:
     around = flown(flavour, OtherVehicle(system_id=1, duration_s=8.0))
     assert around.flight.companion.session.phase in IN_CONTROL
     assert around.monitor.violations == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("system_id", [1, 2])
+def test_a_setpoint_to_another_vehicle_is_found(flavour: FlavourName, system_id: int) -> None:
+    other = OtherVehicle(system_id=system_id, duration_s=8.0)
+    around = flown(flavour, other, defect=SendsToEverybody)
+    found = [violation.what for violation in around.monitor.violations]
+    assert ("a setpoint or a request to another vehicle" in found) is (system_id == 1)
