@@ -149,9 +149,10 @@ class FrameMonitor(Observer):
         scene.now_s = frame.time_s
         if self._proof is not None and not frame.is_readable:
             self._proof.unreadable()
-        scene.is_believable = frame.is_readable and self._is_believed(frame)
         is_here = frame.peer == VEHICLE_PEER and frame.is_readable and not scene.is_signed
         scene.is_indistinct = is_here and not frame.is_genuine and scene.is_of_autopilot(frame)
+        is_judged = frame.is_readable and not scene.is_indistinct
+        scene.is_believable = is_judged and self._is_believed(frame)
         scene.is_lied_to = not scene.is_signed and self._whose.follows_unknown_peer
         if scene.is_believable:
             scene.observe(frame)
