@@ -28,6 +28,12 @@ OF_OTHERS = {
     "debootstrap",
     "packaging/try_fresh.sh",
     "packaging/try_in_root.sh",
+    "ssh",
+    "scp",
+    "raspi-config",
+    "usermod",
+    "reboot",
+    "journalctl",
 } | set(
     ("mavproxy.py", "sim_vehicle.py", "commander", "mode", "arm", "pip", "pipx", "python3", "echo")
 )
