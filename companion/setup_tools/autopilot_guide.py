@@ -1,7 +1,7 @@
 """What to set in an autopilot before its first flight under a companion.
 
-Sources: the parameter references of PX4 1.15 and ArduCopter 4.5, and docs/ports.md. `companion
-doctor` reads the values back and says what they mean.
+Sources: the parameter references of PX4 1.15 and ArduCopter 4.5, docs/px4.md and
+docs/ardupilot.md. `companion doctor` reads the values back and says what they mean.
 """
 
 from __future__ import annotations

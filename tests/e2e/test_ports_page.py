@@ -1,4 +1,4 @@
-"""The commands of docs/ports.md, read from the page and flown: ports of their own, and a router."""
+"""The commands of the pages, read there and flown: ports of their own, and a router."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.ports import free_port
 
 pytestmark = pytest.mark.slow
 
-PAGE = Path(__file__).parents[2] / "docs" / "ports.md"
+DOCS = Path(__file__).parents[2] / "docs"
 ALTITUDE_M = 20.0
 GROUND_AMSL_M = 488.0
 NO_RADIO = "payload: {max_range_m: 0.001}\n"
@@ -45,15 +45,16 @@ TO_OFFBOARD = {
 
 
 class Block:
-    """A block of commands of the page, on ports of this test's own."""
+    """A block of commands of a page, on ports of this test's own."""
 
-    def __init__(self, marker: str) -> None:
-        blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    def __init__(self, page: str, marker: str) -> None:
+        text = (DOCS / page).read_text(encoding="utf-8")
+        blocks = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
         (text,) = (each for each in blocks if marker in each)
         self._ports = {port: free_port() for port in set(re.findall(r":(\d{4,5})\b", text))}
         own = re.sub(r":(\d{4,5})\b", lambda match: f":{self._ports[match[1]]}", text)
         lines = [shlex.split(line, comments=True) for line in own.splitlines()]
-        self.commands = {line[0]: line[1:] for line in lines}
+        self.commands = {line[0].removeprefix(".venv/bin/"): line[1:] for line in lines}
 
     def at(self, port: int) -> str:
         """What stands for an address of the page."""
@@ -138,7 +139,7 @@ def find_the_emitter(flavour: str, block: Block, operator: MavProxy, directory: 
 
 
 def test_three_programs_share_a_px4s_port_behind_mavproxy(tmp_path: Path) -> None:
-    block = Block("--master=udpin:127.0.0.1:14540")
+    block = Block("ports.md", "--master=udpin:127.0.0.1:14540")
     links, router = ["--send-to", block.at(14540)], block.commands["mavproxy.py"]
     with vehicle_and_operator("px4", tmp_path, links, router) as operator:
         assert hears_the_vehicle(block.at(14543))
@@ -146,7 +147,7 @@ def test_three_programs_share_a_px4s_port_behind_mavproxy(tmp_path: Path) -> Non
 
 
 def test_three_programs_share_an_ardupilots_tcp_port_behind_mavproxy(tmp_path: Path) -> None:
-    block = Block("--master=tcp:127.0.0.1:5760")
+    block = Block("ports.md", "--master=tcp:127.0.0.1:5760")
     links, router = ["--link", f"tcpin:{block.at(5760)}"], block.commands["mavproxy.py"]
     with vehicle_and_operator("ardupilot", tmp_path, links, router) as operator:
         assert hears_the_vehicle(block.at(14550))
@@ -154,7 +155,7 @@ def test_three_programs_share_an_ardupilots_tcp_port_behind_mavproxy(tmp_path: P
 
 
 def test_each_program_has_a_udp_port_of_a_px4_for_itself(tmp_path: Path) -> None:
-    block, station = Block("companion --connect udp:127.0.0.1:14540"), f"127.0.0.1:{free_port()}"
+    block, station = Block("px4.md", "companion --connect udp"), f"127.0.0.1:{free_port()}"
     links = ["--send-to", block.at(14540), "--link", f"udpout:{block.at(14030)}#narrow"]
     links += ["--link", f"udpout:{station}#station"]
     with vehicle_and_operator("px4", tmp_path, links, [f"--master=udpin:{station}"]) as operator:
@@ -162,7 +163,7 @@ def test_each_program_has_a_udp_port_of_a_px4_for_itself(tmp_path: Path) -> None
 
 
 def test_each_program_has_a_tcp_port_of_an_ardupilot_for_itself(tmp_path: Path) -> None:
-    block, station = Block("companion --connect tcp:127.0.0.1:5762"), f"127.0.0.1:{free_port()}"
+    block, station = Block("ardupilot.md", "companion --connect tcp"), f"127.0.0.1:{free_port()}"
     addresses = (block.at(5762), block.at(5763), station)
     links = [part for address in addresses for part in ("--link", f"tcpin:{address}")]
     router = [f"--master=tcp:{station}"]

@@ -129,7 +129,7 @@ class Table:
 
 RELIABILITY = ROOT / "docs/reliability.md"
 TABLES = (
-    Table("process", ROOT / "docs/install.md", process_rows),
+    Table("process", ROOT / "docs/process.md", process_rows),
     Table("campaign", RELIABILITY, campaign_rows),
     Table("earlier", RELIABILITY, earlier_rows),
 )
