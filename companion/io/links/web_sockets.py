@@ -71,13 +71,13 @@ class WebSocketLink(WaitingLink):
     def _connected(self) -> ClientConnection:
         from websockets.sync.client import connect
 
-        context = None
-        if self._url.startswith("wss:"):
-            context = ssl.create_default_context()
-            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        tls = None
+        if self._url.startswith("wss:"):  # devices sign their own certificates: no more than ws:
+            tls = ssl.create_default_context()
+            tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
         return connect(
             self._url,
-            ssl=context,
+            ssl=tls,
             compression=None,
             proxy=None,
             open_timeout=TIMEOUT_S,
