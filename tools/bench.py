@@ -22,8 +22,8 @@ from tools.benches.planner_bench import (
     StepCost,
     bench_planners,
 )
+from tools.benches.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCost, tick_cases
 from tools.console import OneLineParser, positive
-from tools.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCost, tick_cases
 
 
 def main() -> int:

@@ -19,6 +19,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from companion.entry import outlive_readers
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("companion", "sim_link", "tools")
 TEXTS = (*PACKAGES, "configs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
@@ -120,4 +122,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    outlive_readers()
     sys.exit(main())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tools.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCase, TickCost, tick_cases
+from tools.benches.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCase, TickCost, tick_cases
 
 
 def test_a_case_is_flown_in_a_process_of_its_own() -> None:

@@ -6,9 +6,9 @@ the endpoint (a datagram, the control tick, estimation beside it) is timed by th
 time, so that other programs on the machine do not count. A setpoint can leave between two calls:
 the longest call is the longest that a due setpoint waits.
 
-Each case runs in a process of its own: `tick_bench.py EMITTERS PHASE PLACE SECONDS` prints its
-figures as JSON. It imports only what companion and simulator are made of, so that the same file
-measures an earlier release in its own checkout (`--beside`).
+Each case runs in a process of its own: `tools/benches/tick_bench.py EMITTERS PHASE PLACE SECONDS`
+prints its figures as JSON. It imports only what companion and simulator are made of, so that the
+same file measures an earlier release in its own checkout (`--beside`).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from typing import Any
 import msgspec
 
 from companion.config.schema import CompanionConfig
+from companion.entry import outlive_readers
 from companion.flight_setup import build_endpoint, build_planner
 from companion.guidance.commands import Severity
 from companion.guidance.session_params import SessionParams
@@ -41,7 +42,7 @@ from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.observer import Lane
 from sim_link.world.environment import EmitterParams
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 EMITTERS = (1, 4, 8, 16)
 PHASES = ("in step", "spread")
 PLACES = ("flying", "ground")
@@ -217,5 +218,6 @@ def tick_cases(kinds: Sequence[str], counts: Sequence[int]) -> Iterator[TickCase
 
 
 if __name__ == "__main__":
+    outlive_readers()
     flown = measure(int(sys.argv[1]), sys.argv[2], sys.argv[3], float(sys.argv[4]))
     print(msgspec.json.encode(flown).decode())
