@@ -129,6 +129,8 @@ class CompanionEndpoint:
             if isinstance(source, RadioStage)
         )
         """In the order of their links."""
+        others = [each for each in self._sources.values() if isinstance(each, MavlinkRanging)]
+        self._mavlink_ranging = (self._vehicle_ranging, *others)
         self._binds = 0
         self._problem: str | None = None
         """Of the binding, as the session knows it."""
@@ -189,6 +191,7 @@ class CompanionEndpoint:
             intake.budget.renew()
         signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
         radios = [text for radio in self.radios for text in radio.tick(now_s)]
+        radios += [text for source in self._mavlink_ranging for text in source.texts(now_s)]
         streams = () if self.binding.is_doubted else self._queries.new_texts(now_s)
         for text in (*signing, *links, *radios, *streams):
             self.outlet.announce(text, now_s)

@@ -25,6 +25,7 @@ import msgspec
 
 from companion.domain import NonNegative, Params, Positive, RangingMeasurement, Signed
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
+from companion.link.conversion.ranging_rates import RATE_MAX_HZ
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
 from companion.link.intake import RateLimit
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
@@ -93,7 +94,7 @@ class RadioSettings(Params, frozen=True):
     """How much earlier than that it was measured."""
     max_age_s: Positive | None = None
     """An older reading is refused; null: `estimation.acceptance.max_age_s` decides."""
-    rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = 20.0
+    rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = RATE_MAX_HZ
     """Of one emitter so many measurements a second go on, because each costs milliseconds; null:
     all."""
     stuck_after: Annotated[int, msgspec.Meta(ge=2)] | None = None

@@ -15,6 +15,8 @@ from typing import Protocol, get_args
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
+from companion.guidance.commands import Announce
+from companion.link.conversion.ranging_rates import SenderRate
 from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
@@ -68,6 +70,7 @@ class MavlinkRanging:
         self._codec = context.codec
         self._vehicle_clock = context.vehicle_clock
         self._clocks: dict[tuple[int, int], SenderClock] = {}
+        self._rates: dict[tuple[int, int], SenderRate] = {}
         self._on_vehicle_clock: set[tuple[int, int]] = set()
         """Senders whose last stamp was of the autopilot's clock."""
         self._slips = context.vehicle_clock.slips
@@ -87,9 +90,10 @@ class MavlinkRanging:
             if len(self._clocks) >= MAX_SENDERS:
                 self._forget(next(iter(self._clocks)))
             clock = self._clocks[sender] = SenderClock()
+            self._rates[sender] = SenderRate()
         if message.time_usec == 0:  # a sender without a clock: nothing to date or compare by
             measurement = ranging_from_message(message, now_s)
-            return [] if measurement is None else [replace(measurement, stamp_us=None)]
+            return self._due(sender, measurement and replace(measurement, stamp_us=None), now_s)
         stamp_s = message.time_usec / 1e6
         measured_at_s = clock.read(stamp_s, now_s).time_s
         own_offset_s = clock.timebase.offset_at_s(measured_at_s)
@@ -102,17 +106,29 @@ class MavlinkRanging:
                 self._on_vehicle_clock.add(sender)
                 clock.timebase.known_rate = self._vehicle_clock.wild_rate
                 measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
-        measurement = ranging_from_message(message, measured_at_s)
-        return [] if measurement is None else [measurement]
+        return self._due(sender, ranging_from_message(message, measured_at_s), now_s)
+
+    def texts(self, now_s: float) -> list[Announce]:
+        """Return warnings about senders whose measurements were left out."""
+        due = [rate.text(sender, now_s) for sender, rate in self._rates.items() if rate.left_out]
+        return [text for text in due if text is not None]
+
+    def _due(
+        self, sender: tuple[int, int], measurement: RangingMeasurement | None, now_s: float
+    ) -> list[RangingMeasurement]:
+        """Return the measurement alone if its emitter and sender are within their rates."""
+        if measurement is None or not self._rates[sender].acquire(measurement.emitter_id, now_s):
+            return []
+        return [measurement]
 
     def _follow_slip(self) -> None:
-        """Begin anew with whoever stamps by the autopilot's clock, once that slipped."""
+        """Read the stamps of senders on the autopilot's clock as at first, once that slipped."""
         self._slips = self._vehicle_clock.slips
         for sender in tuple(self._on_vehicle_clock):
             self._forget(sender)
 
     def _forget(self, sender: tuple[int, int]) -> None:
-        del self._clocks[sender]
+        del self._clocks[sender], self._rates[sender]
         self._on_vehicle_clock.discard(sender)
 
 
