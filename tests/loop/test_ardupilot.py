@@ -67,10 +67,18 @@ def test_finds_the_emitter_over_a_lossy_slow_link_too() -> None:
 
 @pytest.mark.slow
 def test_a_launch_survives_a_take_off_whose_answer_was_lost() -> None:
-    """The repeated take-off is refused, because the vehicle climbs already."""
-    loop = Loop(scenario=COPTER, seed=2, faults=LinkFaults(loss=0.3, delay_s=0.25))
-    loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
-    assert [number for _, number in loop.commands].count(TAKEOFF) > 1
+    """The repeated take-off is refused, because the vehicle climbs already.
+
+    Of six realisations of the losses each must launch; every second one loses a take-off or its
+    answer on average, so that one of them at least repeats it.
+    """
+
+    def take_offs(seed: int) -> int:
+        loop = Loop(scenario=COPTER, seed=seed, faults=LinkFaults(loss=0.3, delay_s=0.25))
+        loop.run_until(lambda: loop.phase is Phase.NORMAL, 40.0)
+        return [number for _, number in loop.commands].count(TAKEOFF)
+
+    assert max(take_offs(seed) for seed in range(6)) > 1
 
 
 @pytest.mark.slow
