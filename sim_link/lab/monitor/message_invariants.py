@@ -335,9 +335,9 @@ BARRED = ("standby", "waiting")
 class OnlyProvedFrames(Invariant):
     """Damaged, foreign or, with a key, unsigned frames change nothing.
 
-    Without a key a frame with the vehicle's ids and address is none of these, whoever sends it; and
-    one with its ids from elsewhere may bar control that was not given yet, as of two vehicles with
-    the same ids none is flown.
+    Without a key a frame with the vehicle's ids and address is none of these, whichever vehicle
+    sends it. One with its ids from elsewhere may bar control that was not given yet, as of two
+    vehicles with the same ids none is flown.
     """
 
     name = "I10"
