@@ -1,4 +1,4 @@
-"""What the session wants done; the link turns these values into messages."""
+"""Commands of the session; the link turns these values into messages."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ class Severity(Enum):
 
 
 class Topic(Enum):
-    """A subject whose texts are states: a newer one replaces the one before."""
+    """Subject whose texts are states: a newer text replaces the one before."""
 
     READINESS = "readiness"
-    """Waiting for what, or ready to be given control."""
+    """Missing inputs, or readiness for control."""
     PLAN = "plan"
-    """Flying the plan, slower, or holding, and why."""
+    """Following the plan, slower, or holding, with the reason."""
     CONTACT = "contact"
     """Searching by a pattern, or flying to the target."""
 
 
 @dataclass(frozen=True, slots=True)
 class SendHeartbeat:
-    """Our own HEARTBEAT; it comes from the control tick, so it stops when the tick stops."""
+    """Send our own HEARTBEAT; it comes from the control tick, so it stops when the tick stops."""
 
 
 @dataclass(frozen=True, slots=True)
 class SendSetpoint:
-    """A guarded setpoint."""
+    """Send a guarded setpoint."""
 
     setpoint: PositionSetpoint
 
 
 @dataclass(frozen=True, slots=True)
 class SetMode:
-    """Ask the autopilot for a mode."""
+    """Request a mode of the autopilot."""
 
     mode: FlightMode
     is_armed: bool
@@ -52,12 +52,12 @@ class SetMode:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """Ask the autopilot to arm."""
+    """Request arming."""
 
 
 @dataclass(frozen=True, slots=True)
 class TakeOff:
-    """Ask the autopilot to take off."""
+    """Request a take-off."""
 
     altitude_m: float
     """Above home."""
@@ -67,24 +67,24 @@ class TakeOff:
 
 @dataclass(frozen=True, slots=True)
 class WithdrawRequest:
-    """Forget what was asked and not answered yet: it must not be sent again."""
+    """Withdraw requests that are not answered yet: they must not be sent again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Announce:
-    """A text for the operator: log and STATUSTEXT; how often one passes is up to the link."""
+    """Show a text to the operator, by log and STATUSTEXT; the link limits its rate."""
 
     severity: Severity
     text: str
     topic: Topic | None = None
-    """None: an occurrence by itself."""
+    """State that the text describes; None: an event."""
     must_pass: bool = False
-    """Control begins or ends, or something was found or granted: never withheld."""
+    """True if the rate limit does not apply: control begins or ends, or a find or a grant."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportResult:
-    """The target is localised."""
+    """Report the localised target."""
 
     estimate: TargetEstimate
     latitude_deg: float | None
@@ -96,7 +96,7 @@ class ReportResult:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A line for the event log."""
+    """Write a line to the event log."""
 
     kind: str
     fields: Mapping[str, object]

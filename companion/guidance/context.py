@@ -1,11 +1,11 @@
-"""What the parts of a session share: vehicle, estimate, phase, and commands collected so far.
+"""State shared by the parts of a session: vehicle, estimate, phase, and collected commands.
 
-Every attribute of the context has one owner: itself. The parts read them, and say by a method what
-happened; only a component, such as the vehicle's view or the guard, is told things directly.
+The context alone writes its attributes. The other parts read them, and report events by a method;
+only a component, such as the vehicle view or the guard, is updated directly.
 
 Errors of the estimator and the planner end neither the process nor the control tick: the vehicle
-stays where it is. Three in ten seconds are no accident, and it is handed back. The guard is not
-wrapped: without it nothing may be sent, so its error ends the process, and the autopilot's own
+holds. Three within ten seconds are not an accident, and the vehicle is handed back. The guard is
+not wrapped: without it nothing may be sent, so its error ends the process, and the autopilot's own
 failsafe follows.
 """
 
@@ -49,15 +49,15 @@ from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner
 
 ERROR_HOLD_S = 1.0
-"""After an error nothing is flown on what failed for this long."""
+"""Duration of the hold after an internal error."""
 WINDOW_S = 10.0
 MOST_ERRORS = 3
 TELL_EVERY_S = 10.0
-"""The same part is told of no more often."""
+"""Shortest time between two texts about errors of the same part."""
 
 
 class Containment(Watch):
-    """Keeps the errors of parts."""
+    """Counts internal errors of the parts, and holds or hands back after them."""
 
     def __init__(self) -> None:
         self.errors: Counter[str] = Counter()
@@ -65,7 +65,7 @@ class Containment(Watch):
         self._texts = Rarely(TELL_EVERY_S)
 
     def finding(self, now_s: float) -> Finding | None:
-        """What the errors of late mean."""
+        """Return the finding that recent errors cause, or None."""
         times_s = self._times_s
         if len(times_s) == MOST_ERRORS and now_s - times_s[0] <= WINDOW_S:
             text = f"{MOST_ERRORS} internal errors in {WINDOW_S:g} s"
@@ -75,7 +75,7 @@ class Containment(Watch):
         return None
 
     def note(self, part: str, error: Exception, now_s: float) -> list[Command]:
-        """A part raised an error; what is to be told of it."""
+        """Count an error that a part raised, and return the log record and the text due."""
         self.errors[part] += 1
         self._times_s.append(now_s)
         what = f"{type(error).__name__}: {error}"
@@ -89,23 +89,23 @@ class Containment(Watch):
 
 
 class PassingHold(Watch):
-    """Something that happened and is over already, but is held on for a while."""
+    """Holds for a while after an event that is already over."""
 
     def __init__(self) -> None:
         self._finding: Finding | None = None
         self._until_s = 0.0
 
     def hold(self, finding: Finding, until_s: float) -> None:
-        """Something happened."""
+        """Hold with this finding until a time."""
         self._finding, self._until_s = finding, until_s
 
     def finding(self, now_s: float) -> Finding | None:
-        """What is held on, if that is not over."""
+        """Return the finding until its hold is over."""
         return self._finding if now_s < self._until_s else None
 
 
 class SessionContext:
-    """The state of one session, and the commands that a call has collected so far."""
+    """State of one session, and the commands collected so far."""
 
     def __init__(
         self,
@@ -131,42 +131,42 @@ class SessionContext:
         self.states = StateMessages()
         """Of the estimate, as announced."""
         self.reports: dict[int | None, ReportResult] = {}
-        """What was reported of each emitter, the newest last."""
+        """Latest report of each emitter, the newest last."""
         self.launch: Launch | None = None
         self.has_launched = False
-        """Whether the vehicle is not launched by itself any more."""
+        """True if an automatic launch was tried or forbidden."""
         self.finding: Finding | None = None
         self.reasons: Counter[Reason] = Counter()
-        """How often each reason was what is wrong."""
+        """Number of times that each reason became the worst finding."""
         self._is_stopping = False
         self._finding_messages = FindingMessages()
         self._commands: list[Command] = []
         self._is_control_change = False
-        """Control began or ended since commands were taken last."""
+        """True if control began or ended since commands were taken last."""
 
     @property
     def phase(self) -> Phase:
-        """Where the session stands."""
+        """Phase of the session."""
         return self.authority.phase
 
     @property
     def tracker(self) -> TargetTracker:
-        """The estimate of the emitter that is looked for."""
+        """Tracker of the emitter that is searched for now."""
         return self.emitters.current
 
     @property
     def result(self) -> ReportResult | None:
-        """What was reported last, if anything was."""
+        """Latest report; None: no emitter was reported."""
         return next(reversed(self.reports.values()), None)
 
     def take_commands(self) -> list[Command]:
-        """What was collected; the next call begins with nothing."""
+        """Return the collected commands and clear the list."""
         commands, self._commands = self._commands, []
         self._is_control_change = False
         return commands
 
     def enter(self, trigger: Trigger, now_s: float) -> bool:
-        """Apply a trigger; whether the phase changed."""
+        """Apply a trigger; return True if the phase changed."""
         left = self.authority.enter(trigger, now_s)
         if left is None:
             return False
@@ -192,22 +192,22 @@ class SessionContext:
         return self.params.engage == "auto" and not self.has_launched
 
     def begin_launch(self, now_s: float) -> None:
-        """Launch the vehicle, which is tried only once."""
+        """Start the automatic launch, which is tried only once."""
         self.has_launched = True
         self.launch = Launch(self.params.altitude_m, now_s)
         self.enter(Trigger.LAUNCH, now_s)
 
     def forbid_launch(self) -> None:
-        """The vehicle is not launched by itself any more: the operator gives control."""
+        """Forbid an automatic launch from now on: the operator hands control over."""
         self.has_launched = True
 
     def stop(self, now_s: float) -> bool:
-        """End as soon as the vehicle is not in our hands; whether it is to be handed back first."""
+        """Stop once the vehicle is not ours; return True if it has to be handed back first."""
         self._is_stopping = True
         return self.enter(Trigger.STOP, now_s) and self.phase is Phase.HANDBACK
 
     def record_finding(self, finding: Finding | None, now_s: float) -> bool:
-        """Take note of what is wrong now, or that nothing is; whether that is to be told."""
+        """Record the current finding, or None; return True if it has to be announced."""
         self.finding = finding
         if not self._finding_messages.take(finding, now_s):
             return False
@@ -218,11 +218,11 @@ class SessionContext:
         return True
 
     def send(self, *commands: Command) -> None:
-        """Collect what is to be done."""
+        """Collect commands."""
         self._commands += commands
 
     def announce(self, severity: Severity, text: str, topic: Topic | None = None) -> None:
-        """Announce a text to the operator; it passes by all means where control changes."""
+        """Announce a text to the operator; it bypasses the rate limit where control changes."""
         must_pass = severity is Severity.NOTICE or self._is_control_change
         self.send(Announce(severity, text, topic, must_pass=must_pass))
 
@@ -231,7 +231,7 @@ class SessionContext:
         self.announce(Severity.WARNING, text, topic)
 
     def record(self, kind: str, **fields: object) -> None:
-        """A line for the event log."""
+        """Add a line to the event log."""
         self.send(Record(kind, fields))
 
     def ask_mode(self, mode: FlightMode) -> None:
@@ -239,17 +239,17 @@ class SessionContext:
         self.send(SetMode(mode, self.vehicle.is_armed))
 
     def report(self, result: ReportResult) -> None:
-        """Tell where an emitter is."""
+        """Report the position of an emitter."""
         self.reports.pop(result.emitter_id, None)
         self.reports[result.emitter_id] = result
         self.send(result)
 
     def withdraw(self) -> None:
-        """What was asked and not answered must not be sent again."""
+        """Withdraw unanswered requests, which must not be sent again."""
         self.send(WithdrawRequest())
 
     def believe(self, estimate: TargetEstimate | None) -> None:
-        """The filter of the current emitter has another estimate."""
+        """Set the current emitter's estimate."""
         self.estimate = estimate
 
     def shown_estimate(self, now_s: float) -> TargetEstimate | None:
@@ -259,7 +259,7 @@ class SessionContext:
         return self.states.shown(self.estimate, now_s, self.params.ranging_timeout_s)
 
     def plan_now(self, now_s: float) -> None:
-        """Renew the plan; without one, after an error, the vehicle will stay."""
+        """Renew the plan; after an error there is none, and the vehicle will hold."""
         setpoint = self.steering.setpoint_enu_m
         try:
             self.send(*self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate))
@@ -267,18 +267,18 @@ class SessionContext:
             self.contain("planner", error, now_s)
 
     def contain(self, part: str, error: Exception, now_s: float) -> None:
-        """A part raised an error, which ends nothing but its own work."""
+        """Record an error that a part raised, and go on."""
         self.send(*self.containment.note(part, error, now_s))
 
     def retune(self, tuning: Tuning) -> None:
-        """Go on with other parameters."""
+        """Continue with changed parameters."""
         self.params = tuning.params
         self.fencing.use_limits(tuning.limits)
         self.steering.altitude_m = tuning.params.altitude_m
         self.flight_plan.use(tuning.planner, tuning.params.altitude_m)
 
     def forget_target(self) -> None:
-        """Drop all estimates and every plan that stands on them."""
+        """Drop all estimates and the plans based on them."""
         self.emitters.restart()
         self.flight_plan.forget()
         self.estimate = None

@@ -1,4 +1,4 @@
-"""The control tick: what is due, which phase that means, and the setpoint; and a mission's end.
+"""The control tick (tasks due, phase and setpoint), and the end of the mission.
 
 A target counts as found once the stop rule is met. Targets are reported as they are found, or
 because the battery is low.
@@ -37,7 +37,7 @@ from companion.guidance.stop_rules import SettledRule, StopRule
 from companion.guidance.tracking.measurements import EmitterScheduler
 
 SAME_LEG_M = 1.0
-"""A waypoint that moves by less is the same one, seen better."""
+"""A waypoint that moves by less is the same one, refined."""
 REACHED_M = 3.0
 FINAL_AGAIN_S = 5.0
 """Longer than a request with all its repetitions takes."""
@@ -46,7 +46,7 @@ LOCALISED, SETTLED = "LOCALISED", "SETTLED"
 
 
 class Reporting:
-    """Reports each emitter once, and after the last one asks for the mode that follows."""
+    """Reports each emitter once, and requests the following mode after the last one."""
 
     def __init__(
         self, context: SessionContext, battery: BatteryWatch, scheduler: EmitterScheduler
@@ -57,12 +57,12 @@ class Reporting:
         self._stop_rule = StopRule()
         self._settled_rule = SettledRule()
         self._leg: tuple[float, PositionEnu | None] | None = None
-        """When the battery was found low, and the waypoint flown at then."""
+        """Time at which the battery was found low, and the waypoint of that leg."""
         self._final: tuple[FlightMode, float] | None = None
-        """The mode after the last report, and when it was asked for; None: it needs no asking."""
+        """Mode after the last report, and the time of its request; None: no request is pending."""
 
     def tick(self, now_s: float) -> None:
-        """Report if it is due."""
+        """Report an emitter if a report is due."""
         self._ask_again(now_s)
         context, params = self._context, self._context.params
         heard_s = context.tracker.last_accepted_s
@@ -90,7 +90,7 @@ class Reporting:
     def _head(
         self, flown: TargetEstimate | None, heard_s: float | None, now_s: float
     ) -> str | None:
-        """What a report begins with that is due by now; None: none is."""
+        """Return the head of the report that is due now, or None."""
         params = self._context.params
         confirm_s, settle_s = params.stop_confirm_s, params.settle_s
         is_reached = self._stop_rule.is_met(flown, now_s, params.stop_radius_m, confirm_s)
@@ -100,13 +100,13 @@ class Reporting:
         return LOCALISED if is_reached else SETTLED if is_settled else None
 
     def _is_battery_end(self, now_s: float) -> bool:
-        """Whether the battery is low and the leg that was flown is finished."""
+        """Return True if the battery is low and the current leg is finished."""
         context = self._context
         if context.phase not in IN_CONTROL or not self._battery.ends_mission:
             self._leg = None
             return False
         if not context.vehicle.mode_watch.may_be_asked(now_s):
-            return False  # a pilot may have it, from whom the return would take it
+            return False  # a pilot may have control, and the return mode would take it
         waypoint, vehicle = context.flight_plan.waypoint, context.vehicle.position_enu_m
         goal = None if waypoint is None else (*waypoint.position_enu_m, 0.0)
         if self._leg is None:
@@ -119,7 +119,7 @@ class Reporting:
         return is_next or is_there or now_s - began_s > LEG_S
 
     def _report_rest(self, now_s: float) -> None:
-        """What is known of everybody who was not reported, the current emitter last."""
+        """Report the estimates of all emitters not reported yet, the current emitter last."""
         emitters = self._context.emitters
         waiting = [emitters.tracker_of(n) for n in reversed(emitters.waiting)]
         believed = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]
@@ -146,9 +146,9 @@ class Reporting:
         self._context.ask_mode(mode)
 
     def _ask_again(self, now_s: float) -> None:
-        """Ask for the mode after the report until it, or somebody else's, is shown.
+        """Request the mode after the report until it, or another mode, is shown.
 
-        An answer may be lost, and a stall of the computer withdraws what was asked before it.
+        An answer may be lost, and a stall of the computer withdraws earlier requests.
         """
         context, vehicle = self._context, self._context.vehicle
         if self._final is None:
@@ -163,18 +163,19 @@ class Reporting:
 
 
 TICK_S = 0.05
-"""Setpoints at 20 Hz: PX4 wants more than 2 Hz, and at 20 Hz a lossy link still delivers enough."""
+"""Setpoint rate of 20 Hz: PX4 needs more than 2 Hz, and a lossy link still delivers enough of
+20."""
 HEARTBEAT_PERIOD_S = 1.0
 READY_AGAIN_S = 3.0
-"""What comes and goes sooner than this is not told each time."""
+"""Interruptions shorter than this are not announced each time."""
 UNJUDGED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
-"""Setpoints flow, but what is wrong decides nothing."""
+"""Phases that send setpoints but ignore the findings."""
 SILENCE_S = 0.3
-"""After a longer one the vehicle may be anywhere: the first setpoint is where it is."""
+"""After a longer pause the vehicle may have moved: the first setpoint is its position."""
 
 
 class ControlTick:
-    """Runs 20 times a second; heartbeats and setpoints come from here and from nowhere else."""
+    """Runs 20 times a second; only this class sends heartbeats and setpoints."""
 
     def __init__(
         self,
@@ -197,12 +198,12 @@ class ControlTick:
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
         self._missing_s = -math.inf
-        """When something that control stands on was missing last."""
+        """Last time at which an input of control was missing."""
         self._is_silent = True
-        """Whether silence was due at the last tick."""
+        """True if silence was due at the last tick."""
 
     def run(self, now_s: float) -> None:
-        """Decide and send."""
+        """Decide the phase, and send the heartbeat and the setpoint that are due."""
         context = self._context
         dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
         self._tick_s = now_s
@@ -220,8 +221,8 @@ class ControlTick:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
             context.send(SendHeartbeat())
         is_known = self._is_silent or context.vehicle.is_position_fresh(now_s)
-        if is_known and now_s - self._sent_s > SILENCE_S:  # not after a pause on a stale position:
-            context.steering.forget_setpoint()  # what was sent last is safer then
+        if is_known and now_s - self._sent_s > SILENCE_S:  # the last setpoint is safer
+            context.steering.forget_setpoint()  # while the position is stale
         setpoint = self._setpoint(now_s, dt_s)
         self._tell_stop(now_s, is_stopping=setpoint is None and not self._is_silent)
         self._is_silent = setpoint is None
@@ -234,7 +235,7 @@ class ControlTick:
         self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
 
     def _tell_stop(self, now_s: float, *, is_stopping: bool) -> None:
-        """Why setpoints stop, or control cannot be given, where no finding of control tells it."""
+        """Announce why setpoints stop, or control is unavailable, unless a finding does."""
         context = self._context
         guided = context.vehicle.guided_name
         missing = self._watches.inputs.missing(now_s)
@@ -260,7 +261,7 @@ class ControlTick:
                 context.warn(f"setpoints stopped: autopilot stays in {guided}; choose a mode")
 
     def _unready(self, now_s: float) -> Finding | None:
-        """Return what control needs beside the inputs that every flight watches."""
+        """Return the inputs that control needs beside those that every flight watches."""
         names = missing_inputs(self._context.vehicle, self._context.fencing, now_s)
         if not names:
             return None
@@ -279,7 +280,8 @@ class ControlTick:
             self._permit.tick(now_s)
         match context.phase:
             case Phase.YIELD:
-                if self._handover.is_yield_over(now_s):  # ready: an answer that is not withheld
+                # announce "ready" as a NOTICE, which bypasses the rate limit
+                if self._handover.is_yield_over(now_s):
                     self._wait(now_s, Severity.NOTICE)
             case Phase.WAITING:
                 self._wait(now_s)
@@ -324,7 +326,7 @@ class ControlTick:
             launch.wait(now_s)
         else:
             most_m = context.guard.limits.envelope.altitude_max_m
-            launch.altitude_m = min(launch.altitude_m, most_m)  # of a fence that was just read
+            launch.altitude_m = min(launch.altitude_m, most_m)  # the fence may have just been read
             has_origin = vehicle.origin is not None
             view = LaunchView(now_s, heartbeat, height_m, home[2], has_origin)
             context.send(*launch.tick(view))
@@ -333,7 +335,7 @@ class ControlTick:
             context.enter(Trigger.LAUNCH_FAILED, now_s)
 
     def _judge(self, now_s: float) -> None:
-        """Fly the plan, fly it slower, stay, or let go, by the worst that is wrong now."""
+        """Follow the plan, slow down, hold, or end control, by the worst finding now."""
         context, finding = self._context, self._watches.finding(now_s)
         if finding is not None and finding.verdict is Verdict.HAND_BACK:
             finding = self._handover.unless_in_doubt(finding, now_s)
@@ -361,7 +363,7 @@ class ControlTick:
             context.warn(f"{word}: {finding.text}", Topic.PLAN)
 
     def _setpoint(self, now_s: float, dt_s: float) -> PositionSetpoint | None:
-        """The setpoint of this tick, or None where silence is due."""
+        """Return the setpoint of this tick, or None where silence is due."""
         context = self._context
         steering, vehicle = context.steering, context.vehicle
         motion = vehicle.motion
@@ -371,7 +373,7 @@ class ControlTick:
             return None
         is_fresh = vehicle.is_position_fresh(now_s)
         match context.phase:
-            case Phase.STANDBY if vehicle.is_ours:  # granted while the mode was still to be left
+            case Phase.STANDBY if vehicle.is_ours:  # granted before the mode was left
                 return steering.stay(motion, dt_s)
             case Phase.STANDBY | Phase.LAUNCHING:
                 return steering.stay_with(motion)
@@ -381,7 +383,7 @@ class ControlTick:
                 return steering.follow(context.flight_plan.waypoint, motion, dt_s, cap_mps)
             case Phase.HOLD | Phase.FINISHED | Phase.HANDBACK:
                 if steering.setpoint_enu_m is None and not is_fresh:
-                    return None  # there is nothing to stay at but a place of the past
+                    return None  # the only known position is out of date
                 if self._watches.jumps.is_in_doubt or not is_fresh:
                     return steering.stand(motion)
                 return steering.stay(motion, dt_s)

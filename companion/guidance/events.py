@@ -1,6 +1,6 @@
-"""What the session is told; every input, time included, is one of these values.
+"""Input events of the session, time included.
 
-Among them is what an earlier session knew, as a value that outlives its process.
+They include the state of an earlier session, as a value that outlives its process.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from companion.guidance.session_params import Tuning
 
 @dataclass(frozen=True, slots=True)
 class SessionMemory:
-    """What a session knew at a moment."""
+    """State of a session at one moment, as kept for a restart."""
 
     phase: Phase
     origin: LocalOrigin | None
-    """Of the frame that the rest is in."""
+    """Of the frame in which the rest is given."""
     belief: Belief | None
     report: ReportResult | None
-    """What was reported last, if anything was."""
+    """Latest report; None: no emitter was reported."""
     fence_anchor: LocalOrigin | None = None
-    """The origin that a fence in local metres is about; see `Fencing`."""
+    """Origin to which a fence in local metres refers; see `Fencing`."""
     others: tuple[Belief, ...] = ()
-    """Of the emitters whose turn it was not."""
+    """Of the emitters that were not searched for at that time."""
     earlier: tuple[ReportResult, ...] = ()
-    """What was reported of other emitters, the newest last."""
+    """Reports of other emitters, the newest last."""
     flown_fences: tuple[GeoFence, ...] = ()
     """The autopilot's fences of the flight, the newest first."""
     fence_limits: FenceLimits | None = None
@@ -50,7 +50,7 @@ class SessionMemory:
 
     @property
     def problem(self) -> str | None:
-        """Why it cannot be what a session knew, in words, or None."""
+        """Reason why this state is invalid, in words; None: it is valid."""
         problems = (_problem(self.origin), _problem(self.fence_anchor))
         return next((problem for problem in problems if problem is not None), None)
 
@@ -68,46 +68,46 @@ def _problem(origin: LocalOrigin | None) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Anything that the session is told."""
+    """Base of all inputs of the session; `time_s` is the time of reception."""
 
     time_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class OrderedEvent(Event):
-    """Something that may be overtaken on its way."""
+    """Event that may arrive out of order."""
 
     order: int | None = field(default=None, kw_only=True)
-    """Of the frame among the sender's frames; None: unknown."""
+    """Position of its frame in the sender's sequence; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeartbeatReceived(OrderedEvent):
-    """The bound autopilot's HEARTBEAT."""
+    """HEARTBEAT of the bound autopilot."""
 
     autopilot: Autopilot
     mode: FlightMode
     is_armed: bool
     is_ready: bool
-    """It says that it can be armed, or is."""
+    """True if the autopilot reports that it can be armed, or is."""
     is_failsafe: bool
     is_terminated: bool = False
-    """The motors were stopped for good: kill switch, flight termination."""
+    """True if the motors were stopped for good: kill switch, flight termination."""
     other_mode: str = ""
-    """What its operator calls the mode, where it is unknown."""
+    """Name of the mode in the autopilot's tools, for an unknown mode."""
     vehicle_class: VehicleClass = VehicleClass.MULTICOPTER
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleMoved(OrderedEvent):
-    """A new own position; `state.time_s` is the time of its measurement."""
+    """A new vehicle position; `state.time_s` is the time of its measurement."""
 
     state: VehicleState
 
 
 @dataclass(frozen=True, slots=True)
 class YawMeasured(OrderedEvent):
-    """A new own heading, clockwise from north, with roll and pitch where they are told."""
+    """A new vehicle heading, clockwise from north, with roll and pitch where they are reported."""
 
     measured_at_s: float
     yaw_ned_rad: float
@@ -116,11 +116,12 @@ class YawMeasured(OrderedEvent):
 
 @dataclass(frozen=True, slots=True)
 class OriginSet(Event):
-    """Where the local frame has its zero."""
+    """Zero of the local frame."""
 
     origin: LocalOrigin
     off_m: float = 0.0
-    """How far the autopilot's global position is from the local one without what was fitted."""
+    """Distance of the autopilot's global position from the local one before the transform was
+    fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,22 +133,22 @@ class HomeSet(Event):
 
 @dataclass(frozen=True, slots=True)
 class LandedStateChanged(OrderedEvent):
-    """Whether the vehicle is on the ground."""
+    """Landed state of the vehicle: on the ground, in the air, or between."""
 
     landed: LandedState
 
 
 @dataclass(frozen=True, slots=True)
 class SetpointEchoed(Event):
-    """The autopilot tells the target that it follows."""
+    """Target that the autopilot reports to follow."""
 
     position_enu_m: PositionEnu | None
-    """None: it follows no position, but a velocity, for example."""
+    """None: the target is not a position but a velocity, for example."""
 
 
 @dataclass(frozen=True, slots=True)
 class OtherCommandHeard(Event):
-    """Somebody else commands the autopilot to fly somewhere, by a command that it passed on."""
+    """Another system commands the autopilot to fly somewhere, by a command that it forwarded."""
 
     command: str
     sender: tuple[int, int]
@@ -158,14 +159,14 @@ class EstimatorRated(Event):
     """The autopilot's verdict on its own estimate."""
 
     worst: float
-    """1 and more: its own check would call the estimate poor."""
+    """Largest test ratio; at 1 and more the autopilot's own check would call the estimate poor."""
     has_position: bool | None = None
-    """It estimates a horizontal position by its status flags; None: it reports no flags."""
+    """True if the status flags report a horizontal position; None: no flags are reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class FixReported(Event):
-    """One GNSS receiver has a 3-D fix, or none."""
+    """Fix state of one GNSS receiver: a 3-D fix, or none."""
 
     has_fix: bool
     receiver: int = 0
@@ -173,37 +174,37 @@ class FixReported(Event):
 
 
 class PlaceTeller(Enum):
-    """Who tells how well the vehicle knows its own place."""
+    """Source of a reported position accuracy."""
 
     RECEIVER = "receiver"
-    """Of satellites: about the Earth."""
+    """GNSS receiver: relative to the Earth."""
     ESTIMATOR = "estimator"
-    """Of the autopilot: about the local origin."""
+    """Estimator of the autopilot: relative to the local origin."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnPlaceRated(Event):
-    """How well the vehicle knows its own place, one sigma."""
+    """Position accuracy of the vehicle, one sigma."""
 
     teller: PlaceTeller
     horizontal_m: float | None
-    """None: it does not know."""
+    """None: unknown to its source."""
     vertical_m: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class BatteryReported(Event):
-    """The charge, as the autopilot knows it."""
+    """State of charge, as the autopilot reports it."""
 
     charge_pct: float | None
     """0 to 100; None: unknown."""
     level: BatteryLevel
-    """What the autopilot calls it."""
+    """The autopilot's own classification."""
 
 
 @dataclass(frozen=True, slots=True)
 class TransmitterRated(Event):
-    """The autopilot calls its RC input healthy, or lost; then pulses are not the pilot's."""
+    """Health of the RC input by the autopilot; if lost, its pulses are not the pilot's."""
 
     is_healthy: bool
 
@@ -217,7 +218,7 @@ class ThrottleReported(Event):
 
 @dataclass(frozen=True, slots=True)
 class SticksReported(Event):
-    """Where the pilot's sticks are."""
+    """Positions of the pilot's sticks."""
 
     deflections: tuple[float, ...]
     """Of the first four channels, -1 to 1."""
@@ -231,7 +232,7 @@ class RangingReceived(Event):
 
 
 class Outcome(Enum):
-    """How a request to the autopilot ended."""
+    """Outcome of a request to the autopilot."""
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"
@@ -239,7 +240,7 @@ class Outcome(Enum):
 
 
 class RequestKind(Enum):
-    """What the autopilot was asked for."""
+    """Kind of a request to the autopilot."""
 
     ARM = "arm"
     TAKE_OFF = "take off"
@@ -254,12 +255,12 @@ class RequestAnswered(OrderedEvent):
     outcome: Outcome
     detail: str = ""
     is_repeated: bool = False
-    """It was sent more than once, so that an earlier sending may have been obeyed."""
+    """True if it was sent more than once, so that an earlier copy may have been obeyed."""
 
 
 @dataclass(frozen=True, slots=True)
 class AutopilotRestarted(Event):
-    """The autopilot's clock began again, or another autopilot was bound in its place."""
+    """The autopilot's clock restarted from zero, or another autopilot was bound."""
 
     is_other: bool = False
 
@@ -271,19 +272,19 @@ class AutopilotClockSlipped(Event):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotFenceRead(Event):
-    """The autopilot told its own fence, or did not."""
+    """Result of downloading the autopilot's fence."""
 
     fence: GeoFence | None = None
-    """None: it has none, if there was no problem."""
+    """None without a problem: the autopilot has no fence."""
     problem: str | None = None
-    """Why it is not known, in words."""
+    """Reason why the fence is unknown, in words."""
     is_unusable: bool = False
-    """The problem is in what it told: there is a fence, but not one that can be kept."""
+    """True if a fence was downloaded that the guard cannot keep."""
 
 
 @dataclass(frozen=True, slots=True)
 class FenceLimits:
-    """The autopilot's fence as far as parameters make it; None: no such limit."""
+    """Fence that the autopilot's parameters define; None: no such limit."""
 
     radius_m: float | None = None
     """Horizontally, about home."""
@@ -291,7 +292,7 @@ class FenceLimits:
     """Above home."""
     altitude_min_m: float | None = None
     margin_m: float = 0.0
-    """How far inside the autopilot stops by itself."""
+    """Distance inside the fence at which the autopilot stops by itself."""
 
     def strictest(self, other: FenceLimits) -> FenceLimits:
         """Return the limits that two fences allow together."""
@@ -313,24 +314,24 @@ def _or_lowest(limit: float | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotFenceLimitsRead(Event):
-    """The autopilot reported parameters that are a fence."""
+    """The autopilot reported parameters that define a fence."""
 
     limits: FenceLimits
 
 
 @dataclass(frozen=True, slots=True)
 class AutopilotFenceChanged(Event):
-    """The autopilot shows that its fence is another one now; which one is not read yet."""
+    """The autopilot's fence was changed; the new one is not downloaded yet."""
 
 
 class OperatorCommand(Enum):
-    """What the operator may ask for beside the mode switch."""
+    """Commands of the operator beside the mode switch."""
 
     HOLD = "hold"
     RESUME = "resume"
     RETURN = "return"
     GRANT = "grant"
-    """Give control again after a yield: MAV_CMD_NAV_GUIDED_ENABLE to us, too."""
+    """Hand control over again after a yield; also MAV_CMD_NAV_GUIDED_ENABLE sent to us."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +343,7 @@ class OperatorAsked(Event):
 
 @dataclass(frozen=True, slots=True)
 class Retuned(Event):
-    """Parameters of the mission were changed by a ground station."""
+    """A ground station changed parameters of the mission."""
 
     tuning: Tuning
 
@@ -352,17 +353,17 @@ class TimerFired(Event):
     """The control tick, 20 times a second."""
 
     heard_s: float | None
-    """When the last valid frame of the autopilot arrived."""
+    """Arrival of the autopilot's last valid frame, in seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeLeft(Event):
-    """There is time between two control ticks, for what may not delay one."""
+    """Spare time between two control ticks, for work that may not delay one."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControlStalled(Event):
-    """The control loop stalled (suspended, starved): mode and position are of the past."""
+    """The control loop stalled (suspended, starved): mode and position are out of date."""
 
     stalled_s: float
 
@@ -374,7 +375,7 @@ class StopRequested(Event):
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoted(Event):
-    """The process has something to say to the operator: about its log, its timing, its restart."""
+    """Text of the process for the operator: about its log, its timing, its restart."""
 
     severity: Severity
     text: str
@@ -382,12 +383,12 @@ class ProcessNoted(Event):
 
 @dataclass(frozen=True, slots=True)
 class EarlierRunFound(Event):
-    """An earlier process of ours did not end in order; see `guidance.recovery`."""
+    """An earlier process of ours ended uncleanly; see `guidance.recovery`."""
 
 
 @dataclass(frozen=True, slots=True)
 class MemoryRecalled(Event):
-    """What the earlier process knew of this very vehicle, fence and mission."""
+    """State kept by the earlier process about this very vehicle, fence and mission."""
 
     memory: SessionMemory
     age_s: float
@@ -395,12 +396,12 @@ class MemoryRecalled(Event):
 
 @dataclass(frozen=True, slots=True)
 class IdConflictHeard(Event):
-    """Somebody else, such as a second companion, sends under our own system and component id."""
+    """Another system, such as a second companion, sends under our own system and component id."""
 
 
 @dataclass(frozen=True, slots=True)
 class IdentityDoubted(Event):
-    """Frames of the autopilot's ids may be another vehicle's, or that doubt is over."""
+    """Frames with the autopilot's ids may be another vehicle's, or that doubt is over."""
 
     problem: str | None
-    """In words; None: there is no doubt any more."""
+    """In words; None: the identity is no longer doubted."""

@@ -1,10 +1,10 @@
-"""What the operator and the event log are told, each rarely enough.
+"""Rate-limited texts for the operator, and records for the event log.
 
-Theory of operation of findings. What was told stays true for the operator until it has been gone
-for a while, or something worse comes: then the new state is told. A reason that was not told for
-long is told at once. So two reasons that take turns at every tick are told once each, and whatever
-lasts is told, at the latest a moment after it began. A lost link never waits: it is over only after
-a second, so it cannot flicker.
+Theory of operation of findings. An announced state stays valid for the operator until it has been
+over for a while, or a worse one comes: then the new state is announced. A reason that was not
+announced for long is announced at once. So two reasons that alternate at every tick are announced
+once each, and a lasting one at the latest a moment after it began. A lost link never waits: it ends
+only after a second, so it cannot flicker.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from companion.guidance.health.findings import Finding, Reason
 
 
 def radius_fields(estimate: TargetEstimate) -> dict[str, object]:
-    """Both radii, and what the absolute one has beside: the own place's sigma, and its source."""
+    """Return both radii, and the vehicle position's sigma in the absolute one with its source."""
     return {
         "r95_m": estimate.r95_m,
         "absolute_r95_m": estimate.absolute_r95_m,
@@ -37,12 +37,12 @@ def radius_fields(estimate: TargetEstimate) -> dict[str, object]:
 
 
 def radii_of(estimate: TargetEstimate) -> str:
-    """Both radii in words."""
+    """Return both radii in words."""
     return radii_text(estimate.absolute_r95_m, estimate.r95_m)
 
 
 def radius_texts(estimate: TargetEstimate) -> list[str]:
-    """Both radii, and the GNSS accuracy that is in the absolute one where none was reported."""
+    """Return both radii, and the GNSS accuracy in the absolute one if it is an assumed one."""
     own, texts = estimate.own, [radii_of(estimate)]
     if not own.is_told:
         texts.append(f"GNSS accuracy not reported: assuming {own.horizontal_m:.3g} m")
@@ -50,7 +50,7 @@ def radius_texts(estimate: TargetEstimate) -> list[str]:
 
 
 def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
-    """The estimate after a measurement, with the innovations that led to it."""
+    """Return the record of the estimate after a measurement, with its innovations."""
     fields: dict[str, object] = {
         "state": estimate.state.value,
         "position_enu_m": estimate.position_enu_m,
@@ -77,7 +77,7 @@ def estimate_record(report: FusionReport, estimate: TargetEstimate) -> Record:
 
 
 def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
-    """The estimate of an emitter whose turn it is not."""
+    """Return the record of the estimate of an emitter that is not searched for now."""
     fields = {
         "emitter_id": emitter_id,
         "state": estimate.state.value,
@@ -90,7 +90,7 @@ def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
 
 
 def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
-    """How far the estimate can be trusted, as live values."""
+    """Return measures of trust in the estimate, as live values."""
     objection, contact = tracker.objection(now_s), tracker.integrity.contact
     return {
         **asdict(tracker.health),
@@ -102,7 +102,7 @@ def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
 
 
 def waypoint_record(waypoint: Waypoint) -> Record:
-    """A waypoint and why it was chosen."""
+    """Return the record of a waypoint and the reason for it."""
     fields = {
         "position_enu_m": waypoint.position_enu_m,
         "altitude_offset_m": waypoint.altitude_offset_m,
@@ -119,7 +119,7 @@ def result_of(
     emitter_id: int | None = None,
     head: str = "LOCALISED",
 ) -> tuple[ReportResult, str]:
-    """The result of the flight, in degrees where the origin is known, and the text about it.
+    """Return the result of the flight, in degrees where the origin is known, and its text.
 
     The radius is the absolute one, because the text is for everybody.
     """
@@ -133,14 +133,14 @@ def result_of(
 
 
 class Rarely:
-    """Lets the same be told only every so often."""
+    """Limits the rate of each text or record."""
 
     def __init__(self, every_s: float) -> None:
         self._every_s = every_s
         self._told_s: dict[Hashable, float] = {}
 
     def is_due(self, what: Hashable, now_s: float) -> bool:
-        """Whether to tell something now; if so, it counts as told."""
+        """Return True if an item is due now; it then counts as sent."""
         told_s = self._told_s.get(what)
         if told_s is not None and now_s - told_s < self._every_s:
             return False
@@ -149,24 +149,24 @@ class Rarely:
 
 
 GONE_S = 1.0
-"""What was told is over when it was not so for this long."""
+"""Time without the announced state after which it is over."""
 URGENT = frozenset({Reason.NO_LINK})
 TOLD_AGAIN_S = 10.0
-"""The same is not told sooner while what was told before comes and goes."""
+"""Shortest time between two announcements of the same state while states alternate."""
 
 
 class FindingMessages:
-    """Remembers what was told while in control; None stands for "nothing is wrong"."""
+    """Decides when a finding in control is announced; None stands for "no finding"."""
 
     def __init__(self) -> None:
         self._told: Reason | None = None
         self._told_verdict = 0
         self._seen_s = -math.inf
-        """When what was told was so last."""
+        """Last time at which the announced state was current."""
         self._told_s: dict[Reason | None, float] = {}
 
     def take(self, finding: Finding | None, now_s: float) -> bool:
-        """Take in what is wrong now, or that nothing is; whether that is to be told."""
+        """Record the current finding, or None; return True if it has to be announced."""
         reason = None if finding is None else finding.reason
         if reason is self._told:
             self._seen_s = now_s
@@ -194,10 +194,10 @@ CAUTION = (
 class StateMessages:
     """The announced state of the estimate, with hysteresis.
 
-    A second place whose probability is near the threshold comes and goes with every measurement.
-    So a state that asks for more caution is announced at once, and one that asks for less when the
-    other has not been seen for `settle_s`. The estimate itself, and whatever is decided by it,
-    keeps the state of the moment.
+    A second place whose probability is near the threshold comes and goes with every measurement. So
+    a state that demands more caution is announced at once, and one that demands less when the other
+    has not been seen for `settle_s`. The estimate itself, and every decision made with it, keeps
+    the current state.
     """
 
     def __init__(self) -> None:
@@ -218,7 +218,7 @@ class StateMessages:
         return replace(estimate, state=announced) if is_calmer else estimate
 
     def is_due(self, estimate: TargetEstimate, now_s: float, settle_s: float) -> bool:
-        """Return whether to announce the state of a new estimate; if so, it counts as announced."""
+        """Return True if the state of a new estimate is due; it then counts as announced."""
         state = self.shown(estimate, now_s, settle_s).state
         is_new = state is not self._announced
         if state is estimate.state:
@@ -227,14 +227,14 @@ class StateMessages:
 
 
 SAID_EVERY_S = 30.0
-"""The same reason is not told again sooner."""
+"""Shortest time between two texts with the same reason."""
 LOGGED_EVERY_S = 1.0
 SILENT = frozenset({GuardReason.LAGGING, GuardReason.CUT_OFF})
-"""They come and go with every corner: for the log only."""
+"""Reasons that come and go with every corner: for the log only."""
 
 
 class GuardMessages:
-    """Remembers what was told."""
+    """Rate-limits the guard's texts and records."""
 
     def __init__(self) -> None:
         self._texts = Rarely(SAID_EVERY_S)
@@ -242,12 +242,12 @@ class GuardMessages:
         self._logged_s: float | None = None
 
     def texts(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str]:
-        """The reasons that the operator has not been told for a while, in words."""
+        """Return texts for the reasons that were not announced for a while."""
         told = [reason for reason in reasons if reason not in SILENT]
         return [f"guard: {reason.value}" for reason in told if self._texts.is_due(reason, now_s)]
 
     def record(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str] | None:
-        """The reasons for the log if they changed, and if that was not logged just now."""
+        """Return the reasons for the log if they changed and none were logged just now."""
         is_soon = self._logged_s is not None and now_s - self._logged_s < LOGGED_EVERY_S
         if reasons == self._logged or is_soon:
             return None
@@ -256,13 +256,13 @@ class GuardMessages:
 
 
 class FenceMessages:
-    """Remembers which fence the log has."""
+    """Records changes of the guard's fence."""
 
     def __init__(self) -> None:
         self._logged: Fence | None = None
 
     def record(self, fence: Fence | None) -> dict[str, object] | None:
-        """The fence for the log if it is another one, null for none; None: it is the same."""
+        """Return the fence for the log, null for none; None: it is the logged one."""
         if fence is self._logged or fence == self._logged:
             return None
         self._logged = fence
@@ -281,7 +281,7 @@ TRACK_STEP_M = 0.5
 
 
 class TrackMessages:
-    """Remembers which position the log has."""
+    """Records the vehicle's track."""
 
     def __init__(self) -> None:
         self._logged: PositionEnu | None = None
@@ -297,13 +297,13 @@ class TrackMessages:
 
 
 class MotionMessages:
-    """What was told of each emitter."""
+    """Announces targets that begin or stop moving."""
 
     def __init__(self) -> None:
         self._walking: set[int] = set()
 
     def messages_for(self, emitter_id: int, motion: TargetMotion | None) -> list[Announce]:
-        """What is news, mostly nothing, of a target that walks, or lies still (None)."""
+        """Return a text if a target began to walk, or became stationary (None); mostly none."""
         is_walking, was_walking = motion is not None, emitter_id in self._walking
         if is_walking == was_walking:
             return []
@@ -317,13 +317,13 @@ class MotionMessages:
 
 
 AT_BOUND_SHARE = 0.01
-"""Of the width between both bounds: so near the offset is held by one."""
+"""Distance from a bound, as a share of the width, within which it limits the offset."""
 MANY_FOR_OFFSET = 50
-"""Accepted measurements after which an offset at its bound is no start any more."""
+"""Accepted measurements after which an offset at its bound is no longer a starting value."""
 
 
 class OffsetMessages:
-    """Announces a range offset that its bound holds: the radio's own one lies beyond."""
+    """Announces a range offset at its bound: the radio's own one lies beyond."""
 
     def __init__(self) -> None:
         self._texts = Rarely(SAID_EVERY_S)
@@ -331,7 +331,7 @@ class OffsetMessages:
     def messages_for(
         self, offset_m: float, noise: FilterParams, accepted: int, now_s: float
     ) -> list[Announce]:
-        """Return what to announce now.
+        """Return the texts that are due now.
 
         A bound of 0 is left out: a calibrated radio's offset lies there.
         """
@@ -354,13 +354,13 @@ ANTENNA_TEXTS: dict[str, str] = {
 
 
 class AntennaMessages:
-    """What was told of the antenna, each once."""
+    """Announces the antenna kind that the bearings show, each kind once."""
 
     def __init__(self) -> None:
         self._told: set[str] = set()
 
     def messages_for(self, shown: str | None) -> list[Command]:
-        """What is news, mostly nothing, of what the directions show."""
+        """Return a record, and perhaps a text, if the bearings show another antenna kind."""
         if shown is None or shown in self._told:
             return []
         self._told.add(shown)
@@ -373,10 +373,10 @@ class AntennaMessages:
 RECORD_PERIOD_S = 1.0
 """Refusals for one reason become a line of the log at most this often, with their number."""
 MANY, MANY_WITHIN_S = 20, 10.0
-"""So many for one reason within that time are worth a text."""
+"""Number of refusals for one reason within that time that deserves a text."""
 TEXT_PERIOD_S = 60.0
 HARMLESS = frozenset({RejectReason.OTHER_EMITTER, RejectReason.DUPLICATE, RejectReason.OUT_OF_VIEW})
-"""Reasons that say nothing against the radio."""
+"""Reasons that are no fault of the radio."""
 
 
 class RejectMessages:
@@ -388,7 +388,7 @@ class RejectMessages:
         self._records, self._texts = Rarely(RECORD_PERIOD_S), Rarely(TEXT_PERIOD_S)
 
     def messages_for(self, reason: RejectReason, now_s: float) -> list[Command]:
-        """A measurement was refused; what is to be told of it now."""
+        """Count a refused measurement, and return the record and the text that are due."""
         self._pending[reason] += 1
         times_s = self._times_s.setdefault(reason, deque(maxlen=MANY))
         times_s.append(now_s)

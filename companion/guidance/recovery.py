@@ -1,13 +1,13 @@
-"""How a session takes up again what an earlier process of ours knew.
+"""Recovery of the state that an earlier process of ours kept.
 
-Theory of operation. A session can say at any time what a later one would need: its phase, what it
-reported, what it believes of the target, where the local frame and that of its fence were. Told
-that there was an earlier session, a later one never launches by itself. Then it takes up what was
-remembered in two steps. The phase at once: a session that had yielded stays silent until control is
-granted, one that had the vehicle until another mode was chosen, because PX4 may return to OFFBOARD
-by itself, and one that had reported does not search again. The belief only when the autopilot's
-origin shows that local coordinates still mean the same places, because a belief in another frame is
-wrong without looking wrong. Nothing of this gives control: the operator does, as always.
+Theory of operation. A session can return the state that a later one needs at any time: its phase,
+its reports, its estimates of the target, and the frames of its positions and its fence. If there
+was an earlier session, a later one never launches by itself. It then restores the state in two
+steps. The phase at once: a session that had yielded stays silent until a grant, one that was in
+control until another mode was chosen, because PX4 may return to OFFBOARD by itself, and one that
+had reported does not search again. The estimate only when the autopilot's origin confirms that
+local coordinates still mean the same places, because an estimate in another frame is wrong without
+looking wrong. No step takes control: the operator hands it over, as always.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.guidance.messages import radii_of, radius_fields
 
 ORIGIN_PATIENCE_S = 15.0
-"""How long a belief waits for the origin of the frame that it is in."""
+"""Longest wait of a kept estimate for the origin of its frame."""
 
 
 def memory_of(context: SessionContext) -> SessionMemory:
-    """What a later session would need to know."""
+    """Return the state that a later session needs."""
     current = context.tracker
     others = (each.belief for each in context.emitters.trackers if each is not current)
     return SessionMemory(
@@ -44,24 +44,24 @@ def memory_of(context: SessionContext) -> SessionMemory:
 
 
 class Recollection:
-    """Takes up what an earlier session knew."""
+    """Restores the state of an earlier session."""
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._beliefs: tuple[Belief, ...] = ()
-        """Of all emitters, that of the one that was looked for last."""
+        """Kept estimates of all emitters, the one searched for last at the end."""
         self._origin: LocalOrigin | None = None
         self._held_at_s = 0.0
-        """When the belief was held, on this session's clock."""
+        """Time of the kept estimates, on this session's clock."""
         self._recalled_s = 0.0
 
     @property
     def is_waiting(self) -> bool:
-        """Whether a belief waits for its frame."""
+        """True while a kept estimate waits for its frame."""
         return bool(self._beliefs)
 
     def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
-        """Take up a memory."""
+        """Restore phase, reports and fence; estimates follow when their frame is confirmed."""
         context = self._context
         context.forbid_launch()
         if memory.fence_anchor is not None:
@@ -86,7 +86,7 @@ class Recollection:
         self.advance(now_s)
 
     def advance(self, now_s: float) -> None:
-        """Take up the beliefs once their frame is known to be the present one."""
+        """Restore the kept estimates once their frame is confirmed."""
         if not self._beliefs:
             return
         origin, context = self._context.vehicle.origin, self._context
@@ -102,7 +102,7 @@ class Recollection:
             self._begin_anew("the autopilot does not tell its origin")
 
     def forget(self) -> None:
-        """The autopilot restarted: whatever waits is of another frame."""
+        """Drop the kept estimates, because the autopilot restarted and its frame is another one."""
         self._beliefs = ()
 
     def _recall_reports(self, reports: tuple[ReportResult, ...]) -> None:

@@ -1,10 +1,9 @@
 """The guidance session: events in, commands out, no clock and no socket; and its status.
 
-It hands each event to the side that knows it: measurements to `Measuring`, what the autopilot and
-the operator say to `Handover`, time to `ControlTick`. They share one `SessionContext`, and
-the transition table of `state_machine` says whether anything may be sent.
-
-The status is a snapshot of the session for views and logs.
+It passes each event to the part that handles it: measurements to `Measuring`, reports of the
+autopilot and commands of the operator to `Handover`, time to `ControlTick`. They share one
+`SessionContext`, and the transition table of `state_machine` decides if anything may be sent. The
+status is a snapshot of the session for views and logs.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from companion.planning.planner import Planner
 
 @dataclass(frozen=True, slots=True)
 class EmitterStatus:
-    """What is known of one emitter."""
+    """Estimate and progress of one emitter."""
 
     emitter_id: int
     estimate: TargetEstimate | None
@@ -45,12 +44,12 @@ class EmitterStatus:
 
 @dataclass(frozen=True, slots=True)
 class GuidanceStatus:
-    """Everything an operator may want to see, as of `time_s`."""
+    """Snapshot for the operator, as of `time_s`."""
 
     time_s: float
     phase: Phase
     detail: str
-    """Why it holds or waits, in words."""
+    """Reason why it holds or waits, in words."""
     mode: FlightMode
     is_armed: bool
     is_link_lost: bool
@@ -58,22 +57,22 @@ class GuidanceStatus:
     height_m: float | None
     distance_m: float
     estimate: TargetEstimate | None
-    """Of the emitter that is looked for now, with the state that was announced."""
+    """Of the emitter that is searched for now, with the announced state."""
     emitters: tuple[EmitterStatus, ...]
     """All that were heard or listed."""
     waypoint: Waypoint | None
     setpoint_enu_m: PositionEnu | None
     guard: tuple[str, ...]
-    """Why the setpoint is not where the planner wanted it."""
+    """Reasons for which the guard changed the setpoint."""
     health: TrackerHealth
-    """How far the estimate can be trusted."""
+    """Measures of trust in the estimate."""
     accepted: int
     refused: Mapping[str, int]
     battery_pct: float | None
 
 
 def _detail(context: SessionContext) -> str:
-    """Why it waits or holds, how far the launch is, or what it flies at."""
+    """Return why it waits or holds, the stage of the launch, or the reason of the waypoint."""
     phase, launch = context.phase, context.launch
     waypoint = context.flight_plan.waypoint
     if phase is Phase.YIELD and context.authority.grant_reason is not None:
@@ -96,7 +95,8 @@ MODE_EVENTS = (events.HeartbeatReceived, events.LandedStateChanged)
 class GuidanceSession:
     """Guides one vehicle to one emitter after the other.
 
-    It `needs_origin` where setpoints are global. Without a `fence_plan` the guard has its fence.
+    It `needs_origin` where setpoints are global. Without a `fence_plan` the guard keeps its own
+    fence.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class GuidanceSession:
         self._recollection = Recollection(self.context)
 
     def handle(self, event: events.Event) -> list[Command]:
-        """What is to be done about an event."""
+        """Apply an event, and return the commands that follow."""
         if isinstance(event, events.RangingReceived):
             self._measuring.receive(event.measurement, event.time_s)
         elif isinstance(event, events.TimeLeft):
@@ -144,7 +144,7 @@ class GuidanceSession:
         return self._watches.landing.doubts(event, height_m, floor_m)
 
     def _note(self, event: events.Event) -> None:
-        """What is known of the vehicle and its surroundings after an event."""
+        """Update the vehicle and the watches."""
         match event:
             case events.OriginSet():
                 if self._watches.jumps.take_origin(event):
@@ -161,7 +161,7 @@ class GuidanceSession:
         self._watches.handle(event)
 
     def _react(self, event: events.Event) -> None:
-        """What an event is the occasion for."""
+        """React to an event, once vehicle and watches are updated."""
         match event:
             case events.VehicleMoved():
                 self._measuring.fuse_due(event.time_s)
@@ -190,60 +190,60 @@ class GuidanceSession:
 
     @property
     def params(self) -> SessionParams:
-        """How the mission is flown."""
+        """Parameters of the mission."""
         return self.context.params
 
     @property
     def tracker(self) -> TargetTracker:
-        """What is believed of the target."""
+        """Tracker of the current emitter."""
         return self.context.tracker
 
     @property
     def estimate(self) -> TargetEstimate | None:
-        """The estimate after the newest measurement."""
+        """Estimate after the newest measurement."""
         return self.context.estimate
 
     @property
     def result(self) -> ReportResult | None:
-        """What was reported last, once something was."""
+        """Latest report; None: no emitter was reported."""
         return self.context.result
 
     @property
     def has_found_all(self) -> bool:
-        """Whether something was reported and nobody else is to be found."""
+        """True if something was reported and no other emitter is left."""
         return self.result is not None and self.context.emitters.are_all_reported
 
     @property
     def phase(self) -> Phase:
-        """Where the session stands."""
+        """Phase of the session."""
         return self.context.phase
 
     @property
     def memory(self) -> events.SessionMemory:
-        """What a later session would need to know."""
+        """State that a later session needs."""
         return memory_of(self.context)
 
     @property
     def is_recalling(self) -> bool:
-        """Whether what was recalled is not taken up yet: until then `memory` lacks it."""
+        """True while restored estimates wait for their frame: until then `memory` lacks them."""
         return self._recollection.is_waiting
 
     @property
     def is_behind(self) -> bool:
-        """Whether measurements wait for `TimeLeft` between control ticks."""
+        """True while measurements wait for `TimeLeft` between control ticks."""
         return self._measuring.is_behind
 
     @property
     def is_stopped(self) -> bool:
-        """Whether the process may end."""
+        """True if the process may end."""
         return self.phase is Phase.STOPPED
 
     def objection_to(self, command: events.OperatorCommand) -> str | None:
-        """Return why an operator's command would do nothing now, in a few words, or None."""
+        """Return why an operator's command would have no effect now, in a few words, or None."""
         return self._watches.operator.objection(command)
 
     def objection_to_change(self, when: When) -> str | None:
-        """Why a parameter may not be changed now, in words, or None."""
+        """Return why a parameter may not be changed now, in words, or None."""
         if when is When.NEVER:
             return "is read-only"
         if when is When.DISARMED and self.vehicle.is_armed:
@@ -252,7 +252,7 @@ class GuidanceSession:
         return f"cannot be changed during {self.phase.value}" if is_passing else None
 
     def emitters(self, now_s: float) -> tuple[EmitterStatus, ...]:
-        """What is known of every emitter that was heard or listed; costs little."""
+        """Return the status of every emitter that was heard or listed; costs little."""
         context, current = self.context, self.context.tracker
         return tuple(
             EmitterStatus(
@@ -266,7 +266,7 @@ class GuidanceSession:
         )
 
     def status(self, now_s: float) -> GuidanceStatus:
-        """A snapshot for views and logs."""
+        """Return a snapshot for views and logs."""
         context, vehicle, steering = self.context, self.vehicle, self.steering
         shown = context.shown_estimate(now_s)
         return GuidanceStatus(

@@ -1,9 +1,9 @@
-"""When a search ends: the radius is reached, or it is out of reach.
+"""End of a search: the radius is reached, or it is out of reach.
 
-Theory of operation. Random errors fall with the number of measurements, those of a place or of the
-whole flight do not: the height of the ground, satellites, walls that stay where they are. So R95
-comes down to a radius of its own, which depends on the radio, the antenna and the place, and nobody
-can tell it beforehand. Where that is above the radius to stop at, more crossing tells nothing more.
+Theory of operation. Random errors fall with the number of measurements; errors of a place or of the
+whole flight do not: the height of the ground, GNSS, walls that stay where they are. So R95 settles
+at a radius that depends on the radio, the antenna and the site, and cannot be predicted. If that is
+above the radius to stop at, further crossings bring no information.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from companion.domain import EstimateState, TargetEstimate
 
 
 class StopRule:
-    """The estimate names one place within a radius, without a break, for long enough."""
+    """Met once the estimate names one place within a radius for long enough without a break."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
 
     def begin_anew(self) -> None:
-        """What was seen so far counts no more."""
+        """Restart the confirmation time."""
         self._since_s = None
 
     def is_met(
         self, estimate: TargetEstimate | None, now_s: float, radius_m: float, confirm_s: float
     ) -> bool:
-        """Whether the target is found; without an estimate the run is broken."""
+        """Return True if the target is found; a missing estimate restarts the confirmation time."""
         is_one_place = estimate is not None and estimate.state is EstimateState.LOCALISED
         if estimate is None or not is_one_place or estimate.settled_r95_m > radius_m:
             self._since_s = None
@@ -35,42 +35,43 @@ class StopRule:
 
 
 IMPROVED_SHARE = 0.92
-"""R95 that is not below this share of what it was has not improved."""
+"""R95 that is not below this share of its mark has not improved."""
 WORSE_RATIO = 1.5
-"""R95 that has grown by more is looked at anew: something was learnt that contradicts it."""
+"""R95 that has grown by more sets a new mark: measurements contradicted the old one."""
 MOST_SETTLED_M = 100.0
-"""What settles above this is no place, unless it was asked for no better (`localised_r95_m`)."""
+"""R95 above this is no position, unless no better one was requested (`localised_r95_m`)."""
 ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
 
 
 class SettledRule:
-    """R95 of one place does not improve any more, though measurements come.
+    """Met once R95 of one place no longer improves although measurements arrive.
 
     Only time between measurements that were accepted in flight counts: while the vehicle holds, or
-    its radio or its clock fails, nothing is learnt, and that R95 stays as it is says nothing.
+    its radio or its clock fails, there is no information, and a constant R95 is no evidence.
     """
 
     def __init__(self) -> None:
         self._learnt_s = 0.0
         """Time between accepted measurements."""
         self._heard_s: float | None = None
-        """Of the last one; None: the vehicle held since then, or nothing was heard for long."""
+        """Time of the last one; None: the vehicle held since then, or measurements paused for
+        long."""
         self._mark: tuple[float, float] | None = None
-        """After how much of that time R95 improved last, and to what."""
+        """That time at the last improvement of R95, and its value then."""
 
     def begin_anew(self) -> None:
-        """What was seen so far counts no more."""
+        """Drop the mark."""
         self._mark = None
 
     def is_met(
         self, estimate: TargetEstimate | None, heard_s: float | None, settle_s: float
     ) -> bool:
-        """Return True if it has not improved for so long; without an estimate nothing is learnt.
+        """Return True if R95 has not improved for `settle_s`; a missing estimate stops the time.
 
         Args:
-            estimate: None while the plan is not flown, or no measurements come.
+            estimate: None while the plan is not followed, or no measurements arrive.
             heard_s: Time of the last accepted measurement.
-            settle_s: How much time between measurements must pass without improvement.
+            settle_s: Time between measurements that must pass without improvement.
         """
         if estimate is None or heard_s is None:
             self._heard_s = None

@@ -1,1 +1,1 @@
-"""Who flies: phases, control authority, hand-over and the automatic take-off."""
+"""Control of the vehicle: phases, control authority, hand-over and the automatic take-off."""

@@ -1,6 +1,7 @@
-"""Who may fly: the phase, and when offboard mode counts as given by the operator.
+"""Control authority: the phase, and when offboard mode counts as selected by the operator.
 
-What follows from it is decided here, too: is a search due, is silence due, and how to hand back.
+The module also decides when a search is due, when the companion must be silent, and which mode it
+requests to hand back.
 """
 
 from __future__ import annotations
@@ -21,14 +22,16 @@ from companion.guidance.events import HeartbeatReceived, LandedStateChanged
 from companion.guidance.flight.vehicle import VehicleView
 
 REGAIN_QUIET_S = 2.0
-"""Another mode counts as chosen once HEARTBEATs have shown it without a failsafe for as long: PX4
-may report a failsafe one HEARTBEAT after its mode, and our setpoints may still be on their way."""
+"""Time for which HEARTBEATs must show another mode without a failsafe before it counts as chosen.
+
+PX4 may report a failsafe one HEARTBEAT after its mode, and our setpoints may still be in transit.
+"""
 LATE_S = 1.0
-"""A frame from before control was given may come this much later, and ends nothing."""
+"""A frame sent before control was handed over may arrive this much later, and ends nothing."""
 ID_CONFLICT_S = 10.0
-"""An id conflict may be silent as long: over a bad link half of its HEARTBEATs get lost."""
+"""Longest silence of an id conflict: a bad link loses half of the other system's HEARTBEATs."""
 CHOICES = frozenset({Trigger.MODE_LOST, Trigger.PILOT_TOOK})
-"""A person ends control by them, unless something speaks against that."""
+"""Triggers by which a person ends control, unless there is evidence of another cause."""
 GRANT_REASONS = {
     Trigger.HANDED_BACK: "handed back",
     Trigger.GIVE_WAY: "second source of setpoints",
@@ -37,7 +40,7 @@ GRANT_REASONS = {
     Trigger.LAUNCH_FAILED: "takeoff aborted",
     Trigger.YIELD_RECALLED: "silent before the restart",
 }
-"""Endings of control that no mode switch revokes, in the operator's words."""
+"""Ends of control that no mode switch revokes, as the operator reads them."""
 LATCHING_PHASES = {
     Phase.HANDBACK: Trigger.HANDED_BACK,
     Phase.LAUNCHING: Trigger.LAUNCH_FAILED,
@@ -46,7 +49,7 @@ FAILSAFE_REASON, ID_CONFLICT_REASON, FLAPS_REASON = "failsafe", "id conflict", "
 
 
 class Authority:
-    """The phase, and the two latches that keep us from taking control that was not given.
+    """The phase, and the two latches that keep the companion from taking control unasked.
 
     The operator's rule is in docs/flying.md, "Who flies".
     """
@@ -55,26 +58,27 @@ class Authority:
         self.phase = Phase.WAITING
         self.since_s = 0.0
         self.has_let_go = False
-        """Since the report the vehicle was seen out of offboard: it is not ours any more."""
+        """True once the vehicle has left offboard after the report: the companion must not stream
+        again."""
         self.grant_reason: str | None = None
-        """Why only a grant, or the end of the flight, gives control again; None: no latch."""
+        """Why only a grant, or the end of the flight, hands control over again; None: no latch."""
         self.has_come_back = False
-        """Offboard was shown again after another mode, in this phase."""
+        """True if offboard was shown again after another mode in this phase."""
         self._must_leave_offboard = False
-        """Another mode has to be shown for `REGAIN_QUIET_S` first."""
+        """True while another mode has to be shown for `REGAIN_QUIET_S` first."""
         self._has_heartbeat = False
         self._aside_s: float | None = None
-        """Since when another mode is shown without a failsafe."""
+        """Time at which another mode was first shown without a failsafe; None: it is not shown."""
         self._given_s = -math.inf
         self._is_given_again = False
-        """Control was given after another mode, without a grant."""
+        """True if control was handed over by a second mode switch, without a grant."""
         self._newest: HeartbeatReceived | None = None
         self.offboard_shown_s = -math.inf
-        """When a HEARTBEAT showed offboard last, in seconds."""
+        """Time of the last HEARTBEAT that showed offboard, in seconds."""
         self._id_conflict_s = -math.inf
 
     def enter(self, trigger: Trigger, now_s: float) -> Phase | None:
-        """Apply a trigger; the phase that was left, or None if nothing changed."""
+        """Apply a trigger; return the phase that was left, or None if nothing changed."""
         if trigger is Trigger.GRANTED:
             self._must_leave_offboard, self.grant_reason = False, None
             self._is_given_again = False
@@ -96,7 +100,7 @@ class Authority:
         return left
 
     def _latch(self, trigger: Trigger, left: Phase, now_s: float) -> None:
-        """Control ended, or something more speaks against giving it again."""
+        """Latch a grant or a mode change when control ends, or on a new reason against it."""
         trigger = LATCHING_PHASES.get(left, trigger)
         reason = GRANT_REASONS.get(trigger)
         if trigger in CHOICES and self.has_id_conflict(now_s):
@@ -110,18 +114,18 @@ class Authority:
             self._must_leave_offboard = True
 
     def demand_grant(self, reason: str) -> None:
-        """Something speaks against a mode that was left by choice."""
+        """Require a grant although the mode was left by choice."""
         self.grant_reason = self.grant_reason or reason
 
     def demand_another_mode(self) -> None:
-        """An earlier process may have left the vehicle in offboard, or in its failsafe."""
+        """Require another mode first: an earlier process may have left the vehicle in offboard."""
         self._must_leave_offboard = True
 
     def is_overtaken(self, event: HeartbeatReceived | LandedStateChanged) -> bool:
-        """Whether a newer heartbeat came before, so that what this one shows is over.
+        """Return True if a newer heartbeat arrived earlier, so that this event is out of date.
 
-        An order may lie, after a long delay or over two links. So what takes control away is
-        believed in any case, but for the moment after control was given.
+        A frame may be delayed for long, or come over a second link. An event that ends control is
+        obeyed in any case, except for a moment after control was handed over.
         """
         if not self._is_older(event):
             return False
@@ -136,12 +140,12 @@ class Authority:
         return event.order < newest.order
 
     def observe(self, heartbeat: HeartbeatReceived) -> None:
-        """Set or clear the latches by what the autopilot shows.
+        """Set or clear the latches by the mode that the autopilot reports.
 
-        A vehicle found flying in offboard, or in a failsafe, may be someone else's or left by a
-        companion that died: streaming would take over unasked, because PX4 re-enters offboard by
-        itself when setpoints return, also ours that a link had kept. It does so only where a
-        failsafe ended offboard: a mode that was chosen stays.
+        A vehicle found flying in offboard, or in a failsafe, may be flown by another system or left
+        over from a companion that died. Streaming would take over unasked: PX4 re-enters offboard
+        by itself when setpoints return, including ours that a link had buffered. It does so only
+        where a failsafe ended offboard; a mode that was chosen stays.
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
         if is_offboard:
@@ -171,7 +175,7 @@ class Authority:
         return not heartbeat.is_armed or heartbeat.time_s - self._aside_s >= REGAIN_QUIET_S
 
     def id_conflict_heard(self, now_s: float) -> None:
-        """Somebody sends under our ids: offboard, seen while we do not fly, is that one's."""
+        """Note that another system sends under our ids and may have caused offboard mode."""
         self._id_conflict_s = now_s
         if self.phase is Phase.YIELD:
             self.demand_grant(ID_CONFLICT_REASON)
@@ -180,38 +184,38 @@ class Authority:
             self._must_leave_offboard = True
 
     def has_id_conflict(self, now_s: float) -> bool:
-        """Whether somebody else sends under our ids: of two that are given control, both fly."""
+        """Return True while another system sends under our ids, which also takes control."""
         return now_s - self._id_conflict_s <= ID_CONFLICT_S
 
     def note_disarmed(self, mode: FlightMode) -> None:
-        """The flight ended; offboard left over from it does not count for the next one."""
+        """Note the end of the flight; offboard left over from it does not count."""
         self._must_leave_offboard = mode is FlightMode.OFFBOARD
         self.grant_reason, self._is_given_again = None, False
 
     def forget_autopilot(self) -> None:
-        """The autopilot restarted: its next heartbeat is a first one again."""
+        """Treat the next heartbeat as the first one, because the autopilot restarted."""
         self._has_heartbeat = False
         self._newest = self._aside_s = self.grant_reason = None
 
     @property
     def is_found_unfree(self) -> bool:
-        """True if offboard or a failsafe is shown that another mode has to end first."""
+        """True if the vehicle is in offboard or a failsafe that another mode has to end first."""
         return self._must_leave_offboard and self._aside_s is None
 
     @property
     def may_begin(self) -> bool:
-        """True if the vehicle is free for us to get ready."""
+        """True if no latch is set, so that the companion may enter standby."""
         return not self._must_leave_offboard and self.grant_reason is None
 
 
 FOLLOW_UP_S = 5.0
-"""How long the autopilot may take to enter the mode that follows the report."""
+"""Longest time the autopilot may take to enter the mode that follows the report."""
 
 
 def is_silence_due(
     authority: Authority, vehicle: VehicleView, launch: Launch | None, now_s: float
 ) -> bool:
-    """Whether no setpoint may leave at this tick."""
+    """Return True if no setpoint may be sent at this tick."""
     phase = authority.phase
     if phase not in STREAMING or not vehicle.is_mode_known(now_s):
         return True
@@ -227,7 +231,7 @@ def is_silence_due(
 def hand_back_mode(
     authority: Authority, vehicle: VehicleView, launch: Launch | None, follow_up: FlightMode
 ) -> FlightMode | None:
-    """What to ask the autopilot for before the end, or None if it is not in our hands."""
+    """Return the mode to request before the end, or None if we do not control the vehicle."""
     match authority.phase:
         case Phase.FINISHED:
             return follow_up if vehicle.is_ours and not authority.has_let_go else None

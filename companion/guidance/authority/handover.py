@@ -1,9 +1,9 @@
-"""How control comes, and everything that ends it; why it does not come is told once.
+"""Hand-over of control, everything that ends it, and the reasons announced when it is blocked.
 
-Whoever armed a vehicle, or flies it, has it. So one look at an armed or flying vehicle before an
-automatic launch ends the permission for it as long as this process lives, and the operator engages
-as with `engage: operator`. An autopilot that does not tell whether it is on the ground is waited
-for.
+Control belongs to the person who armed or flies the vehicle. A vehicle seen armed or flying before
+an automatic launch therefore loses the launch permission for the life of this process, and the
+operator engages as with `engage: operator`. If the autopilot does not report its landed state, the
+launch waits.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView, class_
 from companion.guidance.health.findings import Finding, Reason, Verdict
 
 MISSING_PATIENCE_S = 10.0
-"""What is missing for less than this is simply not there yet."""
+"""Inputs missing for less than this may still be starting up."""
 
 
 class WaitingReason:
-    """Finds the words for waiting."""
+    """Reports why engagement is blocked."""
 
     def __init__(self, vehicle: VehicleView, authority: Authority, fencing: Fencing) -> None:
         self._vehicle = vehicle
@@ -42,7 +42,7 @@ class WaitingReason:
         self._said: str | None = None
 
     def news(self, now_s: float) -> str | None:
-        """A text if there is something to say that was not said before."""
+        """Return the reason if it differs from the one announced last, else None."""
         text = self._text(now_s)
         if text is None or text == self._said:
             return None
@@ -73,11 +73,11 @@ class WaitingReason:
 
 FLIES = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
 GROUND_PATIENCE_S = 10.0
-"""How long the autopilot may keep silent about the ground before that is told."""
+"""Longest time without a reported landed state before the operator is warned."""
 
 
 class LaunchPermit:
-    """Looks at the vehicle before it is launched."""
+    """Decides whether an automatic launch is permitted."""
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
@@ -86,18 +86,18 @@ class LaunchPermit:
 
     @property
     def is_wanted(self) -> bool:
-        """Whether the vehicle is to be launched by itself, and nothing forbade it."""
+        """True if an automatic launch is configured and nothing has forbidden it."""
         return self._context.is_launch_wanted
 
     @property
     def is_given(self) -> bool:
-        """Whether the launch may begin now."""
+        """True if the launch may begin now."""
         vehicle = self._context.vehicle
         is_down = vehicle.landed is LandedState.ON_GROUND and not vehicle.is_armed
         return self.is_wanted and is_down
 
     def tick(self, now_s: float) -> None:
-        """Look, while waiting and in standby."""
+        """Check the vehicle, while waiting and in standby."""
         context, vehicle = self._context, self._context.vehicle
         if not self.is_wanted or vehicle.objection is not None:
             return
@@ -126,36 +126,37 @@ class LaunchPermit:
 
 
 SETTLE_S = 2.0
-"""How long a home that moved must be stable."""
+"""Time for which a home that moved must be stable."""
 HAND_BACK_S = 1.4
-"""How long the autopilot may take to confirm its mode: we end within 1.5 s of the request ..."""
+"""Longest time for the autopilot to confirm its mode: the process ends 1.5 s after the request."""
 LONGEST_HAND_BACK_S = 1.9
-"""... and of the wish within 2 s, where it had to be found out first who flies."""
+"""Same from the stop request, 2 s, where the mode had to be reacquired before the request."""
 GRANT_HOW = "GRANT on the live map, or command 92 to component 191"
 CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
 
 
 class Handover:
-    """Watches whose vehicle it is."""
+    """Tracks control of the vehicle from hand-over to its end."""
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._has_flown = False
         self._missing_told: list[str] = []
-        """Whether it was in the air since control began."""
+        """True if the vehicle was in the air since control began."""
         self._was_told = False
-        """Whether it was announced that offboard does not count ..."""
+        """True once it was announced that offboard is ignored."""
         self._grant_told_s: float | None = None
-        """... and that a grant is needed, after which yield."""
+        """Start of the yield for which the need of a grant was announced."""
         self._fitted_at: tuple[float, float, float] | None = None
-        """Where the origin is, for which it was told that places are fitted."""
+        """Origin for which the fitted transform was announced: latitude and longitude in degrees,
+        metres."""
         self._hand_back_mode = FlightMode.HOLD
-        """What the autopilot is asked for before it is let go ..."""
+        """Mode that is requested on hand-back."""
         self._asked_s: float | None = None
-        """... and when it was; None: not yet, because it is not known who flies."""
+        """Time of that request; None: not sent, because the current mode is not confirmed."""
 
     def handle(self, event: events.Event) -> None:
-        """What an event of the autopilot or the operator means for who flies; others nothing."""
+        """Apply an event of the autopilot or the operator that affects control; ignore others."""
         match event:
             case (
                 events.OriginSet() | events.AutopilotFenceRead() | events.AutopilotFenceLimitsRead()
@@ -201,15 +202,15 @@ class Handover:
             self._foreign(event)
 
     def leave(self, why: str, now_s: float) -> None:
-        """Silence: what is heard there is not, or not any more, the vehicle that was given."""
+        """Become silent: the autopilot there is not, or no longer, the vehicle handed over."""
         context, left = self._context, self._context.phase
         if not context.enter(Trigger.NOT_OURS, now_s):
             return
-        if left is not Phase.STANDBY:  # the text of waiting says the same
+        if left is not Phase.STANDBY:  # the waiting reason says the same
             context.announce(Severity.ERROR, f"control ended: {why}")
 
     def _note_landed(self, event: events.LandedStateChanged) -> None:
-        """Landing means that somebody else decides."""
+        """End control when the vehicle is landing: the autopilot or the pilot decided that."""
         context = self._context
         if event.landed is LandedState.IN_AIR:
             self._has_flown = True
@@ -250,7 +251,7 @@ class Handover:
     def _offboard(self, now_s: float) -> None:
         context = self._context
         if not context.vehicle.is_mode_known(now_s):
-            return  # it may be over
+            return  # the mode may have changed
         self._tell_why_it_does_not_count()
         if context.vehicle.objection is not None:
             return
@@ -262,7 +263,7 @@ class Handover:
         if not (context.authority.may_begin and context.vehicle.obeys_setpoints):
             return
         if context.authority.has_id_conflict(now_s) and not is_launched:
-            return  # it may have been given to that one
+            return  # the operator may have meant the other system
         if not context.fencing.is_ready:
             return
         is_climbing = context.launch is not None and not context.launch.is_at_offboard
@@ -275,7 +276,7 @@ class Handover:
             context.announce(Severity.NOTICE, text)
 
     def _tell_what_is_missing(self, missing: list[str]) -> None:
-        """Announce why nothing follows from a mode that was given without what control needs."""
+        """Announce which inputs are missing although the mode was selected."""
         context = self._context
         is_waiting = context.phase in (Phase.WAITING, Phase.STANDBY)
         if missing == self._missing_told or not is_waiting:
@@ -324,7 +325,7 @@ class Handover:
             context.announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
 
     def take_origin(self, event: events.OriginSet) -> None:
-        """Let the vehicle take an origin in, in whose frame it is already."""
+        """Set the vehicle's origin, which its positions already refer to."""
         context = self._context
         if event.origin != context.vehicle.origin:
             context.record("origin", **asdict(event.origin))
@@ -332,7 +333,7 @@ class Handover:
         context.vehicle.handle(event)
 
     def _tell_fit(self, event: events.OriginSet) -> None:
-        """Once for each place that the autopilot tells of its origin."""
+        """Warn once per reported origin that positions use the fitted transform."""
         origin = event.origin
         place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         if event.off_m and place != self._fitted_at:
@@ -341,9 +342,9 @@ class Handover:
             self._context.warn(text)
 
     def take_home(self, event: events.HomeSet) -> None:
-        """Let the vehicle take a home in; one that moves in flight is held on, and told.
+        """Set the vehicle's home; if it moves in flight, hold for a moment and warn.
 
-        It changes neither the plan nor its height.
+        Neither the plan nor its altitude changes.
         """
         context, before = self._context, self._context.vehicle.reported_home_enu_m
         context.vehicle.handle(event)
@@ -362,7 +363,7 @@ class Handover:
         self,
         event: events.OriginSet | events.AutopilotFenceRead | events.AutopilotFenceLimitsRead,
     ) -> None:
-        """What the guard's fence stands on became known, or another one."""
+        """Apply a new origin, fence or fence limits, and announce a change of the guard's fence."""
         context, fencing = self._context, self._context.fencing
         before = (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilots)
         if isinstance(event, events.OriginSet):
@@ -391,13 +392,13 @@ class Handover:
             context.warn("autopilot restarted: give the mode again to resume")
 
     def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
-        """What asks the autopilot for a mode waits until it is known who flies: perhaps a pilot."""
+        """Return HOLD instead of a hand-back while the mode is unconfirmed: a pilot may fly."""
         if self._context.vehicle.mode_watch.may_be_asked(now_s):
             return finding
         return Finding(Verdict.HOLD, Reason.MODE_UNKNOWN, Reason.MODE_UNKNOWN.value)
 
     def hand_back(self, finding: Finding, now_s: float) -> None:
-        """What is wrong does not pass: the autopilot shall fly by itself."""
+        """Start the hand-back: the fault does not pass, so the autopilot shall fly by itself."""
         context = self._context
         if not context.enter(Trigger.GIVE_UP, now_s):
             return
@@ -408,7 +409,7 @@ class Handover:
         self.go_on_handing_back(now_s)
 
     def give_way(self, finding: Finding, now_s: float) -> None:
-        """Somebody else commands: silence."""
+        """Yield to another source of commands: send nothing more."""
         is_pilot = finding.reason is Reason.STICKS
         if self._context.enter(Trigger.PILOT_TOOK if is_pilot else Trigger.GIVE_WAY, now_s):
             text = f"control yielded: {finding.text}"
@@ -417,10 +418,10 @@ class Handover:
             self._context.announce(Severity.ERROR, text)
 
     def _note_stall(self, event: events.ControlStalled) -> None:
-        """The control loop stalled: nothing is sent until mode and position were heard anew.
+        """Send nothing after a stalled control loop until mode and position are received again.
 
-        What was asked before is not asked again, because whoever flies may have changed since; to
-        hand back, it is once that is known.
+        An earlier request is not repeated, because control may have changed since; a hand-back is
+        requested again once the mode is confirmed.
         """
         context = self._context
         context.vehicle.distrust(event.time_s)
@@ -433,7 +434,7 @@ class Handover:
         context.warn(text)
 
     def _stop(self, now_s: float) -> None:
-        """The process is asked to end: hand the vehicle back if it is in our hands."""
+        """Stop the process: hand the vehicle back first if the companion controls it."""
         context = self._context
         follow_up = FlightMode(context.params.on_localised)
         mode = hand_back_mode(context.authority, context.vehicle, context.launch, follow_up)
@@ -450,7 +451,7 @@ class Handover:
         self.go_on_handing_back(now_s)
 
     def go_on_handing_back(self, now_s: float) -> None:
-        """Ask for the mode to hand back in, once it is known who flies; do not wait for ever."""
+        """Request the hand-back mode once the current mode is confirmed, for a limited time."""
         context, since_s = self._context, self._context.authority.since_s
         may_be_asked = context.vehicle.mode_watch.may_be_asked(now_s)
         if self._asked_s is None and may_be_asked and now_s - since_s <= HAND_BACK_S:

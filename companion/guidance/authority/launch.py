@@ -1,11 +1,11 @@
-"""The automatic launch: arm, take off, ask for offboard. For simulation, and tried only once.
+"""The automatic launch: arm, take off, request offboard. For simulation; tried only once.
 
 PX4: arm in hold, NAV_TAKEOFF, climb, more than a second of setpoints, then OFFBOARD (PX4 user
 guide, offboard mode). ArduPilot: GUIDED first, arm, NAV_TAKEOFF; position targets take over after
 the climb.
 
-PX4 goes to hold by itself where its takeoff ends, and nowhere below: hold down there is a pilot's
-wish, and ends the launch. In the last metre the two look the same.
+PX4 switches to hold by itself only at the end of its takeoff: hold further down was selected by a
+pilot, and ends the launch. In the last metre the two look the same.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ READY_TIMEOUT_S = 120.0
 CLIMB_TIMEOUT_S = 90.0
 ARM_RETRY_S = 2.0
 UNANSWERED_LIMIT = 3
-"""Times a request without any answer is made again; commands are idempotent."""
+"""Repetitions of an unanswered request; commands are idempotent."""
 PRESTREAM_S = 1.2
 """PX4 wants setpoints for more than a second before it enters offboard."""
 MODE_TIMEOUT_S = 5.0
 BLIND_S = 10.0
-"""Without mode, position or link for so long it is nobody's to launch."""
+"""Time without mode, position or link after which the launch is aborted."""
 CLIMBED_SHARE = 0.9
 TOP_M = 1.0
-"""So far below its altitude PX4's takeoff may end (NAV_MC_ALT_RAD, 0.8 m, and noise)."""
+"""PX4's takeoff may end this far below its altitude (NAV_MC_ALT_RAD, 0.8 m, and noise)."""
 PX4_MODES = frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})
-"""What an armed PX4 shows if nobody interferes; ArduPilot's hold is somebody's choice."""
+"""Modes of an armed PX4 during a launch; ArduPilot holds only when a person selects it."""
 LIFTED_M, LIFT_S = 1.0, 8.0
-"""So high it is within so long, if a take-off that was refused when repeated has begun."""
+"""Height in m reached within this time in s if a take-off refused on repetition has begun."""
 
 
 class Stage(Enum):
-    """Where the launch stands."""
+    """Stage of the launch."""
 
     READY = "waiting until the autopilot can be armed"
     MODE = "asking for the mode to launch in"
@@ -56,12 +56,12 @@ REQUESTS: dict[Stage, tuple[RequestKind, Stage]] = {
     Stage.TAKE_OFF: (RequestKind.TAKE_OFF, Stage.CLIMB),
     Stage.OFFBOARD: (RequestKind.SET_MODE, Stage.OFFBOARD),
 }
-"""What each stage asks for, and the stage that follows once it is accepted."""
+"""Request of each stage, and the stage that follows once it is accepted."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaunchView:
-    """What the launch may know at a tick."""
+    """Inputs of the launch at one tick."""
 
     now_s: float
     heartbeat: HeartbeatReceived
@@ -69,7 +69,7 @@ class LaunchView:
     """Above home."""
     home_up_m: float
     has_origin: bool = True
-    """Whether altitudes can be told above sea level, as PX4 wants the takeoff's."""
+    """True if altitudes above sea level are known, which PX4 needs for the takeoff."""
 
 
 class Launch:
@@ -82,36 +82,37 @@ class Launch:
         self._since_s = started_s
         self._retry_s = started_s
         self._seen_s = started_s
-        """When everything that a launch needs was known last."""
+        """Last time at which all inputs of the launch were known."""
         self._is_asked = False
         self._unanswered = 0
         self._modes: frozenset[FlightMode] = frozenset()
-        """Modes that the launch itself leads through."""
+        """Modes that the launch itself passes through."""
         self._was_armed = False
         self._refused: str | None = None
-        """A repeated take-off was refused: ArduPilot does so when the first one has begun."""
+        """Reason of a refused repetition: ArduPilot refuses it when the first take-off has
+        begun."""
         self._takeoff: RequestAnswered | HeartbeatReceived | None = None
-        """What showed last that the takeoff has begun."""
+        """Latest evidence that the takeoff has begun."""
         self._offboard_accepted: RequestAnswered | None = None
         self._needs_prestream = True
 
     @property
     def is_at_offboard(self) -> bool:
-        """Whether offboard is what is being waited for."""
+        """True while the launch streams setpoints before offboard or waits for that mode."""
         return self.stage in (Stage.PRESTREAM, Stage.OFFBOARD)
 
     @property
     def has_asked(self) -> bool:
-        """Whether anything was asked of the autopilot yet."""
+        """True once the launch has sent a request to the autopilot."""
         return self.stage is not Stage.READY
 
     @property
     def may_be_flying(self) -> bool:
-        """Whether the vehicle may be armed by now, shown or not."""
+        """True if the vehicle may be armed by now, reported or not."""
         return self.stage in (Stage.TAKE_OFF, Stage.CLIMB, Stage.PRESTREAM, Stage.OFFBOARD)
 
     def observe(self, heartbeat: HeartbeatReceived, height_m: float | None) -> str | None:
-        """Why a heartbeat, at a height above home, ends the launch (another flies), or None."""
+        """Return why a heartbeat, at a height above home in m, aborts the launch, or None."""
         if not self.has_asked:
             return None
         if not heartbeat.is_armed:
@@ -125,7 +126,7 @@ class Launch:
         return f"mode is {shown_mode(heartbeat)}"
 
     def _is_on_the_way(self, heartbeat: HeartbeatReceived, height_m: float | None) -> bool:
-        """Whether the launch itself leads through the mode that is shown."""
+        """Return True if the reported mode is one that the launch itself passes through."""
         if heartbeat.mode not in self._modes or _is_after(heartbeat, self._offboard_accepted):
             return False
         if heartbeat.mode is FlightMode.TAKEOFF:
@@ -137,11 +138,11 @@ class Launch:
 
     @property
     def wants_stream(self) -> bool:
-        """Whether "stay here" setpoints are due: PX4 wants them before offboard."""
+        """True if "stay here" setpoints are due: PX4 needs them before offboard."""
         return self.is_at_offboard and self._needs_prestream
 
     def tick(self, view: LaunchView) -> list[Command]:
-        """What to ask for now."""
+        """Return the requests that are due now."""
         self._seen_s = view.now_s
         match self.stage:
             case Stage.READY:
@@ -158,18 +159,18 @@ class Launch:
         return []
 
     def trouble(self, what: str, now_s: float) -> None:
-        """Something is wrong: it is waited for on the ground, and later ends the launch."""
+        """Report a problem: on the ground the launch waits for its end, later it is aborted."""
         self._seen_s = now_s
         if self.has_asked or now_s - self._since_s > READY_TIMEOUT_S:
             self.failure = what
 
     def wait(self, now_s: float) -> None:
-        """Nothing is asked while the vehicle is not seen, and not for ever."""
+        """Wait while the vehicle's state is unknown, for `BLIND_S` at most."""
         if now_s - self._seen_s > BLIND_S:
             self.failure = f"no link, mode or fresh position for {BLIND_S:g} s"
 
     def note_answer(self, event: RequestAnswered) -> None:
-        """Take in the autopilot's answer to the latest request."""
+        """Process the autopilot's answer to the latest request."""
         kind, following = REQUESTS.get(self.stage, (None, self.stage))
         if event.kind is not kind:
             return
@@ -185,7 +186,7 @@ class Launch:
             self.stage is Stage.TAKE_OFF
             and event.outcome is Outcome.REJECTED
             and (event.is_repeated or self._unanswered > 0)
-        ):  # an earlier answer may be lost, and what is refused has begun
+        ):  # a lost answer to an earlier request, and a refusal because the take-off has begun
             self._refused = what
             self._enter(Stage.CLIMB, event.time_s)
         elif self._may_ask_again(event):
@@ -195,7 +196,7 @@ class Launch:
             self.failure = what
 
     def _may_ask_again(self, event: RequestAnswered) -> bool:
-        """Not ready yet is no reason to give up, and neither is a link that lost an answer."""
+        """Return True if the autopilot may still become ready, or the answer may have been lost."""
         if self.stage is Stage.ARM:
             return event.time_s - self._since_s < READY_TIMEOUT_S
         self._unanswered += 1
@@ -227,7 +228,7 @@ class Launch:
 
     @staticmethod
     def _launch_mode(heartbeat: HeartbeatReceived) -> FlightMode | None:
-        """The mode to arm in, or None if the present one will do."""
+        """Return the mode to arm in, or None if the present one will do."""
         if heartbeat.autopilot is Autopilot.ARDUPILOT:
             return None if heartbeat.mode is FlightMode.OFFBOARD else FlightMode.OFFBOARD
         usable = (FlightMode.HOLD, FlightMode.TAKEOFF)
@@ -270,7 +271,7 @@ class Launch:
 def _is_after(
     heartbeat: HeartbeatReceived, earlier: RequestAnswered | HeartbeatReceived | None
 ) -> bool:
-    """Whether a heartbeat was sent after something else; a mode is, if no order is known."""
+    """Return True if a heartbeat was sent after an event; of unknown order, after a heartbeat."""
     if earlier is None:
         return False
     if earlier.order is None or heartbeat.order is None:

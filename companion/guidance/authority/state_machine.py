@@ -1,42 +1,43 @@
-"""Who flies: the companion's authority as a transition table.
+"""Control authority as a transition table.
 
 Theory of operation. The companion commands only while the autopilot is in offboard mode *and* the
-operator gave it that mode; everything else is either getting there or staying out of the way.
+operator selected that mode; every other phase either prepares for this or keeps out of the way.
 
     WAITING    no autopilot, or no usable position, home or fence yet, or a second companion sends
                under our ids. Silent.
     STANDBY    ready; streams "stay here" so that the mode can be entered (PX4 refuses offboard
                without a stream). The operator switches the mode, or in auto the launch begins.
-    LAUNCHING  auto only, once: arm, take off, ask for offboard.
-    NORMAL     offboard and armed: flies what the planner wants, through the guard.
-    DEGRADED   the same, slower: ranging ages, and the target is only believed to be where it was.
-    HOLD       offboard and armed, but something is wrong (ranging, own position, a filter that
-               makes no sense, the autopilot's health): streams "stay here".
-    FINISHED   the target was reported; the autopilot was asked for the mode that follows, and
-               gets "stay here" until it has left offboard, never again after that.
-    YIELD      somebody else flies: the mode left offboard for whatever reason, the vehicle lands,
-               others send setpoints or move the sticks, or it was handed back. Silence. A mode that
-               a person chose ends it once it has stayed for a while: then WAITING, and ready again
-               as before the first time. Everything else is latched until an explicit grant, or
-               until the vehicle is disarmed (the next flight is a new one).
-    HANDBACK   asked to stop while in control, or what is wrong does not pass: asks once for the
-               autopilot's own hold, or for the return, and gives it "stay here" until it answers.
-               Then YIELD, and STOPPED if that was wanted.
+    LAUNCHING  auto only, once: arm, take off, request offboard.
+    NORMAL     offboard and armed: follows the planner, through the guard.
+    DEGRADED   the same, slower: ranging ages, and the target position is extrapolated.
+    HOLD       offboard and armed, but an input is bad (ranging, vehicle position, a diverged
+               filter, the autopilot's health): streams "stay here".
+    FINISHED   the target was reported and the mode that follows was requested; streams "stay here"
+               until the autopilot has left offboard, never again after that.
+    YIELD      another source has control: the mode left offboard for whatever reason, the vehicle
+               lands, others send setpoints or move the sticks, or it was handed back. Silence. A
+               mode that a person chose ends it once it has stayed for a while: then WAITING, and
+               ready again as before the first time. Everything else is latched until an explicit
+               grant, or until the vehicle is disarmed (the next flight is a new one).
+    HANDBACK   asked to stop while in control, or a fault does not pass: requests the autopilot's
+               own hold, or the return, once, and streams "stay here" until it answers. Then YIELD,
+               and STOPPED if that was requested.
     STOPPED    the process may end.
 
-Got: only by MODE_GIVEN, when a HEARTBEAT shows offboard and armed, `Authority` holds that the
-operator gave it, the mode is known to be of the present (`ModeWatch`), the fence is ready and
-nobody else sends under our ids; `Handover` asks all of these. In auto, `Launch` leads up to it.
-Kept: at every tick `ControlTick` asks the `Watches` for the worst that is wrong: SLOW (DEGRADED),
-HOLD, HAND_BACK or GIVE_WAY; nothing wrong is NORMAL.
-Lost: by what the autopilot shows (MODE_LOST, LANDED, DISARMED, RESTARTED: `Handover`), by what the
-link shows of its identity (NOT_OURS), by a verdict (GIVE_UP, GIVE_WAY, PILOT_TOOK), by a stop, or
-by the report. `Authority` says what has to be shown before the mode counts as given again, and what
-needs a grant.
+Control begins only by MODE_GIVEN: a HEARTBEAT shows offboard and armed, `Authority` finds that the
+operator selected it, the mode is confirmed as current (`ModeWatch`), the fence is ready and no
+other system sends under our ids; `Handover` checks all of these. In auto, `Launch` leads up to it.
 
-Three rules stand above the table: a lost mode is never asked for again; what was asked and not
-answered is withdrawn when control ends; and a setpoint leaves only in STREAMING phases, from the
-control tick.
+Control is kept: at every tick `ControlTick` asks the `Watches` for the worst finding: SLOW
+(DEGRADED), HOLD, HAND_BACK or GIVE_WAY; without a finding the phase is NORMAL.
+
+Control ends by the autopilot's reports (MODE_LOST, LANDED, DISARMED, RESTARTED: `Handover`), by its
+identity on the link (NOT_OURS), by a verdict (GIVE_UP, GIVE_WAY, PILOT_TOOK), by a stop, or by the
+report. `Authority` decides which reports have to follow before the mode counts as selected again,
+and which ends of control need a grant.
+
+Three rules stand above the table: a lost mode is never requested again; unanswered requests are
+withdrawn when control ends; and a setpoint is sent only in STREAMING phases, from the control tick.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from enum import Enum
 
 
 class Phase(Enum):
-    """Where the session stands; see the theory of operation above."""
+    """Phase of the session; see the theory of operation above."""
 
     WAITING = "waiting"
     STANDBY = "standby"
@@ -72,11 +73,11 @@ PHASE_WORDS = {
     Phase.HANDBACK: "handing the vehicle back",
     Phase.STOPPED: "stopped",
 }
-"""Phases in the operator's words."""
+"""Phases as the operator reads them."""
 
 
 class Trigger(Enum):
-    """What moves the session from one phase to another."""
+    """Cause that moves the session from one phase to another."""
 
     READY = "autopilot, position, home and fence are known"
     FENCE_LOST = "the fence is not known any more, or refused"
@@ -105,19 +106,19 @@ class Trigger(Enum):
 
 
 FLYING = frozenset({Phase.NORMAL, Phase.DEGRADED})
-"""Phases in which the plan is flown."""
+"""Phases in which the vehicle follows the plan."""
 
 IN_CONTROL = FLYING | {Phase.HOLD}
 """Phases in which the vehicle obeys our setpoints."""
 
 HAS_VEHICLE = IN_CONTROL | {Phase.FINISHED, Phase.HANDBACK}
-"""Phases in which the vehicle is in our hands, or was a moment ago."""
+"""Phases in which the companion controls the vehicle, or did a moment ago."""
 
 STREAMING = IN_CONTROL | {Phase.STANDBY, Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK}
 """Phases in which setpoints may be sent at all."""
 
 OUT_OF_CONTROL = frozenset({Phase.WAITING, Phase.YIELD, Phase.STOPPED})
-"""Phases in which nothing may be asked of the autopilot, nor asked again."""
+"""Phases in which nothing may be requested of the autopilot, nor requested again."""
 
 _ROWS: tuple[tuple[Iterable[Phase], Trigger, Phase], ...] = (
     ({Phase.WAITING}, Trigger.READY, Phase.STANDBY),
@@ -153,5 +154,5 @@ TRANSITIONS = {
 
 
 def next_phase(phase: Phase, trigger: Trigger) -> Phase:
-    """The phase after a trigger; a trigger that means nothing in a phase leaves it as it is."""
+    """Return the phase after a trigger; a trigger without a transition leaves it as it is."""
     return TRANSITIONS.get((phase, trigger), phase)

@@ -1,1 +1,1 @@
-"""The vehicle, its fence, and the way from a plan to guarded setpoints."""
+"""The vehicle, its fence, and the steps from a plan to guarded setpoints."""

@@ -1,22 +1,22 @@
-"""Which fence the guard keeps: the configured one, once it is known to be the right one.
+"""The guard's fence: the configured one, once it is confirmed against the autopilot's.
 
-Theory of operation. A fence in local metres is there from the start. One in degrees (of a file, or
-of the autopilot) becomes local when the autopilot's origin is known, again whenever that changes,
-and its margin grows by what an autopilot's own frame may distort it by. Until then, and whenever
-something speaks against it, the guard has no fence: nothing engages, and what flies holds.
+Theory of operation. A fence in local metres exists from the start. A fence in degrees (of a file,
+or of the autopilot) is projected when the autopilot's origin is known, again whenever that changes,
+and its margin grows by the largest distortion of an autopilot's own projection. Until then, and
+whenever a check fails, the guard has no fence: control cannot begin, and a vehicle in flight holds.
 
-A fence is a place in the world, in whatever way it is given. One in local metres lies about the
-first origin that was heard, its anchor; when the origin moves, the fence is turned into the new
+A fence is fixed to the Earth, in whatever way it is given. A fence in local metres refers to the
+first origin that was received, its anchor; when the origin moves, the fence is shifted into the new
 frame by the step between both. The anchor outlives restarts of the autopilot, and of the companion
 in mid-mission; the autopilot's fences of a flight outlive those of the companion.
 
-Two fences that differ are worse than one: each protects from what the other allows. So the
-autopilot's is compared, and a difference is refused.
+Two fences that differ are worse than one: each forbids what the other allows. So the autopilot's
+fence is compared, and a difference is refused.
 
-Another station may give the autopilot another fence at any time. Until that is read nothing
-engages, and what flies holds inside the fence that is known. In the air the guard's fence only ever
-shrinks: it is what all fences that the autopilot has had in this flight allow together, in control
-also where `compare` would refuse a difference. It is widened on the ground.
+Another station may upload another fence at any time. Until it is downloaded control cannot begin,
+and a vehicle in flight holds inside the known fence. In the air the guard's fence only ever
+shrinks: it is the intersection of all fences that the autopilot has had in this flight, in control
+even where `compare` would refuse a difference. It is widened on the ground.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ from companion.guard.gate import Guard, GuardLimits
 from companion.guidance.events import AutopilotFenceRead, FenceLimits
 
 TOLERANCE_M = 1.0
-"""How far apart two borders may be that are meant to be the same."""
+"""Largest distance between two borders that count as the same."""
 FARTHEST_STEP_M = 1000.0
-"""An origin that moved farther than this means another place, and not a better fix."""
+"""An origin that moved farther than this is another site, not a better fix."""
 
 
 class FencePolicy(Enum):
-    """What the autopilot's own fence is for."""
+    """Use of the autopilot's own fence."""
 
     IGNORE = "ignore"
-    """Nothing: it is not even read."""
+    """Not downloaded at all."""
     COMPARE = "compare"
-    """It must be ours; having none, or not telling, is said and allowed."""
+    """It must equal ours; a missing or unreported one is announced and allowed."""
     REQUIRE = "require"
-    """It must be ours, and there must be one."""
+    """It must equal ours, and there must be one."""
     USE = "use"
 
 
 @dataclass(frozen=True, slots=True)
 class FencePlan:
-    """Where the guard's fence comes from."""
+    """Sources of the guard's fence."""
 
     limits: GuardLimits
     """With the fence if that is local."""
@@ -72,41 +72,42 @@ class FencePlan:
 
 
 class Fencing:
-    """Gives the guard its fence and says why it has none; without a plan it has one already."""
+    """Sets the guard's fence, or says why it has none; without a plan the guard keeps its own."""
 
     def __init__(self, guard: Guard, plan: FencePlan | None = None) -> None:
         local = FencePlan(guard.limits, 0.0)
         self.plan = local if plan is None else plan
         self.refusal: str | None = None
-        """Why there is none though everything is known, in words."""
+        """Reason why there is no fence although all inputs are known, in words."""
         self.note: str | None = None
-        """What the operator should know of one that is there."""
+        """Remark for the operator about a fence that is kept."""
         self.guard = guard
         self.anchor: LocalOrigin | None = None
-        """The origin that local metres of the configuration are about; None: not heard yet."""
+        """Origin to which local metres of the configuration refer; None: not received yet."""
         self.is_doubted = False
-        """The autopilot's fence is another one now, and that is not read yet."""
+        """True if the autopilot's fence has changed and is not downloaded yet."""
         self._origin: LocalOrigin | None = None
         self._read: AutopilotFenceRead | None = None
         self._flown: tuple[GeoFence, ...] = ()
-        """The autopilot's fences of this flight, the newest first; on the ground only that."""
+        """The autopilot's fences of this flight, the newest first; on the ground only the current
+        one."""
         self._limits = FenceLimits()
         """The autopilot's fence by parameters; in the air the strictest of this flight."""
         self._home_enu_m: Point | None = None
-        """What its circle is about."""
+        """Centre of the autopilot's circular fence, east and north."""
         self.is_urgent = False
-        """The autopilot's fence is to be read once more, at once."""
+        """True if the autopilot's fence has to be downloaded again at once."""
         self._is_airborne = self._is_in_control = False
         self._settle()
 
     @property
     def is_ready(self) -> bool:
-        """Whether the guard has its fence."""
+        """True if the guard has its fence."""
         return self.refusal is None and not self.missing
 
     @property
     def missing(self) -> list[str]:
-        """What is not there yet, in words."""
+        """Inputs that are still missing, in words."""
         parts = {
             "the autopilot's fence": self._is_read and not self.is_doubted,
             "the origin": self._has_origin,
@@ -139,12 +140,12 @@ class Fencing:
 
     @property
     def is_site_known(self) -> bool:
-        """Whether `site` is what it will be: the autopilot may not have told its fence yet."""
+        """True if `site` is final: the autopilot's fence is downloaded, or not used."""
         return self.plan.policy is not FencePolicy.USE or self._read is not None
 
     @property
     def autopilots(self) -> GeoFence | None:
-        """The autopilot's fence as it was read last; None: it has none, or it is not known."""
+        """The autopilot's fence as downloaded last; None: it has none, or it is unknown."""
         return None if self._read is None else self._read.fence
 
     @property
@@ -154,9 +155,9 @@ class Fencing:
 
     @property
     def wants_reading(self) -> bool:
-        """True if the autopilot is to be asked for its fence, once more if it did not help.
+        """True if the autopilot's fence has to be downloaded: unknown, refused or in doubt.
 
-        And when control begins: not every autopilot shows that its fence was changed.
+        It is also downloaded when control begins: not every autopilot reports a changed fence.
         """
         if not self.is_followed:
             return False
@@ -164,14 +165,14 @@ class Fencing:
         return not is_known or self.is_doubted or self.is_urgent
 
     def set_origin(self, origin: LocalOrigin) -> None:
-        """Take in the origin of the local frame; the first one is the anchor."""
+        """Set the origin of the local frame; the first one becomes the anchor."""
         self._origin = origin
         if self.anchor is None:
             self.anchor = origin
         self._settle()
 
     def recall(self, anchor: LocalOrigin) -> None:
-        """Take up the anchor of an earlier process: its fence is still in the same place."""
+        """Restore the anchor of an earlier process: its fence is still in the same place."""
         self.anchor = anchor
         self._settle()
 
@@ -182,11 +183,11 @@ class Fencing:
 
     @property
     def flown_limits(self) -> FenceLimits:
-        """What parameters of the autopilot limit; in the air the strictest of this flight."""
+        """Limits by parameters of the autopilot; in the air the strictest of this flight."""
         return self._limits
 
     def recall_flown(self, fences: tuple[GeoFence, ...], limits: FenceLimits | None) -> None:
-        """Take up the autopilot's fences of the flight that an earlier process began."""
+        """Restore the autopilot's fences of the flight that an earlier process began."""
         self._is_airborne = True
         self._flown += tuple(fence for fence in fences if fence not in self._flown)
         if limits is not None:
@@ -194,7 +195,7 @@ class Fencing:
         self._settle()
 
     def take(self, event: AutopilotFenceRead) -> None:
-        """Take in the autopilot's fence; if it cannot be read in the air, the known one holds."""
+        """Set the autopilot's fence; if the download fails in the air, the known one holds."""
         self.is_urgent = False
         is_unread = event.problem is not None and not event.is_unusable
         if is_unread and self._is_airborne and self._read is not None:
@@ -207,27 +208,27 @@ class Fencing:
         self._settle()
 
     def take_limits(self, limits: FenceLimits) -> None:
-        """Take in what parameters of the autopilot limit; in the air nothing gets wider."""
+        """Set the limits by the autopilot's parameters; in the air no limit gets wider."""
         if self.is_followed:
             self._limits = self._limits.strictest(limits) if self._is_airborne else limits
             self._settle()
 
     def set_home(self, home_enu_m: Point) -> None:
-        """Take in where the autopilot's home is, east and north."""
+        """Set the autopilot's home, east and north."""
         before, self._home_enu_m = self._home_enu_m, home_enu_m
         if self._limits.radius_m is not None and before != home_enu_m:
             self._settle()
 
     def doubt(self) -> None:
-        """The autopilot's fence is another one now, to be read before anything is flown on it."""
+        """Note that the autopilot's fence changed; it must be downloaded before further use."""
         self.is_doubted = self.is_followed
 
     def read_again(self) -> None:
-        """Read the autopilot's fence once more: what it stands on may have moved."""
+        """Request a new download of the autopilot's fence, whose reference may have moved."""
         self.is_urgent = self.is_followed
 
     def follow(self, *, is_airborne: bool, is_in_control: bool) -> None:
-        """Take note of whether it flies, and by us."""
+        """Update the flight state: control downloads the fence, and landing widens it."""
         if (is_airborne, is_in_control) == (self._is_airborne, self._is_in_control):
             return
         if is_in_control and not self._is_in_control:
@@ -238,12 +239,12 @@ class Fencing:
         self._settle()
 
     def use_limits(self, limits: GuardLimits) -> None:
-        """Other limits of motion from now on, with the same fence."""
+        """Set other limits of motion, with the same fence."""
         self.plan = replace(self.plan, limits=limits)
         self._settle()
 
     def forget(self) -> None:
-        """The autopilot restarted: its origin and its fence are not known any more; ours stays."""
+        """Drop the autopilot's origin and fence, because it restarted; the anchor stays."""
         self._origin = self._read = self._home_enu_m = None
         self._flown, self.is_doubted, self._limits = (), False, FenceLimits()
         self._settle()
@@ -270,7 +271,7 @@ class Fencing:
         self.guard.use(replace(self.plan.limits, fence=usable, envelope=envelope))
 
     def _inside_circle(self, fence: Fence | None) -> Fence | None:
-        """A fence that also keeps to the autopilot's circle about home, if that cuts into it."""
+        """Return the fence limited to the autopilot's circle about home, if that cuts into it."""
         radius_m, home = self._limits.radius_m, self._home_enu_m
         if radius_m is None or home is None:
             return fence
@@ -287,12 +288,12 @@ class Fencing:
         return Fence(fence.polygon_enu_m, margin_m, fence.keep_out_enu_m, others)
 
     def _keep_to(self, part: str) -> None:
-        """Note what of the parameters is stricter than the configuration."""
+        """Note a limit of the parameters that is stricter than the configuration."""
         self._kept_to = f"{self._kept_to}, {part}" if self._kept_to else part
         self.note = f"keeping to the autopilot's fence parameters: {self._kept_to}"
 
     def _between_heights(self, envelope: Envelope) -> Envelope:
-        """The heights that are allowed and inside the autopilot's limits by its margin."""
+        """Return the allowed heights, limited to the autopilot's by its margin."""
         limits = self._limits
         most_m, least_m = envelope.altitude_max_m, envelope.altitude_min_m
         if limits.altitude_max_m is not None:
@@ -325,7 +326,7 @@ class Fencing:
         return Fence(local.polygon_enu_m, margin_m, keep_outs)
 
     def _strictest(self, fence: Fence | None) -> Fence | None:
-        """Return what a fence and those of this flight before it allow together."""
+        """Return the intersection of a fence with those of this flight before it."""
         others = [each for each in self._flown if self._is_another(each)]
         if fence is None or self._origin is None or not others:
             return fence
@@ -347,7 +348,7 @@ class Fencing:
         return self._is_in_control and self._difference(theirs) is not None
 
     def _local_fence(self, fence: Fence | None) -> Fence | None:
-        """The fence of the configuration in the present frame."""
+        """Return the configured fence in the present frame."""
         step_m = self._step_m()
         if fence is None or step_m == (0.0, 0.0):
             return fence
@@ -356,7 +357,7 @@ class Fencing:
         return Fence(polygon, margin_m, tuple(keep_outs))
 
     def _step_m(self) -> Point:
-        """Where the anchor is now, east and north; a `ValueError` where it is another place."""
+        """Return the anchor in the present frame, east and north; `ValueError` if too far away."""
         origin, anchor, plan = self._origin, self.anchor, self.plan
         is_local = plan.limits.fence is not None or bool(plan.keep_out_enu_m)
         if origin is None or anchor is None or origin == anchor or not is_local:
@@ -371,15 +372,16 @@ class Fencing:
         return (east_m, north_m)
 
     def _autopilots(self) -> GeoFence | None:
-        """The autopilot's fence; None: it has none. A `ValueError` if it could not be read."""
+        """Return the autopilot's fence, or None; raise `ValueError` if the download failed."""
         if self._read is not None and self._read.problem is not None:
             raise ValueError(f"the autopilot's fence: {self._read.problem}")
         return self.autopilots
 
     def _compare(self) -> None:
-        """See that the autopilot's fence is ours; a `ValueError` if not, or if it must have one.
+        """Compare the autopilot's fence with ours; raise `ValueError` on a difference.
 
-        In control a difference is no reason to have no fence: both are kept, see `_strictest`.
+        A missing fence is refused if one is required. In control a difference does not drop the
+        fence: both are kept, see `_strictest`.
         """
         plan, read = self.plan, self._read
         if plan.policy not in (FencePolicy.COMPARE, FencePolicy.REQUIRE) or read is None:
@@ -415,6 +417,6 @@ def _all_keep_outs(fences: Iterable[LocalFence]) -> Iterator[Corners]:
 
 
 def _moved(polygons: Iterable[Corners], step_m: Point) -> list[Corners]:
-    """The same places where the zero of the frame is elsewhere."""
+    """Return the same places in a frame whose zero is elsewhere."""
     east_m, north_m = step_m
     return [tuple((e + east_m, n + north_m) for e, n in polygon) for polygon in polygons]

@@ -1,7 +1,6 @@
 """From the planner's answer to a waypoint, and from a waypoint to the next guarded setpoint.
 
-The flight plan keeps what the planner was asked, what it answered, and what the operator is told
-of it.
+The flight plan keeps the planner's request and answer, and the texts about it.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner, PlanRequest
 
 PLAN_PERIOD_S = 0.2
-"""A plan is renewed at least this often, with or without a measurement: the vehicle moves."""
+"""Longest age of a plan, with or without a measurement: the vehicle moves."""
 TOLD_AGAIN_S = 20.0
-"""How long after a text about the target's place there is no other one."""
+"""Shortest time between two texts about a target outside the fence."""
 
 
 class FlightPlan:
-    """The planner with its memory, and the waypoint that it wants now."""
+    """The planner with its memory, and its current waypoint."""
 
     def __init__(
         self, planner: Planner[Any], guard: Guard, emitters: EmitterQueue, altitude_m: float
@@ -41,21 +40,21 @@ class FlightPlan:
         self.forget()
 
     def forget(self) -> None:
-        """The next plan starts from nothing."""
+        """Start the next plan without memory."""
         self._where_target_is = ""
-        """Why the vehicle may not be there, if it may not."""
+        """Text about a target at a place that is forbidden to the vehicle; empty: it is allowed."""
         self.waypoint: Waypoint | None = None
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
         self._memory: Any = None
 
     def use(self, planner: Planner[Any], altitude_m: float) -> None:
-        """Go on with another planner of the same kind, from what the one before remembered."""
+        """Continue with another planner of the same kind and the memory of the one before."""
         self._planner = planner
         self._altitude_m = altitude_m
 
     def is_search_due(self, estimate: TargetEstimate | None, now_s: float) -> bool:
-        """Whether the planner searches now, and needs neither contact nor an estimate."""
+        """Return True if the planner searches now, and needs neither contact nor an estimate."""
         after_s, heard_s = self._planner.search_after_s, self._emitters.current.last_accepted_s
         if after_s is None:
             return False
@@ -64,7 +63,7 @@ class FlightPlan:
         return now_s - heard_s > after_s
 
     def is_due(self, now_s: float) -> bool:
-        """Whether the plan is too old."""
+        """Return True if the plan is too old."""
         return self._planned_s is None or now_s - self._planned_s >= PLAN_PERIOD_S
 
     def renew(
@@ -74,9 +73,10 @@ class FlightPlan:
         setpoint_enu_m: PositionEnu | None,
         estimate: TargetEstimate | None,
     ) -> list[Command]:
-        """Ask the planner; what is to be told of its answer. Without a position nothing is planned.
+        """Ask the planner, and return texts and records about its answer.
 
-        The leg to the waypoint begins at the setpoint that is followed, or at the vehicle itself.
+        Without a position the plan stays as it is. The leg to the waypoint begins at the current
+        setpoint, or at the vehicle itself.
         """
         place_enu_m, height_m = vehicle.position_enu_m, vehicle.height_m
         if place_enu_m is None:
@@ -119,7 +119,7 @@ class FlightPlan:
         )
 
     def _search_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
-        """A text when a search begins, ends, or begins again."""
+        """Return a text when a search begins, ends, or begins again."""
         after_s, heard_s = self._planner.search_after_s, self._emitters.current.last_accepted_s
         if after_s is None or after_s == 0.0:
             return []
@@ -137,9 +137,9 @@ class FlightPlan:
         return [Announce(Severity.WARNING, text, Topic.CONTACT)]
 
     def _target_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
-        """A text when the target turns out to be where the vehicle may not go.
+        """Return a text when the estimate enters a place that is forbidden to the vehicle.
 
-        A target that goes to and fro across the fence is told of now and then only.
+        An estimate that crosses the fence to and fro is announced every `TOLD_AGAIN_S` at most.
         """
         fence = self._guard.limits.fence
         if estimate is None or fence is None:
@@ -153,7 +153,7 @@ class FlightPlan:
 
 
 def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
-    """A text when crossings go lower than the search altitude, and when they do no more."""
+    """Return a text when crossings begin below the search altitude, and when they end there."""
     if descent_m > 0.0 and before_m == 0.0:
         text = f"lower pass: {descent_m:.0f} m below the search altitude, which tells more"
         return [Announce(Severity.INFO, text)]
@@ -163,7 +163,7 @@ def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
 
 
 def _forbidden_place(fence: Fence, place: Point) -> str:
-    """Why the vehicle may not be at an estimated place, or nothing."""
+    """Return why the vehicle may not be at an estimated place; empty: it may."""
     if fence.allows(place):
         return ""
     borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)
@@ -173,11 +173,11 @@ def _forbidden_place(fence: Fence, place: Point) -> str:
 
 
 CLIMB_FIRST_M = 1.0
-"""Below the altitude band by more than this the vehicle climbs before it goes anywhere."""
+"""More than this below the altitude band, the vehicle climbs before it moves horizontally."""
 
 
 class Steering:
-    """Walks the setpoint towards waypoints, always through the guard."""
+    """Moves the setpoint towards waypoints, always through the guard."""
 
     def __init__(self, guard: Guard, altitude_m: float) -> None:
         self._guard = guard
@@ -191,26 +191,26 @@ class Steering:
 
     @property
     def reasons(self) -> tuple[GuardReason, ...]:
-        """Why it is not where the planner wanted it."""
+        """Reasons for which the guard changed the setpoint."""
         return () if self._last is None else self._last.reasons
 
     def shift(self, shift_enu_m: PositionEnu) -> None:
-        """The local frame moved: the setpoint is the same place in the new one."""
+        """Shift the setpoint into a local frame that moved; it stays the same place."""
         if self._last is not None:
             e, n, u = self._last.position_enu_m
             place = (e + shift_enu_m[0], n + shift_enu_m[1], u + shift_enu_m[2])
             self._last = replace(self._last, position_enu_m=place)
 
     def forget_setpoint(self) -> None:
-        """The next setpoint starts where the vehicle is."""
+        """Start the next setpoint at the vehicle's position."""
         self._last = None
 
     def stay_with(self, motion: Motion) -> PositionSetpoint:
-        """Hold at the vehicle's present place, following it while someone else flies it."""
+        """Hold at the vehicle's current position, following it while the pilot flies."""
         return self._keep(self._guard.here(motion))
 
     def stand(self, motion: Motion) -> PositionSetpoint:
-        """Move nothing, not even back inside: where the vehicle is may be wrong."""
+        """Keep the setpoint still, even outside the fence: the vehicle position may be wrong."""
         last = self._last
         place = motion.position_enu_m if last is None else last.position_enu_m
         return self._keep(self._guard.stand(place))
@@ -228,7 +228,7 @@ class Steering:
         dt_s: float,
         speed_cap_mps: float = math.inf,
     ) -> PositionSetpoint:
-        """One tick towards the waypoint at its altitude; without a waypoint, stay."""
+        """Move one tick towards the waypoint at its altitude; without a waypoint, hold."""
         last = self._last
         if last is None or waypoint is None:
             return self.stay(motion, dt_s)

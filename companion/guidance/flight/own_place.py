@@ -1,10 +1,10 @@
-"""How well the vehicle knows its own place on the Earth: what is told, and what is counted.
+"""Accuracy of the vehicle position on the Earth: reported, or assumed.
 
-Theory of operation. The receiver tells the accuracy of its fix. PX4's estimator tells one as well,
-but about the local origin: slow errors of the satellites, which move the origin along with
-everything else, are not in it. So it can make the receiver's worse and does not stand for it. Where
-the receiver tells nothing, because it does not know, has no fix or is not heard any more, the own
-place counts as known to `UNTOLD_SIGMA_M` at best, and that is called not told.
+Theory of operation. The GNSS receiver reports the accuracy of its fix. PX4's estimator reports one
+as well, but about the local origin: slow GNSS errors, which move the origin along with everything
+else, are not in it. So it can only increase the receiver's sigma and does not replace it. If the
+receiver reports no accuracy, has no fix or is silent, the sigma is at least the assumed default,
+and the accuracy counts as not reported.
 
 Source: GPS_RAW_INT.h_acc and v_acc, MAVLink common; PX4 1.15, EKF2, where
 ESTIMATOR_STATUS.pos_horiz_accuracy comes from the accuracy of the local position.
@@ -17,23 +17,23 @@ from companion.guidance import events
 from companion.guidance.events import OwnPlaceRated, PlaceTeller
 
 HEARD_S = 5.0
-"""What was told longer ago is not told; and so long a receiver that was never heard may take."""
+"""Age after which a report is ignored, and longest wait for the first one of a receiver."""
 
 
 class OwnPlaceWatch:
-    """Remembers what was told last, by whom."""
+    """Keeps the latest reported accuracy of each source."""
 
     def __init__(self) -> None:
         self._receiver: OwnPlaceRated | None = None
-        """What it told last, known or not."""
+        """Latest report of the receiver, with or without an accuracy."""
         self._horizontal_m: dict[PlaceTeller, float] = {}
-        """What each knew last: who knows nothing any more has not become better by that."""
+        """Latest accuracy of each source; it does not improve when a source stops reporting one."""
         self._vertical_m: dict[PlaceTeller, float] = {}
         self._begun_s: float | None = None
-        """When the vehicle told its place first."""
+        """Time of the first vehicle position."""
 
     def handle(self, event: events.Event) -> None:
-        """Take in what concerns the own place; other events change nothing."""
+        """Apply an event about position accuracy; ignore others."""
         match event:
             case OwnPlaceRated():
                 if event.teller is PlaceTeller.RECEIVER:
@@ -46,7 +46,7 @@ class OwnPlaceWatch:
                 self._begun_s = event.time_s
 
     def accuracy(self, now_s: float) -> OwnAccuracy | None:
-        """What counts now; None: in the first seconds the receiver may still be on its way."""
+        """Return the accuracy in use; None: the first report of the receiver may still arrive."""
         receiver, begun_s = self._receiver, self._begun_s
         if receiver is None and (begun_s is None or now_s - begun_s <= HEARD_S):
             return None

@@ -1,4 +1,4 @@
-"""What control needs, one row each: readiness, its texts and the doctor's verdict come from it.
+"""Inputs that control needs, one row each: readiness, its texts and the doctor's verdict use it.
 
 docs/flying.md has the same rows; a test compares them.
 """
@@ -24,20 +24,20 @@ FENCE_MESSAGE = "MISSION_ITEM_INT"
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """One input without which nothing is flown."""
+    """One input without which control cannot begin."""
 
     text: str
-    """What is waited for, in the operator's words."""
+    """Name of the input in the operator's texts."""
     message: str
-    """The MAVLink message that provides it."""
+    """MAVLink message that provides it."""
     is_met: Callable[[VehicleView, Fencing, float], bool]
     patience_s: float = math.inf
     """Seconds after its last message until it is missing; inf: once known, it stays known."""
     only_for: Autopilot | None = None
-    """The one kind of autopilot that it is needed of; None: of all."""
+    """The only kind of autopilot that has to provide it; None: all kinds."""
 
     def is_needed(self, autopilot: Autopilot) -> bool:
-        """Return True if it is needed of a kind of autopilot."""
+        """Return True if this kind of autopilot has to provide it."""
         return self.only_for in (None, autopilot)
 
 
@@ -88,7 +88,7 @@ REQUIREMENTS = (
 
 
 def missing_inputs(vehicle: VehicleView, fencing: Fencing, now_s: float) -> list[str]:
-    """Return the missing inputs in words; a position that a slow link brings late is named so."""
+    """Return the missing inputs in words; a position delayed by a slow link is named as such."""
     texts = [
         row.text
         for row in REQUIREMENTS

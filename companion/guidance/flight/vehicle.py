@@ -1,11 +1,11 @@
-"""What the session knows about its vehicle: mode, position, origin, home and health.
+"""State of the vehicle in the session: mode, position, origin, home and health.
 
-Theory of operation of the mode watch. A HEARTBEAT carries no time, and what a link or a socket held
-back comes oldest first. After a stall of the control tick, or a long silence, the mode is in doubt:
-perhaps a pilot has the vehicle. The doubt ends with a HEARTBEAT that the autopilot sent after a
-message whose stamp is of the present, a position or an attitude. Until then no setpoint leaves, no
-mode counts as given, and nothing is asked of the autopilot; but a vehicle that shows for seconds
-that it still flies by our setpoints, while nothing stamped comes, may be asked to fly by itself.
+Theory of operation of the mode watch. A HEARTBEAT carries no time, and frames held back by a link
+or a socket arrive oldest first. After a stall of the control tick, or a long silence, the mode is
+unconfirmed: a pilot may be flying. A HEARTBEAT confirms it if the autopilot sent it after a message
+with a current time stamp, a position or an attitude. Until then no setpoint is sent, no mode counts
+as selected, and nothing is requested of the autopilot; but a vehicle that reports for seconds that
+it still follows our setpoints, while stamped messages are missing, may be asked to fly by itself.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
 
 
 def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:
-    """The mode in the words of the autopilot's own tools; `other` has them if ours do not fit."""
+    """Return the mode as the autopilot's own tools call it; `other` replaces an unknown name."""
     name: str = mode.value
     if other or mode is FlightMode.UNKNOWN:
         return other or "another mode"
@@ -38,68 +38,68 @@ def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:
 
 
 def shown_mode(heartbeat: events.HeartbeatReceived) -> str:
-    """The mode of a HEARTBEAT in those words."""
+    """Return the mode of a HEARTBEAT in those words."""
     return mode_name(heartbeat.mode, heartbeat.autopilot, heartbeat.other_mode)
 
 
 def class_refusal(vehicle_class: VehicleClass) -> str | None:
-    """Return why vehicles of a class are not flown, in words; None: they are."""
+    """Return why this class of vehicle is not supported, in words; None: it is."""
     if vehicle_class.is_flown:
         return None
     return f"only multicopters are flown: this is a {vehicle_class.value}"
 
 
 MODE_UNKNOWN_AFTER_S = 10.0
-"""Without a HEARTBEAT for this long anyone may fly: stop sending, let its own failsafe act."""
+"""Time without a HEARTBEAT after which control is unknown: stop, so that its failsafe acts."""
 PAST_S = 1.0
-"""A mode that was shown earlier than this is of the past."""
+"""Age at which a reported mode is out of date."""
 ASKED_ANYWAY_S = 5.0
-"""So long after the doubt began a vehicle that still shows our mode may be asked for another."""
+"""Time after which a vehicle that still reports our mode may be asked for another one."""
 MOST_STAMPED = 256
 """Two seconds of a busy link."""
 LATE_S = 3.0
-"""A HEARTBEAT that comes every second and was not heard for so long is missing."""
+"""Silence in s after which a HEARTBEAT, sent every second, is missing."""
 
 
 class ModeWatch:
-    """Follows the modes that are shown, and how old they may be."""
+    """Follows the reported mode, and whether it is current."""
 
     def __init__(self) -> None:
         self.is_in_doubt = False
         self._since_s = -math.inf
         self._shown: events.HeartbeatReceived | None = None
         self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MOST_STAMPED)
-        """Time, and place in the order of sending, of the last stamped messages."""
+        """Time, and position in the sender's sequence, of the last stamped messages."""
 
     def note_stamp(self, measured_at_s: float, order: int | None) -> None:
-        """A message came that tells when it was sent."""
+        """Record a message that carries the time at which it was sent."""
         self._stamped.append((measured_at_s, order))
 
     def note_heartbeat(self, heartbeat: events.HeartbeatReceived) -> None:
-        """A HEARTBEAT came."""
+        """Record a HEARTBEAT; it confirms the mode if it is recent."""
         self._shown = heartbeat
         self.is_in_doubt = self.is_in_doubt and not self._is_recent(heartbeat)
 
     def tick(self, now_s: float) -> None:
-        """Time passes."""
+        """Mark the mode as unconfirmed after a long silence."""
         if self._is_silent(now_s) and not self.is_in_doubt:
             self.distrust(now_s)
 
     def distrust(self, now_s: float) -> None:
-        """What was heard so far is of the past."""
+        """Mark the mode as unconfirmed: all messages so far are out of date."""
         self.is_in_doubt, self._since_s = True, now_s
 
     def forget(self) -> None:
-        """The autopilot restarted: nothing was shown yet."""
+        """Drop the mode, because the autopilot restarted."""
         self._shown = None
         self._stamped.clear()
 
     def is_known(self, now_s: float) -> bool:
-        """Whether the mode shown last still says who flies."""
+        """Return True if the reported mode is current."""
         return self._shown is not None and not (self._is_silent(now_s) or self.is_in_doubt)
 
     def may_be_asked(self, now_s: float) -> bool:
-        """Whether a request for a mode takes the vehicle from nobody, as far as one can know."""
+        """Return True if a requested mode cannot override a pilot, as far as is known."""
         if self.is_known(now_s):
             return True
         shown = self._shown
@@ -112,31 +112,31 @@ class ModeWatch:
         return self._shown is not None and now_s - self._shown.time_s > MODE_UNKNOWN_AFTER_S
 
     def _is_recent(self, heartbeat: events.HeartbeatReceived) -> bool:
-        """Whether one that was sent before it is: what overtook it on the way says nothing."""
+        """Return True if a stamped message, sent no later than this one, proves it."""
         order = heartbeat.order
         return any(
             heartbeat.time_s - stamped_s <= PAST_S
             and (order is None or place is None or place <= order)
-            for stamped_s, place in reversed(self._stamped)  # the newest says it soonest
+            for stamped_s, place in reversed(self._stamped)  # the newest one is the likeliest
         )
 
 
 STALE_STATE_S = 0.5
-"""An own position older than this is not flown on."""
+"""A vehicle position older than this is not used for guidance."""
 LINK_LOST_S = 1.0
 """Without any valid frame of the autopilot for this long the link counts as lost."""
 LANDED_PATIENCE_S = 3.5
-"""EXTENDED_SYS_STATE older than this, seven of the periods asked for, says nothing."""
+"""Longest age of EXTENDED_SYS_STATE, seven of the requested periods."""
 COUNTED_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
 FARTHEST_HOME_M = 1e5
 """A home farther from the origin than this is a fault of one of the two."""
 ORIGIN_STEP_M = 1.0
-"""An origin that moves farther than this has taken the local frame with it."""
+"""An origin that moves farther than this has moved the local frame as well."""
 
 
 class VehicleView:
-    """Mode, position, origin, home and health of the vehicle, as last heard."""
+    """Mode, position, origin, home and health of the vehicle, as last reported."""
 
     def __init__(self, *, needs_origin: bool = False) -> None:
         self.track = VehicleTrack()
@@ -145,24 +145,24 @@ class VehicleView:
         self.heartbeat: events.HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
         self.frame: LocalOrigin | None = None
-        """The origin when local positions were last begun anew; it may have crept since."""
+        """Origin at the last reset of the local positions; it may have crept since."""
         self.home_enu_m: PositionEnu | None = None
-        """Its height stays while it is kept."""
+        """Home that altitudes refer to; its height is frozen in flight."""
         self.reported_home_enu_m: PositionEnu | None = None
         self.identity_problem: str | None = None
-        """Why it may be another vehicle than before, or one of two, in words."""
+        """Reason why it may be another vehicle than before, or one of two, in words."""
         self.battery_pct: float | None = None
         self.landed = LandedState.UNKNOWN
         self._landed_s = -math.inf
         self.heard_s: float | None = None
         self.distance_m = 0.0
-        """Flown so far while armed, climbs included."""
+        """Distance flown while armed, climbs included."""
         self._counted_at: PositionEnu | None = None
         self._needs_origin = needs_origin
         self._keeps_home = False
 
     def handle(self, event: events.Event) -> None:
-        """Take in an event about the vehicle; others change nothing."""
+        """Apply an event about the vehicle; ignore others."""
         self.own_place.handle(event)
         match event:
             case events.HeartbeatReceived():
@@ -190,7 +190,7 @@ class VehicleView:
                 self.mode_watch.tick(event.time_s)
 
     def forget(self) -> None:
-        """Drop what a restart of the autopilot makes worthless."""
+        """Drop all state that a restart of the autopilot invalidates."""
         self.forget_frame()
         self.heartbeat = None
         self.origin = None
@@ -200,7 +200,7 @@ class VehicleView:
         self.own_place = OwnPlaceWatch()
 
     def distrust(self, now_s: float) -> None:
-        """Wait for a new mode and position, because what was heard so far is of the past."""
+        """Wait for a new mode and position, because those received so far are out of date."""
         self.mode_watch.distrust(now_s)
         self.track.clear()
 
@@ -212,12 +212,12 @@ class VehicleView:
         self._counted_at = None
 
     def shift(self, jump_enu_m: PositionEnu) -> None:
-        """The reported position jumped: where the vehicle was is told in the new terms, too."""
+        """Shift earlier positions by a jump of the reported position."""
         self.track.shift(jump_enu_m)
         self._counted_at = None
 
     def keep_home(self, keeps: bool) -> None:
-        """Whether altitudes stay above the home that is known now, wherever it is moved."""
+        """Freeze or release the height of the home that altitudes refer to."""
         self._keeps_home = keeps
         if not keeps:
             self.home_enu_m = self.reported_home_enu_m
@@ -229,7 +229,7 @@ class VehicleView:
         self.home_enu_m = (*home_enu_m[:2], up_m)
 
     def origin_step_m(self, origin: LocalOrigin) -> float:
-        """How far an origin is from the one that local positions began with; 0 if none is known."""
+        """Return the distance of an origin from the one of the local frame; 0 if none is known."""
         if self.frame is None:
             return 0.0
         return math.hypot(*self.frame.zero_of(origin))
@@ -237,8 +237,8 @@ class VehicleView:
     def move_frame(self, origin: LocalOrigin, shift_enu_m: PositionEnu | None) -> None:
         """Turn every local position into the frame of a new origin, which moves them by a shift.
 
-        None: into a frame that is nowhere near; then every one but home is dropped, and that, too,
-        if it is too far away: there is no height above it.
+        Without a shift the new frame is far away: all positions but home are dropped, and home as
+        well if it is too far away for a height above it.
         """
         home, kept, before = self.reported_home_enu_m, self.home_enu_m, self.origin
         track = self.track
@@ -257,13 +257,13 @@ class VehicleView:
 
     @property
     def position_enu_m(self) -> PositionEnu | None:
-        """The newest position."""
+        """Latest position."""
         latest = self.track.latest
         return None if latest is None else latest.position_enu_m
 
     @property
     def motion(self) -> Motion | None:
-        """What the guard goes by, or None without a position or a home."""
+        """Inputs of the guard, or None without a position or a home."""
         latest, home = self.track.latest, self.home_enu_m
         if latest is None or home is None:
             return None
@@ -271,39 +271,39 @@ class VehicleView:
 
     @property
     def mode(self) -> FlightMode:
-        """The mode last shown."""
+        """Latest reported mode."""
         return FlightMode.UNKNOWN if self.heartbeat is None else self.heartbeat.mode
 
     @property
     def autopilot(self) -> Autopilot:
-        """Whose HEARTBEAT it sends."""
+        """Kind of autopilot by its HEARTBEAT."""
         return Autopilot.OTHER if self.heartbeat is None else self.heartbeat.autopilot
 
     def name_of(self, mode: FlightMode) -> str:
-        """What its operator calls a mode."""
+        """Return the name of a mode in the autopilot's tools."""
         if self.heartbeat is not None and self.heartbeat.mode is mode:
             return shown_mode(self.heartbeat)
         return mode_name(mode, self.autopilot)
 
     @property
     def guided_name(self) -> str:
-        """What its operator calls the mode that obeys setpoints."""
+        """Name of the mode that obeys setpoints, in the autopilot's tools."""
         name = self.name_of(FlightMode.OFFBOARD)
         return name if self.autopilot is Autopilot.ARDUPILOT else f"{name} mode"
 
     @property
     def is_armed(self) -> bool:
-        """Whether it was armed when last heard."""
+        """True if the vehicle was armed when last reported."""
         return self.heartbeat is not None and self.heartbeat.is_armed
 
     @property
     def is_ours(self) -> bool:
-        """Whether it obeys setpoints: armed and in offboard."""
+        """True if it obeys setpoints: armed and in offboard."""
         return self.is_armed and self.mode is FlightMode.OFFBOARD
 
     @property
     def obeys_setpoints(self) -> bool:
-        """Whether setpoints would be flown once the mode is offboard.
+        """True if setpoints would be obeyed once the mode is offboard.
 
         ArduPilot ignores them on the ground, and one during its take-off would end the climb.
         """
@@ -311,22 +311,22 @@ class VehicleView:
 
     @property
     def vehicle_class(self) -> VehicleClass | None:
-        """Class of the vehicle; None as long as it is not heard."""
+        """Class of the vehicle; None before the first HEARTBEAT."""
         return None if self.heartbeat is None else self.heartbeat.vehicle_class
 
     @property
     def objection(self) -> str | None:
-        """Reason not to fly this vehicle at all, in words: its class, or doubtful identity."""
+        """Reason not to control this vehicle at all, in words: its class, or doubtful identity."""
         vehicle_class = self.vehicle_class
         refusal = None if vehicle_class is None else class_refusal(vehicle_class)
         return refusal or self.identity_problem
 
     @property
     def wants_prestream(self) -> bool:
-        """Whether setpoints must flow before offboard can be entered.
+        """True if setpoints must flow before offboard can be entered.
 
-        PX4 refuses the mode without them. ArduPilot needs none, and a stream that still runs
-        would act at once when GUIDED returns.
+        PX4 refuses the mode without them. ArduPilot needs none, and a stream that still runs would
+        act at once when GUIDED returns.
         """
         return self.heartbeat is not None and self.heartbeat.autopilot is not Autopilot.ARDUPILOT
 
@@ -337,7 +337,7 @@ class VehicleView:
         return None if position is None or home is None else position[2] - home[2]
 
     def is_position_fresh(self, now_s: float) -> bool:
-        """Whether the newest position is young enough to fly on."""
+        """Return True if the newest position is young enough for guidance."""
         latest = self.track.latest
         return latest is not None and now_s - latest.time_s <= STALE_STATE_S
 
@@ -346,15 +346,15 @@ class VehicleView:
         return now_s - self._landed_s <= LANDED_PATIENCE_S
 
     def is_link_lost(self, now_s: float) -> bool:
-        """Whether nothing valid came from the autopilot for a while."""
+        """Return True if no valid frame of the autopilot arrived for `LINK_LOST_S`."""
         return self.heard_s is None or now_s - self.heard_s > LINK_LOST_S
 
     def is_mode_known(self, now_s: float) -> bool:
-        """Whether the mode last shown still says who flies."""
+        """Return True if the reported mode is current."""
         return self.mode_watch.is_known(now_s)
 
     def is_usable(self, now_s: float) -> bool:
-        """Whether it can be guided at all: heard, positioned, with a home."""
+        """Return True if it can be guided at all: heard, positioned, with a home."""
         return (
             self.objection is None
             and self.is_mode_known(now_s)
@@ -366,11 +366,11 @@ class VehicleView:
 
     @property
     def has_origin(self) -> bool:
-        """True if the origin is known, where setpoints need it."""
+        """True if the origin is known, or setpoints do not need it."""
         return self.origin is not None or not self._needs_origin
 
     def position_wanted(self, now_s: float) -> str:
-        """A position, or a younger one than a slow link brings."""
+        """Return the name of the missing position: none at all, or late ones of a slow link."""
         latest = self.track.latest
         if latest is None or now_s - latest.time_s > LINK_LOST_S + STALE_STATE_S:
             return "a local position"

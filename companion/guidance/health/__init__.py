@@ -1,1 +1,1 @@
-"""What is watched in flight: findings, autopilot health, contention, jumps and inputs."""
+"""Monitoring in flight: findings, autopilot health, contention, jumps and inputs."""

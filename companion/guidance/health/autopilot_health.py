@@ -1,23 +1,22 @@
-"""What the autopilot says of its own health: battery, estimator, satellites, failsafe.
+"""Health reported by the autopilot: battery, estimator, GNSS, failsafe.
 
-Theory of operation. The charge is what the autopilot tells, in percent or as a state of its own;
-one report may be wrong, so two in a row must agree, and unknown is not full. Low: the leg that is
-being flown is finished, what is known of the target is reported, and the autopilot gets the mode
-that follows a report. Critical: the vehicle is handed back at once by asking for the return, and
-only once in a flight: who takes it again after that knows, and it then stays where it is.
+Theory of operation. The charge is the autopilot's, in percent or as a state of its own; one report
+may be wrong, so two in a row must agree, and unknown is not full. Low: the current leg is finished,
+the estimates of the target are reported, and the mode that follows a report is requested. Critical:
+the vehicle is handed back at once by requesting the return, and only once in a flight: an operator
+who takes control to us again knows the charge, and the vehicle then holds.
 
 An autopilot that doubts its position flies our setpoints to the wrong place, and the ranging is
-placed wrongly too. So the vehicle stays where it is as soon as that is known, and is handed back
-when it lasts. The estimator's verdict decides, not one part of it: a receiver that loses its fix
-while another one has one changes nothing. Where all of them lost it, an estimator that still has a
-position after the time that autopilots dead-reckon for has another source, and the plan is flown
-on, slower.
+placed wrongly too. So the vehicle holds as soon as that is known, and is handed back when it lasts.
+The estimator's verdict decides, not one of its inputs: a receiver that loses its fix while another
+one has one changes nothing. If all lost it, an estimator that still has a position after the
+longest dead reckoning of the autopilots has another source, and the plan continues, slower.
 
 "Landed" in our mode and in our altitude band is doubted: the vehicle holds, for as long as its
 throttle does not confirm it.
 
-A failsafe that is raised in flight while the mode stays ours has a cause that we do not see: it is
-held on, unless a low battery explains it.
+A failsafe raised in flight while the mode stays ours has an unknown cause: the vehicle holds,
+unless a low battery explains it.
 
 Source: PX4 user guide, "ECL/EKF"; ArduPilot `ekf_check.cpp`, FS_EKF_THRESH 0.8.
 """
@@ -50,7 +49,7 @@ class BatteryWatch(Watch):
         self._has_ended_mission = False
 
     def handle(self, event: events.Event) -> None:
-        """Take in what concerns the battery."""
+        """Apply an event about the battery."""
         match event:
             case events.BatteryReported():
                 self.charge_pct = event.charge_pct
@@ -69,33 +68,33 @@ class BatteryWatch(Watch):
 
     @property
     def is_low(self) -> bool:
-        """Whether it is low, or worse."""
+        """True if the charge is low or critical."""
         return self.level >= BatteryLevel.LOW
 
     def aim(self, low_pct: float, critical_pct: float) -> None:
-        """Other charges from the next reports on; two of them must agree again."""
+        """Set other thresholds for the next reports; two of them must agree again."""
         self._low_pct, self._critical_pct = low_pct, critical_pct
         self._agreed = 0
 
     @property
     def ends_mission(self) -> bool:
-        """Whether it is time to report and to go."""
+        """True if a low battery has to end the mission, once."""
         return self.is_low and not self._has_ended_mission
 
     def note_mission_end(self) -> None:
-        """The mission was ended for the battery."""
+        """Note that the mission was ended because of the battery."""
         self._has_ended_mission = True
 
     def note_handback(self) -> None:
-        """The vehicle was handed back for the battery."""
+        """Note that the vehicle was handed back because of the battery."""
         self._was_handed_back = True
 
     def note_flight_end(self) -> None:
-        """The next flight is a new one."""
+        """Note the end of the flight."""
         self._was_handed_back = self._has_ended_mission = False
 
     def finding(self, now_s: float) -> Finding | None:
-        """What a critical charge asks for."""
+        """Return the finding at a critical charge, or None."""
         del now_s
         if self.level is not BatteryLevel.CRITICAL:
             return None
@@ -104,7 +103,7 @@ class BatteryWatch(Watch):
         return Finding(verdict, Reason.BATTERY_CRITICAL, text, FlightMode.RETURN)
 
     def text(self) -> str:
-        """The level in words."""
+        """Return the level in words."""
         return f"battery {self.level.name.lower()}{self._percent()}"
 
     def _percent(self) -> str:
@@ -119,23 +118,24 @@ class BatteryWatch(Watch):
 
 
 DOUBT_S = 1.0
-"""A filter that doubts for less than this settles again by itself."""
+"""An estimator that reports trouble for less than this recovers by itself."""
 GOOD_S = 1.0
-"""It must be good again for as long before it is believed."""
+"""Time without trouble until the estimator counts as good again."""
 PATIENCE_S = 5.0
-"""What lasts longer than this is handed back."""
+"""Trouble that lasts longer than this leads to a hand-back."""
 
 
 class _Trouble:
-    """A condition that comes and goes: since when it lasts, ended only when it stays away."""
+    """A condition that comes and goes; it ends only after `GOOD_S` without it."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
         self._bad_s = 0.0
-        """When it was last told to be so."""
+        """Time of the last report of the condition."""
         self._good_s: float | None = None
 
     def note(self, is_bad: bool, now_s: float) -> None:
+        """Record a report of the condition."""
         if self._is_over(now_s):
             self.clear()
         if is_bad:
@@ -146,12 +146,13 @@ class _Trouble:
             self._good_s = now_s
 
     def lasted_s(self, now_s: float) -> float | None:
-        """For how long it was so; None once it has stayed away."""
+        """Return how long the condition has lasted, in seconds; None: it is over."""
         if self._since_s is None or self._is_over(now_s):
             return None
         return (now_s if self._good_s is None else self._bad_s) - self._since_s
 
     def clear(self) -> None:
+        """End the condition at once."""
         self._since_s = self._good_s = None
 
     def _is_over(self, now_s: float) -> bool:
@@ -159,14 +160,14 @@ class _Trouble:
 
 
 DEAD_RECKONING_S = 10.0
-"""Without GNSS the autopilots use a position for as long at the most: PX4 EKF2_NOAID_TOUT 5 s,
-ArduPilot EKF3 posRetryTimeUseVel_ms 10 s."""
+"""Longest use of a position without GNSS: PX4 EKF2_NOAID_TOUT 5 s, ArduPilot EKF3
+posRetryTimeUseVel_ms 10 s."""
 VERDICT_S = 3.0
-"""An older verdict of the estimator says nothing."""
+"""Longest age of a verdict of the estimator."""
 
 
 class HealthWatch(Watch):
-    """Watches what the autopilot tells of itself; a low battery explains a failsafe."""
+    """Watches the autopilot's reports about itself; a low battery explains a failsafe."""
 
     def __init__(self, battery: BatteryWatch) -> None:
         self._battery = battery
@@ -174,15 +175,15 @@ class HealthWatch(Watch):
         self._no_fix = _Trouble()
         self._no_position = _Trouble()
         self._receivers: dict[int, bool] = {}
-        """Which GNSS receivers have a fix, of those that had one before."""
+        """Fix state of each GNSS receiver that has had a fix."""
         self._vouched_s = -math.inf
-        """When the estimator last reported a position that it does not doubt."""
+        """Time at which the estimator last reported a position of good quality."""
         self._is_failsafe = False
         self._accepted_failsafe = False
-        """The failsafe was there when control was given: whoever gave it knows."""
+        """True if the failsafe was active when control was handed over: the operator knew."""
 
     def handle(self, event: events.Event) -> None:
-        """Take in what concerns health; other events change nothing."""
+        """Apply an event about health; ignore others."""
         match event:
             case events.EstimatorRated():
                 self._doubt.note(event.worst >= 1.0, event.time_s)
@@ -205,16 +206,16 @@ class HealthWatch(Watch):
                 self._is_failsafe = self._accepted_failsafe = False
 
     def begin(self, now_s: float) -> None:
-        """Control begins."""
+        """Note the start of control."""
         del now_s
         self._accepted_failsafe = self._is_failsafe
 
     def finding(self, now_s: float) -> Finding | None:
-        """The worst that is wrong now."""
+        """Return the worst finding now, or None."""
         return worst(self.findings(now_s))
 
     def findings(self, now_s: float) -> list[Finding]:
-        """All that is wrong now."""
+        """Return all findings now."""
         found = []
         doubt_s, no_fix_s = self._doubt.lasted_s(now_s), self._no_fix.lasted_s(now_s)
         no_position_s = self._no_position.lasted_s(now_s)
@@ -232,7 +233,7 @@ class HealthWatch(Watch):
         return found
 
     def _without_fix(self, lasted_s: float, now_s: float) -> Finding:
-        """Return what a lost fix asks for, by the estimator's verdict."""
+        """Return the finding for a lost fix, by the estimator's verdict."""
         text = "autopilot lost GNSS fix"
         if now_s - self._vouched_s > VERDICT_S:
             return _finding(Reason.NO_FIX, text, lasted_s)
@@ -243,10 +244,10 @@ class HealthWatch(Watch):
 
 
 IDLE_THROTTLE = 0.15
-"""On the ground autopilots command at most this: ArduPilot MOT_SPIN_MIN 0.15, PX4 MPC_THR_MIN
+"""Highest throttle of an autopilot on the ground: ArduPilot MOT_SPIN_MIN 0.15, PX4 MPC_THR_MIN
 0.12."""
 THROTTLE_S = 2.0
-"""An older throttle says nothing."""
+"""Longest age of a throttle report."""
 
 
 class LandingWatch(Watch):
@@ -265,7 +266,7 @@ class LandingWatch(Watch):
         return self._is_doubted
 
     def handle(self, event: events.Event) -> None:
-        """Take in the throttle; a restart of the autopilot ends every doubt."""
+        """Apply a throttle report; a restart of the autopilot ends every doubt."""
         match event:
             case events.ThrottleReported():
                 self._throttle = event
@@ -273,7 +274,7 @@ class LandingWatch(Watch):
                 self._throttle, self._is_doubted = None, False
 
     def begin(self, now_s: float) -> None:
-        """Begin control without doubts of before."""
+        """Start control without earlier doubts."""
         del now_s
         self._is_doubted = False
 

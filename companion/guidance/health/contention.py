@@ -1,31 +1,30 @@
-"""Whether somebody else flies: a second source of setpoints, or a pilot who moves the sticks.
+"""Contention: a second source of setpoints, or a pilot who moves the sticks.
 
-Theory of operation. PX4 and ArduPilot both tell the target that they follow as
-POSITION_TARGET_LOCAL_NED. What is told now was sent a while ago: a setpoint travels to the
-autopilot, some are lost, and the echo travels back. So an echo is compared with the way that our
-setpoints took lately, and the newest moment at which it was on that way says how much of what we
-send arrives.
+Theory of operation. PX4 and ArduPilot both report the target that they follow as
+POSITION_TARGET_LOCAL_NED. The reported target is delayed: a setpoint travels to the autopilot, some
+are lost, and the echo travels back. So an echo is compared with the path of our recent setpoints,
+and the latest time at which that path was there shows how many of our setpoints arrive.
 
-- An echo beside the whole way is somebody else's setpoint. One alone may be a frame that just
-  moved; several over a while are a second source. We stay in place for a second, and if it goes
-  on meanwhile, we give way: two streams would tear the vehicle to and fro. Ours follows each of its
-  setpoints within a tick, so of a slow source only one in many is ever echoed. What is far beside
-  our way is therefore remembered for half a minute; what is just beside it may be the autopilot's
-  rounding, and is soon forgotten. While we pause, as on a clock that slipped, the autopilot echoes
-  where it stays by itself: that is nobody's setpoint.
-- An echo that is on the way, but where it was seconds ago, means that nothing of ours arrives any
-  more, and so may no echo at all where there was one.
+- An echo off the whole path is a foreign setpoint. A single one may come from a frame that just
+  moved; several over a while are a second source. The vehicle holds for a second, and if the
+  source goes on meanwhile, we yield: two streams would pull the vehicle to and fro. Ours follows
+  each of its setpoints within a tick, so of a slow source only one in many is ever echoed. An echo
+  far off our path is therefore remembered for half a minute; one close to it may be the
+  autopilot's rounding, and is soon forgotten. While we pause, as on a clock that slipped, the
+  autopilot echoes the place where it stays by itself, which is no foreign setpoint.
+- An echo on the path, but where it was seconds ago, means that our setpoints no longer arrive. So
+  does a missing echo where there was one.
 
-POSITION_TARGET_GLOBAL_INT is not looked at: PX4 fills it from its mission's triplet, which
-offboard setpoints do not touch.
+POSITION_TARGET_GLOBAL_INT is not used: PX4 fills it from its mission's triplet, which offboard
+setpoints do not touch.
 
 PX4 ignores the sticks in offboard unless COM_RC_OVERRIDE says otherwise, and ArduPilot does in
-GUIDED, so a pilot who grabs them flies nothing until somebody switches the mode. We take it as a
-wish: stay at once, and give way if the sticks stay moved. A stick is moved if it is neither in the
-middle nor where it was when control began: a throttle without a spring rests anywhere, and whoever
-let go of the others after the mode switch did not move them. Pulses are the pilot's only while the
-autopilot calls its RC input healthy: a receiver that lost its transmitter goes to a failsafe
-position, and when it is heard again the sticks rest where they are then.
+GUIDED, so a pilot's stick input has no effect until the mode is switched. We treat it as a request
+for control: hold at once, and yield if the sticks stay moved. A stick is moved if it is neither in
+the middle nor where it was when control began: a throttle without a spring rests anywhere, and
+releasing the other sticks after the mode switch is not a movement. Pulses are the pilot's only
+while the autopilot reports its RC input as healthy: a receiver that lost its transmitter goes to a
+failsafe position, and when it is heard again the sticks rest where they are then.
 
 Source: MAVLink common, RC_CHANNELS; PX4 COM_RC_STICK_OV (30 %).
 """
@@ -41,39 +40,39 @@ from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.session_params import StickReaction
 
 TOLERANCE_M = 1.5
-"""An echo nearer to our way than this is ours: PX4 smooths, and floats round."""
+"""An echo nearer to our path than this is ours: PX4 smooths, and floats round."""
 MEMORY_S = 30.0
-"""A position target of ArduPilot is echoed for ever; one of ours that is older is not known."""
+"""Memory of our path: ArduPilot echoes a target for ever, and older ones of ours are unknown."""
 GRACE_S = 2.0
-"""After control began, or a pause, the echo may still tell of what was flown before."""
+"""Time after the start of control, or a pause, during which an echo may be of earlier targets."""
 PAUSE_S = 0.5
-"""Who sends nothing for longer is not echoed: the autopilot follows a place of its own then."""
+"""Pause of ours after which the autopilot echoes a place of its own."""
 MAX_LAG_S = 2.0
-"""How old the newest setpoint may be that is known to have arrived."""
+"""Longest age of the newest setpoint that is known to have arrived."""
 FOREIGN_ECHOES = 3
 FOREIGN_SPAN_S = 0.6
-"""So many foreign echoes, over no less than the span, are a second source."""
+"""Number of foreign echoes, over no less than the span, that are a second source."""
 NEAR_S = 4.0
 FAR_S = 30.0
 FAR_M = 10.0
-"""How long one is remembered that is just beside our way, and one that is so far from it."""
+"""Memory of an echo close to our path, of one far from it, and the distance that counts as far."""
 HOLD_S = 1.0
-"""How long it is held before giving way ..."""
+"""Duration of the hold before we yield ..."""
 GOES_ON_S = 0.4
-"""... to a source that was still there after this much of it."""
+"""... to a source that was still active after this much of it."""
 
 
 class EchoWatch(Watch):
-    """Compares what is echoed with what was sent."""
+    """Compares echoed targets with the setpoints sent."""
 
     def __init__(self) -> None:
         self._way: deque[tuple[float, float, PositionEnu]] = deque()
         self._sent_s = self._resumed_s = -math.inf
-        """When we sent last, and when we began to after a pause."""
+        """Time of the latest setpoint, and of the first one after a pause."""
         self.end()
 
     def end(self) -> None:
-        """Control ends."""
+        """Note the end of control."""
         self._control_s: float | None = None
         self._forget_echoes()
 
@@ -82,23 +81,23 @@ class EchoWatch(Watch):
         self._disputed_s: float | None = None
         self._lag_s = 0.0
         self._is_far = False
-        """Whether the last echo was far beside our way."""
+        """True if the last echo was far off our path."""
         self._foreign_s: list[tuple[float, float]] = []
-        """When a foreign one came, and until when it is remembered."""
+        """Arrival of each foreign echo, and the time until which it is remembered."""
 
     def begin(self, now_s: float) -> None:
-        """Control begins: what was echoed before says nothing."""
+        """Note the start of control; earlier echoes do not count."""
         self._control_s = now_s
         self._forget_echoes()
 
     def frame_moved(self, now_s: float) -> None:
-        """Every local position means another place from now on."""
+        """Drop the path, because every local position means another place from now on."""
         self._way.clear()
         if self._control_s is not None:
             self.begin(now_s)
 
     def note_setpoint(self, place_enu_m: PositionEnu, now_s: float) -> None:
-        """We sent a setpoint."""
+        """Record a setpoint that was sent."""
         if now_s - self._sent_s > PAUSE_S:
             self._resumed_s = now_s
             self._forget_echoes()
@@ -112,7 +111,7 @@ class EchoWatch(Watch):
             self._way.popleft()
 
     def handle(self, event: events.Event) -> None:
-        """Take in what the autopilot follows; after a restart of it every place is another one."""
+        """Apply an echo; a restart of the autopilot moves the local frame."""
         match event:
             case events.SetpointEchoed():
                 self._note_echo(event)
@@ -137,12 +136,12 @@ class EchoWatch(Watch):
             self._lag_s = now_s - on_way_s
 
     def take_far(self) -> bool:
-        """Whether an echo was far beside our way, since this was asked last."""
+        """Return True if an echo was far off our path since the last call."""
         is_far, self._is_far = self._is_far, False
         return is_far
 
     def tick(self, now_s: float) -> None:
-        """Forget foreign echoes of long ago, and note since when there is a second source."""
+        """Drop old foreign echoes, and note the start of contention with a second source."""
         self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
         if not self._is_disputed(now_s):
             self._disputed_s = None
@@ -150,7 +149,7 @@ class EchoWatch(Watch):
             self._disputed_s = now_s
 
     def finding(self, now_s: float) -> Finding | None:
-        """What the echoes say at a tick in control."""
+        """Return the finding of the echoes at a tick in control, or None."""
         if self._disputed_s is not None:
             went_on = self._foreign_s[-1][0] - self._disputed_s >= GOES_ON_S
             is_over = now_s - self._disputed_s >= HOLD_S
@@ -169,7 +168,7 @@ class EchoWatch(Watch):
         return None
 
     def _is_disputed(self, now_s: float) -> bool:
-        """Whether there is a second source, silent for no longer than it took to be noticed."""
+        """Return True while a second source is active, or not silent for long."""
         if len(self._foreign_s) < FOREIGN_ECHOES:
             return False
         span_s = self._foreign_s[-1][0] - self._foreign_s[0][0]
@@ -177,7 +176,7 @@ class EchoWatch(Watch):
         return span_s >= FOREIGN_SPAN_S and silent_s <= max(NEAR_S, span_s)
 
     def _last_on_way_s(self, place_enu_m: PositionEnu | None) -> tuple[float | None, float]:
-        """When our way was last at a place, None if it never was; and how far it stayed away."""
+        """Return when our path was last at a place, None if never, and the distance to it."""
         if place_enu_m is None:
             return None, 0.0
         following: PositionEnu | None = None
@@ -203,21 +202,21 @@ def _distance_m(point: PositionEnu, start: PositionEnu, end: PositionEnu) -> flo
 
 
 MOVED = 0.3
-"""Deflection from rest that means a wish to fly."""
+"""Deflection from rest that counts as the pilot's request for control."""
 GIVE_WAY_S = 0.5
-"""Moved for longer than this, they are not let go again."""
+"""Time in s after which moved sticks are a lasting request."""
 RELEASED_S = 2.0
-"""Let go for less than this, they may be taken again."""
+"""Time in s after which released sticks no longer hold the vehicle."""
 THROTTLE = 2
-"""Its channel, counted from 0; ArduPilot RCMAP_THROTTLE 3."""
+"""Channel of the throttle, counted from 0; ArduPilot RCMAP_THROTTLE 3."""
 STALE_S = 1.0
-"""An older report says nothing: there is no transmitter."""
+"""Longest age of a report; without newer ones there is no transmitter."""
 RATING_S = 3.0
-"""So long a move waits for the autopilot's word on its RC input, which comes once a second."""
+"""Longest wait of a move for the autopilot's report on its RC input, sent once a second."""
 
 
 class StickWatch(Watch):
-    """Watches the sticks."""
+    """Watches the pilot's sticks."""
 
     def __init__(self, reaction: StickReaction) -> None:
         self._reaction = reaction
@@ -227,17 +226,17 @@ class StickWatch(Watch):
         self._seen_moved_s: float | None = None
         self._rated: events.TransmitterRated | None = None
         self._rest_is_next = False
-        """The transmitter is heard again: the next report shows where its sticks rest."""
+        """True once the transmitter is heard again: the next report shows where its sticks rest."""
 
     def begin(self, now_s: float) -> None:
-        """Control begins: the sticks rest where they are."""
+        """Note the start of control: the sticks rest where they are."""
         latest = self._latest
         is_fresh = latest is not None and now_s - latest.time_s <= STALE_S
         self._rest = latest.deflections if latest is not None and is_fresh else None
         self._moved_s = self._seen_moved_s = None
 
     def handle(self, event: events.Event) -> None:
-        """Take in where they are, and if the autopilot hears the transmitter."""
+        """Apply the stick positions, and the health of the RC input."""
         if isinstance(event, events.TransmitterRated):
             self._note_rating(event)
         if not isinstance(event, events.SticksReported) or self._is_lost:
@@ -258,12 +257,12 @@ class StickWatch(Watch):
         self._seen_moved_s = event.time_s
 
     def tick(self, now_s: float) -> None:
-        """Sticks that are not reported any more are not moved."""
+        """Treat sticks that are no longer reported as not moved."""
         if self._latest is not None and now_s - self._latest.time_s > STALE_S:
             self._moved_s = None
 
     def finding(self, now_s: float) -> Finding | None:
-        """What the sticks mean at a tick in control."""
+        """Return the finding of the sticks at a tick in control, or None."""
         seen_s, latest = self._seen_moved_s, self._latest
         if self._reaction == "ignore" or seen_s is None or latest is None:
             return None
@@ -280,7 +279,7 @@ class StickWatch(Watch):
         return self._rated is not None and not self._rated.is_healthy
 
     def _note_rating(self, event: events.TransmitterRated) -> None:
-        """Forget what pulses of a lost transmitter showed; back again, it rests anywhere."""
+        """Drop the pulses of a lost transmitter; when it is back, its sticks rest anywhere."""
         was_lost, self._rated = self._is_lost, event
         if self._is_lost:
             self._latest = self._moved_s = self._seen_moved_s = None
@@ -289,7 +288,7 @@ class StickWatch(Watch):
             self._rest_is_next = True
 
     def _is_pilots(self, moved_s: float, now_s: float) -> bool:
-        """Return True once a rating after the move calls the RC input healthy, or none comes."""
+        """Return True once a report after the move calls the RC input healthy, or none comes."""
         rated = self._rated
         return rated is None or rated.time_s > moved_s or now_s - moved_s > RATING_S
 

@@ -1,6 +1,6 @@
-"""The autopilot's fence in flight: held on while it is another one, handed back if that lasts.
+"""The autopilot's fence in flight: hold while it is unconfirmed, hand back if that lasts.
 
-`Fencing` says what the guard keeps meanwhile; here it is decided whether the plan is flown.
+`Fencing` decides which fence the guard keeps meanwhile.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.messages import Rarely
 
 UNREAD_PATIENCE_S = 20.0
-"""Two rounds of questions with the rest between them went unanswered by then, see
-`fence_download`: 8 tries of 0.4 s each, and 10 s."""
+"""Time for two rounds of unanswered requests and the pause between them, see `fence_download`: 8
+tries of 0.4 s each, and 10 s."""
 TOLD_AGAIN_S = 30.0
 
 
 class FenceWatch(Watch):
-    """Keeps the guard's fence informed of the flight, and finds what is wrong with it."""
+    """Updates the fence with the state of the flight, and holds while it is unconfirmed."""
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
@@ -27,7 +27,7 @@ class FenceWatch(Watch):
         self._texts = Rarely(TOLD_AGAIN_S)
 
     def handle(self, event: events.Event) -> None:
-        """The autopilot's fence is another one: said, and not flown on until it is read."""
+        """Doubt a fence that the autopilot changed, until it is downloaded."""
         fencing = self._context.fencing
         if not isinstance(event, events.AutopilotFenceChanged) or not fencing.is_followed:
             return
@@ -36,7 +36,7 @@ class FenceWatch(Watch):
             self._context.warn("the autopilot's fence changed: reading it again")
 
     def tick(self, now_s: float) -> None:
-        """Follow who flies, and since when something is wrong."""
+        """Update the fence with home and control, and note the start of a problem."""
         context, vehicle, fencing = self._context, self._context.vehicle, self._context.fencing
         if vehicle.reported_home_enu_m is not None:
             before = fencing.note
@@ -53,7 +53,7 @@ class FenceWatch(Watch):
             self._wrong_since_s = now_s
 
     def finding(self, now_s: float) -> Finding | None:
-        """Hold while the fence is not known or cannot be kept; hand back when that lasts."""
+        """Hold while the fence is unknown or cannot be kept; hand back when that lasts."""
         refusal, since_s = self._context.fencing.refusal, self._wrong_since_s
         if since_s is None:
             return None

@@ -1,8 +1,8 @@
-"""What the watches of a session find wrong, and how much that changes.
+"""Findings of a session's watches, and the verdict that each leads to.
 
-Every tick each watch says what it finds; the worst finding decides what is flown. A finding has a
-reason, which is counted, and words, which are told. A new failsafe is a reason here, a `Watch` in
-this folder, and its place among the `Watches`.
+At every tick each watch may return a finding; the worst one decides the phase. A finding has a
+reason, which is counted, and a text, which is announced. A new failsafe is a reason here, a `Watch`
+in this folder, and an entry in `Watches`.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from companion.guidance.events import Event
 
 
 class Verdict(IntEnum):
-    """What a finding asks for, by severity.
+    """Reaction that a finding needs, by severity.
 
-    Giving way stands above handing back: to ask for a mode while somebody else commands would be
-    a fight about the vehicle.
+    Yielding ranks above handing back: requesting a mode while another system commands would be a
+    fight for the vehicle.
     """
 
     SLOW = 1
-    """Fly on, slower: DEGRADED."""
+    """Continue, slower: DEGRADED."""
     HOLD = 2
     """Stay in place: HOLD."""
     HAND_BACK = 3
-    """Ask the autopilot to fly by itself: HANDBACK."""
+    """Request a mode in which the autopilot flies by itself: HANDBACK."""
     GIVE_WAY = 4
     """Be silent: YIELD."""
 
 
 class Reason(Enum):
-    """Why the plan is not flown, or not at full speed."""
+    """Reason why the plan is not followed, or not at full speed."""
 
     NO_LINK = "autopilot link lost"
     MODE_UNKNOWN = "autopilot's mode is unknown"
@@ -70,34 +70,34 @@ class Reason(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong."""
+    """One problem, with the reaction that it needs."""
 
     verdict: Verdict
     reason: Reason
     text: str
     mode: FlightMode = FlightMode.HOLD
-    """What to ask the autopilot for when it is handed back."""
+    """Mode to request on a hand-back."""
     since_s: float = -math.inf
     """Time of the first sign of it, in seconds; -inf where that decides nothing."""
 
 
 class Watch:
-    """Something that is watched; every method does nothing unless a watch needs it."""
+    """Base of all watches; every method does nothing unless a watch overrides it."""
 
     def handle(self, event: Event) -> None:
-        """Take in an event."""
+        """Apply an event."""
 
     def begin(self, now_s: float) -> None:
-        """Control begins."""
+        """Note the start of control."""
 
     def tick(self, now_s: float) -> None:
-        """Take note of the time, in control or not."""
+        """Advance the time, in control or not."""
 
     def finding(self, now_s: float) -> Finding | None:
-        """The worst that is wrong now."""
+        """Return the worst finding now, or None."""
 
 
 def worst(findings: Iterable[Finding | None]) -> Finding | None:
-    """The most severe finding, the first of several; None if nothing is wrong."""
+    """Return the most severe finding, the first of several; None if there is none."""
     found = [finding for finding in findings if finding is not None]
     return max(found, key=lambda finding: finding.verdict, default=None)

@@ -1,7 +1,7 @@
-"""HOLD, RESUME, RETURN and GRANT, beside the mode switch: which would do something, and the answer.
+"""HOLD, RESUME, RETURN and GRANT, beside the mode switch: their effect, and the answer.
 
-Every command is answered with a text, accepted or refused and why. Views ask for the objection
-beforehand, so that a button that would do nothing is grey and says why.
+Every command is answered with a text: accepted, or refused with the reason. Views ask for the
+objection beforehand, so that a button without effect is grey and shows the reason.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ NOT_IN_CONTROL = {
 
 
 class OperatorCommandWatch(Watch):
-    """Obeys the operator's commands; a hold ends with the control it was given under."""
+    """Executes the operator's commands; a hold ends with the control it was requested in."""
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._finding: Finding | None = None
 
     def objection(self, command: OperatorCommand) -> str | None:
-        """Return why a command would do nothing now, in a few words; None: it does something."""
+        """Return why a command would have no effect now, in a few words; None: it has one."""
         if command is OperatorCommand.GRANT:
             return self._objection_to_grant()
         if self._context.phase not in IN_CONTROL:
@@ -63,7 +63,7 @@ class OperatorCommandWatch(Watch):
         return None if is_obeyed else NOT_IN_CONTROL[phase]
 
     def handle(self, event: events.Event) -> None:
-        """Obey a command, or refuse it; answer either way."""
+        """Execute or refuse a command, and answer it."""
         if not isinstance(event, events.OperatorAsked):
             return
         context, name = self._context, event.command.name
@@ -86,12 +86,12 @@ class OperatorCommandWatch(Watch):
         context.announce(Severity.NOTICE, text)
 
     def tick(self, now_s: float) -> None:
-        """Forget a command when the control it was given under has ended."""
+        """Drop a command when control ends."""
         del now_s
         if self._context.phase not in IN_CONTROL:
             self._finding = None
 
     def finding(self, now_s: float) -> Finding | None:
-        """Return what the operator wants instead of the plan."""
+        """Return the finding of the operator's command, or None."""
         del now_s
         return self._finding

@@ -1,22 +1,22 @@
-"""Jumps of the vehicle's own navigation: held on, and taken with it by what is believed.
+"""Jumps of the vehicle's own navigation: hold, and shift the estimates with them.
 
 Theory of operation. An estimator that resets moves the reported position, or the heading, at once,
 while the vehicle stays where it is. MAVLink's local position has no counter for that, so each
-report is held against the one before and the velocities of both. What was measured of the target
-is relative to the vehicle, so a jump moves the target, and every place that it was seen from, by
+report is compared with the one before and the velocities of both. Measurements of the target are
+relative to the vehicle, so a jump shifts the target, and every place that it was measured from, by
 as much: then the old measurements agree with the new ones, and it does not matter which of the two
-positions was the right one. The vehicle stays until its navigation was steady for a while, and what
-is measured until then is not fused. Navigation that keeps jumping is handed back.
+positions was the right one. The vehicle holds until its navigation was steady for a while, and
+measurements until then are not fused. Navigation that keeps jumping leads to a hand-back.
 
-A local frame that gets another origin is such a step that is known exactly: the origin gives it,
-so it leaves no doubt, and the setpoint moves along as well. Its first positions may overtake it;
-what has moved by them already is not moved again.
+A local frame that gets another origin is such a step of known size: the origin gives it, so there
+is no doubt, and the setpoint moves along as well. Its first positions may arrive before it; the
+part of the shift that they contain is not applied twice.
 
-For fence and ground it does matter which one was right. Until it is steady nothing moves, wherever
-the vehicle seems to be; and if it then seems to be so far outside that coming back could lead out
-on the other side, or so much higher that the ground may be where the floor seems to be, it is not
-flown but handed back. What may be flown is the less of the jump and of the way back inside, as much
-as the margin makes up for.
+For fence and ground it does matter which position was right. Until it is steady the setpoint stays,
+wherever the vehicle seems to be. If it then seems to be so far outside that the way back could lead
+out on the other side, or so much higher that the ground may be where the floor seems to be, the
+vehicle is handed back. The smaller one of the jump and the way back inside may be flown, as far as
+the margin covers it.
 
 Source: PX4 user guide, "ECL/EKF", resets; `ardupilot/libraries/AP_NavEKF3`, reset of the position.
 """
@@ -37,22 +37,22 @@ from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.tracking.vehicle_track import is_plausible
 
 LEAST_STEP_M = 0.5
-"""Less than this is noise, or cannot be told from it."""
+"""Smallest step that stands out from noise."""
 NOISE_SIGMAS = 7.0
-"""Of the noise that the reports have shown: not exceeded once in a day at 20 reports a second."""
+"""Multiple of the reports' noise, not exceeded once a day at 20 reports a second."""
 NOISE_SHARE = 0.02
-"""Of the newest report in the mean square of that noise."""
+"""Weight of the newest report in the mean square of that noise."""
 MAX_ACCELERATION_MPS2 = 10.0
 """Two positions and their velocities differ by a quarter of this times the time squared."""
 LEAST_TURN_RAD = math.radians(15.0)
 MAX_TURN_RADPS = math.radians(120.0)
-"""A heading changes no faster than this, beyond the least turn."""
+"""Fastest change of a heading, beyond the least turn."""
 MAX_GAP_S = 1.0
 """Reports farther apart than this are not compared."""
 STEADY_S = 2.0
-"""So long there must be no jump."""
+"""Time without a jump after which navigation is steady."""
 PATIENCE_S = 5.0
-"""Jumps that go on for longer than this are handed back."""
+"""Jumps that continue for longer than this lead to a hand-back."""
 
 
 NO_STEP: PositionEnu = (0.0, 0.0, 0.0)
@@ -63,7 +63,7 @@ def _less(a: PositionEnu, b: PositionEnu) -> PositionEnu:
 
 
 def _unexplained_m(before: VehicleState, after: VehicleState, dt_s: float) -> PositionEnu | None:
-    """What the velocities of two reports leave of the way between them; None: too far apart."""
+    """Return the step between two reports less their velocities; None: too far apart in time."""
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None
     half_s = 0.5 * dt_s
@@ -79,10 +79,10 @@ def _unexplained_m(before: VehicleState, after: VehicleState, dt_s: float) -> Po
 def position_jump_m(
     before: VehicleState, after: VehicleState, noise_m: float = 0.0, dt_s: float | None = None
 ) -> PositionEnu | None:
-    """How far a report lies from where the vehicle can have flown, ENU metres; None: no jump.
+    """Return the distance of a report from a reachable position, ENU metres; None: no jump.
 
     Args:
-        noise_m: What the velocities usually leave unexplained, per axis, one sigma.
+        noise_m: Usual step less velocities between reports, per axis, one sigma.
         dt_s: Time between them; None: by their stamps.
     """
     dt_s = after.time_s - before.time_s if dt_s is None else dt_s
@@ -95,7 +95,7 @@ def position_jump_m(
 
 
 class PositionNoise:
-    """How noisy reported positions are, by what velocities leave unexplained between them."""
+    """Noise of reported positions, by the steps that their velocities do not explain."""
 
     def __init__(self) -> None:
         self._mean_square_m2 = 0.0
@@ -103,7 +103,7 @@ class PositionNoise:
 
     @property
     def sigma_m(self) -> float:
-        """Per axis, of the difference of two reports; 0 before the first."""
+        """Sigma per axis of the difference of two reports; 0 before the first."""
         return math.sqrt(self._mean_square_m2)
 
     def add(self, before: VehicleState, after: VehicleState) -> None:
@@ -118,7 +118,7 @@ class PositionNoise:
 
 
 def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> float | None:
-    """How far a heading (time, value) turned at once, clockwise; None: as vehicles turn."""
+    """Return the jump of a heading (time, value), clockwise; None: a turn that vehicles make."""
     dt_s, turn_rad = after[0] - before[0], wrap_pi(after[1] - before[1])
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None
@@ -126,7 +126,7 @@ def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> flo
 
 
 def may_breach(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> bool:
-    """Whether flying on could lead out, or down, should the position before a jump be right."""
+    """Return True if the flight could leave the fence or hit the ground if the jump was wrong."""
     if jump_enu_m[2] > limits.envelope.altitude_min_m:
         return True
     fence, place = limits.fence, motion.position_enu_m[:2]
@@ -141,7 +141,7 @@ def may_breach(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> 
 
 
 class JumpWatch(Watch):
-    """Watches position and heading as they are reported."""
+    """Watches reported positions and headings for jumps."""
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
@@ -149,20 +149,20 @@ class JumpWatch(Watch):
         self._first_s = -math.inf
         self._last_s = -math.inf
         self._jumped_m: PositionEnu | None = None
-        """All that the position jumped by since it was steady; None: it is not doubted."""
+        """Sum of the jumps since the position was steady; None: it is not in doubt."""
         self._newest: tuple[float, PositionEnu] | None = None
-        """When the position jumped last, and by how much."""
+        """Time and size of the newest jump."""
         self._arrived_s = -math.inf
 
     @property
     def is_in_doubt(self) -> bool:
-        """Whether the position jumped, and nothing may be flown by it yet."""
+        """True after a jump, until the position may be used for guidance again."""
         return self._jumped_m is not None
 
     def tick(self, now_s: float) -> None:
-        """A position that is steady is believed again, unless going by it may breach the fence.
+        """Clear the doubt once the position is steady, unless a breach of the fence is possible.
 
-        Whoever gives us a vehicle that does not jump any more knows where it is.
+        An operator who hands control over after the jumps knows where the vehicle is.
         """
         phase, is_placed = self._context.phase, self._context.vehicle.motion is not None
         if self._jumped_m is None or not self._is_steady(now_s):
@@ -172,7 +172,7 @@ class JumpWatch(Watch):
             self._jumped_m = None
 
     def finding(self, now_s: float) -> Finding | None:
-        """What jumps that are over mean for the way back inside."""
+        """Return a hand-back if the way back inside may be wrong by the jumps, or None."""
         if self._jumped_m is None or not self._is_steady(now_s) or not self._may_breach():
             return None
         text = f"own position jumped by {math.hypot(*self._jumped_m):.0f} m: may breach fence"
@@ -188,7 +188,7 @@ class JumpWatch(Watch):
         return now_s - self._last_s >= STEADY_S
 
     def take_position(self, event: VehicleMoved) -> None:
-        """Compare a reported position with those before, and let the vehicle take it in."""
+        """Compare a reported position with those before, and pass it to the vehicle."""
         track = self._context.vehicle.track
         before = track.latest
         if is_plausible(event.state):
@@ -198,7 +198,7 @@ class JumpWatch(Watch):
             self._arrived_s = event.time_s
 
     def take_heading(self, event: YawMeasured) -> None:
-        """Compare a reported heading with the one before, and let the vehicle take it in."""
+        """Compare a reported heading with the one before, and pass it to the vehicle."""
         if math.isfinite(event.yaw_ned_rad):
             self._compare_heading(event)
         self._context.vehicle.handle(event)
@@ -216,7 +216,7 @@ class JumpWatch(Watch):
         if 0.0 < passed_s <= MAX_GAP_S and (
             position_jump_m(track.latest, event.state, noise_m, passed_s) is None
         ):
-            return  # flown while they were on their way, stamped by a clock that slipped
+            return  # moved while the frames were in transit, stamped by a clock that slipped
         before_s = track.latest.time_s
         self._context.vehicle.shift(jump_m)
         self._move_targets(jump_m, 0.0, noise_m)
@@ -241,9 +241,9 @@ class JumpWatch(Watch):
         self._hold(text, before_s, event.time_s)
 
     def take_origin(self, event: OriginSet) -> bool:
-        """Return True if the local frame moved with its origin; all that is held in it moves along.
+        """Return True if the local frame moved with its origin; move all positions in it along.
 
-        To a frame that is nowhere near nothing is taken.
+        To a frame that is far away nothing is moved.
         """
         context, frame = self._context, self._context.vehicle.frame
         step_m = context.vehicle.origin_step_m(event.origin)
@@ -265,7 +265,7 @@ class JumpWatch(Watch):
         return True
 
     def _shift_frame(self, event: OriginSet, shift_enu_m: PositionEnu) -> None:
-        """Move all by a shift, but for what the positions of the new frame have moved already."""
+        """Shift all positions, less the shift that the first positions already contain."""
         context = self._context
         moved_m = self._moved_by(shift_enu_m, event.time_s)
         rest_m = _less(shift_enu_m, moved_m)
@@ -281,7 +281,7 @@ class JumpWatch(Watch):
         context.believe(context.tracker.estimate(event.time_s))
 
     def _moved_by(self, shift_enu_m: PositionEnu, now_s: float) -> PositionEnu:
-        """Return the part of a shift that the newest jump was, if it was just now."""
+        """Return the part of a shift that the newest jump contains, if it was just now."""
         if self._newest is None or now_s - self._newest[0] > STEADY_S:
             return NO_STEP
         least_m = max(LEAST_STEP_M, NOISE_SIGMAS * self._noise.sigma_m)

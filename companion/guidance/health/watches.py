@@ -1,11 +1,11 @@
-"""Everything that is watched for whether the plan may be flown, joined.
+"""All watches of a session, and the watch of its inputs.
 
-Theory of operation of the inputs: link, mode, own position, ranging, a usable estimate. Ranging
-that ages is coasted on: the target is where it was, less certain by the second, and the vehicle
-slows down accordingly. When it is too old, or the estimate too vague, the vehicle stays in place,
-and a single measurement does not end that: some must agree first. A link or an own position that
-was lost must be there for a while, with the mode seen anew, before anything is flown on it: who
-came back for a moment goes again.
+Theory of operation of the inputs: link, mode, vehicle position, ranging, a usable estimate. While
+ranging ages, the estimate is extrapolated: the target is where it was, less certain by the second,
+and the vehicle slows down accordingly. When ranging is too old, or the estimate too uncertain, the
+vehicle holds, and a single measurement does not end that: some must agree first. A link or a
+vehicle position that was lost must be back for a while, with the mode reported again, before
+control goes on: an input that returns for a moment is often lost again.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from companion.guidance.health.position_jumps import JumpWatch
 from companion.guidance.messages import Rarely
 
 REGAIN_S = 1.0
-"""How long link and position must be there again."""
+"""Time for which link and position must be back."""
 DEAF = (Reason.NO_LINK, Reason.MODE_UNKNOWN)
 AGREEING = 5
 """Measurements that the filter accepted since the dropout, before it counts as over."""
 COAST_SHARE = 0.5
-"""Of the speed limit that is flown at most while ranging ages."""
+"""Largest share of the speed limit while ranging ages."""
 OTHER_TARGET_EVERY_S = 10.0
 
 
@@ -42,29 +42,30 @@ class InputWatch(Watch):
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._lost: Finding | None = None
-        """What of link, mode, position and home is missing, or was within the last second."""
+        """Finding for link, mode, position or home that is missing, or was within the last
+        second."""
         self._lost_s = 0.0
         self._back_s: float | None = None
         self._agreed = 0
         self._is_dropout = True
-        """Whether ranging was lost, or never there, and has not agreed since."""
+        """True if ranging was lost, or never there, and has not agreed since."""
 
     def note_accepted(self) -> None:
-        """The filter took a measurement in without restarting."""
+        """Note a measurement that the filter accepted without restarting."""
         self._agreed += 1
 
     def note_rejected(self) -> None:
-        """The filter restarted, or failed: what was agreed on counts no more."""
+        """Note a restart or failure of the filter: measurements before it count no more."""
         self._agreed = 0
         self._is_dropout = True
 
     def note_switch(self, agreeing: int) -> None:
-        """Another emitter is looked for, of which so many measurements in a row agreed."""
+        """Note that another emitter is searched for, with its number of agreeing measurements."""
         self._agreed = agreeing
         self._is_dropout = agreeing < AGREEING
 
     def tick(self, now_s: float) -> None:
-        """Take note of what is there."""
+        """Update the state of the inputs."""
         lost = self.missing(now_s)
         if lost is not None:
             self._lost, self._lost_s, self._back_s = lost, now_s, None
@@ -77,7 +78,7 @@ class InputWatch(Watch):
             self._is_dropout = False
 
     def finding(self, now_s: float) -> Finding | None:
-        """The worst that is wrong with the inputs."""
+        """Return the worst finding about the inputs, or None."""
         if self._lost is not None:
             return self._lost
         context = self._context
@@ -89,14 +90,14 @@ class InputWatch(Watch):
         return self._ranging_finding(estimate, heard_s, now_s)
 
     def coasting_sigma_m(self, estimate: TargetEstimate, age_s: float) -> float:
-        """How wrong the estimate may be after no ranging for a while, one sigma."""
+        """Return the position error of the estimate after a time without ranging, one sigma."""
         drift_m = self._context.params.coast_drift_mps * age_s
         return math.hypot(estimate.r95_m / R95_OF_SIGMA, drift_m)
 
     def speed_share(self, now_s: float) -> float:
-        """Share of the speed limit that the age of the ranging leaves: less as sigma grows.
+        """Return the share of the speed limit for the age of the ranging: less as sigma grows.
 
-        All of it while a pattern is searched: that stands on no estimate.
+        It is 1 while a pattern is searched, which uses no estimate.
         """
         context = self._context
         estimate, heard_s = context.estimate, context.tracker.last_accepted_s
@@ -112,7 +113,7 @@ class InputWatch(Watch):
         return self._context.flight_plan.is_search_due(self._context.estimate, now_s)
 
     def missing(self, now_s: float) -> Finding | None:
-        """What of link, mode, position and home is not there now."""
+        """Return a finding for link, mode, position or home if one is missing now."""
         vehicle = self._context.vehicle
         if vehicle.is_link_lost(now_s):
             reason = Reason.NO_LINK
@@ -129,7 +130,7 @@ class InputWatch(Watch):
         return Finding(Verdict.HOLD, reason, reason.value)
 
     def _watch_return(self, now_s: float) -> None:
-        """Link and position are there; a lost link must show its mode anew, too."""
+        """End the loss once link and position are back; a lost link must report a mode, too."""
         if self._back_s is None:
             self._back_s = now_s
         heartbeat = self._context.vehicle.heartbeat
@@ -181,7 +182,7 @@ class Watches:
             context.containment,
             HealthWatch(self.battery),
         )
-        """Whatever no vehicle is launched with, the first of equal ones told."""
+        """Watches that prevent or abort a launch; of equal findings the first one is announced."""
         self._all = (
             self.echo,
             self.operator,
@@ -197,7 +198,7 @@ class Watches:
         self._is_battery_told = False
 
     def handle(self, event: events.Event) -> None:
-        """Take in what concerns one of them; other events change nothing."""
+        """Pass an event to all watches, and announce a change of the battery level."""
         before = self.battery.level
         for watch in self._all:
             watch.handle(event)
@@ -210,7 +211,7 @@ class Watches:
         self._context.announce(severity, self.battery.text())
 
     def _tell_other_target(self, event: events.Event) -> None:
-        """One target of somebody else's is replaced by our next setpoint, which looks like none."""
+        """Warn of a single foreign target, which our next setpoint replaces without a trace."""
         match event:
             case events.OtherCommandHeard():
                 who = f" ({event.command} of {event.sender[0]}/{event.sender[1]})"
@@ -224,7 +225,7 @@ class Watches:
             self._context.warn(f"{text}; change the mode to take over")
 
     def tick(self, now_s: float) -> None:
-        """Take note of what is there, and of control that begins or ends."""
+        """Advance all watches, and note the start and end of control."""
         for watch in self._all:
             watch.tick(now_s)
         phase = self._context.phase
@@ -240,16 +241,16 @@ class Watches:
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
 
     def note_handback(self, finding: Finding) -> None:
-        """The vehicle was handed back for this."""
+        """Note a hand-back for this finding."""
         if finding.reason is Reason.BATTERY_CRITICAL:
             self.battery.note_handback()
 
     def finding(self, now_s: float) -> Finding | None:
-        """The worst that is wrong at a tick in control."""
+        """Return the worst finding at a tick in control, or None."""
         return worst(watch.finding(now_s) for watch in self._all)
 
     def launch_finding(self, now_s: float) -> Finding | None:
-        """The worst that is wrong, in control or not, of what no vehicle is launched with."""
+        """Return the worst finding of the watches that prevent a launch, in control or not."""
         return worst(watch.finding(now_s) for watch in self._for_launch)
 
     def _begin(self, now_s: float) -> None:

@@ -1,10 +1,10 @@
-"""Which emitters there are, and which of them is looked for now.
+"""The known emitters, and the current one among them.
 
-Theory of operation. Every emitter that is heard gets a filter of its own, which learns from every
-measurement of it, whoever is looked for: so the next one in turn is mostly known already. One
-emitter is the current one; plans, reports and views are about it. Who that is may change with
-every measurement as long as nothing is flown; in flight it stays until it is reported, or until it
-is not heard and another one is: then it goes to the end of the queue.
+Theory of operation. Every emitter that is heard gets a filter of its own, which learns from all its
+measurements, whichever emitter is current: so the next one in turn is mostly known already. Plans,
+reports and views are about the current one. On the ground it may change with every measurement; in
+flight it stays until it is reported, or until it is silent while another one is heard: then it goes
+to the end of the queue.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Order = Literal["first", "nearest", "strongest", "listed"]
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
 LOST_S = 20.0
-"""Unheard for this long, the current emitter gives way to one that is heard."""
+"""Silence after which the current emitter is replaced by one that is heard."""
 ENOUGH = 5
 """Measurements before an emitter can be compared with others."""
 SMOOTHING = 0.1
-"""Share of the newest measurement in the mean of an emitter's strength."""
+"""Weight of the newest measurement in the mean of an emitter's strength."""
 
 
 class QueueParams(Params, frozen=True):
@@ -42,7 +42,7 @@ class QueueParams(Params, frozen=True):
     listed: tuple[EmitterId, ...] = ()
     """The ids, for `listed`; others are ignored."""
     most: Annotated[int, msgspec.Meta(ge=1, le=16)] = 8
-    """Filters at most; whoever is heard later is ignored."""
+    """Maximum number of filters; emitters heard later are ignored."""
 
     def __post_init__(self) -> None:
         """Refuse a list that is not used, and a use without a list."""
@@ -55,7 +55,7 @@ class QueueParams(Params, frozen=True):
 
 
 class EmitterQueue:
-    """The filters of all emitters, and whose turn it is.
+    """The filters of all emitters, and the current one.
 
     Where the order is `first`, only `emitter_id` counts; None: the first one heard.
     """
@@ -68,7 +68,7 @@ class EmitterQueue:
     ) -> None:
         self.params = QueueParams() if params is None else params
         self.is_single = self.params.order == "first"
-        """Whether only one emitter counts."""
+        """True if only one emitter counts."""
         self._tracker_params = trackers
         self._strengths: dict[int, float] = {}
         self.reported: set[int] = set()
@@ -78,23 +78,23 @@ class EmitterQueue:
         self._trackers = {number: TargetTracker(trackers, number) for number in self.params.listed}
         first = TargetTracker(trackers, emitter_id)
         self.current = next(iter(self._trackers.values()), first)
-        """The filter of the emitter that is looked for."""
+        """Filter of the emitter that is searched for now."""
 
     @classmethod
     def of(cls, tracker: TargetTracker) -> EmitterQueue:
-        """A queue of one."""
+        """Return a queue with one emitter."""
         queue = cls(tracker.params)
         queue.current = tracker
         return queue
 
     @property
     def antenna(self) -> AntennaParams:
-        """What measures the bearings of all of them."""
+        """Antenna that measures the bearings of all of them."""
         return self._tracker_params.filter.antenna
 
     @property
     def stamp_lag_s(self) -> float:
-        """How late the radio stamps what it measures."""
+        """Delay of the radio's time stamps, in seconds."""
         return self._tracker_params.filter.stamp_lag_s
 
     @property
@@ -104,36 +104,36 @@ class EmitterQueue:
 
     @property
     def accepted(self) -> int:
-        """Measurements of all emitters that were taken in."""
+        """Number of fused measurements of all emitters."""
         return sum(tracker.accepted for tracker in self.trackers)
 
     @property
     def rejected(self) -> Counter[RejectReason]:
-        """Measurements that were not, by reason."""
+        """Number of rejected measurements, by reason."""
         counters = (tracker.rejected for tracker in self.trackers)
         return sum(counters, Counter[RejectReason]())
 
     @property
     def restarts(self) -> int:
-        """Filters that were started anew."""
+        """Number of filters that were restarted."""
         return sum(tracker.integrity.restarts for tracker in self.trackers)
 
     def is_current(self, emitter_id: int) -> bool:
-        """Whether a measurement of this emitter is of the one that is looked for."""
+        """Return True if this emitter is the current one."""
         return self.current.emitter_id in (None, emitter_id)
 
     def tracker_of(self, emitter_id: int) -> TargetTracker:
-        """The filter of an emitter that was heard."""
+        """Return the filter of an emitter that was heard."""
         return self._trackers[emitter_id]
 
     @property
     def are_all_reported(self) -> bool:
-        """Whether everybody who was heard or listed is done, where there may be several."""
+        """True if every emitter heard or listed is reported, where there may be several."""
         return self.reported.issuperset(self._trackers)
 
     @property
     def waiting(self) -> list[int]:
-        """Emitters whose turn is still to come, the next one first."""
+        """Emitters that are not searched for yet, the next one first."""
         now = self.current.emitter_id
         rest = [n for n in self._trackers if n not in self.reported and n != now]
         return sorted(rest, key=self._rank)
@@ -146,7 +146,7 @@ class EmitterQueue:
         now_s: float,
         own: OwnAccuracy | None = None,
     ) -> Steps[FusionReport]:
-        """Take in a measurement of any emitter, its bearing in ENU, from the antenna's place."""
+        """Fuse a measurement of any emitter, its bearing in ENU, from the antenna's position."""
         if self.is_single:
             return (yield from self.current.fuse.steps(measurement, sensor_enu_m, now_s, own))
         tracker = self._trackers.get(measurement.emitter_id)
@@ -163,7 +163,7 @@ class EmitterQueue:
         return report
 
     def choose(self, now_s: float, *, is_flying: bool) -> None:
-        """Decide whose turn it is; in flight the current one stays if it can."""
+        """Choose the current emitter; in flight it stays if it can."""
         if self.is_single:
             return
         if is_flying:
@@ -175,12 +175,12 @@ class EmitterQueue:
             self.current = self._trackers[min(open_ones, key=self._rank)]
 
     def restart(self) -> None:
-        """Forget where everything is, because the frame may have moved."""
+        """Drop all estimates, because the frame may have moved."""
         for tracker in self.trackers:
             tracker.restart()
 
     def report_current(self) -> bool:
-        """The current emitter is done; whether there is another one, which is current then."""
+        """Mark the current emitter as reported, go to the next; return False if none is left."""
         if self.is_single or self.current.emitter_id is None:
             return False
         self.reported.add(self.current.emitter_id)
@@ -191,9 +191,9 @@ class EmitterQueue:
         return True
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
-        """Begin again from what was believed of one emitter, which is current then.
+        """Restore the estimate of one emitter, which becomes the current one.
 
-        Returns why not, in words; everything is as before then.
+        Returns why that is impossible, in words; everything is as before then.
         """
         if self.is_single:
             return self.current.resume(belief, age_s, now_s)
@@ -213,7 +213,7 @@ class EmitterQueue:
         return bool(self.params.listed) or len(self._trackers) >= self.params.most
 
     def _begin(self, emitter_id: int) -> TargetTracker:
-        """A filter for another emitter; the first one takes over what was counted before it."""
+        """Return a filter for another emitter; the first one takes over earlier counts."""
         is_first = not self._trackers
         tracker = self.current if is_first else TargetTracker(self._tracker_params)
         tracker.emitter_id = emitter_id
@@ -221,7 +221,7 @@ class EmitterQueue:
         return tracker
 
     def _note_strength(self, measurement: RangingMeasurement) -> None:
-        """Quality where the radio tells it, and nearness by range where it does not."""
+        """Update the emitter's strength: the radio's quality, or without one the negative range."""
         strength = measurement.quality
         if strength is None:
             range_m = measurement.range_m
@@ -233,7 +233,7 @@ class EmitterQueue:
         self._strengths[measurement.emitter_id] = mean
 
     def _turn_away(self, now_s: float) -> None:
-        """Let the lost one wait behind those that are heard, if there are any."""
+        """Queue the lost emitter behind those that are heard, if there are any."""
         lost = self.current.emitter_id
         heard = [n for n in self.waiting if self._is_heard(self._trackers[n], now_s)]
         if lost is None or not heard:
@@ -247,7 +247,7 @@ class EmitterQueue:
         return heard_s is not None and now_s - heard_s <= LOST_S
 
     def _rank(self, emitter_id: int) -> tuple[int, bool, float]:
-        """Smaller comes sooner: those never lost first, then those that can be compared."""
+        """Return the sort key: those never lost first, then those that can be compared."""
         tracker = self._trackers[emitter_id]
         lost = self._turned_away.index(emitter_id) + 1 if emitter_id in self._turned_away else 0
         is_vague = tracker.accepted < ENOUGH

@@ -1,12 +1,12 @@
-"""Measurements on their way into the filters, a few steps at a time.
+"""Queue of measurements for the filters, which fuse a few steps at a time.
 
-Theory of operation. Nothing that estimates may delay a setpoint. So measurements queue up by
-emitter, each is fused in steps (`companion.estimation.stepwise`), and between two wake-ups only so
-many steps are made, counted by the measurements that they go through: never by a clock, so that a
-replay makes the same steps at the same wake-ups. Of one emitter a measurement is finished before
-the next one begins, so that estimates are what they would be at once, only later; a solution of the
-window takes some wake-ups. The emitter that is looked for goes first, the others take turns, which
-puts their solutions out of phase.
+Theory of operation. Estimation may not delay a setpoint. So measurements queue up by emitter, each
+is fused in steps (`companion.estimation.stepwise`), and between two wake-ups only a limited number
+of steps is made, counted by the measurements that they process: never by a clock, so that a replay
+makes the same steps at the same wake-ups. A measurement is finished before the next one of its
+emitter begins, so that estimates are the same, only later; a solution of the window takes some
+wake-ups. The current emitter goes first, the others alternate, which puts their solutions out of
+phase.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from companion.estimation.stepwise import Steps
 from companion.estimation.tracker import FusionReport
 
 WAKE_ROWS = 20_000
-"""Measurements that the steps of one wake-up go through: a tenth of a control period, 5 ms."""
+"""Measurements that the steps of one wake-up process: a tenth of a control period, 5 ms."""
 BEGIN_ROWS = 4_000
-"""What a measurement takes in this unit besides solutions: screen, filter and what follows from
-the estimate, 1 ms in plain Python."""
+"""Cost of a measurement in this unit besides solutions: screen, filter and the use of the estimate,
+1 ms in plain Python."""
 MOST_QUEUED = 256
-"""The oldest gives way: 16 emitters at 10 Hz for more than a second."""
+"""Limit at which the oldest is dropped: 16 emitters at 10 Hz for more than a second."""
 
 
 class Queued(NamedTuple):
-    """A measurement whose place is known, and what was known when it was."""
+    """Measurement whose vehicle position is known, with the accuracy at that time."""
 
     measurement: RangingMeasurement
     now_s: float
@@ -37,18 +37,18 @@ class Queued(NamedTuple):
 
 
 class FusionQueue:
-    """Fuses what was added, by `begin`, in the order of each emitter."""
+    """Fuses added measurements by `begin`, in the order of each emitter."""
 
     def __init__(self, begin: Callable[[Queued], Steps[FusionReport]]) -> None:
         self._begin = begin
         self._queues: dict[int, deque[Queued]] = {}
-        """By emitter, none of them empty; whose turn it is comes first."""
+        """Queues by emitter, none of them empty, the next in turn first."""
         self._begun: dict[int, Steps[FusionReport]] = {}
-        """What is left to do about the first of a queue."""
+        """Remaining steps for the first measurement of a queue."""
         self._left = WAKE_ROWS
 
     def __len__(self) -> int:
-        """Measurements that are not fused yet."""
+        """Return the number of measurements that are not fused yet."""
         return sum(len(queue) for queue in self._queues.values())
 
     def add(self, queued: Queued) -> bool:
@@ -75,7 +75,7 @@ class FusionQueue:
         self._left = WAKE_ROWS
 
     def advance(self, first_id: int | None) -> list[FusionReport]:
-        """Go on as far as this wake-up goes; return what became of measurements, oldest first."""
+        """Make the steps of this wake-up; return reports of finished measurements, oldest first."""
         reports = []
         while self._left > 0 and self._queues:
             key = first_id if first_id in self._queues else next(iter(self._queues))
@@ -86,12 +86,13 @@ class FusionQueue:
         return reports
 
     def _step(self, key: int) -> FusionReport | None:
-        """One step for an emitter; what became of its measurement once that was the last one."""
+        """Make one step for an emitter; return the report once its measurement is finished."""
         steps = self._begun.pop(key, None)
         if steps is None:
             steps = self._begin(self._queues[key][0])
             self._left -= BEGIN_ROWS
-        is_over = True  # also where a step raises: what makes a filter fail is not tried again
+        # also if a step raises: a measurement that makes a filter fail is not repeated
+        is_over = True
         try:
             self._left -= next(steps)
             self._begun[key] = steps
@@ -105,7 +106,7 @@ class FusionQueue:
         return None
 
     def _end(self, key: int) -> None:
-        """Take a measurement out, and let the other emitters have their turn."""
+        """Remove a measurement, and move its emitter to the end of the turn."""
         queue = self._queues.pop(key)
         queue.popleft()
         if queue:

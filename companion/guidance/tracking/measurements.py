@@ -1,7 +1,7 @@
 """The measurement side of a session: from ranging to the estimate and the plan that follows it.
 
-A measurement goes to its filter with the vehicle's own place at its time. Among several emitters
-the scheduler makes everything about the one whose turn it is.
+A measurement goes to its filter with the vehicle position at its time. Among several emitters the
+scheduler keeps estimate, plan and watches on the current one.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from companion.guidance.tracking.fusion_queue import FusionQueue, Queued
 from companion.guidance.tracking.vehicle_track import VehicleTrack
 
 MAX_WAITING = 64
-"""Measurements that may wait for an own position at their time; the oldest gives way."""
+"""Measurements that may wait for a vehicle position at their time; the oldest is dropped."""
 PATIENCE_S = 0.25
 
 
 class RangingListener:
-    """Feeds the filters.
+    """Passes measurements to the filters.
 
-    A measurement that is newer than the newest own position waits until a position on its other
-    side arrives, so that its place is interpolated, and what an antenna array printed for an
-    attitude, because a vehicle leans fast; one that waits in vain is refused, and so is one from a
-    time that will not come.
+    A measurement that is newer than the newest vehicle position waits until a later position
+    arrives, so that its position can be interpolated; a bearing of an antenna array waits for an
+    attitude as well, because a vehicle tilts fast. One that waits too long is rejected, and so is
+    one from the future.
     """
 
     def __init__(self, emitters: EmitterQueue, track: VehicleTrack) -> None:
@@ -54,12 +54,12 @@ class RangingListener:
         self._lag_s = emitters.stamp_lag_s
         self._track = track
         self.waiting: list[RangingMeasurement] = []
-        """What is not fused yet."""
+        """Measurements that are not fused yet."""
 
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
-        """Take in a measurement; it is fused at the next `fuse_due`.
+        """Queue a measurement for the next `fuse_due`.
 
-        Of too many that wait the oldest goes; a copy of one that waits does not wait, too.
+        Of too many that wait the oldest is dropped; a copy of one that waits is rejected.
         """
         if self._lag_s:
             measured_at_s = measurement.measured_at_s - self._lag_s
@@ -75,14 +75,14 @@ class RangingListener:
         return [self._emitters.current.reject(RejectReason.TOO_MANY)]
 
     def fuse_due(self, now_s: float, own: OwnAccuracy | None = None) -> list[FusionReport]:
-        """Fuse at once what is due.
+        """Fuse all due measurements at once.
 
-        `own` is how well the vehicle's place is known on the Earth; None says nothing about it.
+        `own` is the accuracy of the vehicle position on the Earth; None leaves it unchanged.
         """
         return [self.fuse(Queued(each, now_s, own)) for each in self.take_due(now_s)]
 
     def take_due(self, now_s: float) -> list[RangingMeasurement]:
-        """Take every measurement whose place is known, or will not become known any more."""
+        """Remove and return measurements whose position is known, or will stay unknown."""
         latest = self._track.latest
         due: list[RangingMeasurement] = []
         waiting: list[RangingMeasurement] = []
@@ -96,7 +96,7 @@ class RangingListener:
         return due
 
     def _has_attitude(self, measurement: RangingMeasurement) -> bool:
-        """Whether an angle in the body's frame lies between attitudes, or none will be told."""
+        """Return True if an angle in the body frame lies between attitudes, or none is reported."""
         newest = self._track.latest_yaw
         if newest is None:
             return not self._is_array
@@ -104,7 +104,7 @@ class RangingListener:
 
     @Stepwise
     def fuse(self, queued: Queued) -> Steps[FusionReport]:
-        """Fuse a measurement, seen from the vehicle's place at its time."""
+        """Fuse a measurement, seen from the vehicle position at its time."""
         measurement, now_s, own = queued
         if not self._track.is_trusted_at(measurement.measured_at_s):
             return self._emitters.current.reject(RejectReason.OWN_JUMP)
@@ -118,7 +118,7 @@ class RangingListener:
 
 
 class EmitterScheduler:
-    """Makes estimate, plan and watches those of the current emitter, and tells who it is."""
+    """Keeps estimate, plan and watches on the current emitter, and announces it."""
 
     def __init__(self, context: SessionContext, inputs: InputWatch) -> None:
         self._context = context
@@ -127,13 +127,13 @@ class EmitterScheduler:
         self._told: int | None = None
 
     def choose(self, now_s: float) -> None:
-        """Decide whose turn it is, and follow."""
+        """Choose the current emitter, and follow."""
         context = self._context
         context.emitters.choose(now_s, is_flying=context.phase in IN_CONTROL)
         self.follow(now_s)
 
     def follow(self, now_s: float) -> None:
-        """If it is another emitter's turn, everything is about that one from now on."""
+        """Switch estimate, plan and watches to the current emitter if it changed."""
         context = self._context
         tracker = context.tracker
         if tracker is self._followed:
@@ -147,7 +147,7 @@ class EmitterScheduler:
             context.plan_now(now_s)
 
     def tell(self) -> None:
-        """Say whose turn it is, once for each turn that is flown."""
+        """Announce the current emitter, once for each turn in control."""
         context, emitters = self._context, self._context.emitters
         current = emitters.current.emitter_id
         if emitters.is_single or context.phase not in IN_CONTROL or current == self._told:
@@ -160,7 +160,7 @@ class EmitterScheduler:
 
 
 class Measuring:
-    """Feeds the filters, and tells of what they make of it; their errors end nothing else."""
+    """Feeds the filters, and reports their results; their errors end no other task."""
 
     def __init__(
         self, context: SessionContext, inputs: InputWatch, scheduler: EmitterScheduler
@@ -178,9 +178,9 @@ class Measuring:
         """Control ticks since `go_on`, with measurements left to be fused."""
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
-        """Take in a measurement."""
+        """Queue a measurement, and fuse within the steps of this wake-up."""
         if self._context.authority.phase is Phase.FINISHED:
-            return  # parked on the estimate there is nothing to learn, only to unlearn
+            return  # while parked on the estimate, more measurements can only spoil it
         with self._contained(now_s):
             refused = self._listener.receive(measurement)
             if refused:
@@ -189,22 +189,22 @@ class Measuring:
 
     @property
     def is_behind(self) -> bool:
-        """Whether there are measurements to be gone on with."""
+        """True while measurements are left to be fused."""
         return len(self._queue) > 0
 
     def fuse_due(self, now_s: float) -> None:
-        """Queue what waited for an own position, and fuse as far as this wake-up goes."""
+        """Queue measurements whose position is known, and fuse within the steps of this wake-up."""
         self._take_due(now_s)
         self._advance(now_s)
 
     def go_on(self, now_s: float) -> None:
-        """Fuse as far as another wake-up goes."""
+        """Fuse within the steps of another wake-up."""
         self._ticks_behind = 0
         self._queue.renew()
         self.fuse_due(now_s)
 
     def tick(self, now_s: float) -> None:
-        """Queue what is due; fuse only where nothing came between two control ticks."""
+        """Queue due measurements; fuse if there was no spare time between two control ticks."""
         self._take_due(now_s)
         if self.is_behind:
             self._ticks_behind += 1
@@ -252,7 +252,7 @@ class Measuring:
                 self._follow_current(report, now_s)
 
     def _follow_current(self, report: FusionReport, now_s: float) -> None:
-        """What a measurement of the emitter that is looked for changes."""
+        """Update estimate, texts and plan after a measurement of the current emitter."""
         context, tracker = self._context, self._context.tracker
         if report.restarted:
             self._inputs.note_rejected()

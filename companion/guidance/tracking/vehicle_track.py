@@ -1,4 +1,4 @@
-"""Where the vehicle was: its own position and attitude at the time of a measurement."""
+"""Position and attitude of the vehicle at the time of a measurement."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from companion.domain import Attitude, PositionEnu, VehicleState
 from companion.geometry.coordinates import wrap_pi
 
 HISTORY_S = 3.0
-"""How far back a delayed measurement may reach."""
+"""Longest delay of a measurement."""
 MAX_EXTRAPOLATION_S = 0.3
-"""A state older than this says nothing about the present."""
+"""Longest extrapolation beyond the newest state."""
 MAX_COORDINATE_M = 1e5
-"""Farther from the origin a flat local frame means nothing."""
+"""Largest coordinate for which a flat local frame is valid."""
 MAX_SPEED_MPS = 300.0
 MAX_GAP_S = 1.0
 """Two states farther apart than this are not interpolated between."""
@@ -28,7 +28,7 @@ class VehicleTrack:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything, because the autopilot restarted or moved its frame."""
+        """Drop all states, because the autopilot restarted or moved its frame."""
         self._states: deque[VehicleState] = deque()
         self._attitudes: deque[tuple[float, Attitude]] = deque()
         self._distrusted_s = (math.inf, -math.inf)
@@ -47,31 +47,31 @@ class VehicleTrack:
         return time_s, attitude.yaw_ned_rad
 
     def shift(self, jump_enu_m: PositionEnu) -> None:
-        """Move the past along with a position that jumped."""
+        """Move earlier states along with a position that jumped."""
         self._states = deque(
             replace(state, position_enu_m=_step(state.position_enu_m, jump_enu_m, 1.0))
             for state in self._states
         )
 
     def turn(self, jump_rad: float) -> None:
-        """Turn the past along with a heading that jumped, clockwise."""
+        """Turn earlier attitudes along with a heading that jumped, clockwise."""
         self._attitudes = deque(
             (time_s, replace(attitude, yaw_ned_rad=wrap_pi(attitude.yaw_ned_rad + jump_rad)))
             for time_s, attitude in self._attitudes
         )
 
     def distrust(self, since_s: float, until_s: float) -> None:
-        """Positions and headings between these times are not to be measured from."""
+        """Exclude positions and headings between these times from measurements."""
         earliest_s, latest_s = self._distrusted_s
         is_apart = latest_s < since_s
         self._distrusted_s = (since_s if is_apart else min(earliest_s, since_s), until_s)
 
     def is_trusted_at(self, time_s: float) -> bool:
-        """Whether there was no jump about this time."""
+        """Return True if there was no jump about this time."""
         return not self._distrusted_s[0] < time_s < self._distrusted_s[1]
 
     def add(self, state: VehicleState) -> None:
-        """Take in a state; one that is not newer than the newest is ignored (reordering)."""
+        """Append a state; one that is not newer than the newest is ignored (reordering)."""
         if self._states and state.time_s <= self._states[-1].time_s:
             return
         self._states.append(state)
@@ -79,7 +79,7 @@ class VehicleTrack:
             self._states.popleft()
 
     def add_attitude(self, time_s: float, attitude: Attitude) -> None:
-        """Take in an attitude."""
+        """Append an attitude; one that is not newer than the newest is ignored."""
         if self._attitudes and time_s <= self._attitudes[-1][0]:
             return
         self._attitudes.append((time_s, attitude))
@@ -87,9 +87,9 @@ class VehicleTrack:
             self._attitudes.popleft()
 
     def position_at(self, time_s: float) -> PositionEnu | None:
-        """The position at a time, east-north-up metres, or None if the history does not tell.
+        """Return the position at a time, east-north-up metres, or None outside the history.
 
-        Between two states by linear interpolation, a little beyond the newest by its velocity.
+        Positions are interpolated linearly, and extrapolated a little by the newest velocity.
         """
         states = self._states
         if not states or time_s < states[0].time_s:
@@ -109,7 +109,7 @@ class VehicleTrack:
         return _step(before.position_enu_m, way_m, (time_s - before.time_s) / gap_s)
 
     def attitude_at(self, time_s: float) -> Attitude | None:
-        """The attitude at a time, or None if the history does not tell."""
+        """Return the attitude at a time, or None outside the history."""
         attitudes = self._attitudes
         if not attitudes or time_s < attitudes[0][0]:
             return None
@@ -132,13 +132,13 @@ class VehicleTrack:
 
 
 def _step(place: PositionEnu, way: PositionEnu, share: float) -> PositionEnu:
-    """A place after a share of a way."""
+    """Return a position displaced by a share of a vector."""
     (e, n, u), (de, dn, du) = place, way
     return (e + share * de, n + share * dn, u + share * du)
 
 
 def is_plausible(state: VehicleState) -> bool:
-    """Whether every component of a state is a number that a flat local frame can mean."""
+    """Return True if every component of a state is finite and valid in a flat local frame."""
     place_m, speed_mps = state.position_enu_m, state.velocity_enu_mps
     return all(abs(v) <= MAX_COORDINATE_M for v in place_m) and all(
         abs(v) <= MAX_SPEED_MPS for v in speed_mps
