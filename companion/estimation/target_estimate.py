@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -96,6 +97,27 @@ def estimate_of(
         absolute_r95_m=max(r95_m, _r95_m(hypotheses, weights, on_earth)),
         settled_r95_m=settled_m,
     )
+
+
+class KeptEstimate:
+    """The estimate made last, valid while everything that it was made of is the same object.
+
+    A radius over several hypotheses takes a millisecond, and logs, ground stations and views ask
+    for the estimate of every emitter far more often than a measurement changes it.
+    """
+
+    def __init__(self) -> None:
+        self._made_of: tuple[object, ...] = ()
+        self._estimate: TargetEstimate | None = None
+
+    def get(self, make: Callable[[], TargetEstimate], *made_of: object) -> TargetEstimate:
+        """Return the estimate, by `make` if one of the values it is made of is another object."""
+        is_same = len(made_of) == len(self._made_of) and all(
+            map(operator.is_, made_of, self._made_of)
+        )
+        if self._estimate is None or not is_same:
+            self._made_of, self._estimate = made_of, make()
+        return self._estimate
 
 
 def aside_of_m(estimate: TargetEstimate) -> float | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import partial
 
 import msgspec
 
@@ -56,6 +57,7 @@ from companion.estimation.screening.measurement_screen import (
 )
 from companion.estimation.stepwise import Steps, Stepwise, passes, while_same
 from companion.estimation.target_estimate import (
+    KeptEstimate,
     estimate_of,
     position_covariance_m2,
     r95_of_covariance_m,
@@ -159,6 +161,7 @@ class TargetTracker:
         kept_as = None if self.antenna is None else self._filter.params
         self._optimizer = WindowOptimizer(self._filter.params, params.window, kept_as)
         self._shared = NO_ERRORS
+        self._kept_estimate = KeptEstimate()
         self._moves = 0
         """How often the frame was moved, or all forgotten: steps begun before are given up."""
         self._noise = InnovationNoise.starting(params.initial_inflation)
@@ -228,19 +231,17 @@ class TargetTracker:
 
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Fuse what was let through, as far as the hypotheses can explain it."""
-        params = self._filter.params
+        params, is_white = self._filter.params, self._noise.is_white
         row = self._optimizer.kept_as.seen(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
         seen = row if params is self._optimizer.kept_as else params.seen(measurement, sensor_enu_m)
         self.watch.add(measurement.measured_at_s, seen)
-        is_white = self._noise.is_white
         if not self.hypotheses:
             self._optimizer.add(row, (), is_white=is_white, time_s=measurement.measured_at_s)
             self._start(measurement, sensor_enu_m)
             self.integrity.begin(measurement)
             return FusionReport(None)
-        shown = self._noise.inflation(self._optimizer.noise)
-        told = shown if self.params.adapt_inflation else NO_INFLATION
+        shown, told = self._noise.inflation(self._optimizer.noise), self._told_inflation
         judging = self.integrity.judging(shown)
         is_proven = self.integrity.agreement.is_proven
         bank = update_hypotheses(
@@ -299,8 +300,7 @@ class TargetTracker:
         if not self.hypotheses:
             return
         inflation = self._noise.inflation(self._optimizer.noise)
-        mean = self.hypotheses[0].state.mean
-        rows = self._optimizer.window.rows
+        mean, rows = self.hypotheses[0].state.mean, self._optimizer.window.rows
         if self.antenna is not None and (yield from self.antenna.look.steps(rows, mean, inflation)):
             self._filter = filter_of(self.params.kind, self.antenna.params)
             self._optimizer.believe(self._filter.params)
@@ -406,18 +406,20 @@ class TargetTracker:
         """Where the target is believed to be, or None before the first measurement."""
         if not self.hypotheses:
             return None
-        estimate = estimate_of(
+        own, is_diverged = self.own or UNTOLD, self.integrity.is_recovering(self.accepted)
+        made_of = self.hypotheses, self._shared, own, self._filter, self.accepted, is_diverged
+        make = partial(
+            estimate_of,
             self.hypotheses,
             self._filter.params.model,
             self.params.localised_r95_m if self.params.is_range_calibrated else 0.0,
             self.accepted,
             now_s,
-            is_diverged=self.integrity.is_recovering(self.accepted),
-            shared=self._shared._replace(own=self.own or UNTOLD),
+            is_diverged=is_diverged,
+            shared=self._shared._replace(own=own),
         )
-        if self.raised_m == 0.0:
-            return estimate
-        return replace(estimate, height_m=estimate.height_m + self.raised_m)
+        estimate = self._kept_estimate.get(make, *made_of)
+        return replace(estimate, time_s=now_s, height_m=estimate.height_m + self.raised_m)
 
     def budget(self, now_s: float) -> dict[str, float]:
         """Return R95 in metres after each term that widens it, the last one the absolute R95."""
@@ -464,6 +466,11 @@ class TargetTracker:
         return "contradicted" if self._told_antenna.is_contradicted else None
 
     @property
+    def _told_inflation(self) -> Inflation:
+        is_adapted = self.params.adapt_inflation
+        return self._noise.inflation(self._optimizer.noise) if is_adapted else NO_INFLATION
+
+    @property
     def array_sigmas(self) -> tuple[float, float] | None:
         """Of a range, m, infinite where none came of late, and of a direction cosine, rad.
 
@@ -472,9 +479,7 @@ class TargetTracker:
         """
         if not self._optimizer.latest or not self.hypotheses:
             return None
-        params, inflation = self._filter.params, NO_INFLATION
-        if self.params.adapt_inflation:
-            inflation = self._noise.inflation(self._optimizer.noise)
+        params, inflation = self._filter.params, self._told_inflation
         sigmas = [math.inf, math.radians(params.bearing_sigma_deg)]
         missing = {RANGE, BEARING}
         for _, values, noise in reversed(self._optimizer.latest):
@@ -483,18 +488,13 @@ class TargetTracker:
                 missing.discard(row)
             if not missing:
                 break
-        range_m, cosine_rad = (
-            math.sqrt(f) * sigma for f, sigma in zip(inflation, sigmas, strict=False)
-        )
+        range_m, cosine_rad = (math.sqrt(f) * s for f, s in zip(inflation, sigmas, strict=False))
         return math.hypot(range_m, params.own_position_sigma_m), cosine_rad
 
     @property
     def health(self) -> TrackerHealth:
         """How far the estimate can be trusted, as live values."""
-        inflation: Inflation = NO_INFLATION
-        if self.params.adapt_inflation:
-            inflation = self._noise.inflation(self._optimizer.noise)
         observability = None
         if self.hypotheses:
             observability = self._optimizer.observability(self.hypotheses[0].state.mean)
-        return self._noise.health(inflation, observability)
+        return self._noise.health(self._told_inflation, observability)

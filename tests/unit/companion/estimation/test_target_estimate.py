@@ -14,6 +14,7 @@ from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.target_estimate import (
     AMBIGUOUS_PROBABILITY,
     MAX_AMBIGUOUS,
+    KeptEstimate,
     aside_of_m,
     estimate_of,
     position_covariance_m2,
@@ -201,3 +202,20 @@ def test_what_another_view_would_show_keeps_the_search_going() -> None:
     assert lasting.settled_r95_m == lasting.r95_m
     assert lasting.r95_m == pytest.approx(R95_OF_EQUAL_AXES * math.hypot(0.4, 0.3, 1.2))
     assert lasting.state is EstimateState.SEARCHING
+
+
+def test_an_estimate_is_kept_until_something_it_was_made_of_is_another_object() -> None:
+    kept = KeptEstimate()
+    made: list[TargetEstimate] = []
+
+    def make() -> TargetEstimate:
+        made.append(_told(_hypothesis(east_m=float(len(made)))))
+        return made[-1]
+
+    hypotheses, count = (_hypothesis(),), 1000
+    first = kept.get(make, hypotheses, count)
+    assert kept.get(make, hypotheses, count) is first
+    second = kept.get(make, (_hypothesis(),), count)
+    assert second is not first
+    assert kept.get(make, hypotheses, count + 1) is not second
+    assert len(made) == 3

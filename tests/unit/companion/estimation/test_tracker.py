@@ -9,12 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
+from companion.domain import (
+    EstimateState,
+    OwnAccuracy,
+    PositionEnu,
+    RangingMeasurement,
+    TargetEstimate,
+)
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.kalman import KINDS, FilterKind, filter_of
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
 from companion.estimation.screening.measurement_screen import Objection, RejectReason
+from companion.estimation.target_estimate import KeptEstimate
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.geometry.polygons import Point
@@ -265,6 +272,30 @@ def test_ranges_alone_need_a_base_line_as_long_as_the_height() -> None:
 
 
 # -- Duplicates and delays -----------------------------------------------------------------------
+
+
+def test_the_estimate_is_always_that_of_now_however_often_it_was_asked_for() -> None:
+    tracker, accuracy = TargetTracker(TrackerParams()), OwnAccuracy(1.0, 2.0)
+
+    def check() -> None:
+        kept = tracker.estimate(9.0)
+        tracker._kept_estimate = KeptEstimate()
+        assert tracker.estimate(9.0) == kept
+
+    for step, place in enumerate(corner_walk()[:90]):
+        is_ranging = step % 7 != 3
+        seen = measured(float(step), 40.0 if is_ranging else 900.0, None)
+        tracker.fuse(seen, place, float(step), accuracy if step > 30 else None)
+        check()
+        if step == 40:
+            tracker.move((3.0, -2.0, 1.5), 0.1, 0.5)
+        check()
+    belief = tracker.belief
+    assert belief is not None
+    tracker.restart()
+    check()
+    assert tracker.resume(belief, 5.0, 95.0) is None
+    check()
 
 
 # -- What is tracked -----------------------------------------------------------------------------
