@@ -13,6 +13,7 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -25,6 +26,7 @@ from tools.benches.planner_bench import costs_of
 from tools.console import OneLineParser, non_negative, positive, shown
 from tools.study.ekf_check import LARGEST_DIFFERENCE_M, EkfCheck
 from tools.study.field_flights import flights_of, fly_all, rows_kept
+from tools.study.reporting.area_report import write_area_report
 from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of
 from tools.study.reporting.study_report import Section, write_page, write_report
 from tools.study.reporting.study_tables import (
@@ -32,6 +34,8 @@ from tools.study.reporting.study_tables import (
     studies_of,
 )
 from tools.study.reporting.tables import tables_of
+from tools.study.searched_area import Trial
+from tools.study.searched_area import fly as fly_search
 from tools.study.study import FlightRow, ResultRow, Study, StudyResult
 from tools.study.study_run import (
     FOLDER_NAME,
@@ -55,8 +59,10 @@ def main() -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         out: Path = arguments.out or Path("studies") / Path(arguments.study).stem
-        studies = studies_of(arguments.study, STUDIES)
         check_folder(out)
+        if arguments.study == AREA:
+            return run_area(arguments, out)
+        studies = studies_of(arguments.study, STUDIES)
         if studies[0].flights is not None:
             return run_flights(studies[0], arguments, out)
         if arguments.only:
@@ -82,7 +88,9 @@ def main() -> int:
 def parsed() -> argparse.Namespace:
     """What the command line says."""
     parser = OneLineParser(description=__doc__)
-    parser.add_argument("study", metavar="STUDY", help="a name in configs/studies, or a YAML file")
+    parser.add_argument(
+        "study", metavar="STUDY", help="a name in configs/studies, a YAML file, or area"
+    )
     parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
@@ -161,6 +169,26 @@ def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path
         result = StudyResult(study, runs, seed, ())
         write_page(out, [Section(result, (drawing_of(flown),), tuple(tables_of(rows)))], rows)
     say(f"{out}: flights.csv, flights.json, results.csv, results.md, report.html")
+
+
+AREA, AREA_FLIGHTS = "area", 2000
+
+
+def run_area(arguments: argparse.Namespace, out: Path) -> int:
+    """Flights that search worlds: whether a stated probability of detection is right."""
+    runs = arguments.runs or AREA_FLIGHTS
+    flown: dict[int, list[Trial]] = {}
+    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
+        fly = partial(fly_search, seed=arguments.seed)
+        for number, trials in pool.results(fly, range(runs)):
+            flown[number] = trials
+            on_done(1.0)
+    make_folder(out)
+    is_met = write_area_report(out, [trial for number in sorted(flown) for trial in flown[number]])
+    say(f"{out}: reliability.csv, reliability.png")
+    if not is_met:
+        print("run_study: a stated probability is off by more than 3 %", file=sys.stderr)
+    return 0 if is_met else 1
 
 
 ROW_NAMES = tuple(field.name for field in fields(ResultRow))

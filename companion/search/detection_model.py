@@ -1,0 +1,230 @@
+"""Would an emitter have been heard: the probability that an answer of it is received.
+
+Theory of operation. An answer is received while its margin is positive (log-distance path loss with
+log-normal shadowing: T. S. Rappaport, Wireless Communications, 2nd ed., section 4.9):
+
+    margin = 10 n log10(reach / d) + r + s + u + f - walls
+
+r is the error of the stated reach, the same wherever the vehicle and the emitter are; s the
+shadowing about the emitter, the same from everywhere; u the shadowing of the path, which changes
+with the vehicle's place over `correlation_m`; f Rice fading about its median, new with every
+answer. s and u have one half
+of the shadowing's variance each: two receivers that hear one transmitter have a correlation of 0.5
+(3GPP TR 36.814, table A.2.1.1-2). r + s is one offset of a cell in all that was flown, and u one of
+a cell and a place.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.domain import NonNegative, Params, Point, PositionEnu, Positive
+from companion.geometry.polygons import edges, polygon_problem
+from companion.search.search_grid import Floats, are_inside
+
+Decibels = Annotated[float, msgspec.Meta(ge=0.0, le=20.0)]
+SHARED_VARIANCE = 0.5
+"""Of shadowing, about the emitter; see above."""
+MOST_WALL_EDGES = 200
+
+
+class Wall(Params, frozen=True):
+    """A building, or another obstacle, that takes its share of a signal on every way through."""
+
+    corners_enu_m: tuple[Point, ...]
+    height_m: Positive = 6.0
+    """Above home; the roof counts like a side."""
+    loss_db: NonNegative = 10.0
+    """Brick and light concrete at 1 to 6 GHz take 5 to 15 dB (ITU-R P.2040)."""
+
+    def __post_init__(self) -> None:
+        """Refuse an outline that encloses nothing."""
+        problem = polygon_problem(self.corners_enu_m, 1.0)
+        if problem is not None:
+            raise ValueError(f"corners_enu_m {problem}")
+
+
+class DetectionModel(Params, frozen=True):
+    """The radio link of the search, as it is assumed."""
+
+    reach_m: Positive
+    """Slant range at which half of the answers are received, without shadowing."""
+    reach_sigma_db: Annotated[float, msgspec.Meta(ge=0.5, le=20.0)] = 4.0
+    """Standard deviation of that reach, as power; 4 dB are a factor of 1.4 in range at exponent
+    2.5."""
+    exponent: Annotated[float, msgspec.Meta(ge=1.5, le=6.0)] = 2.5
+    """Of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
+    shadowing_db: Decibels = 6.0
+    """Standard deviation of shadowing: 3 to 4 dB in the open, 6 to 8 dB over rubble."""
+    correlation_m: Annotated[float, msgspec.Meta(ge=1.0, le=1000.0)] = 20.0
+    """Way over which shadowing changes: 10 to 30 m over rubble, 50 to 100 m in the open."""
+    rice_k_db: Annotated[float, msgspec.Meta(ge=-20.0, le=15.0)] = 0.0
+    """Power of the direct path over that of reflections: 6 to 9 dB in the open, about 0 where the
+    direct path is obstructed; -20 is Rayleigh fading."""
+    interval_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600.0)] = 1.0
+    """Between two answers, or two requests that may be answered."""
+    duty_cycle: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 1.0
+    """Share of the intervals in which the emitter is awake and answers."""
+    walls: tuple[Wall, ...] = ()
+    """Known obstacles; those that are not known are in the shadowing."""
+
+    def __post_init__(self) -> None:
+        """Refuse more walls than an update has time for."""
+        if sum(len(wall.corners_enu_m) for wall in self.walls) > MOST_WALL_EDGES:
+            raise ValueError(f"walls have more than {MOST_WALL_EDGES} corners in all")
+
+    @property
+    def cell_sigma_db(self) -> float:
+        """Standard deviation of what stays with a cell: error of the reach, shared shadowing."""
+        return math.hypot(self.reach_sigma_db, math.sqrt(SHARED_VARIANCE) * self.shadowing_db)
+
+    @property
+    def path_sigma_db(self) -> float:
+        """Standard deviation of what a cell has anew from every place."""
+        return math.sqrt(1.0 - SHARED_VARIANCE) * self.shadowing_db
+
+    def margin_db(self, centres_enu_m: Floats, sensor_m: PositionEnu) -> Floats:
+        """(cells,) margin without any offset; the sensor's up is above the ground of the cells."""
+        east, north, up = sensor_m
+        squared = (centres_enu_m[:, 0] - east) ** 2 + (centres_enu_m[:, 1] - north) ** 2 + up * up
+        margin = -5.0 * self.exponent * np.log10(np.maximum(squared, 1.0) / self.reach_m**2)
+        for wall in self.walls:
+            margin -= wall.loss_db * _ways_through(wall, centres_enu_m, sensor_m)
+        return margin
+
+
+def _ways_through(wall: Wall, centres_enu_m: Floats, sensor_m: PositionEnu) -> NDArray[np.int64]:
+    """(cells,) sides and roofs that the straight way from a cell to the sensor crosses."""
+    share = 1.0 if sensor_m[2] <= wall.height_m else wall.height_m / sensor_m[2]
+    ends = centres_enu_m + share * (np.array(sensor_m[:2]) - centres_enu_m)
+    count = np.zeros(len(centres_enu_m), dtype=np.int64)
+    for start, end in edges(wall.corners_enu_m):
+        count += _cross(centres_enu_m, ends, np.array(start), np.array(end))
+    if share < 1.0:  # it leaves the height of the walls there
+        count += are_inside(wall.corners_enu_m, ends)
+    return count
+
+
+def _cross(starts: Floats, ends: Floats, a: Floats, b: Floats) -> NDArray[np.bool_]:
+    """(n,) True where the way from start to end crosses the edge a b."""
+
+    def sides(points: Floats) -> Floats:
+        beside: Floats = (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (
+            points[:, 0] - a[0]
+        )
+        return beside
+
+    along = ends - starts
+
+    def turns(corner: Floats) -> Floats:
+        to = corner - starts
+        turn: Floats = along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]
+        return turn
+
+    return (sides(starts) * sides(ends) < 0.0) & (turns(a) * turns(b) < 0.0)
+
+
+NODE_SIGMAS = 0.25
+"""Step of the quadrature over a cell's offset, in its own standard deviations."""
+MOST_SIGMAS = 3.0
+MARGIN_STEPS = 16
+"""Steps of the table's margin to a step of the quadrature."""
+FADING_DB = 25.0
+"""Fading beyond this changes nothing: above its median by half as much there is no answer left, and
+of Rayleigh fading 0.2 % lies so far below it."""
+LEAST_LOG = -60.0
+"""Log probability of a miss that counts as certain detection."""
+
+
+class MissTable:
+    """Log probability that one answer is missed, by margin and by offset of cell and path.
+
+    Offsets are on one grid: a cell's `nodes` (standard deviations), and those of the path, whose
+    `path_weights` lie about each node.
+    """
+
+    def __init__(self, model: DetectionModel) -> None:
+        self.step_db = NODE_SIGMAS * model.cell_sigma_db
+        half = round(MOST_SIGMAS / NODE_SIGMAS)
+        self.nodes: Floats = NODE_SIGMAS * np.arange(-half, half + 1, dtype=float)
+        self.node_weights = _normal_weights(self.nodes)
+        path_half = math.ceil(MOST_SIGMAS * model.path_sigma_db / self.step_db)
+        path_db: Floats = self.step_db * np.arange(-path_half, path_half + 1, dtype=float)
+        self.path_weights = _normal_weights(path_db / max(model.path_sigma_db, self.step_db))
+        self._half = half + path_half
+        offsets = 2 * self._half + 1
+        farthest_db = self._half * self.step_db + FADING_DB
+        count = 2 * math.ceil(farthest_db / self.step_db) * MARGIN_STEPS
+        self._least_db = -farthest_db
+        self._fine_db = self.step_db / MARGIN_STEPS
+        fine = np.arange(count + MARGIN_STEPS * (offsets - 1)) - MARGIN_STEPS * self._half
+        margins_db = np.clip(self._least_db + self._fine_db * fine, -farthest_db, farthest_db)
+        missed = 1.0 - model.duty_cycle * received_share(margins_db, model.rice_k_db)
+        log_missed = np.log(np.maximum(missed, math.exp(LEAST_LOG)))
+        windows = np.arange(count)[:, None] + MARGIN_STEPS * np.arange(offsets)
+        self.rows = log_missed[windows].astype(np.float32)
+        """(margins, offsets)."""
+
+    def index_of(self, margin_db: Floats) -> NDArray[np.int64]:
+        """(cells,) rows of margins; those beyond the table have its first or its last."""
+        index = np.rint((margin_db - self._least_db) / self._fine_db).astype(np.int64)
+        return np.clip(index, 0, len(self.rows) - 1)
+
+    def spread_matrix(self) -> NDArray[np.float32]:
+        """(offsets, nodes): weights of the path's offsets about every node of the cell's."""
+        matrix = np.zeros((2 * self._half + 1, len(self.nodes)), dtype=np.float32)
+        for node in range(len(self.nodes)):
+            matrix[node : node + len(self.path_weights), node] = self.path_weights
+        return matrix
+
+
+def _normal_weights(sigmas: Floats) -> Floats:
+    density = np.exp(-0.5 * sigmas**2)
+    weights: Floats = density / density.sum()
+    return weights
+
+
+POISSON_TERMS = 120
+"""Of the series of Rice's distribution: up to 15 dB, a mean of 32, the rest is below 1e-12."""
+
+
+def received_share(margins_db: Floats, rice_k_db: float) -> Floats:
+    """Return the share of fading amplitudes that keep a margin, above the median power.
+
+    The power is non-central chi-square with two degrees of freedom: a Poisson mixture, of mean K,
+    of Erlang distributions.
+    """
+    k = 10.0 ** (0.1 * rice_k_db)
+
+    def above(power: Floats) -> Floats:
+        """Survival function of the scattered power's multiples."""
+        term = math.exp(-k)
+        total: Floats = np.zeros(len(power))
+        inner: Floats = np.exp(-power)
+        erlang = inner.copy()
+        for i in range(POISSON_TERMS):
+            total += term * erlang
+            term *= k / (i + 1)
+            inner = inner * power / (i + 1)
+            erlang += inner
+        return total
+
+    low, high = 0.0, 2.0 + 2.0 * k
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if above(np.array([middle]))[0] > 0.5 else (low, middle)
+    return above(low * 10.0 ** (-0.1 * margins_db))
+
+
+def look_spacing_m(model: DetectionModel) -> float:
+    """Side of the squares in which looks count as from one point.
+
+    An eighth of the reach is half a decibel at the reach, to either side; less than a metre is
+    within the vehicle's own uncertainty.
+    """
+    return max(1.0, min(model.correlation_m, model.reach_m / 8.0))

@@ -1,0 +1,250 @@
+"""What a search has covered so far: probability of detection by cell, and what follows from it.
+
+Theory of operation. Answers that were listened for in one place are not independent, because its
+shadowing is the same for all of them: so looks are combined by places, squares of the shadowing's
+correlation length. In a place, the log probabilities that an answer is missed add up for each
+offset of cell and path; its path offset is integrated out when the place is left, and the place
+counts once, whatever was listened for there. Over places the log probabilities add up for each
+offset of the cell, that is error of the reach and shadowing about the emitter; these are integrated
+out when the state is asked for:
+
+    miss(cell) = sum_k w_k prod_places sum_j v_j prod_looks (1 - p(margin + r_k + u_j))^answers
+
+    POD = 1 - miss,  POA' = POA miss / sum(POA miss),  POS = sum(POA POD)
+
+A place that is entered again goes on where it was left: its looks are applied again, and what it
+counted for is taken back. That would take long at once, so work is queued, and `advance` does one
+piece of it, an update of all cells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.domain import PositionEnu
+from companion.search.detection_model import (
+    LEAST_LOG,
+    DetectionModel,
+    MissTable,
+    look_spacing_m,
+)
+from companion.search.search_grid import Floats, SearchGrid
+
+Square = tuple[int, int]
+Floats32 = NDArray[np.float32]
+HEIGHT_STEP_M = 5.0
+"""Looks from heights that differ by less are one; at 20 m that is 2 dB straight below."""
+LISTENED_AGAIN_S = 5.0
+"""A place that is listened from without a pause counts what it has so far this often."""
+
+
+@dataclass(slots=True)
+class Look:
+    """Answers that were listened for about one point, and none came."""
+
+    east_m: float
+    north_m: float
+    up_m: float
+    """Above the ground of the search area."""
+    answers: float
+    """How many there would have been, of an emitter that is always awake."""
+
+    @property
+    def place_m(self) -> PositionEnu:
+        """Where it was listened from."""
+        return self.east_m, self.north_m, self.up_m
+
+    def add(self, place_m: PositionEnu, answers: float) -> None:
+        """Count more answers in, from a place near it."""
+        self.answers += answers
+        share = answers / self.answers
+        self.east_m += share * (place_m[0] - self.east_m)
+        self.north_m += share * (place_m[1] - self.north_m)
+        self.up_m += share * (place_m[2] - self.up_m)
+
+
+@dataclass(slots=True)
+class _Place:
+    """The looks of one square of the shadowing's correlation length, by squares of a look."""
+
+    looks: dict[tuple[int, int, int], Look] = field(default_factory=dict)
+    is_counted: bool = False
+    """Whether the sum over places has it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """A piece of work: apply answers from a point, or (None) leave, or take back the place."""
+
+    square: Square
+    place_m: PositionEnu | None = None
+    answers: float = 0.0
+    is_return: bool = False
+
+
+class SearchedArea:
+    """Accumulates looks over one grid by one model of detection."""
+
+    def __init__(self, grid: SearchGrid, model: DetectionModel) -> None:
+        self.grid, self.model = grid, model
+        self._table = MissTable(model)
+        self._spread = self._table.spread_matrix()
+        self._centres = grid.centres_enu_m
+        cells = len(grid.poa)
+        self._left = np.zeros((cells, len(self._table.nodes)), dtype=np.float32)
+        """(cells, nodes) log probability of a miss, of all places that were left."""
+        self._here = np.zeros((cells, self._spread.shape[0]), dtype=np.float32)
+        """(cells, offsets) of the place that is listened from."""
+        self._places: dict[Square, _Place] = {}
+        self._square: Square | None = None
+        """Of the last look; work may still be behind."""
+        self._here_square: Square | None = None
+        self._pending: Look | None = None
+        self._pending_key: tuple[int, int, int] = (0, 0, 0)
+        self._pending_s = 0.0
+        self._work: deque[_Piece] = deque()
+        self._spacing_m = look_spacing_m(model)
+
+    def listen(self, place_m: PositionEnu, seconds: float) -> None:
+        """Take in that nothing was heard for so long at a place; up is above the ground."""
+        answers = seconds / self.model.interval_s
+        key = _key_of(place_m, self._spacing_m)
+        pending = self._pending
+        is_due = self._pending_s >= LISTENED_AGAIN_S
+        if pending is not None and (key != self._pending_key or is_due):
+            self._commit(pending, self._pending_key)
+            pending = None
+        if pending is None:
+            self._pending, self._pending_key = Look(*place_m, answers), key
+            self._pending_s = seconds
+        else:
+            pending.add(place_m, answers)
+            self._pending_s += seconds
+
+    def take(self, looks: Iterable[Look]) -> None:
+        """Take in looks of an earlier flight, and do all the work."""
+        for look in looks:
+            self._commit(look, _key_of(look.place_m, self._spacing_m))
+            self.finish()
+
+    @property
+    def looks(self) -> list[Look]:
+        """All looks so far, of what was listened for from one point as one."""
+        looks = [look for place in self._places.values() for look in place.looks.values()]
+        return looks if self._pending is None else [*looks, self._pending]
+
+    def advance(self) -> bool:
+        """Do one piece of the work that waits; False: there is none."""
+        if not self._work:
+            return False
+        piece = self._work.popleft()
+        self._here_square = piece.square
+        if piece.place_m is not None:
+            index = self._table.index_of(self.model.margin_db(self._centres, piece.place_m))
+            self._here += np.float32(piece.answers) * self._table.rows[index]
+            np.maximum(self._here, np.float32(LEAST_LOG), out=self._here)
+        elif piece.is_return:
+            self._left -= self._counted()
+            self._places[piece.square].is_counted = False
+        else:
+            self._left += self._counted()
+            self._places[piece.square].is_counted = True
+            self._here.fill(0.0)
+        return True
+
+    def finish(self) -> None:
+        """Do all the work that waits, and count in what was listened for until now."""
+        if self._pending is not None:
+            self._commit(self._pending, self._pending_key)
+            self._pending = None
+        while self.advance():
+            pass
+
+    def _commit(self, look: Look, key: tuple[int, int, int]) -> None:
+        """Queue the work of a look, and of the change of places that it means."""
+        side_m = self.model.correlation_m
+        square = (math.floor(look.east_m / side_m), math.floor(look.north_m / side_m))
+        place = self._places.setdefault(square, _Place())
+        if square != self._square:
+            if self._square is not None:
+                self._work.append(_Piece(self._square))
+            self._square = square
+            self._work.extend(_Piece(square, n.place_m, n.answers) for n in place.looks.values())
+            if place.looks:
+                self._work.append(_Piece(square, is_return=True))
+        self._work.append(_Piece(square, look.place_m, look.answers))
+        if key in place.looks:
+            place.looks[key].add(look.place_m, look.answers)
+        else:
+            place.looks[key] = Look(*look.place_m, look.answers)
+
+    def _counted(self) -> Floats32:
+        """(cells, nodes) log probability of a miss of the place that is listened from."""
+        missed = np.exp(self._here) @ self._spread
+        counted: Floats32 = np.log(np.maximum(missed, np.float32(math.exp(LEAST_LOG))))
+        return counted
+
+    def missed(self) -> Floats:
+        """(cells,) probability that an emitter in the cell was missed so far.
+
+        Of a place that is entered again, what it counted for before stays until it was taken back.
+        """
+        left = self._left
+        square = self._here_square
+        if square is not None and not self._places[square].is_counted:
+            left = left + self._counted()
+        weights = self._table.node_weights.astype(np.float32)
+        missed: Floats = (np.exp(left) @ weights).astype(float)
+        return np.clip(missed, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SearchState:
+    """What was searched, at one moment."""
+
+    grid: SearchGrid
+    pod: Floats
+    """(cells,) probability of detection: had the emitter been in the cell, it would have been
+    heard."""
+
+    @property
+    def pos(self) -> float:
+        """Probability of success: had the emitter been in the area, it would have been heard."""
+        return float(self.grid.poa @ self.pod)
+
+    @property
+    def poa(self) -> Floats:
+        """(cells,) probability of area after the search, given that the emitter is in it."""
+        left: Floats = self.grid.poa * (1.0 - self.pod)
+        total = left.sum()
+        return left / total if total > 0.0 else self.grid.poa
+
+    def share_at(self, pod: float) -> float:
+        """Share of the area that was searched with at least this probability of detection."""
+        return float(np.count_nonzero(self.pod >= pod) / len(self.pod))
+
+    @property
+    def area_m2(self) -> float:
+        """Of all cells."""
+        return len(self.pod) * self.grid.cell_m**2
+
+
+def state_of(*areas: SearchedArea) -> SearchState:
+    """The state of one search, or of several of the same grid whose shadowing is independent."""
+    missed = np.prod([area.missed() for area in areas], axis=0)
+    return SearchState(areas[0].grid, 1.0 - missed)
+
+
+def _key_of(place_m: PositionEnu, spacing_m: float) -> tuple[int, int, int]:
+    east, north, up = place_m
+    return (
+        math.floor(east / spacing_m),
+        math.floor(north / spacing_m),
+        math.floor(up / HEIGHT_STEP_M),
+    )

@@ -1,0 +1,59 @@
+"""The reliability diagram of stated probabilities of detection, and their table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from companion.io.files import write_bytes_atomic, write_text_atomic
+from tools.study.reporting.plots import DPI, FIM, INK, LATCHED, MUTED, PASSIVE, STYLE
+from tools.study.searched_area import KINDS, Bin, Kind, Trial, csv_of, reliability, success
+
+MOST_ERROR = 0.03
+"""By how much the share heard may differ from what was stated, in every tenth."""
+COLOURS: dict[Kind, str] = {"open": LATCHED, "rubble": PASSIVE, "walls": FIM}
+
+
+def write_area_report(out: Path, trials: Sequence[Trial]) -> bool:
+    """Write reliability.csv and .png and print the table; True if everything is within limits."""
+    overall = reliability(trials)
+    by_kind = {kind: reliability(trials, kind) for kind in KINDS}
+    bins = [*overall, *(each for found in by_kind.values() for each in found)]
+    write_text_atomic(out / "reliability.csv", csv_of(bins))
+    write_bytes_atomic(out / "reliability.png", drawn(overall, by_kind))
+    print("stated POD   heard   error    cells")
+    for each in overall:
+        print(f"{each.stated:10.3f}{each.heard:8.3f}{each.error:+8.3f}{each.trials:9d}")
+    stated, heard, flights = success(trials)
+    print(f"POS stated {stated:.3f}, emitters heard {heard:.3f}, of {flights} flights with one")
+    return all(abs(each.error) <= MOST_ERROR for each in overall) and (
+        abs(heard - stated) <= MOST_ERROR
+    )
+
+
+def drawn(overall: Sequence[Bin], by_kind: Mapping[Kind, list[Bin]]) -> bytes:
+    """The diagram as PNG: what was heard against what was stated."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(4.6, 4.4), layout="constrained")
+        axes = figure.subplots()
+        axes.plot((0.0, 1.0), (0.0, 1.0), color=MUTED, linewidth=0.8)
+        for kind, found in by_kind.items():
+            points = [each.stated for each in found], [each.heard for each in found]
+            axes.plot(*points, color=COLOURS[kind], linewidth=1.0, label=kind)
+        points = [each.stated for each in overall], [each.heard for each in overall]
+        axes.plot(*points, "o-", color=INK, markersize=3.5, label="all")
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal")
+        axes.set(xlabel="stated probability of detection", ylabel="share heard")
+        axes.legend()
+        return _png(figure)
+
+
+def _png(figure: Figure) -> bytes:
+    file = BytesIO()
+    FigureCanvasAgg(figure).print_figure(file, format="png", dpi=DPI)
+    return file.getvalue()
