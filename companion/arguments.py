@@ -53,9 +53,10 @@ examples:
 
 
 class ComplaintParser(argparse.ArgumentParser):
-    """Raises what argparse would print, so that every complaint is one line.
+    """Raises instead of printing as argparse does, so that every error is one line.
 
-    What begins with a minus and a digit is a value, as a southern latitude: no option does.
+    An argument that begins with a minus and a digit is a value, as a southern latitude: no option
+    begins like that.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -63,7 +64,7 @@ class ComplaintParser(argparse.ArgumentParser):
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
+        """Raise `ConfigError` for wrong arguments."""
         raise ConfigError(f"{message} ({self.prog} --help shows how)")
 
 
@@ -72,7 +73,7 @@ Commands: TypeAlias = "argparse._SubParsersAction[ComplaintParser]"
 
 
 def argument_parser() -> argparse.ArgumentParser:
-    """What the command understands; a complaint is a `ConfigError`."""
+    """Return the parser of the command; it raises `ConfigError` on wrong arguments."""
     parser = ComplaintParser(
         prog="companion",
         description=DESCRIPTION,
@@ -285,7 +286,7 @@ def _add_report(commands: Commands) -> None:
 def number_in(
     least: float, most: float = math.inf, *, kind: type[float] = float, is_open: bool = False
 ) -> Callable[[str], float]:
-    """The type of an argument: a number (int: a whole one) from `least` (open: above it) on."""
+    """Return the type of an argument: a number (int: a whole one) from `least` on."""
     wanted = f"{'above' if is_open else 'from'} {least:g}" + f" to {most:g}" * (most < math.inf)
 
     def parsed(text: str) -> float:
@@ -309,7 +310,7 @@ SHARED_OPTIONS = "config speed web web_tiles"
 
 
 def check_place_of_options(arguments: argparse.Namespace) -> None:
-    """Refuse options of flying in front of a subcommand, which would not see them."""
+    """Refuse options of flying in front of a subcommand, which would ignore them."""
     if arguments.command is None:
         return
     places = {name: name for name in FLIGHT_OPTIONS.split()}

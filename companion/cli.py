@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         try:
             return _run(argv)
-        finally:  # what was logged comes before what is printed below
+        finally:  # log lines come before the error below
             for handler in logging.getLogger("companion").handlers:
                 handler.close()
     except CompanionError as error:
@@ -92,7 +92,7 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def _web_settings(arguments: argparse.Namespace) -> WebSettings | None:
-    """The settings of a flight's map, of the demo's, which has buttons, or of a replay's."""
+    """Return the map's settings for a flight, for the demo, which has buttons, or for a replay."""
     is_flight = arguments.command is None
     web = arguments.fly_web if is_flight else arguments.web
     tiles = arguments.fly_web_tiles if is_flight else arguments.web_tiles
@@ -117,7 +117,7 @@ def _web_settings(arguments: argparse.Namespace) -> WebSettings | None:
 
 
 def _set_up_logging(*, quiet: bool, stream: io.TextIOBase | None = None) -> None:
-    """Our own loggers only: libraries keep their remarks to themselves."""
+    """Configure our own loggers only: libraries stay silent."""
     logger = logging.getLogger("companion")
     handler = ConsoleHandler(sys.stderr if stream is None else stream)
     handler.setFormatter(logging.Formatter("%(message)s"))
@@ -152,7 +152,7 @@ def _fly(arguments: argparse.Namespace) -> int:
 
 
 def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:
-    """The file's configuration, with what the command line has instead."""
+    """Return the file's configuration, with the command line's changes."""
     config = load_config(arguments.fly_config)
     if arguments.fence is not None:
         config = with_fence(config, arguments.fence)
@@ -249,7 +249,7 @@ def _warn(text: str) -> None:
 
 
 def _report_flight(tiles: Path | None, directory: Path) -> None:
-    """A report of every flight; of a long one only on request, because the end must be quick."""
+    """Make the report of a flight; of a long one only on request, because the end must be quick."""
     from companion.report.page import is_quick
 
     if is_quick(directory):
@@ -259,7 +259,7 @@ def _report_flight(tiles: Path | None, directory: Path) -> None:
 
 
 def _write_report(directory: Path, tiles: Path | None) -> Path | None:
-    from companion.report.page import write_report  # jinja2 only where it is needed
+    from companion.report.page import write_report  # load jinja2 only for a report
 
     try:
         path = write_report(directory, tiles=tiles)
@@ -287,7 +287,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         return _replay_recording(arguments, config or CompanionConfig())
 
     def report(replay: FlightReplay) -> None:
-        """Print how exact it was, and write the figures if asked to."""
+        """Print the comparison, and write the figures if requested."""
         print(replay.table())
         print(replay.verdict, flush=True)
         if arguments.json is not None:
@@ -296,7 +296,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
     if settings is not None:
         speed = arguments.speed or 1.0
-        say = partial(print, flush=True)  # it is waited for, perhaps by a script
+        say = partial(print, flush=True)  # a script may wait for the line
         replay = replay_on_map(arguments.file, config, say, settings, speed, report)
     else:
         pace = None if arguments.speed is None else Pace(arguments.speed)
@@ -322,7 +322,7 @@ def _replay_recording(arguments: argparse.Namespace, config: CompanionConfig) ->
 
 def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     def progress(rows: int) -> None:
-        """How far it is, where somebody looks."""
+        """Show the number of rows on a terminal."""
         if sys.stderr.isatty():
             print(f"\r{rows} rows", end="", file=sys.stderr, flush=True)
 
@@ -364,7 +364,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     pages: list[WebView] = []
 
     def make_views(config: CompanionConfig, truth_enu_m: tuple[float, float]) -> list[FlightView]:
-        """The screen, and the map with the emitter's true place for comparison."""
+        """Return the screen, and the map with the emitter's true position for comparison."""
         if settings is not None:
             pages.append(_web_view(settings, config, truth_enu_m, outlives=True))
             if not arguments.no_browser:
@@ -372,7 +372,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         return [*pages, _console_view()]
 
     def report(directory: Path) -> None:
-        """Always: nothing flies that would wait for the end."""
+        """Make the report of any flight: no vehicle waits for the end."""
         path = _write_report(directory, arguments.web_tiles)
         if path is not None and settings is not None and not arguments.no_browser:
             open_page(path.resolve().as_uri())

@@ -1,12 +1,12 @@
 """Frozen values shared by all packages.
 
 Units are in the names. Positions are local east-north-up metres about the autopilot's EKF origin;
-`bearing_enu_rad` is counter-clockwise from east; time is float seconds on the companion's
-monotonic axis. What was not measured is `None`, never NaN.
+`bearing_enu_rad` is counter-clockwise from east; time is float seconds on the companion's monotonic
+axis. A quantity that was not measured is `None`, never NaN.
 
 Parameter records are frozen too: every package declares its own as a subclass of `Params`;
-`companion.config` composes them and reads them from YAML, so defaults and bounds live in one
-place, beside the code that uses them.
+`companion.config` composes them and reads them from YAML, so defaults and bounds live in one place,
+beside the code that uses them.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import Point as Point
 
 MOST = 1e6
-"""No configured length, time, speed or ratio is greater in its unit; the product of any four still
-fits the float32 of a parameter or an estimate on the wire."""
+"""Greatest configured length, time, speed or ratio in its unit; the product of any four still fits
+the float32 of a parameter or an estimate on the wire."""
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=MOST)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=MOST)]
 
 
 Signed = Annotated[float, msgspec.Meta(ge=-MOST, le=MOST)]
 Distance = Annotated[float, msgspec.Meta(ge=0.01, le=1e4)]
-"""m; from the centimetre of a GNSS receiver with RTK to the largest fence that an autopilot has of
-its own (PX4: GF_MAX_HOR_DIST up to 10,000 m)."""
+"""m; from the centimetre of a GNSS receiver with RTK to the largest fence of an autopilot (PX4:
+GF_MAX_HOR_DIST up to 10,000 m)."""
 Waiting = Annotated[float, msgspec.Meta(ge=0.05, le=3600.0)]
 """s; from one control tick to an hour, which is longer than a multicopter flies."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A frozen parameter record that refuses keys it does not know."""
+    """A frozen parameter record that refuses unknown keys."""
 
 
 PositionEnu = tuple[float, float, float]
@@ -46,10 +46,11 @@ PositionEnu = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ArrayDirection:
-    """What an antenna array measured of the direction to an emitter, in its own plane.
+    """Direction to an emitter, measured by an antenna array in its own plane.
 
-    A planar array tells the azimuth in its plane, clockwise from `first_axis` towards `second_axis`
-    as seen from the antenna's top; any other array the direction cosines along its axes.
+    A planar array measures the azimuth in its plane, clockwise from `first_axis` towards
+    `second_axis` as seen from the antenna's top; any other array the direction cosines along its
+    axes.
     """
 
     first_axis_enu: PositionEnu
@@ -67,10 +68,10 @@ class RangingMeasurement:
 
     emitter_id: int
     measured_at_s: float
-    """When the radio measured, on the companion's clock."""
+    """Time of the radio's measurement, on the companion's clock."""
     range_m: float | None = None
     range_sigma_m: float | None = None
-    """Standard deviation that the radio reports; None lets the configuration decide."""
+    """Standard deviation that the radio reports; None: the configured one."""
     bearing_enu_rad: float | None = None
     """Direction to the emitter, counter-clockwise from east; None if given in the body frame."""
     bearing_body_rad: float | None = None
@@ -80,42 +81,43 @@ class RangingMeasurement:
     """Positive above the horizon of the sensor."""
     elevation_sigma_rad: float | None = None
     is_array_angle: bool = False
-    """Whether the angles are those of a line or two-axis array, in the frame of its antenna: the
-    bearing the arcsine of the direction's component to the right, the elevation of that upwards."""
+    """True if the angles are those of a line or two-axis array, in the frame of its antenna: the
+    bearing is the arcsine of the direction's component to the right, the elevation of that
+    upwards."""
     quality: float | None = None
     """0 (worst) to 1 (best)."""
     line_of_sight: bool | None = None
     stamp_us: int | None = None
-    """The sender's own stamp; with equal values it tells a duplicate."""
+    """The sender's own stamp; a second message with the same values is a duplicate."""
     array: ArrayDirection | None = None
     """The bearing as the antenna measured it, once its attitude at the time is known."""
     least_sigmas: tuple[float | None, float | None, float | None] = (None, None, None)
-    """Of range (m), bearing and elevation (rad): the best that its radio is configured to do, below
-    which no reported standard deviation counts; None: that of the estimation."""
+    """Of range (m), bearing and elevation (rad): the smallest standard deviation configured for its
+    radio, which replaces smaller reported ones; None: that of the estimation."""
 
     @property
     def has_direction(self) -> bool:
-        """Whether it says a direction that a filter can use."""
+        """True if it has a direction that a filter can use."""
         return self.bearing_enu_rad is not None or self.array is not None
 
     def without_direction(self) -> RangingMeasurement:
-        """What is left where the direction is not to be used."""
+        """Return the measurement without its direction."""
         return replace(self, bearing_enu_rad=None, bearing_body_rad=None, array=None)
 
 
 @dataclass(frozen=True, slots=True)
 class Attitude:
-    """How the vehicle lies in the air."""
+    """Vehicle attitude."""
 
     yaw_ned_rad: float
     """Clockwise from north."""
     tilt_rad: tuple[float, float] | None = None
-    """Roll, to the right positive, and pitch, nose up positive; None: not told."""
+    """Roll, to the right positive, and pitch, nose up positive; None: not reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """Where the vehicle is and how it moves."""
+    """Position and velocity of the vehicle."""
 
     time_s: float
     position_enu_m: PositionEnu
@@ -125,28 +127,29 @@ class VehicleState:
 R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
 """R95 of a circular normal distribution with a sigma of 1."""
 UNTOLD_SIGMA_M = 3.0
-"""What an own place counts as whose accuracy nobody tells: one frequency, not all of the sky."""
+"""Assumed position sigma when the autopilot reports none: one frequency, part of the sky hidden."""
 OPTIMISM, CORRECTED_M = 1.5, 0.5
-"""By how much receivers without corrections err more than they tell; better ones have them."""
+"""Ratio of the error of a GNSS receiver without corrections to its reported accuracy, and the
+reported accuracy below which it has corrections."""
 HEIGHT_RATIO = 2.0
-"""Satellites tell heights 1.5 to 2 times worse than places."""
+"""GNSS vertical error is 1.5 to 2 times the horizontal."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnAccuracy:
-    """How well the vehicle knew its own place on the Earth, one sigma.
+    """Position accuracy of the vehicle on the Earth, one sigma.
 
-    It is one and the same error for all that was measured from there, and nobody else's.
+    It is the same error for all measurements from that position, and independent of others' errors.
     """
 
     horizontal_m: float = UNTOLD_SIGMA_M
     """Per axis."""
     vertical_m: float = HEIGHT_RATIO * UNTOLD_SIGMA_M
     is_told: bool = False
-    """Whether the autopilot told it; otherwise it is what is counted instead."""
+    """True if the autopilot reported it; False: it is the assumed default."""
 
     def or_worse(self, other: OwnAccuracy | None) -> OwnAccuracy:
-        """What holds of both; None says nothing."""
+        """Return the worse of both accuracies; None leaves this one."""
         if other is None:
             return self
         return OwnAccuracy(
@@ -157,17 +160,17 @@ class OwnAccuracy:
 
     @property
     def counted_m(self) -> float:
-        """What the horizontal one is taken for, per axis.
+        """Horizontal sigma in use, per axis.
 
-        Receivers know nothing of their reflections and tell too little, those with corrections
-        apart, which are better than this.
+        Receivers underestimate their errors, because they ignore reflections, except for those with
+        corrections, whose accuracy is better than this.
         """
         is_optimistic = self.is_told and self.horizontal_m >= CORRECTED_M
         return self.horizontal_m * (OPTIMISM if is_optimistic else 1.0)
 
     @property
     def words(self) -> str:
-        """The horizontal one in words."""
+        """The horizontal accuracy in words."""
         return f"GNSS {self.horizontal_m:.2f} m{'' if self.is_told else ', assumed'}"
 
 
@@ -177,9 +180,9 @@ UNTOLD = OwnAccuracy()
 def radii_text(
     absolute_r95_m: float, r95_m: float, own: OwnAccuracy | None = None, *, decimals: int = 1
 ) -> str:
-    """Both radii of an estimate in words: first the one that holds for everybody.
+    """Return both radii of an estimate in words: first the absolute one, which holds for everybody.
 
-    `own` is the accuracy that makes the difference, where it is to be named.
+    `own` is the accuracy that makes the difference, if it is to be named.
     """
     absolute, relative = f"{absolute_r95_m:.{decimals}f}", f"{r95_m:.{decimals}f}"
     text = f"R95 {absolute} m absolute, {relative} m relative to vehicle"
@@ -187,7 +190,7 @@ def radii_text(
 
 
 class EstimateState(Enum):
-    """How much of the target's position is known."""
+    """Knowledge of the target's position."""
 
     SEARCHING = "searching"
     """Too little to name a place."""
@@ -201,12 +204,12 @@ class EstimateState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class TargetEstimate:
-    """Where the target is believed to be, and how wrong that may be.
+    """Estimated position of the target, with its uncertainty.
 
-    There are two radii. The relative one, `r95_m`, is about the vehicle's own frame, and what this
-    vehicle finds back to; when to stop is decided by what measuring can make of it. The absolute
-    one is about the Earth, as anybody else finds there: it has the error of the vehicle's own
-    receiver in it as well.
+    There are two radii. The relative one, `r95_m`, is in the vehicle's own frame, for the return of
+    this vehicle; the stop rule uses the part of it that measurements can improve. The absolute one
+    is on the Earth, for everybody else: it contains the error of the vehicle's own GNSS receiver as
+    well.
     """
 
     time_s: float
@@ -215,7 +218,7 @@ class TargetEstimate:
     covariance_m2: tuple[tuple[float, float], tuple[float, float]]
     r95_m: float
     """Relative: radius about `position_enu_m` that holds the target with 95 % probability, all
-    hypotheses, if the vehicle's own place is right."""
+    hypotheses, if the vehicle position is right."""
     range_offset_m: float
     bearing_offset_rad: float
     measurements: int
@@ -228,14 +231,15 @@ class TargetEstimate:
     range_scale: float = 0.0
     """Scale error of the ranges where it is estimated."""
     own: OwnAccuracy = UNTOLD
-    """The worst while the target was measured."""
+    """Worst accuracy of the vehicle position while the target was measured."""
     absolute_r95_m: float = -math.inf
-    """The same radius with the own place's error in it; never less than `r95_m`."""
+    """The same radius with the vehicle position's error in it; never less than `r95_m`."""
     settled_r95_m: float = math.inf
-    """`r95_m` without how far the own place wanders meanwhile, which no more measuring improves."""
+    """`r95_m` without the drift of the vehicle position meanwhile, which more measurements do not
+    reduce."""
 
     def __post_init__(self) -> None:
-        """Where nobody worked the other radii out: of round errors, and of a place that stays."""
+        """Fill in derived radii, of independent errors and a constant vehicle position error."""
         if not self.settled_r95_m <= self.r95_m:
             object.__setattr__(self, "settled_r95_m", self.r95_m)
         if not self.absolute_r95_m >= self.r95_m:  # NaN is no better than either
@@ -244,38 +248,38 @@ class TargetEstimate:
 
     @property
     def absolute_covariance_m2(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """`covariance_m2` with the own place's error in it."""
+        """`covariance_m2` with the vehicle position's error in it."""
         (a, b), (c, d) = self.covariance_m2
         own_m2 = self.own.counted_m**2
         return ((a + own_m2, b), (c, d + own_m2))
 
     @property
     def absolute_height_sigma_m(self) -> float | None:
-        """`height_sigma_m` with the own height's error in it."""
+        """`height_sigma_m` with the vehicle height's error in it."""
         sigma_m = self.height_sigma_m
         return None if sigma_m is None else math.hypot(sigma_m, self.own.vertical_m)
 
 
 class WaypointReason(Enum):
-    """Why the planner chose a waypoint."""
+    """Planner's reason for a waypoint."""
 
     APPROACH = "approach"
     """Fly at the estimate, on the way to its far side."""
     CROSSING = "crossing"
     """Fly over the estimate to its far side for bilateral information."""
     INFORMATION = "information"
-    """Fly where one more measurement is expected to tell most."""
+    """Fly to the point where one more measurement is expected to be most informative."""
     SEARCH = "search"
     """Fly a search pattern: there is no contact yet, or no more."""
     DETOUR = "detour"
     """Fly to a corner of the way around a keep-out or along the fence, or out of a keep-out."""
     HOLD = "hold"
-    """Stay: nothing is known, it is close enough, or there is no way."""
+    """Stay: there is no estimate, it is close enough, or there is no way."""
 
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """Where the planner wants to go, before any limit."""
+    """Planner's goal, before any limit."""
 
     position_enu_m: Point
     reason: WaypointReason
@@ -284,12 +288,12 @@ class Waypoint:
     altitude_offset_m: float = 0.0
     """Above the search altitude; below it if negative."""
     descent_m: float = 0.0
-    """How much of that is a lower pass."""
+    """Part of that by a lower pass."""
 
 
 @dataclass(frozen=True, slots=True)
 class PositionSetpoint:
-    """What is commanded now, after limits."""
+    """Commanded position, after limits."""
 
     position_enu_m: PositionEnu
     yaw_ned_rad: float | None = None
@@ -297,7 +301,7 @@ class PositionSetpoint:
 
 
 class Autopilot(Enum):
-    """The kind of autopilot, told from HEARTBEAT.autopilot."""
+    """Kind of autopilot, by HEARTBEAT.autopilot."""
 
     PX4 = "PX4"
     ARDUPILOT = "ArduPilot"
@@ -305,7 +309,7 @@ class Autopilot(Enum):
 
     @property
     def projection(self) -> Projection:
-        """How its local frame lies on the Earth; observed on PX4 1.15.2 and ArduCopter 4.5.7."""
+        """Projection of its local frame on the Earth, seen on PX4 1.15.2 and ArduCopter 4.5.7."""
         return PROJECTIONS.get(self, Projection.ELLIPSOID)
 
 
@@ -313,10 +317,10 @@ PROJECTIONS = {Autopilot.PX4: Projection.SPHERE, Autopilot.ARDUPILOT: Projection
 
 
 class VehicleClass(Enum):
-    """Kind of vehicle, from HEARTBEAT.type; the value is what its operator calls it.
+    """Kind of vehicle, from HEARTBEAT.type; the value is the operator's word.
 
-    Flown are those that hover and take position setpoints as a multicopter does. A VTOL is not: it
-    flies on like a fixed wing after a transition, which the position setpoint does not show.
+    Supported are those that hover and take position setpoints as a multicopter does. A VTOL is not:
+    it flies on like a fixed wing after a transition, which the position setpoint does not show.
     """
 
     MULTICOPTER = "multicopter"
@@ -334,12 +338,12 @@ class VehicleClass(Enum):
 
     @property
     def is_flown(self) -> bool:
-        """True if vehicles of this class are flown."""
+        """True if vehicles of this class are supported."""
         return self in (VehicleClass.MULTICOPTER, VehicleClass.COAXIAL, VehicleClass.HELICOPTER)
 
 
 class FlightMode(Enum):
-    """Flight modes by what they do, whatever the autopilot calls them."""
+    """Flight modes by their function, independent of the autopilot's names."""
 
     OFFBOARD = "offboard"
     """Obeys external setpoints: PX4 OFFBOARD, ArduPilot GUIDED."""
@@ -370,8 +374,8 @@ ARDUPILOT_NAMES: dict[FlightMode, str] = {
     FlightMode.STABILIZED: "STABILIZE",
     FlightMode.ACRO: "ACRO",
 }
-"""What ArduPilot calls those that it has. BRAKE is HOLD: LOITER obeys the throttle stick, which
-may be down."""
+"""ArduPilot's names of its modes. BRAKE is HOLD: LOITER obeys the throttle stick, which may be
+down."""
 
 
 class LandedState(Enum):
@@ -385,7 +389,7 @@ class LandedState(Enum):
 
 
 class BatteryLevel(IntEnum):
-    """What a charge means, the worse the greater."""
+    """Class of a charge, the worse the greater."""
 
     UNKNOWN = 0
     """Not full: unknown."""

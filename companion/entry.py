@@ -1,14 +1,14 @@
-"""What every command begins with: a quiet Ctrl-C, and output that may lose its reader.
+"""Entry of every command: a quiet Ctrl-C, and output that may lose its reader.
 
 Theory of operation. `... | head -1` closes the pipe while the command is still at work, perhaps in
-flight. What it prints from then on is dropped; it does what it was asked to, and its exit code is
-the same as with a reader. That is caught where bytes go to the descriptor, so it holds for print,
-argparse, progress bars and the interpreter's last flush alike. A stream that was closed from the
-start (`>&-`) is the same. A disk that is full is not: what was asked for is not there then, and the
-exit code is 1. On standard error nothing is worth an exit code.
+flight. Its output from then on is dropped; the command completes, and its exit code is the same as
+with a reader. This is handled where bytes go to the descriptor, so it holds for print, argparse,
+progress bars and the interpreter's last flush alike. A stream that was closed from the start
+(`>&-`) is the same. A full disk is not: the requested output is missing then, and the exit code is
+1. Output on standard error never changes the exit code.
 
 Texts of autopilots, radios, files and plugins are printed by many commands. Control characters in
-them are escaped where characters become bytes; only the live screen goes past that, and escapes its
+them are escaped where characters become bytes; only the live screen bypasses that, and escapes its
 texts itself.
 """
 
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 
 class OutputLostError(OSError):
-    """Standard output goes to a file that takes no more."""
+    """Raised when standard output goes to a file that cannot grow."""
 
 
 class _PipeOutput(io.FileIO):
-    """A descriptor that drops what cannot be read any more."""
+    """A descriptor that drops output without a reader."""
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Write what the system takes, and return how many bytes that were."""
+        """Write bytes, and return the number that the system took."""
         try:
             return super().write(data)
         except OSError as error:
@@ -48,7 +48,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class _EscapedOutput(io.TextIOWrapper):
-    """Text whose control characters are shown; `unescaped` writes the same buffer as it is."""
+    """Text output with escaped control characters; `unescaped` writes the same buffer verbatim."""
 
     def __init__(self, buffer: io.BufferedWriter, **settings: Any) -> None:
         super().__init__(buffer, **settings)
@@ -62,7 +62,7 @@ class _EscapedOutput(io.TextIOWrapper):
 
 
 def outlive_readers(*, escapes: bool = False) -> None:
-    """Let standard output and error go on without a reader; other streams in their place stay.
+    """Let standard output and error go on without a reader; replaced streams stay.
 
     With `escapes` control characters are printed escaped.
     """
@@ -74,7 +74,7 @@ def outlive_readers(*, escapes: bool = False) -> None:
 
 
 def _fill_descriptors() -> None:
-    """Put the null device where a standard stream is closed: a file would get its number."""
+    """Open the null device for a closed standard stream: else a file would get its number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -100,7 +100,7 @@ def _without_reader(
 
 
 def is_interrupt(error: BaseException | None) -> bool:
-    """Whether it comes of a Ctrl-C: compiled code turns that into a SystemError of its own."""
+    """Return True if a Ctrl-C caused the error, which compiled code turns into a SystemError."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
@@ -124,6 +124,6 @@ def main() -> int:
         sys.stdout.flush()
     except OutputLostError as error:
         sys.stderr.write(f"companion: standard output: {error.strerror}\n")
-        sys.stdout = sys.stderr  # which loses the rest in silence
+        sys.stdout = sys.stderr  # which drops the rest silently
         return 1
     return code

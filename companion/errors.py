@@ -1,4 +1,4 @@
-"""The errors of the project, by whose mistake they are."""
+"""The errors of the project, by their cause."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class ConfigError(CompanionError):
 
 
 class LinkError(CompanionError):
-    """A link cannot be opened (port taken, no such device); the message says which and why."""
+    """A link cannot be opened (port taken, no such device); the message names it and the cause."""
 
 
 class LocalProtocolError(CompanionError):

@@ -1,6 +1,6 @@
-"""From a configuration to planner, session and endpoint, and `flight.json`, which tells it.
+"""From a configuration to planner, session and endpoint, and `flight.json`.
 
-`flight.json` says how a flight was flown, for its replay and its report.
+`flight.json` describes the setup of a flight, for its replay and its report.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ from companion.planning.search import (
 from companion.planning.views import Antenna
 
 ROWS: dict[AntennaKind, int] = {"auto": 0, "azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}
-"""What crossings are chosen by; 0: as the paper does."""
+"""Number of direction rows for the choice of crossings; 0: as in the paper."""
 
 
 def build_planner(config: CompanionConfig) -> Planner[Any]:
-    """The planner that the configuration names."""
+    """Return the configured planner."""
     planner = config.planner
     if planner.search is None:
         return _build_one(planner.kind, config)
@@ -88,7 +88,7 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
 
 
 def _sight(config: CompanionConfig) -> Sight:
-    """What crossings are chosen by where the antenna, or the target's height, is told."""
+    """Return the sensor geometry for the choice of crossings."""
     limits, noise = config.limits, config.estimation.filter
     lowest_m = limits.guard_limits().altitude_m[0]
     return Sight(
@@ -102,13 +102,13 @@ def _sight(config: CompanionConfig) -> Sight:
 
 
 def _antenna(params: AntennaParams) -> Antenna:
-    """The antenna in the level body's axes: forward, left and up are those of who looks east."""
+    """Return the antenna in axes of the level body: forward, left, up; the nose is east."""
     is_planar = params.kind == "planar"
     ahead, right, down = antenna_axes_enu((0.0, 0.0, 0.5 * math.pi), params.mount_deg)
     return Antenna(
         ahead,
         ahead if is_planar else right,
-        right if is_planar else down,  # a cosine, whose sign says nothing of its information
+        right if is_planar else down,  # the sign of a cosine does not change its information
         ROWS[params.kind],
         is_planar,
         math.radians(0.5 * params.field_of_view_deg),
@@ -126,7 +126,7 @@ def _pattern(kind: PatternKind, config: PlannerConfig) -> SearchParams:
 
 
 def build_session(config: CompanionConfig) -> GuidanceSession:
-    """The guidance of one flight."""
+    """Return the guidance of one flight."""
     return GuidanceSession(
         config.mission,
         EmitterQueue(config.tracking, config.emitters, config.emitter_id),
@@ -138,7 +138,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
 
 
 def radio_links(radios: Sequence[RadioConfig]) -> list[FlightLink]:
-    """The links of radios that have their addresses, in order."""
+    """Return the links of radios that have their addresses, in order."""
     setups = radio_setups(radios)
     return [radio_link(s, radio.url or "") for s, radio in zip(setups, radios, strict=True)]
 
@@ -149,7 +149,7 @@ def flight_links(
     """Return the vehicle's link, those with only ranging, the radios', then ground stations'.
 
     Raises:
-        ConfigError: one is not understood, or two are the same.
+        ConfigError: A link is not understood, or two are the same.
     """
     mavlink = [("--connect", connect, LinkRole.VEHICLE)]
     mavlink += [("--ranging", text, LinkRole.RANGING) for text in ranging]
@@ -174,10 +174,11 @@ def build_endpoint(
     started_unix_s: float = 0.0,
     recorder: InputRecorder | None = None,
 ) -> CompanionEndpoint:
-    """The companion as a MAVLink participant.
+    """Return the companion as a MAVLink participant.
 
-    Without `tunables` its parameters are as configured; without `signing` nothing is proved or
-    signed. `started_unix_s` is the time at the clock's zero, for the timestamps of signatures.
+    Without `tunables` its parameters are as configured; without `signing` frames are neither
+    checked nor signed. `started_unix_s` is the time at the clock's zero, for the timestamps of
+    signatures.
     """
     tunables = tunables or Tunables(config, build_planner)
     return CompanionEndpoint(
@@ -199,17 +200,17 @@ LAST_UNIX_S = 253_402_300_799.0
 
 
 class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """What a replay and a report must know of a flight."""
+    """Setup of a flight, for its replay and its report."""
 
     started_unix_s: Annotated[float, msgspec.Meta(ge=0.0, le=LAST_UNIX_S)]
     links: Annotated[int, msgspec.Meta(ge=1, le=MOST_LINKS)]
     """The vehicle's, those that carry only ranging, radios, and ground stations'; in this order."""
     gcs_links: Annotated[int, msgspec.Meta(ge=0, le=MOST_LINKS)] = 0
-    """How many of them lead to ground stations."""
+    """Number of links to ground stations."""
     config: CompanionConfig
     """As its file had it, with the radios of the command line."""
     parameters: dict[str, float] = {}
-    """What a ground station had changed before the flight, by name."""
+    """Parameters changed by a ground station before the flight, by name."""
     version: str = __version__
     python: str = platform.python_version()
     numpy: str = np.__version__
@@ -217,7 +218,7 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
     """Compiled kernels may differ from plain ones in the last digits."""
 
     def link_specs(self, radios: Sequence[RadioConfig] | None = None) -> tuple[LinkSpec, ...]:
-        """What each link was for; with other `radios` than flew, as many of them."""
+        """Return the role of each link; for other `radios` than in the flight, as many of them."""
         setups = radio_setups(self.config.radios if radios is None else radios)
         ranging = self.links - 1 - len(setups) - self.gcs_links
         return (
@@ -236,7 +237,7 @@ class RecordedFlight:
     facts: FlightFacts
 
     def path(self, name: str) -> Path:
-        """One of its files."""
+        """Return the path of one of its files."""
         return self.directory / name
 
 
@@ -246,12 +247,12 @@ def write_facts(directory: Path, facts: FlightFacts) -> None:
 
 
 def facts_as_json(facts: FlightFacts) -> bytes:
-    """The content of `flight.json`."""
+    """Return the content of `flight.json`."""
     return msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n"
 
 
 def open_flight(path: Path) -> RecordedFlight:
-    """A flight, by its directory or any file in it; a `ConfigError` says what is missing."""
+    """Return a flight, by its directory or any file in it; a `ConfigError` names a missing file."""
     directory = path if path.is_dir() else path.parent
     if not path.exists():
         raise ConfigError(f"{path}: there is no such file or folder")
@@ -270,7 +271,7 @@ def open_flight(path: Path) -> RecordedFlight:
 
 
 def facts_of_json(data: bytes) -> FlightFacts:
-    """What `facts_as_json` wrote; a `ConfigError` for anything else, and for other versions."""
+    """Return the facts in `flight.json`; raise `ConfigError` for others, and for other versions."""
     try:
         raw = msgspec.json.decode(data)
         if isinstance(raw, dict) and isinstance(raw.get("config"), dict):
@@ -281,9 +282,9 @@ def facts_of_json(data: bytes) -> FlightFacts:
 
 
 def with_kept_offsets(config: CompanionConfig) -> CompanionConfig:
-    """The same with the range offsets that are kept of its radios; a setting of theirs goes first.
+    """Return the configuration with the kept range offsets of its radios, where none is configured.
 
-    Kept by `companion radio calibrate --beside`, for the single radio.
+    `companion radio calibrate --beside` keeps them, for the single radio.
     """
     if not config.radios:
         return config

@@ -1,12 +1,12 @@
 """A finding for ground teams: GeoJSON (RFC 7946), KML 2.2 (OGC 07-147r2), CoT and MGRS text.
 
 GeoJSON and KML hold the place, its 95 % ellipse and the second place; Google Earth, ATAK and
-QGroundControl open the KML. Cursor on Target (CoT) is what TAK's maps exchange, MGRS the grid text
+QGroundControl open the KML. Cursor on Target (CoT) is the format of TAK's maps, MGRS the grid text
 that ground teams read out over the radio.
 
-Who is handed a place goes there with another receiver than the vehicle's, whose error is not in
-that one. So ellipses, the grid and the radius that comes first are absolute; the relative radius is
-told beside, for whoever sends the vehicle back.
+A ground team goes to the place with its own receiver, whose error is independent of the vehicle's.
+So ellipses, the grid and the radius that comes first are absolute; the relative radius is added,
+for sending the vehicle back.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Degrees = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Handoff:
-    """Where an emitter is, how wrong that may be, and when it was known."""
+    """Position of an emitter, with its uncertainty and time."""
 
     emitter: str
     """Its id or name, as the operator knows it; any text, the formats escape it."""
@@ -40,41 +40,41 @@ class Handoff:
     altitude_m: float
     """Above mean sea level: the assumed or estimated height of the emitter."""
     r95_m: float
-    """Relative: radius that holds the emitter with 95 % probability, rival places included, for
-    the vehicle that measured it."""
+    """Relative: radius that holds the emitter with 95 % probability, rival places included, for the
+    vehicle that measured it."""
     absolute_r95_m: float
-    """The same for anybody else."""
+    """The same for everybody else."""
     own: OwnAccuracy
-    """Of the vehicle's place, which is in the absolute radius."""
+    """Of the vehicle position, which is in the absolute radius."""
     ellipse_deg: tuple[Degrees, ...]
-    """The 95 % ellipse of the main place, for anybody else."""
+    """The 95 % ellipse of the main place, absolute."""
     alternative_deg: Degrees | None
     """The second place while the state is ambiguous."""
     measurements: int
     unix_s: float
     altitude_sigma_m: float | None = None
-    """Standard deviation of the altitude where it is estimated, own height included."""
+    """Standard deviation of the altitude where it is estimated, vehicle height included."""
 
     @property
     def time_utc(self) -> str:
-        """When it was known, ISO 8601."""
+        """Time of the estimate, ISO 8601."""
         return utc_text(self.unix_s)
 
     @property
     def radii(self) -> str:
-        """Both radii in words, and the GNSS accuracy that is in the absolute one."""
+        """Both radii in words, and the GNSS accuracy in the absolute one."""
         return radii_text(self.absolute_r95_m, self.r95_m, self.own)
 
 
 def utc_text(unix_s: float) -> str:
-    """Seconds since 1970 as ISO 8601 in UTC, whole seconds."""
+    """Return seconds since 1970 as ISO 8601 in UTC, whole seconds."""
     return datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def handoff_of(
     emitter: str, estimate: TargetEstimate, origin: LocalOrigin, unix_s: float
 ) -> Handoff:
-    """The hand-off of an estimate."""
+    """Return the hand-off of an estimate."""
     height_m = estimate.height_m
 
     def degrees(point: Point) -> Degrees:
@@ -99,12 +99,12 @@ def handoff_of(
 
 
 def degrees_text(place: Degrees) -> str:
-    """A WGS84 place in decimal degrees, latitude first, to about a decimetre."""
+    """Return a WGS84 place in decimal degrees, latitude first, to about a decimetre."""
     return f"{place[0]:.6f}, {place[1]:.6f}"
 
 
 def minutes_text(place: Degrees) -> str:
-    """A WGS84 place in degrees and decimal minutes, to about 2 m: `47° 23.881' N, 8° 32.767' E`."""
+    """Return a WGS84 place in degrees and minutes, to about 2 m: `47° 23.881' N, 8° 32.767' E`."""
     return f"{_minutes(place[0], 'NS')}, {_minutes(place[1], 'EW')}"
 
 
@@ -119,15 +119,15 @@ MIN_DIGITS, MAX_DIGITS = 1, 5
 
 
 def geo_uri(place: Degrees) -> str:
-    """A WGS84 place as phones open it on their maps (RFC 5870), to about a decimetre."""
+    """Return a WGS84 place as phones open it on their maps (RFC 5870), to about a decimetre."""
     return f"geo:{place[0]:.6f},{place[1]:.6f}"
 
 
 def mgrs_text(place: Degrees, r95_m: float) -> str:
-    """A WGS84 place as MGRS with spaces, no finer than it is known: `32T PT 6894 3510`.
+    """Return a WGS84 place as MGRS with spaces, no finer than its radius: `32T PT 6894 3510`.
 
-    The square that is named holds the place, and is at most as large as R95 (1 m at least). The
-    poles are in UPS squares.
+    The named square holds the place, and is at most as large as R95 (1 m at least). The poles are
+    in UPS squares.
     """
     digits = MAX_DIGITS - math.floor(math.log10(min(max(r95_m, 1.0), 1e4)))
     digits = min(max(digits, MIN_DIGITS), MAX_DIGITS)
@@ -137,11 +137,11 @@ def mgrs_text(place: Degrees, r95_m: float) -> str:
 
 
 DECIMALS = 7
-"""About a centimetre; RFC 7946 section 11.2 asks not to write more than is known."""
+"""About a centimetre; RFC 7946 section 11.2 recommends no more digits than are known."""
 
 
 def geojson(handoffs: Iterable[Handoff]) -> str:
-    """A feature collection with up to three features per emitter."""
+    """Return a feature collection with up to three features per emitter."""
     features = [feature for handoff in handoffs for feature in _features(handoff)]
     return json.dumps({"type": "FeatureCollection", "features": features}, indent=2) + "\n"
 
@@ -179,7 +179,7 @@ def _features(handoff: Handoff) -> list[dict[str, object]]:
 
 
 def _position(point: Degrees) -> list[float]:
-    """Longitude first, as GeoJSON wants it."""
+    """Return longitude and latitude, the order of GeoJSON."""
     return [round(point[1], DECIMALS), round(point[0], DECIMALS)]
 
 
@@ -190,7 +190,7 @@ ELLIPSE_FILL = "4000a5ff"
 
 
 def kml(handoffs: Iterable[Handoff]) -> str:
-    """A document with a placemark per place and one per ellipse."""
+    """Return a document with a placemark per place and one per ellipse."""
     root = ET.Element("kml", xmlns=NAMESPACE)
     document = ET.SubElement(root, "Document")
     _add_text(document, "name", "Emitters")
@@ -232,17 +232,17 @@ def _add_text(parent: ET.Element, tag: str, text: str) -> None:
 
 
 def _coordinates(place: Degrees) -> str:
-    """Longitude, latitude; without an altitude a viewer lays it on the ground."""
+    """Return longitude, latitude; without an altitude a viewer lays it on the ground."""
     return f"{place[1]:.7f},{place[0]:.7f}"
 
 
 def printable(text: str) -> str:
-    """`text` without what XML 1.0 cannot hold (control characters, lone surrogates)."""
+    """Return `text` without characters that XML 1.0 cannot hold: control characters, surrogates."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
 COT_TYPE = "a-u-G"
-"""Atom, unknown affiliation, ground: nothing is claimed of who carries the radio."""
+"""Atom, unknown affiliation, ground: nothing is claimed about the owner of the radio."""
 COT_HOW = "m-r"
 STALE_AFTER_S = 600.0
 COT_UNKNOWN = "9999999.0"
@@ -250,10 +250,10 @@ COT_UNKNOWN = "9999999.0"
 
 
 def cot_event(handoff: Handoff, sender: str) -> bytes:
-    """One event; an emitter keeps its `uid`, so the next one of a sender moves the same marker.
+    """Return one event; an emitter keeps its `uid`, so that a sender's next event moves the marker.
 
-    Source: MITRE, "Cursor on Target Message Router User's Guide", event schema 2.0; `ce` is the
-    95 % circular error as TAK reads it, and absolute: the teams come with their own receivers.
+    Source: MITRE, "Cursor on Target Message Router User's Guide", event schema 2.0; `ce` is the 95
+    % circular error as TAK reads it, and absolute: the teams have their own receivers.
     """
     emitter = printable(handoff.emitter)
     event = ET.Element(
@@ -271,7 +271,7 @@ def cot_event(handoff: Handoff, sender: str) -> bytes:
         "point",
         lat=f"{handoff.place_deg[0]:.7f}",
         lon=f"{handoff.place_deg[1]:.7f}",
-        hae=COT_UNKNOWN,  # we know the height above sea level, not above the ellipsoid
+        hae=COT_UNKNOWN,  # the altitude is above sea level, not above the ellipsoid
         ce=f"{handoff.absolute_r95_m:.1f}",
         le=COT_UNKNOWN,
     )
@@ -293,7 +293,7 @@ class HandoffFiles:
         self._handoffs: dict[str, Handoff] = {}
 
     def files(self, report: ReportResult, unix_s: float) -> dict[str, str]:
-        """The files' contents after a report, by name; none without an origin."""
+        """Return the files' contents after a report, by name; none without an origin."""
         if report.origin is None:
             return {}
         emitter = "unknown" if report.emitter_id is None else str(report.emitter_id)
@@ -307,7 +307,7 @@ class HandoffFiles:
 
 
 def _line(handoff: Handoff) -> str:
-    """One emitter in one line, to be read out over the radio."""
+    """Return one emitter in one line, to be read out over the radio."""
     grid = mgrs_text(handoff.place_deg, handoff.absolute_r95_m)
     return (
         f"emitter {handoff.emitter}: {grid}  ({degrees_text(handoff.place_deg)}), "

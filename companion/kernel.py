@@ -1,14 +1,14 @@
 """The `kernel` decorator, compiled where numba is installed, and the arrays that kernels take.
 
-The inner arithmetic of the filters is written once, over floats and small float64 arrays. With
-the `fast` extra it is compiled by `numba.njit(cache=True)`; on a vehicle without numba the very
-same functions run as they are.
+The inner arithmetic of the filters is written once, over floats and small float64 arrays. With the
+`fast` extra it is compiled by `numba.njit(cache=True)`; on a vehicle without numba the very same
+functions run as they are.
 
 Compiled kernels are kept in the user's cache, in a folder named after the state of the sources:
 numba notices when a kernel's own file has changed, but not when a kernel that it calls has.
 
 Where the package `companion_kernels` is installed (tools/release/build_kernels.py makes it, the
-Debian package brings it) and was compiled of these very sources, its machine code is called and
+Debian package contains it) and was compiled from these very sources, its machine code is called and
 numba is not loaded.
 """
 
@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 F = TypeVar("F", bound=Callable[..., Any])
 
 NATIVE_SOURCES = ("domain.py", "geometry", "estimation", "planning")
-"""What compiled code is made of, in this package."""
+"""Sources of compiled code, in this package."""
 
 
 def sources_digest() -> str:
-    """A short name for the text of what kernels are compiled of."""
+    """Return a short name for the text of the kernels' sources."""
     digest = hashlib.sha256()
     here = Path(__file__).resolve().parent
     for name in NATIVE_SOURCES:
@@ -45,11 +45,11 @@ def sources_digest() -> str:
 
 
 IS_SWITCHED_OFF = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
-"""Whether kernels are to run as plain Python; then nothing that compiles is loaded either."""
+"""True if kernels shall run as plain Python; then no compiler is loaded either."""
 
 
 def _load_native() -> Any:
-    """The package of kernels compiled ahead; None: none, or of other sources."""
+    """Return the package of precompiled kernels; None: none, or of other sources."""
     with contextlib.suppress(ImportError):
         package = importlib.import_module("companion_kernels")
         if sources_digest() == getattr(package, "DIGEST", None):
@@ -58,7 +58,7 @@ def _load_native() -> Any:
 
 
 _native: Any = None if IS_SWITCHED_OFF else _load_native()
-numba: Any = None  # typed by nobody to the same effect in every version
+numba: Any = None  # its types differ between versions
 if _native is None and not IS_SWITCHED_OFF:
     os.environ.setdefault("NUMBA_OPT", "1")  # as fast as with its 3, compiled in half the time
     with contextlib.suppress(ImportError):
@@ -67,11 +67,11 @@ if _native is None and not IS_SWITCHED_OFF:
 PACKAGES = ("companion", "sim_link")
 """Those that define kernels."""
 KEPT_S = 30.0 * 86400.0
-"""How long compiled kernels that nothing uses any more are kept."""
+"""Time for which unused compiled kernels are kept."""
 
 
 def _sources_digest() -> str:
-    """A short name for the sources as they are now, by size and time of change."""
+    """Return a short name for the present sources, by size and time of change."""
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parent.parent
     for package in PACKAGES:
@@ -103,17 +103,17 @@ if numba is not None:
     _keep_compiled_apart()
 
 IS_NATIVE: bool = _native is not None
-"""Whether kernels were compiled before they were installed."""
+"""True if kernels were compiled before they were installed."""
 IS_COMPILED: bool = IS_NATIVE or (numba is not None and not numba.config.DISABLE_JIT)
-"""Whether kernels are compiled; with numba the first call of each takes up to seconds."""
+"""True if kernels are compiled; with numba the first call of each takes up to seconds."""
 IS_COMPILED_ON_CALL: bool = IS_COMPILED and not IS_NATIVE
-"""Whether the first call of a kernel compiles it, or loads it from the cache."""
+"""True if the first call of a kernel compiles it, or loads it from the cache."""
 KERNELS: list[Any] = []
 """Those that numba compiles."""
 
 
 def kernel(function: F) -> F:
-    """The compiled `function` where there is one; only numba's has the plain one as `py_func`."""
+    """Return the compiled `function` if there is one; numba's has the plain one as `py_func`."""
     if _native is not None:
         code, variants = _native
         table = variants.get(f"{function.__module__}.{function.__name__}", {})
@@ -129,7 +129,7 @@ def kernel(function: F) -> F:
 def _dispatcher(
     function: Callable[..., Any], compiled: dict[tuple[object, ...], Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """Calls what was compiled for such arguments, or `function` itself for any other."""
+    """Return a function that calls the code compiled for its arguments, else `function` itself."""
 
     @functools.wraps(function)
     def dispatched(*arguments: Any) -> Any:
@@ -148,7 +148,7 @@ _KINDS: dict[type, str] = {
 
 
 def kind_of(argument: Any) -> object:
-    """What compiled code must know of an argument."""
+    """Return the properties of an argument that compiled code depends on."""
     kind = type(argument)
     if kind is np.ndarray:
         return argument.dtype.char, argument.ndim, argument.flags.num & _FLAGS
@@ -160,17 +160,17 @@ def kind_of(argument: Any) -> object:
 
 
 def count_loaded() -> int:
-    """Return how many kernels were compiled, or loaded from the cache, in this process."""
+    """Return the number of kernels compiled, or loaded from the cache, in this process."""
     return sum(bool(getattr(each, "signatures", ())) for each in KERNELS)
 
 
 def count_compiled() -> int:
-    """Return how many kernels the cache did not have, so that this process compiles them."""
+    """Return the number of kernels that the cache lacked, so that this process compiles them."""
     return sum(bool(each.stats.cache_misses) for each in KERNELS if hasattr(each, "stats"))
 
 
 def has_compiled_cache() -> bool:
-    """Whether kernels of these sources were compiled before, so that loading takes a second."""
+    """Return True if kernels of these sources are in the cache, so that loading takes a second."""
     if IS_NATIVE:
         return True
     folder = os.environ.get("NUMBA_CACHE_DIR") or (numba.config.CACHE_DIR if numba else "")
@@ -182,6 +182,6 @@ Matrix = NDArray[np.float64]
 
 
 def frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same array, made read-only before it is stored in a value."""
+    """Return the same array, made read-only before it is stored in a value."""
     array.setflags(write=False)
     return array

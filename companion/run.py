@@ -1,8 +1,8 @@
 """The composition root of a flight: endpoint, shell, logs, and the periodic tasks beside them.
 
-Periodic tasks are done after every control tick, and must never end a flight. Flying comes
-first: a task that raises is a bug of ours, is told once and not done again. It is not retried,
-because what failed at 20 Hz fails again, and its log would fill the disk.
+Periodic tasks run after every control tick, and must never end a flight. Flying comes first: a task
+that raises is a bug of ours, is announced once and not run again. It is not retried, because an
+error at 20 Hz would recur, and its log would fill the disk.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ PeriodicTask = Callable[[float], None]
 
 
 class PeriodicTasks:
-    """Does them in order, by the names that the operator reads if one fails."""
+    """Runs tasks in order, by the names that the operator reads if one fails."""
 
     def __init__(self, endpoint: CompanionEndpoint, tasks: Mapping[str, PeriodicTask]) -> None:
         self._endpoint = endpoint
         self._tasks = dict(tasks)
 
     def run(self, now_s: float) -> None:
-        """Do what is left of them."""
+        """Run the tasks that have not failed."""
         for name, task in list(self._tasks.items()):
             try:
                 task(now_s)
@@ -73,13 +73,13 @@ class PeriodicTasks:
 
 
 CLOSE_S = 0.25
-"""What the disk may take for the last checkpoint, and again for the last of the log."""
+"""Time for the disk to take the last checkpoint, and again for the last part of the log."""
 SILENCE_HINT_S = 10.0
-"""After this long without an autopilot the operator is told where we listen."""
+"""Time without an autopilot after which the operator is shown the address we listen on."""
 
 
 def open_signing(config: CompanionConfig) -> SigningKeeper | None:
-    """Signing with the configured key, and its memory; None without a key."""
+    """Return the keeper of the configured signing key; None without a key."""
     if config.link.signing_key_file is None:
         return None
     path = Path(config.link.signing_key_file)
@@ -92,10 +92,10 @@ def open_journal(
     parameters: Mapping[str, float],
     started_unix_s: float,
 ) -> FlightJournal:
-    """The black box of a new flight, and what a ground station changed before it.
+    """Return the journal of a new flight, with earlier changes of a ground station.
 
-    All its times are `started_unix_s` plus the flight's own: it is what the wall clock showed when
-    that was zero, whatever has passed since.
+    All its times are `started_unix_s` plus the flight's own: it is the wall clock at the flight's
+    zero, however the clock is set later.
     """
     root = Path(config.log.directory)
     directory = new_flight_directory(root, started_unix_s)
@@ -119,7 +119,7 @@ def open_journal(
 
 
 def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -> BlackBox:
-    """A journal; after a restart in flight the vehicle matters more than its log."""
+    """Return a journal; after a restart in flight the vehicle matters more than its log."""
     try:
         return open_it()
     except CompanionError as error:
@@ -130,7 +130,7 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
 
 
 def prepare(config: CompanionConfig) -> None:
-    """Compile what a flight needs, before its clock starts; nothing to do without numba."""
+    """Compile the kernels of a flight, before its clock starts; nothing to do without numba."""
     if not IS_COMPILED_ON_CALL:
         return
     with _told_progress():
@@ -163,34 +163,34 @@ def _told_progress() -> Iterator[None]:
 
 
 def link_name(link: Transport) -> str:
-    """What a link is called in messages, locks and checkpoints."""
+    """Return the name of a link in messages, locks and checkpoints."""
     return make_link(link, 0, lambda _: None).name
 
 
 def is_handed_over(endpoint: CompanionEndpoint) -> bool:
-    """Whether the target is reported and the vehicle no longer obeys us."""
+    """Return True if the target is reported and the vehicle no longer obeys us."""
     session = endpoint.session
     return session.phase is Phase.FINISHED and not session.vehicle.is_ours
 
 
 class FlightView:
-    """Shows a flight to somebody, and never makes it wait; every method may do nothing."""
+    """Shows a flight, and never makes it wait; every method may do nothing."""
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Take in an event."""
+        """Handle an event."""
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Take in a text for the operator."""
+        """Handle a text for the operator."""
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Called after every control tick of the flight."""
 
     def close(self) -> None:
-        """The flight is over."""
+        """Called at the end of the flight."""
 
 
 class ViewedJournal:
-    """Passes everything on to the flight log, and events and texts to views."""
+    """Passes frames and results to the flight log, and events and texts to views as well."""
 
     def __init__(self, journal: Journal, views: Sequence[FlightView]) -> None:
         self.frame, self.result = journal.frame, journal.result
@@ -209,12 +209,12 @@ class ViewedJournal:
 
 @dataclass(frozen=True, slots=True)
 class FlightOptions:
-    """How a flight begins, ends and is shown."""
+    """Options of the begin, the end and the views of a flight."""
 
     once: bool = False
     """End by itself once the target is reported and the vehicle handed over."""
     is_fresh: bool = False
-    """Take up nothing of an earlier run."""
+    """Restore nothing of an earlier run."""
     views: Sequence[FlightView] = ()
     """Watch the flight; closed at its end."""
     at_end: Callable[[Path], None] | None = None
@@ -224,7 +224,7 @@ class FlightOptions:
 def fly(
     config: CompanionConfig, links: Sequence[FlightLink], clock: Clock, options: FlightOptions
 ) -> CompanionEndpoint:
-    """Fly until asked to stop; the endpoint as it was at the end.
+    """Fly until asked to stop; return the endpoint as it was at the end.
 
     Raises:
         LinkError: A link cannot be opened, or another companion has the vehicle; nothing was sent.
@@ -238,7 +238,7 @@ def fly(
     lock = VehicleLock(state, name, config.vehicle.system_id, place_of(vehicle))
     try:
         prepare(config)
-        clock.restart()  # what was compiled is no part of the flight
+        clock.restart()  # compiling is no part of the flight
         flight = _Flight(config, links, clock, keeper, options, state / lock_name(name))
         flight.run()
         if options.at_end is not None and flight.directory is not None:
@@ -255,7 +255,7 @@ def fly(
 class _Flight:
     """One run of the shell, and the periodic tasks after each of its control ticks.
 
-    `state` is the beginning of the paths of what is kept from run to run.
+    `state` is the common prefix of the files kept from run to run.
     """
 
     def __init__(
@@ -331,12 +331,12 @@ class _Flight:
 
     @property
     def directory(self) -> Path | None:
-        """Where the flight's files are; None without a log."""
+        """Folder of the flight's files; None without a log."""
         return self._journal.directory if isinstance(self._journal, FlightJournal) else None
 
     def run(self) -> None:
         """Run to the end, whatever it is, and leave everything closed."""
-        gc.freeze()  # what was loaded so far stays: later collections need not look at it
+        gc.freeze()  # objects so far stay: later collections need not scan them
         try:
             self._shell.run_blocking()
         except LinkError:
@@ -366,7 +366,7 @@ class _Flight:
             self._shell.request_stop()
 
     def _hint(self) -> None:
-        """Say where we wait, once the links are open, and that nothing was heard there."""
+        """Log the address we listen on, once the links are open; warn if nothing is heard."""
         name = self._vehicle_link.name
         if self._hints == 0:
             self._hints = 1

@@ -26,14 +26,13 @@ RADIUS_M = 20.0
 HEIGHT_M = 15.0
 SMALL_WINDOW = 32
 """Measurements; the least that a configuration may have, so it is full and thinned out soonest.
-
-Twice as many are taken in."""
+Twice as many are fused."""
 
 
 def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
     """Fly in circles about an invented emitter until every kernel has been called.
 
-    Which kernels run depends on what is measured, and on whether the window is full.
+    The kernels in use depend on the measured quantities, and on a full window.
     """
     if not IS_COMPILED_ON_CALL:
         return
@@ -86,7 +85,7 @@ def _seen(
 def _by_array(
     seen: RangingMeasurement, place: tuple[float, float, float], antenna: int
 ) -> RangingMeasurement:
-    """The same with its direction by a level antenna array, if it is one that measures."""
+    """Return the measurement with its direction by a level antenna array, if the antenna is one."""
     ahead, right, down = LEVEL
     bearing_rad = seen.bearing_enu_rad
     if antenna == COSINES:

@@ -2,12 +2,12 @@
 
 Source: QGroundControl developer guide, "Plan File Format": `geoFence` version 2 with `polygons` and
 `circles`, each of version 1, places as [latitude, longitude] in degrees, radii in metres. The
-mission, the rally points and the breach return point of the plan are not looked at.
+mission, the rally points and the breach return point of the plan are ignored.
 
 Source: OGC KML 2.3, Polygon: `outerBoundaryIs` and `innerBoundaryIs` hold rings of
 "longitude,latitude[,altitude]" tuples in degrees, closed by their first place. The one polygon that
 is not a keep-out is the fence, and holes in it are keep-outs; so are polygons in a Placemark or
-Folder whose name begins with one of `KEEP_OUT_NAMES`. Altitudes are not looked at.
+Folder whose name begins with one of `KEEP_OUT_NAMES`. Altitudes are ignored.
 
 An XML document with a DOCTYPE could bring entities that grow without bound, and is refused.
 """
@@ -31,7 +31,7 @@ AREA_VERSION = 1
 
 
 def areas_of_plan(text: str) -> list[NamedArea]:
-    """The areas in a plan, in order; a `ValueError` begins with the path of what is wrong."""
+    """Return the areas in a plan, in order; a `ValueError` begins with the path of the fault."""
     try:
         plan = json.loads(text, object_pairs_hook=_without_repeats)
     except json.JSONDecodeError as error:
@@ -48,7 +48,7 @@ def areas_of_plan(text: str) -> list[NamedArea]:
 
 
 def _without_repeats(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """An object whose keys are given once: of two fences nobody knows which one counts."""
+    """Return an object, and refuse a repeated key: of two fences only one could apply."""
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:
@@ -123,7 +123,7 @@ _NAMESPACE = re.compile(r"^\{[^}]*\}")
 
 
 def areas_of_kml(text: str) -> list[NamedArea]:
-    """The areas in a KML file, in order; a `ValueError` begins with the path of what is wrong."""
+    """Return the areas in a KML file, in order; `ValueError` begins with the path of the fault."""
     if "<!DOCTYPE" in text.upper():
         raise ValueError("a DOCTYPE has no place in KML; save the file again")
     try:
@@ -131,7 +131,7 @@ def areas_of_kml(text: str) -> list[NamedArea]:
     except ElementTree.ParseError as error:
         line, column = error.position
         raise ValueError(f"line {line}, column {column + 1}: not XML ({error.msg})") from None
-    except (ValueError, RecursionError):  # a declared encoding that is none
+    except (ValueError, RecursionError):  # a declared encoding that does not exist
         raise ValueError("not XML in UTF-8") from None
     if _tag(root) != "kml":
         raise ValueError(f"<{_tag(root)}>: is not KML")
@@ -153,7 +153,7 @@ def _children(element: Element, *tags: str) -> list[Element]:
 
 
 def _polygons(element: Element, is_keep_out: bool) -> Iterator[tuple[Element, bool]]:
-    """Every polygon below, and whether a name on the way to it makes it a keep-out."""
+    """Yield every polygon below, with True if a name above it makes it a keep-out."""
     pending = [(element, is_keep_out)]
     while pending:
         parent, is_out = pending.pop(0)
@@ -171,7 +171,7 @@ def _areas(polygon: Element, path: str, is_keep_out: bool) -> Iterator[NamedArea
         raise ValueError(f"{path}: has {len(outer)} outer rings")
     yield NamedArea(path, not is_keep_out, _ring(outer[0], path))
     if is_keep_out:
-        return  # a hole in a keep-out is no place to fly to
+        return  # a hole in a keep-out is not part of the fence
     inner = _children(polygon, "innerBoundaryIs", "LinearRing", "coordinates")
     for number, ring in enumerate(inner, start=1):
         hole = f"{path}, hole {number}"
@@ -204,7 +204,7 @@ READERS = {".plan": areas_of_plan, ".kml": areas_of_kml}
 
 
 def read_fence(path: Path) -> GeoFence:
-    """The fence in a `.plan` or `.kml` file; a `ConfigError` names the file and the element."""
+    """Return the fence in a `.plan` or `.kml` file; `ConfigError` names file and element."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         kinds = " or ".join(READERS)

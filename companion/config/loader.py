@@ -1,10 +1,10 @@
 """YAML text to frozen parameter records, with errors that name the file and the place.
 
-msgspec checks types, bounds and unknown keys against the record. What it does not see is checked
-here: keys given twice (YAML keeps the last one silently), numbers that are not finite, texts that
-cannot be shown, and two things of YAML 1.1: `1e-3` without a point is text, and `2:00` is 120.
+msgspec checks types, bounds and unknown keys against the record. This module checks the rest:
+repeated keys (YAML keeps the last one silently), numbers that are not finite, texts that cannot be
+shown, and two traps of YAML 1.1: `1e-3` without a point is text, and `2:00` is 120.
 
-msgspec stops at the first problem. Here what is wrong is taken out and the rest is looked at again,
+msgspec stops at the first problem. Here the faulty value is removed and the rest is checked again,
 so that one run names every problem of a file, a line for each.
 """
 
@@ -27,12 +27,12 @@ Renew = Callable[[dict[str, Any]], None]
 SMALLEST = 1e-12
 """The square of a number much smaller than this is zero, and its inverse infinite."""
 MAX_PROBLEMS = 20
-"""More lines than this help nobody."""
+"""Largest number of lines in an error."""
 SHOWN = 20
 """Characters of a value that an error repeats."""
 MAX_BYTES = 100_000
-"""Nine times the longest file here; one beyond it is something else, or meant to keep us busy: a
-megabyte takes six seconds to read."""
+"""Nine times the longest file here; a larger one is another kind of file, or an attack: a megabyte
+takes six seconds to read."""
 MAX_MERGED = 10_000
 """Keys that merges (`<<`) of a file may copy."""
 UNSHOWN = "has characters that cannot be shown"
@@ -49,13 +49,13 @@ _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, without what surprises people; see above."""
+    """The safe loader, without the traps named above."""
 
     merged = 0
-    """Keys that were copied by merges so far."""
+    """Number of keys that merges have copied so far."""
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Copy what a mapping merges, as the safe loader does, but not without end."""
+        """Copy the keys that a mapping merges, as the safe loader does, up to a limit."""
         own = len(node.value)
         super().flatten_mapping(node)
         self.merged += max(0, len(node.value) - own)
@@ -67,7 +67,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False
     ) -> dict[Hashable, object]:
-        """The mapping of a node, as the safe loader makes it; no key may be given twice."""
+        """Return the mapping of a node, as the safe loader does, and refuse a repeated key."""
         seen: set[tuple[str, str]] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -81,7 +81,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        """The number of a node, as the safe loader makes it; not in base sixty, nor too long."""
+        """Return the number of a node, as the safe loader does; refuse base sixty and overflow."""
         problem = "is too large"
         try:
             if ":" not in node.value:
@@ -108,12 +108,12 @@ _Loader.add_implicit_resolver(
 
 
 def load_yaml(path: Path, kind: type[T], renew: Renew | None = None) -> T:
-    """`parse_yaml` of a UTF-8 file, which is a `ConfigError`, too, if it cannot be read."""
+    """Return `parse_yaml` of a UTF-8 file; raise `ConfigError` also if it cannot be read."""
     return parse_yaml(read_text(path), kind, str(path), renew)
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
-    """The text of a UTF-8 file, without a byte order mark; a `ConfigError` if it is none."""
+    """Return the text of a UTF-8 file, without a byte order mark; raise `ConfigError` on others."""
     try:
         with path.open("rb") as file:
             content = file.read(max_bytes + 1)
@@ -132,10 +132,10 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
 
 
 def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) -> T:
-    """The record of type `kind` in YAML text called `name`; empty text is all defaults.
+    """Return the record of type `kind` in YAML text called `name`; empty text is all defaults.
 
     `renew` gives keys of an earlier version their present names, in place. A `ConfigError` has a
-    line for every problem and says where.
+    line for every problem, with its place.
     """
     raw = _parse(text, name)
     if raw is None:
@@ -160,7 +160,7 @@ def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) 
 
 
 def parse_value(text: str, place: str) -> object:
-    """What YAML reads in one value; a `ConfigError` begins with its place."""
+    """Return the value of YAML text; a `ConfigError` begins with its place."""
     value = _parse(text, place)
     problems = _strange_values(value, "$", set())
     if problems:
@@ -169,7 +169,7 @@ def parse_value(text: str, place: str) -> object:
 
 
 def record_within(raw: object, kind: type[T], place: str) -> T:
-    """The record of type `kind` in plain values; a `ValueError` begins with the path in `place`."""
+    """Return the record of type `kind` in plain values; a `ValueError` begins with its path."""
     record = _convert(raw, kind)
     if isinstance(record, _Problem):
         raise ValueError(f"{place}{record.path.removeprefix('$')}: {record.text}")
@@ -198,7 +198,7 @@ def _convert(raw: object, kind: type[T]) -> T | _Problem:
 
 
 def _take_out(raw: object, path: str) -> bool:
-    """Delete what is at a path, or the list that it is in; whether that worked."""
+    """Delete the value at a path, or the list around it; return True if that worked."""
     owner: object = None
     last = ""
     node = raw
@@ -234,7 +234,7 @@ def _parse(text: str, name: str) -> object:
 
 
 def _located(text: str) -> _Problem:
-    """Where and what, from msgspec's `What is wrong - at `$.path``."""
+    """Return path and problem of msgspec's message `problem - at `$.path``."""
     path = "$"
     match = _MSGSPEC_PATH.match(text)
     if match:
@@ -245,14 +245,14 @@ def _located(text: str) -> _Problem:
         return _Problem(f"{path}.{_one_line(unknown['key'])}", problem)
     if missing:
         return _Problem(f"{path}.{missing['key']}", "required key is missing")
-    named = _NAMED_KEY.match(text)  # a record's own complaint about one of its keys
+    named = _NAMED_KEY.match(text)  # a record's own error about one of its keys
     if named:
         return _Problem(f"{path}.{named['key']}", _one_line(named["problem"]))
     return _Problem(path, _one_line(text))
 
 
 def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
-    """NaN, infinity, underflow, control characters, keys that are no text; aliases only once."""
+    """Return NaN, infinity, underflow, control characters, keys that are no text."""
     if isinstance(value, str) and _UNSHOWN.search(value):
         return [_Problem(path, UNSHOWN)]
     if isinstance(value, float) and not math.isfinite(value):

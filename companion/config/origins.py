@@ -1,4 +1,4 @@
-"""Each value of a configuration with where it is from, and the schema that editors read."""
+"""Each value of a configuration with its origin, and the schema for editors."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from companion.link.radio_stage import RadioSettings
 
 DEFAULT = "default"
 WIDTH = 44
-"""Column at which origins stand."""
+"""Column of the origins."""
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A value, its path with dots, and where it is from."""
+    """A value, its path with dots, and its origin."""
 
     path: str
     value: object
@@ -36,10 +36,10 @@ class Shown:
 
 
 def shown_values(file: Path | None, steps: Sequence[tuple[str, CompanionConfig]]) -> list[Shown]:
-    """Every value of the last configuration, in the order of the schema.
+    """Return every value of the last configuration, in the order of the schema.
 
-    `steps` are the configuration as the file (or nothing) has it, and what each flag made of it,
-    by what is to be shown as the origin.
+    `steps` are pairs of an origin and the configuration after it: first the file (or nothing), then
+    each flag.
     """
     written = {} if file is None else _written(file)
     origins: dict[str, str] = {}
@@ -55,7 +55,7 @@ def shown_values(file: Path | None, steps: Sequence[tuple[str, CompanionConfig]]
 
 
 def as_yaml(values: Sequence[Shown]) -> list[str]:
-    """The same as the lines of a configuration file, with origins as remarks."""
+    """Return the values as lines of a configuration file, with origins as remarks."""
     lines: list[str] = []
     open_sections: list[str] = []
     for shown in values:
@@ -70,7 +70,7 @@ def as_yaml(values: Sequence[Shown]) -> list[str]:
 
 
 def as_json(values: Sequence[Shown]) -> list[dict[str, object]]:
-    """The same for programs."""
+    """Return the values for programs."""
     return [
         {"path": each.path, "value": msgspec.to_builtins(each.value), "origin": each.origin}
         for each in values
@@ -78,7 +78,7 @@ def as_json(values: Sequence[Shown]) -> list[dict[str, object]]:
 
 
 def json_schema() -> str:
-    """The JSON Schema of a configuration file, with what each key means."""
+    """Return the JSON Schema of a configuration file, with the meaning of each key."""
     kinds = (CompanionConfig, RadioSettings)
     (whole, settings), records = msgspec.json.schema_components(
         kinds, ref_template="#/$defs/{name}"
@@ -112,7 +112,7 @@ def _is_in(raw: object, path: str) -> bool:
 
 
 def _leaves(record: object, path: str) -> Iterator[tuple[str, object]]:
-    """The values of a record that are no records themselves, by their paths."""
+    """Yield the values of a record that are not records themselves, with their paths."""
     for name in getattr(record, "__struct_fields__", ()):
         value, place = getattr(record, name), f"{path}{name}"
         if isinstance(value, msgspec.Struct):
@@ -128,7 +128,7 @@ def _flow(value: object) -> str:
 
 
 def _remarks(kind: type[msgspec.Struct]) -> Iterator[tuple[tuple[str, str], str]]:
-    """The docstrings of the fields of a record and of all that are in it, by record and field."""
+    """Yield the docstrings of the fields of a record and of records in it, by their names."""
     seen: set[type] = set()
     waiting: list[Any] = [msgspec.inspect.type_info(kind)]
     while waiting:
@@ -147,7 +147,7 @@ def _remarks(kind: type[msgspec.Struct]) -> Iterator[tuple[tuple[str, str], str]
 
 
 def _field_remarks(cls: type) -> Iterator[tuple[str, str]]:
-    """The texts under the fields of a class, from its source; inherited ones are its parent's."""
+    """Yield the docstrings of the fields of a class, from its source, without inherited ones."""
     try:
         (body,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
     except (OSError, TypeError):  # a package without its sources

@@ -1,4 +1,4 @@
-"""Where configurations that come with the program are: presets, radios, the service unit."""
+"""Locations of the configurations that come with the program: presets, radios, the service unit."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ PRESETS = ("companion", "radios")
 
 
 def shipped_file(name: str) -> Path:
-    """A file below `configs` of the program itself; a `ConfigError` if this installation lacks it.
+    """Return a file below `configs` of the program itself; raise `ConfigError` if it is missing.
 
-    Never of the working directory: root installs what is found here.
+    The working directory is not searched: root installs the file found here.
     """
     for folder in CONFIG_FOLDERS[1:]:
         if (folder / name).is_file():
@@ -24,7 +24,7 @@ def shipped_file(name: str) -> Path:
 
 
 def preset_named(name: str) -> Path:
-    """The file of a preset: a path, or its name below `configs/companion` or `configs/radios`."""
+    """Return the file of a preset: a path, or its name below the folders of `PRESETS`."""
     path = Path(name)
     if path.is_file():
         return path
@@ -37,7 +37,7 @@ def preset_named(name: str) -> Path:
 
 
 def preset_names() -> list[str]:
-    """The names that `preset_named` knows."""
+    """Return the names that `preset_named` knows."""
     names = {
         str(file.relative_to(folder / kind).with_suffix(""))
         for folder in CONFIG_FOLDERS

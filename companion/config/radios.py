@@ -1,4 +1,4 @@
-"""Radios as a configuration and as `--radio NAME[:OPTIONS]@URL` name them."""
+"""Radios in a configuration and in `--radio NAME[:OPTIONS]@URL`."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ Name = Annotated[str, msgspec.Meta(pattern="^[a-z][a-z0-9_]*$")]
 
 
 class RadioConfig(Params, frozen=True):
-    """One radio: what it speaks, where it is, and how it is set."""
+    """One radio: its kind, its address, and its settings."""
 
     name: Name
-    """As `companion radio list` has it."""
+    """As listed by `companion radio list`."""
     url: str | None = None
-    """Where it is; null: `--radio NAME@URL` says so."""
+    """Its address; null: given by `--radio NAME@URL`."""
     settings: dict[str, Any] = msgspec.field(default_factory=dict)
-    """Keys of `RadioSettings`; what is left out is as the radio's kind has it."""
+    """Keys of `RadioSettings`; others have the defaults of the radio's kind."""
     options: dict[str, Any] = msgspec.field(default_factory=dict)
-    """What its format needs; keys of the decoder's own record."""
+    """Options of its format; keys of the decoder's own record."""
 
     def __post_init__(self) -> None:
         record_within(self.settings, RadioSettings, "settings")
 
 
 def radio_setup(radio: RadioConfig, place: str) -> RadioSetup:
-    """What a flight needs of it; a `ConfigError` begins with `place`.
+    """Return the setup of a radio for a flight; a `ConfigError` begins with `place`.
 
-    This is where a plugin is loaded; a broken one is named.
+    This loads plugins; a broken one is named.
     """
     kind = radio_kind(radio.name)
     settings = {**kind.defaults, **radio.settings}
@@ -74,10 +74,10 @@ def is_uncalibrated(radio: RadioConfig) -> bool:
 
 
 def parse_radio_option(text: str, configured: RadioConfig | None = None) -> RadioConfig:
-    """The radio of `--radio NAME[:KEY=VALUE,...]@URL`; a `ConfigError` shows a right one.
+    """Return the radio of `--radio NAME[:KEY=VALUE,...]@URL`; a `ConfigError` shows the form.
 
-    Keys are those of the settings and of the format's options. What `configured` has of them, the
-    record of that name in a file, stays where the option does not say it.
+    Keys are those of the settings and of the format's options. Values of `configured`, the record
+    of that name in a file, stay where the option does not change them.
     """
     name, parts, url = _split(text.strip())
     if not url or not name:
@@ -110,7 +110,7 @@ _QUOTED = re.compile(r"(['\"]).*\1", re.DOTALL)
 
 
 def _split(text: str) -> tuple[str, list[str], str]:
-    """Name, KEY=VALUE pieces and URL of `NAME:KEY=VALUE,...@URL`; empty where there is none.
+    """Return name, KEY=VALUE pieces and URL of `NAME:KEY=VALUE,...@URL`; empty if missing.
 
     Pieces end at a comma outside brackets, the last one at `@`. A value in quotes is literal, and
     ends where its quote is followed by a comma, `@` or the end.
@@ -143,21 +143,21 @@ def _split(text: str) -> tuple[str, list[str], str]:
 
 
 def _texts_of(name: str) -> frozenset[str]:
-    """Options of a radio that are text, whose values are taken as they stand."""
+    """Return the options of a radio that are text, whose values are not parsed."""
     try:
         fields = msgspec.structs.fields(radio_kind(name).decoder.Options)
-    except ConfigError:  # named where the radio is loaded
+    except ConfigError:  # reported where the radio is loaded
         return frozenset()
     return frozenset(f.name for f in fields if _bare(f.type) is str)
 
 
 def _bare(kind: object) -> object:
-    """The type behind `Annotated`."""
+    """Return the type behind `Annotated`."""
     return getattr(kind, "__origin__", kind) if hasattr(kind, "__metadata__") else kind
 
 
 def _put(record: dict[str, Any], key: str, value: object) -> None:
-    """Set `a.b` in the mapping at `a`, which may be a file's and is not changed."""
+    """Set `a.b` in a copy of the mapping at `a`, which may belong to a file."""
     outer, dot, inner = key.partition(".")
     if not dot:
         record[key] = value
@@ -169,7 +169,7 @@ def _put(record: dict[str, Any], key: str, value: object) -> None:
 def flown_radios(
     configured: Sequence[RadioConfig], options: Sequence[str]
 ) -> tuple[RadioConfig, ...]:
-    """Those of a file and of the command line; a `ConfigError` if nobody says where one is.
+    """Return the radios of a file and of the command line; `ConfigError` if one has no address.
 
     The second option of a name goes to the file's second radio of that name, and so on.
     """
@@ -195,7 +195,7 @@ def flown_radios(
 def replayed_radios(
     flown: Sequence[RadioConfig], other: Sequence[RadioConfig]
 ) -> tuple[RadioConfig, ...]:
-    """The radios that flew, as another configuration sets those of the same names."""
+    """Return the radios of the flight, with another configuration's settings for the same names."""
     taken: Counter[str] = Counter()
     radios = []
     for radio in flown:
@@ -208,7 +208,7 @@ def replayed_radios(
 
 
 def radio_setups(radios: Sequence[RadioConfig]) -> tuple[RadioSetup, ...]:
-    """`radio_setup` of each."""
+    """Return `radio_setup` of each."""
     return tuple(
         radio_setup(radio, f"radios[{number}] ({radio.name})")
         for number, radio in enumerate(radios)

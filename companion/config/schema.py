@@ -1,7 +1,7 @@
 """The companion's configuration: the packages' own parameters, composed.
 
-Defaults live in the records; a file only says what differs. `load_config` also checks what no
-single record can see.
+Defaults live in the records; a file only contains differences. `load_config` also checks
+contradictions between records.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ from companion.planning.search import (
 )
 
 Speed = Annotated[float, msgspec.Meta(ge=0.1, le=20.0)]
-"""m/s; within what an autopilot's own limit can be set to (ArduPilot: WPNAV_SPEED 0.1 to 20 m/s,
-PX4: MPC_XY_VEL_MAX up to 20 m/s)."""
+"""m/s; within the range of the autopilot's own limit (ArduPilot: WPNAV_SPEED 0.1 to 20 m/s, PX4:
+MPC_XY_VEL_MAX up to 20 m/s)."""
 DEFAULT_FENCE = ((-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0))
 
 
 class LimitsConfig(Params, frozen=True):
-    """What no setpoint may exceed; metres in the autopilot's local frame, east and north."""
+    """Limits of every setpoint; metres in the autopilot's local frame, east and north."""
 
     fence_enu_m: tuple[tuple[float, float], ...] = DEFAULT_FENCE
     """Corners of the fence polygon, about the autopilot's local origin."""
     fence_file: str | None = None
     """A QGroundControl .plan or a .kml file with the fence instead, relative to this file."""
     autopilot_fence: Literal["ignore", "compare", "require", "use"] = "compare"
-    """What the autopilot's own fence is for; see `FencePolicy`."""
+    """Use of the autopilot's own fence; see `FencePolicy`."""
     fence_margin_m: NonNegative = 3.0
     """Distance that setpoints keep from the fence and from keep-outs, on the allowed side."""
     keep_out_enu_m: tuple[tuple[tuple[float, float], ...], ...] = ()
@@ -66,17 +66,17 @@ class LimitsConfig(Params, frozen=True):
     speed_mps: Speed = 5.0
     climb_mps: Speed = 2.0
     acceleration_mps2: Positive = 2.5
-    """Of setpoints, and what the vehicle surely brakes with."""
+    """Of setpoints, and the deceleration that the vehicle reaches in any case."""
     step_m: Positive = 8.0
     """Farther ahead of the vehicle than this a setpoint is no faster than the vehicle."""
     latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5
-    """From a motion that is measured to a setpoint that is obeyed."""
+    """From the measurement of a motion to the setpoint that is obeyed."""
     navigation_sigma_m: NonNegative = 0.3
     """Standard deviation of the vehicle's position, per axis."""
     distance_home_m: Positive | None = None
-    """How far from home setpoints may be; null: as far as the fence."""
+    """Largest distance of setpoints from home; null: up to the fence."""
     battery_pct_per_km: Positive | None = 15.0
-    """Charge that a kilometre of the way home takes; null: the battery is not looked at."""
+    """Charge for a kilometre of the way home; null: the battery is ignored."""
     battery_reserve_pct: Annotated[float, msgspec.Meta(ge=0.0, lt=100.0)] = 20.0
     """Charge that is left at home."""
 
@@ -89,11 +89,11 @@ class LimitsConfig(Params, frozen=True):
 
     @property
     def is_fence_local(self) -> bool:
-        """Whether the fence is known in the local frame from the start."""
+        """True if the fence is known in the local frame from the start."""
         return self.fence_file is None and self.autopilot_fence != "use"
 
     def guard_limits(self) -> GuardLimits:
-        """As the guard takes them, a fence only if it is local; a `ValueError` names one first."""
+        """Return the guard's limits, with a local fence only; `ValueError` begins with a key."""
         fence = self._fence(self.fence_enu_m if self.is_fence_local else _roomy(self))
         envelope = Envelope(**{each.name: getattr(self, each.name) for each in fields(Envelope)})
         stopping = Stopping(self.latency_s, self.acceleration_mps2, self.navigation_sigma_m)
@@ -105,7 +105,7 @@ class LimitsConfig(Params, frozen=True):
         return limits if self.is_fence_local else replace(limits, fence=None)
 
     def fence_plan(self) -> FencePlan:
-        """Where the guard's fence comes from; a `ConfigError` names its file and the element."""
+        """Return the sources of the guard's fence; `ConfigError` names file and element."""
         return FencePlan(
             self.guard_limits(),
             self.fence_margin_m,
@@ -140,7 +140,7 @@ class LimitsConfig(Params, frozen=True):
 
 
 def _roomy(limits: LimitsConfig) -> Corners:
-    """A fence that is large enough for any margin, to check the other limits with."""
+    """Return a fence that is large enough for any margin, to check the other limits with."""
     side_m = 10.0 * (limits.fence_margin_m + 1.0)
     return ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
 
@@ -149,16 +149,17 @@ AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class LogConfig(Params, frozen=True):
-    """What is kept of a flight."""
+    """Logs of a flight."""
 
     directory: str = "flights"
-    """Each flight makes its own folder in here."""
+    """Folder for the folders of the flights."""
     max_mb: Annotated[float, msgspec.Meta(ge=1.0, le=1e9)] = 1000.0
-    """Cap of one flight's logs; of a longer flight the newest is kept. A tenth is for events."""
+    """Cap of one flight's logs; of a longer flight the newest part is kept. A tenth is for
+    events."""
     mcap: bool = False
-    """Whether flight.mcap is written as well, for Foxglove; needs the extra `mcap`."""
+    """Write flight.mcap as well, for Foxglove; needs the extra `mcap`."""
     keep_flights: AtLeastOne | None = None
-    """The folders of older flights than this many are deleted at the start; null: none ever."""
+    """Number of older flights to keep at the start of a new one; null: all."""
 
     @property
     def max_bytes(self) -> int:
@@ -167,14 +168,14 @@ class LogConfig(Params, frozen=True):
 
 
 class ProcessConfig(Params, frozen=True):
-    """How a process follows the one before it."""
+    """State kept from one process to the next."""
 
     state_directory: str | None = None
     """For checkpoints and locks; null: systemd's StateDirectory, or ~/.local/state/companion."""
     checkpoint: bool = True
-    """Whether the mission's memory is kept, once a second, for a restart in flight."""
+    """Save the mission's state, once a second, for a restart in flight."""
     resume_max_age_s: Positive = 600.0
-    """An older memory is not taken up."""
+    """An older saved state is not restored."""
 
 
 PatternKind = Literal["lawnmower", "expanding_square", "sector"]
@@ -182,12 +183,13 @@ CrossingKind = Literal["latched_crossing", "reactive_crossing", "fim"]
 
 
 class PlannerConfig(Params, frozen=True):
-    """Which planner flies, and the parameters of each."""
+    """The planner in use, and the parameters of each."""
 
     kind: CrossingKind | PatternKind = "latched_crossing"
-    """A pattern here is flown whatever is heard; see `search` for one that ends with contact."""
+    """A pattern here is flown with or without contact; see `search` for one that ends with
+    contact."""
     search: PatternKind | None = None
-    """What is flown while there is no contact; null: hold."""
+    """Pattern while there is no contact; null: hold."""
     lost_after_s: Positive = 20.0
     """Without a usable measurement for this long, the search goes on."""
     latched_crossing: LatchedCrossingParams = LatchedCrossingParams()
@@ -203,13 +205,13 @@ class PlannerConfig(Params, frozen=True):
 
 
 class CompanionConfig(Params, frozen=True):
-    """Everything that a file can configure."""
+    """All that a file can configure."""
 
     schema_version: Annotated[int, msgspec.Meta(ge=1, le=SCHEMA_VERSION)] = SCHEMA_VERSION
     """Of these keys; files of earlier versions are read, and brought to this one."""
     mission: SessionParams = SessionParams()
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
-    """The emitter to look for; null: the first one heard."""
+    """The emitter to search for; null: the first one heard."""
     emitters: QueueParams = QueueParams()
     estimation: TrackerParams = TrackerParams()
     planner: PlannerConfig = PlannerConfig()
@@ -223,14 +225,14 @@ class CompanionConfig(Params, frozen=True):
 
     @property
     def tracking(self) -> TrackerParams:
-        """`estimation`, and what the radios are known to leave open."""
+        """`estimation`, with the calibration that the radios lack."""
         if not any(is_uncalibrated(radio) for radio in self.radios):
             return self.estimation
         return msgspec.structs.replace(self.estimation, is_range_calibrated=False)
 
 
 def load_config(path: Path | None) -> CompanionConfig:
-    """The configuration in a file, or the defaults; a `ConfigError` names file and place."""
+    """Return the configuration in a file, or the defaults; a `ConfigError` names file and place."""
     if path is None:
         return CompanionConfig()
     config = load_yaml(path, CompanionConfig, lambda raw: renew(raw, str(path)))
@@ -249,7 +251,7 @@ def load_config(path: Path | None) -> CompanionConfig:
 
 
 def with_fence(config: CompanionConfig, path: Path) -> CompanionConfig:
-    """The same with the fence of a file instead of its own; a `ConfigError` as `read_fence`'s."""
+    """Return the configuration with the fence of a file; `ConfigError` as `read_fence`'s."""
     policy = config.limits.autopilot_fence
     limits = msgspec.structs.replace(
         config.limits,
@@ -262,13 +264,13 @@ def with_fence(config: CompanionConfig, path: Path) -> CompanionConfig:
 
 
 def with_signing_key(config: CompanionConfig, path: Path) -> CompanionConfig:
-    """The same configuration with another file that holds the signing key."""
+    """Return the configuration with another file that holds the signing key."""
     link = msgspec.structs.replace(config.link, signing_key_file=str(path))
     return msgspec.structs.replace(config, link=link)
 
 
 def with_radios(config: CompanionConfig, options: Sequence[str]) -> CompanionConfig:
-    """The same with the radios of `--radio` as well; see `flown_radios`."""
+    """Return the configuration with the radios of `--radio` as well; see `flown_radios`."""
     radios = flown_radios(config.radios, options)
     if radios != config.radios:
         config = msgspec.structs.replace(config, radios=radios)
@@ -279,7 +281,7 @@ def with_radios(config: CompanionConfig, options: Sequence[str]) -> CompanionCon
 
 
 def _mounted_twice(config: CompanionConfig) -> str | None:
-    """A bearing is turned by the radio's mount, or by the antenna's."""
+    """Return the problem if both a radio's mount and the antenna's turn its bearings, or None."""
     if config.estimation.filter.antenna.mount_deg[2] == 0.0:
         return None
     turned = [r.name for r in config.radios if r.settings.get("bearing_mount_deg")]
@@ -292,7 +294,7 @@ def _mounted_twice(config: CompanionConfig) -> str | None:
 
 
 def inconsistency(config: CompanionConfig) -> str | None:
-    """What contradicts what between sections, with its YAML path, or None."""
+    """Return a contradiction between sections, with its YAML path, or None."""
     limits, mission = config.limits, config.mission
     least_m, most_m = limits.guard_limits().altitude_m
     if not least_m <= mission.altitude_m <= most_m:
@@ -329,7 +331,7 @@ def inconsistency(config: CompanionConfig) -> str | None:
 
 
 def _has_lanes(config: CompanionConfig) -> bool:
-    """Whether a lawnmower that may fly has anything to fly."""
+    """Return False if the lawnmower is used and has no lanes."""
     planner, limits = config.planner, config.limits
     if "lawnmower" not in (planner.kind, planner.search) or not limits.is_fence_local:
         return True

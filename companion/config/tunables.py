@@ -1,9 +1,9 @@
-"""The configuration's parameters that a ground station may change, and how.
+"""The configuration's parameters that a ground station may change.
 
-A change goes through the configuration's own rules: the whole configuration with the new value is
-made and checked as if it came from a file. Speeds may be lowered from afar and raised again, but
-not beyond what the configuration's file allows; charges that are kept for the way home may be
-raised and lowered again, but not below the file's.
+A change follows the configuration's own rules: the whole configuration with the new value is made
+and checked as if it came from a file. Speeds may be lowered remotely and raised again, but not
+above the file's; charges reserved for the way home may be raised and lowered again, but not below
+the file's.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ BuildPlanner = Callable[[CompanionConfig], Planner[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Tunable:
-    """A parameter and where the configuration has it."""
+    """A parameter and its path in the configuration."""
 
     name: str
     path: str
     when: When = When.ANY_TIME
     is_ceiling: bool = False
-    """What the file says is the most."""
+    """True if the file's value is the maximum."""
     is_floor: bool = False
-    """What the file says is the least."""
+    """True if the file's value is the minimum."""
     words: tuple[str, ...] = ()
     """The values of a choice, by number; nothing for a real number."""
 
     @property
     def spec(self) -> TunableSpec:
-        """The same as a ground station sees it."""
+        """The parameter as a ground station sees it."""
         kind = ParamType.INT32 if self.words else ParamType.REAL32
         return TunableSpec(self.name, kind, self.when)
 
@@ -79,14 +79,14 @@ class Tunables:
         self.config = config
         """As it is now."""
         self.changed: dict[str, float] = {}
-        """What differs from the file, by name."""
+        """Values that differ from the file, by name."""
 
     def value_at(self, index: int) -> float:
-        """A value; see `TunableBook`."""
+        """Return a value; see `TunableBook`."""
         return _value(TUNABLES[index], self.config)
 
     def change(self, index: int, value: float) -> Tuning:
-        """Change a value, or say why not; see `TunableBook`."""
+        """Change a value, or raise `ConfigError` with the reason; see `TunableBook`."""
         tunable = TUNABLES[index]
         of_file = _value(tunable, self.file)
         if value == nearest_real32(of_file):
@@ -103,23 +103,23 @@ class Tunables:
 
     @property
     def tuning(self) -> Tuning:
-        """What a session is to work with now."""
+        """Settings for the session now."""
         config = self.config
         return Tuning(config.mission, config.limits.guard_limits(), self._build_planner(config))
 
     def restore(self, values: Mapping[str, float]) -> list[str]:
-        """Take up what was changed in an earlier run, by name; what cannot be, in words."""
+        """Restore changes of an earlier run, by name; return the refused ones, in words."""
         problems: dict[str, str] = {}
         pending = dict(values)
         while pending:
             problems = {name: why for name in pending if (why := self._objection(name, values))}
             if len(problems) == len(pending):
                 break
-            pending = {name: values[name] for name in problems}  # one may have waited for another
+            pending = {name: values[name] for name in problems}  # one may depend on another
         return [f"{name}{why}" for name, why in problems.items()]
 
     def _objection(self, name: str, values: Mapping[str, float]) -> str:
-        """Change a value to what it was; why that cannot be, empty if it can."""
+        """Restore one value; return why that is refused, empty if it is not."""
         index = next((n for n, tunable in enumerate(TUNABLES) if tunable.name == name), None)
         if index is None or TUNABLES[index].when is When.NEVER:
             return " is no parameter that can be changed"
@@ -138,7 +138,7 @@ def _value(tunable: Tunable, config: CompanionConfig) -> float:
 
 
 def _with_value(config: CompanionConfig, tunable: Tunable, value: float) -> CompanionConfig:
-    """The configuration with one value changed; a `ConfigError` if its rules are against it."""
+    """Return the configuration with one value changed; `ConfigError` if that breaks its rules."""
     plain: Any = value
     if tunable.words:
         if value not in range(len(tunable.words)):

@@ -1,7 +1,7 @@
-"""The version of the configuration's schema, and how files of earlier ones are read.
+"""The version of the configuration's schema, and the migration of earlier files.
 
-The number goes up when a key is renamed, moved, taken away or means something else; a key that is
-added does not change it. A file that does not say its version is of the first.
+The number goes up when a key is renamed, moved, removed or changes its meaning; an added key does
+not change it. A file without a version is of the first.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ KEY = "schema_version"
 
 @dataclass(frozen=True, slots=True)
 class Migration:
-    """What one version did to the keys of the one before it; keys are paths with dots."""
+    """Changes of the keys from one version to the next; keys are paths with dots."""
 
     to: int
     moved: Mapping[str, str] = field(default_factory=dict)
-    """Earlier path to present one; the value is taken along."""
+    """Earlier path to present one; the value is kept."""
     gone: Mapping[str, str] = field(default_factory=dict)
-    """Earlier path to what to do instead, in words; a file that has it is refused."""
+    """Earlier path to the remedy, in words; a file that has it is refused."""
 
 
 MIGRATIONS: tuple[Migration, ...] = ()
@@ -39,8 +39,8 @@ def renew(
 ) -> None:
     """Bring plain values of the file `name` to the present schema, in place.
 
-    A `ConfigError` for a version that is not known, for keys that are gone, and for a value that
-    has its earlier and its present name.
+    Raises `ConfigError` for an unknown version, for removed keys, and for a value that is given
+    under its earlier and its present name.
     """
     version = _version(raw, name, present)
     for migration in migrations:
@@ -82,7 +82,7 @@ def _apply(migration: Migration, raw: dict[str, Any], name: str) -> None:
 
 
 def _owner(raw: Mapping[str, Any], path: str) -> dict[str, Any] | None:
-    """The mapping that has the last key of a path, or None."""
+    """Return the mapping that has the last key of a path, or None."""
     *sections, key = path.split(".")
     place: Any = raw
     for section in sections:

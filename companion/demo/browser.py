@@ -1,4 +1,4 @@
-"""Opens a page in the reader's browser, where there is a screen for one."""
+"""Opens a page in the user's browser, where there is a screen for one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SCREENS = ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY")
 
 
 def open_page(url: str) -> bool:
-    """Open it beside the flight, which does not wait; False: there is no screen."""
+    """Open a page without blocking the flight; return False if there is no screen."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in SCREENS):
         return False
     threading.Thread(target=_open, args=(url,), name="browser", daemon=True).start()

@@ -1,4 +1,4 @@
-"""Flies the demonstration on the simulator and says how well it went."""
+"""Flies the demonstration on the simulator and reports its result."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ OBSTACLE_CLEARANCE_M = 5.0
 """Obstacles that end less than this below the search altitude are flown around."""
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
-"""Of flight and of real time, after which a simulator that is not heard is given up."""
+"""Of flight and of real time, after which a silent simulator ends the demonstration."""
 LATE_S = 0.5
 """Of the flight: a wake-up later than this can cost the autopilot's mode."""
 
 MakeViews = Callable[[CompanionConfig, Point], list[FlightView]]
-"""Who watches a flight, by its configuration and the emitter's true place."""
+"""Makes the views of a flight, by its configuration and the emitter's true position."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemoOptions:
-    """What the command line asked for."""
+    """Options of the command line."""
 
     seed: int
     speed: float
@@ -59,17 +59,17 @@ class DemoOptions:
 
 
 def check_simulator() -> None:
-    """Make sure that the simulator is installed; a `CompanionError` says how to get it."""
+    """Check that the simulator is installed; a `CompanionError` has the command to install it."""
     if importlib.util.find_spec("sim_link") is None:
         command = how_to_install("./sim_link")
         raise CompanionError(f"the simulator is not installed; in the checkout: {command}")
 
 
 def scenario_named(path: Path) -> tuple[Path, Path | None]:
-    """The file of a scenario, and the preset of its name if it was given by that.
+    """Return the file of a scenario, and the preset of its name if it was given by that.
 
     A name is the path below `configs/scenarios` without its ending, of the working directory or of
-    the checkout: `field/phone_ftm`. A ConfigError where there is neither.
+    the checkout: `field/phone_ftm`. Raises `ConfigError` if there is neither.
     """
     if path.exists() or path.suffix or path.is_absolute():
         return path, None
@@ -88,7 +88,7 @@ def scenario_named(path: Path) -> tuple[Path, Path | None]:
 
 
 class DemoWatch(FlightView):
-    """Ends the flight once there is a reason, and keeps what is drawn."""
+    """Ends the flight once there is a reason, and keeps the data for the plot."""
 
     def __init__(self, simulator: SimulatorProcess, limit_s: float, clock: Pacer) -> None:
         self._simulator = simulator
@@ -96,7 +96,7 @@ class DemoWatch(FlightView):
         self._limit_s = limit_s
         self._began_wall_s: float | None = None
         self.ended = ""
-        """Why; empty: somebody interrupted it."""
+        """Reason; empty: interrupted by the user."""
         self.time_s = 0.0
         """Of the companion, at the last wake-up before the end."""
         self.worst_gap_s = 0.0
@@ -119,7 +119,7 @@ class DemoWatch(FlightView):
             self.crossings_enu_m.append((place[0], place[1]))
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Ask for the end, as Ctrl-C does, if there is a reason."""
+        """Request the end, as Ctrl-C does, if there is a reason."""
         if self.ended:
             return
         if self._began_wall_s is None:
@@ -156,7 +156,7 @@ def run_demo(
     make_views: MakeViews,
     at_end: Callable[[Path], None] | None = None,
 ) -> bool:
-    """Fly it, print how it went, write what was asked for; whether the target was found."""
+    """Fly, print the result, write the outputs; return True if the target was found."""
     _check_outputs(options)
     prepare(config)  # before the simulator starts to count its time
     port = free_udp_port()
@@ -191,7 +191,7 @@ def _emitter_enu_m(report: Mapping[str, Any]) -> Point:
 
 
 def _check_outputs(options: DemoOptions) -> None:
-    """Refuse before the flight what could not be written after it."""
+    """Refuse outputs before the flight that could not be written after it."""
     for path in (options.json, options.plot):
         if path is not None:
             check_writable(path)
@@ -203,7 +203,7 @@ def _check_outputs(options: DemoOptions) -> None:
 def _demo_config(
     config: CompanionConfig, truth: Mapping[str, Any], state_directory: str
 ) -> CompanionConfig:
-    """The configuration, engaging by itself, fenced, off the obstacles, without key or memory."""
+    """Return the configuration with automatic launch, fence and obstacles, without a key."""
     low = -FENCE_AROUND_AREA_M
     east, north = (float(size) + FENCE_AROUND_AREA_M for size in truth["area_m"])
     keep_out = tuple(
@@ -231,7 +231,7 @@ def _demo_config(
 
 
 def busy_hint(late_s: float) -> str:
-    """What to do about a mode lost because a wake-up was `late_s` of flight late; or nothing."""
+    """Return the remedy for a mode lost by a wake-up `late_s` of flight late; empty: in time."""
     if late_s <= LATE_S:
         return ""
     late = f"a control tick came {late_s:.1f} s late"
@@ -239,7 +239,7 @@ def busy_hint(late_s: float) -> str:
 
 
 class DemoResult:
-    """How the flight ended, and what is told of it; the `report` is the simulator's."""
+    """Result of the flight and its summary; the `report` is the simulator's."""
 
     def __init__(
         self,
@@ -266,7 +266,7 @@ class DemoResult:
 
     @property
     def summary(self) -> str:
-        """What is said at the end."""
+        """Result in two lines."""
         if self.estimate is None:
             return f"NOT LOCALISED ({self.ended}): no measurement was used"
         head = "LOCALISED" if self.is_localised else f"NOT LOCALISED ({self.ended})"
@@ -281,7 +281,7 @@ class DemoResult:
         )
 
     def as_json(self) -> dict[str, object]:
-        """Plain values for `--json`."""
+        """Return plain values for `--json`."""
         estimate = self.estimate
         east_m, north_m = (None, None) if estimate is None else estimate.position_enu_m
         return {
@@ -305,7 +305,7 @@ class DemoResult:
         }
 
     def draw(self, path: Path, config: CompanionConfig) -> None:
-        """The picture for `--plot`, if there is an estimate and matplotlib."""
+        """Draw the picture for `--plot`, if there is an estimate and matplotlib."""
         if self.estimate is None:
             return
         try:

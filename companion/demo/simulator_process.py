@@ -1,4 +1,4 @@
-"""The simulator as a process of its own, and what it reports."""
+"""The simulator as a process of its own, and its report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from companion.io.child_process import HOST, START_S, ChildProcess, free_udp_por
 from companion.io.shared_clock import Pacer
 
 STOP_TIMEOUT_S = 30.0
-"""Real time for its last report, which a busy computer keeps waiting."""
+"""Real time for its last report, which a busy computer delays."""
 
 
 class SimulatorProcess(ChildProcess):
@@ -46,7 +46,7 @@ class SimulatorProcess(ChildProcess):
         self.stop(STOP_TIMEOUT_S)
 
     def started_report(self) -> dict[str, Any]:
-        """The report, with the truth, of a simulator that started; a `CompanionError` otherwise."""
+        """Return the report, with the truth, of a started simulator; else `CompanionError`."""
         deadline = time.monotonic() + START_S
         while not self._report.exists():
             if not self.is_alive or time.monotonic() > deadline:
@@ -56,6 +56,6 @@ class SimulatorProcess(ChildProcess):
         return self.report()
 
     def report(self) -> dict[str, Any]:
-        """The report as it is now."""
+        """Return the current report."""
         value: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
         return value

@@ -23,22 +23,22 @@ OBSTACLE = "0.8"
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """Something solid on the ground."""
+    """A solid obstacle on the ground."""
 
     name: str
     corners_enu_m: Sequence[tuple[float, float]]
     height_m: float | None
-    """None: higher than anything flies."""
+    """None: higher than any flight."""
 
     @property
     def label(self) -> str:
-        """What is written on it."""
+        """Text on the obstacle."""
         return self.name if self.height_m is None else f"{self.name}, {self.height_m:g} m"
 
 
 @dataclass(frozen=True, slots=True)
 class PlottedFlight:
-    """What the picture shows; all positions local east and north, metres."""
+    """Contents of the picture; all positions local east and north, metres."""
 
     track_enu_m: Sequence[tuple[float, float]]
     estimates: Sequence[tuple[float, float, float, float]]

@@ -1,1 +1,1 @@
-"""`companion doctor`: is everything as a flight needs it, and if not, the remedy."""
+"""`companion doctor`: checks all that a flight needs, and gives a remedy for each fault."""

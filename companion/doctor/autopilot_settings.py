@@ -1,14 +1,14 @@
-"""What the autopilot's fence, limits and parameters mean for a flight under a companion.
+"""Checks of the autopilot's fence, limits and parameters for a flight under a companion.
 
-The autopilot's fence is judged as in flight, by the same code: what would keep the companion from
-engaging is a failure here. A circle around home and a ceiling that lie within what the companion's
-guard allows would end a search in the autopilot's failsafe. Home is taken to be where the local
-frame has its zero.
+The autopilot's fence is checked by the code of the flight: a fence that would keep the companion
+from taking control is a failure here. A circle around home and a ceiling inside the limits of the
+companion's guard would end a search in the autopilot's failsafe. Home is assumed to be the zero of
+the local frame.
 
 Sources: the parameter references of PX4 1.15 (Commander, Geofence, Multicopter Position Control;
 GF_MAX_*: 0 is no limit) and ArduCopter 4.5 (FS_*, GUID_*, FENCE_*; FENCE_TYPE is a mask: 1 ceiling,
-2 circle), and what both were seen to do in SITL: PX4 with COM_OBL_RC_ACT = 0 and no RC sinks at 0.6
-to 0.9 m/s and drifts when setpoints stop; a position target of ArduPilot never times out.
+2 circle), and the behaviour of both in SITL: PX4 with COM_OBL_RC_ACT = 0 and no RC sinks at 0.6 to
+0.9 m/s and drifts when setpoints stop; a position target of ArduPilot never times out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from companion.guidance.flight.fencing import FencePolicy, Fencing
 SAME = "upload the same fence to the autopilot, or set limits.autopilot_fence; docs/flying.md"
 
 LONGEST_GAP_S = 0.5
-"""What lost packets alone may cost between two setpoints, at 50 % loss."""
+"""Longest gap between two setpoints by lost packets alone, at 50 % loss."""
 PATIENT_S = 3.0
 _MODES = ("Position mode", "Altitude mode", "Manual mode", "Return", "Land", "Hold")
 OFFBOARD_LOSS = dict(enumerate((*_MODES, "Terminate", "Disarm")))
@@ -40,7 +40,7 @@ CEILING, CIRCLE = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a rule looks at."""
+    """Inputs of a rule."""
 
     values: Mapping[str, float]
     facts: AutopilotFacts
@@ -54,7 +54,7 @@ SettingRule = Callable[[Settings], Iterator[CheckResult]]
 
 
 def check_fence(facts: AutopilotFacts, config: CompanionConfig) -> Iterator[CheckResult]:
-    """Compare the fences as `limits.autopilot_fence` says."""
+    """Compare the fences as configured by `limits.autopilot_fence`."""
     fencing = _fencing_in_flight(facts, config)
     if fencing.refusal is not None:
         yield fail("fence", fencing.refusal, SAME)
@@ -73,7 +73,7 @@ def check_fence(facts: AutopilotFacts, config: CompanionConfig) -> Iterator[Chec
 
 
 def _fencing_in_flight(facts: AutopilotFacts, config: CompanionConfig) -> Fencing:
-    """The fence as the guard would keep it with what the autopilot said."""
+    """Return the fencing as in flight, with the autopilot's origin and fence."""
     fencing = Fencing(Guard(config.limits.guard_limits()), config.limits.fence_plan())
     if facts.origin is not None:
         fencing.set_origin(facts.origin)
@@ -83,7 +83,7 @@ def _fencing_in_flight(facts: AutopilotFacts, config: CompanionConfig) -> Fencin
 
 
 def _farthest_m(settings: Settings) -> float | None:
-    """How far from home the guard lets the vehicle go; None: its fence is not known."""
+    """Return the guard's largest distance from home; None: its fence is not known."""
     limits = settings.config.limits
     fencing = _fencing_in_flight(settings.facts, settings.config)
     fence = fencing.guard.limits.fence or limits.guard_limits().fence
@@ -112,7 +112,7 @@ def _check_ceiling(name: str, settings: Settings) -> Iterator[CheckResult]:
 def _compare_limit(
     name: str, limit_m: float, wanted_m: float, how: tuple[str, str, str]
 ) -> CheckResult:
-    """A limit beside our reach; `how`: from where it counts, our limit in words, other remedy."""
+    """Compare a limit with our reach; `how`: its reference, our limit in words, another remedy."""
     where, ours, instead = how
     if limit_m >= wanted_m:
         return ok(name, f"{limit_m:g} m {where}, {ours}")
@@ -252,13 +252,13 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
 
 
 def needed_parameters(autopilot: Autopilot) -> tuple[str, ...]:
-    """What to ask an autopilot for."""
+    """Return the parameters to request from this kind of autopilot."""
     names = (name for names, _ in RULES.get(autopilot, ()) for name in names)
     return tuple(dict.fromkeys(names))
 
 
 def check_parameters(facts: AutopilotFacts, config: CompanionConfig) -> Iterator[CheckResult]:
-    """What the parameters mean; one that the autopilot does not report is a finding, too."""
+    """Check the parameters; one that the autopilot does not report is a finding, too."""
     for name in needed_parameters(facts.autopilot):
         if facts.parameters.get(name) is None:
             yield warn(

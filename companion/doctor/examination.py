@@ -1,6 +1,6 @@
-"""The doctor put together: this computer and the link to facts, facts to findings.
+"""The whole doctor: facts about this computer and the link, and findings about the facts.
 
-`examine` is pure: what the facts mean is a line each, and the remedy.
+`examine` is pure: it turns facts into one line each, with a remedy.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _SYNCHRONISERS = (Path("/run/systemd/timesync"), Path("/run/chrony"), Path("/run
 
 
 def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
-    """What there is; checkpoints and locks are kept in `state`."""
+    """Return the facts about this computer; checkpoints and locks are kept in `state`."""
     return HostFacts(
         python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
         numpy=_version("numpy") or "?",
@@ -68,7 +68,7 @@ def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
 
 
 def look_at_place(directory: Path) -> PlaceFacts:
-    """Whether and how fast a directory can be written; one that is missing is made and left."""
+    """Measure if and how fast a directory can be written; a missing one is created and kept."""
     probe = directory / f".doctor.{os.getpid()}"
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -103,16 +103,16 @@ def _key_problem(path: Path) -> str | None:
 
 
 def _is_clock_synchronised() -> bool | None:
-    """As far as the file system knows."""
+    """Return True if the file system shows a synchronised clock; None: it shows nothing."""
     if _SYNCHRONISED.exists():
         return True
     return None if not any(path.exists() for path in _SYNCHRONISERS) else False
 
 
 NEEDED_STREAMS = {"HEARTBEAT": 0.5, "LOCAL_POSITION_NED": 4.0, "ATTITUDE": 2.0}
-"""Below this rate, Hz, nothing is flown."""
+"""Lowest rate for a flight, in Hz."""
 ESTIMATED = ("LOCAL_POSITION_NED", "ATTITUDE", "GLOBAL_POSITION_INT", "HOME_POSITION")
-"""Sent only once the autopilot knows where it is; PX4 1.15 keeps ATTITUDE back as well."""
+"""Sent only once the autopilot knows its position; PX4 1.15 withholds ATTITUDE as well."""
 NEEDED_ESTIMATES = {
     "attitude": 1,
     "horizontal velocity": 2,
@@ -121,7 +121,7 @@ NEEDED_ESTIMATES = {
 }
 """Bits of ESTIMATOR_STATUS_FLAGS, of which EKF_STATUS_FLAGS has the same; one of each will do."""
 ENOUGH_SHARE = 0.8
-"""Of the rate that was asked for."""
+"""Of the requested rate."""
 NOTICED_LOSS, MUCH_LOSS = 0.02, 0.30
 SLOW_ROUND_TRIP_S, USELESS_ROUND_TRIP_S = 0.1, 0.5
 FIX_3D = 3
@@ -133,13 +133,13 @@ A_RECENT_TIME_S = 1.735e9
 
 
 def examine(facts: Facts, config: CompanionConfig) -> list[CheckResult]:
-    """Every finding, in the order of a checklist."""
+    """Return all findings, in the order of a checklist."""
     host, link = _check_host(facts.host, config), _check_link(facts.link, config)
     return [*host, *link, *check_radios(facts.radios)]
 
 
 def exit_code(findings: list[CheckResult]) -> int:
-    """0 if nothing keeps from flying, 1 otherwise."""
+    """Return 0 if no finding forbids a flight, 1 otherwise."""
     return int(any(finding.level is Level.FAIL for finding in findings))
 
 
@@ -304,7 +304,7 @@ def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
 
 
 def _lacking(facts: AutopilotFacts) -> list[str]:
-    """What the autopilot does not estimate yet, in words."""
+    """Return the states that the autopilot does not estimate yet, in words."""
     flags = facts.estimator_flags
     if flags is not None:
         return [name for name, bits in NEEDED_ESTIMATES.items() if not flags & bits]
@@ -328,12 +328,12 @@ def _check_rate(rate: StreamRate) -> CheckResult:
         is_needed = rate.name in NEEDED_STREAMS
         return (fail if is_needed else warn)(rate.name, text, fix)
     due = rate.asked_hz * rate.seconds
-    is_enough = rate.count >= ENOUGH_SHARE * due - 1.0  # one may come just after the time was over
+    is_enough = rate.count >= ENOUGH_SHARE * due - 1.0  # one may come just after the end
     return ok(rate.name, text) if is_enough else warn(rate.name, text, fix)
 
 
 def _is_expected(name: str, facts: AutopilotFacts) -> bool:
-    """Whether an autopilot sends a stream at all, as it is now."""
+    """Return True if an autopilot sends a stream at all in its present state."""
     expected = {
         "ESTIMATOR_STATUS": facts.autopilot is Autopilot.PX4,
         "EKF_STATUS_REPORT": facts.autopilot is Autopilot.ARDUPILOT,
@@ -373,7 +373,7 @@ def _check_readiness(facts: AutopilotFacts) -> Iterator[CheckResult]:
 
 
 def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> list[CheckResult]:
-    """Look at all that a flight with `config` needs; a `LinkError` if a companion flies."""
+    """Examine all that a flight with `config` needs; raise `LinkError` if a companion runs."""
     state = state_directory(config.process.state_directory, os.environ)
     key_file = config.link.signing_key_file
     host = look_at_host(Path(config.log.directory), state, key_file)
@@ -386,7 +386,7 @@ def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> l
 def look_at_link(
     config: CompanionConfig, link: Transport, duration_s: float, state: Path, *, can_sign: bool
 ) -> LinkFacts:
-    """What is heard on the vehicle's link; `can_sign`: whether the key, if any, can be used."""
+    """Listen on the vehicle's link; `can_sign`: the key, if any, is usable."""
     name = link_name(link)
     lock = VehicleLock(state, name, config.vehicle.system_id)
     keeper = open_signing(config) if can_sign else None

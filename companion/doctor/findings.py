@@ -1,4 +1,4 @@
-"""What the doctor looked at and what it found, as values, as lines for people and as JSON."""
+"""Facts and findings of the doctor: as values, as lines for people and as JSON."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from companion.link.quality import RadioStatus
 
 @dataclass(frozen=True, slots=True)
 class StreamRate:
-    """One kind of message of the autopilot."""
+    """Measured rate of one kind of message of the autopilot."""
 
     name: str
-    """As MAVLink calls it."""
+    """MAVLink's name of the message."""
     asked_hz: float
     count: int
-    """Messages that came ..."""
+    """Messages received ..."""
     seconds: float
     """... in this time."""
 
@@ -33,39 +33,39 @@ class StreamRate:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotFacts:
-    """What the autopilot said."""
+    """Facts that the autopilot reported."""
 
     autopilot: Autopilot
     vehicle_class: VehicleClass
     system_id: int
     component_id: int
     mode: str
-    """As its operator calls it."""
+    """In its operator's words."""
     is_armed: bool
     rates: tuple[StreamRate, ...]
     parameters: Mapping[str, float | None]
-    """Those that were asked for; None: it does not report it."""
+    """Requested ones; None: not reported."""
     has_rc: bool | None
-    """Whether it hears a transmitter; None: it does not report it."""
+    """True if it hears a transmitter; None: not reported."""
     heard: frozenset[str]
-    """Kinds of messages that came, by MAVLink's names; those that report nothing do not count."""
+    """Kinds of messages received, by MAVLink's names; those without content do not count."""
     origin: LocalOrigin | None
-    """Of the local frame; None: it does not know it, or does not report it."""
+    """Of the local frame; None: unknown to the autopilot, or not reported."""
     estimator_flags: int | None
-    """ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS; None: it does not report them."""
+    """ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS; None: not reported."""
     gps_fix: int | None
-    """GPS_FIX_TYPE; None: it does not report it."""
+    """GPS_FIX_TYPE; None: not reported."""
     battery_pct: int | None
     round_trip_s: float | None
     clock_offset_s: float | None
     loss: float | None
-    """Share of its frames that did not come, 0 to 1."""
+    """Share of its frames that were lost, 0 to 1."""
     fence: AutopilotFenceRead | None = None
-    """Its own fence; None: not asked for."""
+    """Its own fence; None: not requested."""
 
     @property
     def missing(self) -> tuple[Requirement, ...]:
-        """Inputs that control needs and that did not come; its fence is judged by itself."""
+        """Inputs that control needs and that were not received, except the fence."""
         return tuple(
             row
             for row in REQUIREMENTS
@@ -77,27 +77,27 @@ class AutopilotFacts:
 
 @dataclass(frozen=True, slots=True)
 class LinkFacts:
-    """What was heard on the vehicle's link."""
+    """Traffic on the vehicle's link."""
 
     name: str
     waited_s: float
-    """How long an autopilot was listened for."""
+    """Time of listening for an autopilot."""
     autopilot: AutopilotFacts | None
     """None: none was heard."""
     other_autopilots: tuple[int, ...]
     other_companions: tuple[int, ...]
-    """System ids under which another component with the companion's id spoke."""
+    """System ids under which another component with the companion's id sent."""
     unfit: tuple[str, ...]
-    """Senders that fly nothing: ids and kind."""
+    """Senders that are no autopilots: ids and kind."""
     bytes_received: int
     bad_frames: int
-    """That failed their checksum or made no sense."""
+    """Frames that failed their checksum or could not be decoded."""
     unproved_frames: int
-    """That signing refused; 0 without a key."""
+    """Frames that signing refused; 0 without a key."""
     resident_mb: float | None = None
     """Memory of this process while it listened, with all that a flight loads."""
     processor_pct: float | None = None
-    """Of one core, for taking the streams in."""
+    """Of one core, for receiving the streams."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,55 +106,55 @@ class PlaceFacts:
 
     path: str
     problem: str | None
-    """Why it cannot be written, in words."""
+    """Reason why it cannot be written, in words."""
     free_mb: float | None = None
     synced_write_s: float | None = None
-    """What writing a megabyte took, until it was on the disk."""
+    """Time to write a megabyte to the disk."""
 
 
 @dataclass(frozen=True, slots=True)
 class HostFacts:
-    """What there is on this computer."""
+    """Facts about this computer."""
 
     python: tuple[int, int, int]
     numpy: str
     numba: str | None
     """Its version; None: not installed, or not needed."""
     has_native_kernels: bool
-    """Whether kernels were compiled before they were installed."""
+    """True if the kernels were compiled before they were installed."""
     are_kernels_kept: bool
-    """Whether they were compiled before, so that a flight need not wait for it."""
+    """True if they were compiled before, so that a flight need not wait for it."""
     logs: PlaceFacts
     state: PlaceFacts
     key_problem: str | None
-    """What is wrong with the signing key; None: nothing, or there is none."""
+    """Fault of the signing key; None: no fault, or no key."""
     has_key: bool
     unix_s: float
     is_clock_synchronised: bool | None
-    """Whether the system keeps its clock by others; None: it does not report it."""
+    """True if the system synchronises its clock; None: not reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class RadioFacts:
-    """One radio, listened to for a while."""
+    """One radio after listening to it for a while."""
 
     name: str
     url: str
     problem: str | None = None
-    """Why it cannot be heard at all."""
+    """Reason why it cannot be heard at all."""
     status: RadioStatus | None = None
     bytes: int = 0
     has_clock: bool = False
-    """Whether it told its own time."""
+    """True if it reported its own time."""
     uncalibrated: tuple[str, ...] = ()
-    """What it gives and no setting corrects: `ranges`, `bearings`."""
+    """Quantities that it measures without a calibration: `ranges`, `bearings`."""
     needs_offset: bool = False
-    """Its ranges have a constant without which nothing is localised, and none is set."""
+    """True if its ranges have a constant offset that prevents localisation until it is set."""
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Everything."""
+    """All facts of one run."""
 
     host: HostFacts
     link: LinkFacts
@@ -162,18 +162,18 @@ class Facts:
 
 
 class Level(Enum):
-    """How bad it is."""
+    """Severity of a finding."""
 
     OK = "OK"
     WARN = "WARN"
-    """It flies, but not as well, or not as safely, as it could."""
+    """A flight is possible, but less good or less safe than it could be."""
     FAIL = "FAIL"
     """Do not fly like this."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """One line."""
+    """One line of the result."""
 
     level: Level
     subject: str
@@ -182,17 +182,17 @@ class CheckResult:
 
 
 def ok(subject: str, text: str) -> CheckResult:
-    """Nothing to do."""
+    """Return a finding without a fault."""
     return CheckResult(Level.OK, subject, text)
 
 
 def warn(subject: str, text: str, fix: str) -> CheckResult:
-    """Something to correct."""
+    """Return a finding that should be corrected."""
     return CheckResult(Level.WARN, subject, text, fix)
 
 
 def fail(subject: str, text: str, fix: str) -> CheckResult:
-    """Something to correct before any flight."""
+    """Return a finding that has to be corrected before any flight."""
     return CheckResult(Level.FAIL, subject, text, fix)
 
 
@@ -200,7 +200,7 @@ SUBJECT_WIDTH = 24
 
 
 def as_lines(findings: Sequence[CheckResult]) -> list[str]:
-    """A line per finding, one below it for the remedy, and a last one that adds up."""
+    """Return a line per finding, one below it for the remedy, and a summary at the end."""
     lines = []
     for finding in findings:
         lines.append(f"{finding.level.value:<5} {finding.subject:<{SUBJECT_WIDTH}} {finding.text}")
@@ -213,7 +213,7 @@ def as_lines(findings: Sequence[CheckResult]) -> list[str]:
 
 
 def as_json(findings: Sequence[CheckResult]) -> dict[str, object]:
-    """Plain values."""
+    """Return plain values."""
     return {
         "is_fit": not any(finding.level is Level.FAIL for finding in findings),
         "findings": [{**asdict(finding), "level": finding.level.value} for finding in findings],

@@ -1,10 +1,10 @@
-"""The doctor on the wire: listens, asks, and changes nothing that lasts.
+"""The doctor on the wire: it listens, sends requests, and changes nothing that lasts.
 
-Theory of operation. It is heard as the companion would be (its component of the vehicle's system),
-asks for the streams that a flight needs, with the flight's own requester, and lets them settle
-before it counts them. Beside that it asks for parameters, for the time, for the fence, and for what
-is sent only on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE,
-which a restart of the autopilot undoes: no arming, no mode, no setpoint, no parameter is ever set.
+Theory of operation. It sends under the companion's ids (its component of the vehicle's system),
+requests the streams that a flight needs, with the flight's own requester, and lets them settle
+before it counts them. It also requests parameters, the time, the fence, and messages that are sent
+only on request. The only commands it sends are SET_MESSAGE_INTERVAL and REQUEST_MESSAGE, which a
+restart of the autopilot undoes: no arming, no mode, no setpoint, no parameter is ever set.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value
 
 HEARTBEAT_PERIOD_S = 1.0
 PATIENCE_S = 10.0
-"""For an autopilot."""
+"""Longest wait for an autopilot."""
 SETTLE_S = 2.5
-"""From the first frame until streams are as they were asked for."""
+"""Time from the first frame until streams have the requested rates."""
 PARAMETER_RETRY_S = 0.7
 PARAMETER_TRIES = 4
 HEARTBEAT_HZ = 1.0
@@ -60,11 +60,12 @@ class _Question:
 
     @property
     def is_open(self) -> bool:
+        """True while the parameter is unanswered and may be requested again."""
         return self.value is None and self.tries < PARAMETER_TRIES
 
 
 class DoctorProbe(OneShotEndpoint):
-    """Asks one link; without a system id it takes the first one heard."""
+    """Examines one link; without a system id it takes the first autopilot heard."""
 
     def __init__(
         self,
@@ -100,7 +101,7 @@ class DoctorProbe(OneShotEndpoint):
     # The Endpoint protocol
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived."""
+        """Process received bytes."""
         super().receive(chunk, now_s)
         self._authenticity.advance(now_s)
         self._bytes += len(chunk.data)
@@ -109,7 +110,7 @@ class DoctorProbe(OneShotEndpoint):
                 self._hear(message, chunk, now_s)
 
     def handle_timer(self, now_s: float) -> None:
-        """Ask what is due."""
+        """Send requests that are due."""
         super().handle_timer(now_s)
         self._authenticity.advance(now_s)
         if self._began_s is None:
@@ -132,7 +133,7 @@ class DoctorProbe(OneShotEndpoint):
 
     @property
     def is_finished(self) -> bool:
-        """Whether everything was asked and counted, or nobody is there."""
+        """True if all requests are answered and rates counted, or no autopilot was heard."""
         if self._is_stopped:
             return True
         if self._bound_s is None:
@@ -144,7 +145,7 @@ class DoctorProbe(OneShotEndpoint):
     # What was found
 
     def facts(self) -> LinkFacts:
-        """What is known by now."""
+        """Return the facts so far."""
         return LinkFacts(
             name=self._name,
             waited_s=self.now_s - (self._began_s or 0.0),
@@ -196,7 +197,7 @@ class DoctorProbe(OneShotEndpoint):
 
     @property
     def _empty(self) -> set[str]:
-        """Kinds of messages that came and report nothing."""
+        """Kinds of messages that were received without content."""
         state = self._newest_of(mavlink.MAVLink_extended_sys_state_message)
         is_undefined = state is None or state.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED
         empty = {"EXTENDED_SYS_STATE": is_undefined, "GPS_GLOBAL_ORIGIN": self._origin() is None}

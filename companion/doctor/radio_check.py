@@ -1,4 +1,4 @@
-"""The doctor on the radios: listens to each as a flight would, and says what is missing."""
+"""The doctor on the radios: listens to each as a flight would, and reports faults."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from companion.link.radio_stage import RadioSetup, RadioStage
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 
 MANY_REFUSED = 0.2
-"""Share of what was said."""
+"""Share of the messages."""
 LATE_S = 0.5
 BESIDE = "emitter 1 m from the antenna: companion radio calibrate --beside 1"
 CALIBRATE = "companion radio calibrate, with the emitter at a known place"
 
 
 class RadioProbe(OneShotEndpoint):
-    """Listens to one radio for a while; nothing but the link's greeting is sent."""
+    """Listens to one radio for a while, and sends nothing but the link's greeting."""
 
     def __init__(self, setup: RadioSetup, duration_s: float) -> None:
         super().__init__(duration_s)
@@ -31,20 +31,20 @@ class RadioProbe(OneShotEndpoint):
         self._budget = FloodBudget()
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived."""
+        """Process received bytes."""
         super().receive(chunk, now_s)
         if self._budget.spend_raw(len(chunk.data)):
             self.stage.receive(chunk.data, now_s)
 
     def handle_timer(self, now_s: float) -> None:
-        """Let rates be counted."""
+        """Advance the rates."""
         super().handle_timer(now_s)
         self._budget.renew()
         self.watch.tick(now_s)
 
 
 def look_at_radios(radios: Sequence[RadioConfig], duration_s: float) -> tuple[RadioFacts, ...]:
-    """Listen to each for a while, one after the other."""
+    """Listen to each radio for a while, one after the other."""
     return tuple(_look_at(radio, duration_s) for radio in radios)
 
 
@@ -76,7 +76,7 @@ def _look_at(radio: RadioConfig, duration_s: float) -> RadioFacts:
 
 
 def check_radios(radios: Sequence[RadioFacts]) -> Iterator[CheckResult]:
-    """What was heard of each, and what is not set."""
+    """Check rate, time and calibration of each radio."""
     for radio in radios:
         subject = f"radio {radio.name}"
         if radio.problem is not None or radio.status is None:

@@ -1,14 +1,14 @@
-"""The flight envelope: how a setpoint may move, how far a vehicle still goes, how far from home.
+"""The flight envelope: motion of the setpoint, stopping distance, and distance from home.
 
-Motion. Everything is by elapsed time, and a tick that comes late moves no farther than a slow one.
+Motion. All limits are by elapsed time, and a late tick moves no farther than a slow one.
 
-Stopping. A vehicle that is told to stop flies on for the latency of the link, then brakes, and is
-not exactly where it believes to be: v t + v^2 / 2a + 3 sigma. The first two are in the direction it
-moves in; the last is a distance to keep to all sides.
+Stopping. A vehicle that gets a stop flies on for the latency of the link, then brakes, and its
+position has an error: v t + v^2 / 2a + 3 sigma. The first two are in the direction of motion; the
+last is a distance to keep on all sides.
 
-Reserve. The way home costs charge in proportion to its length, so what is left beyond the reserve
-is a distance. Who is farther than that is not pulled back (that is for the pilot, or for the
-autopilot's own failsafe) but goes no farther. The distance of an unknown battery is zero.
+Reserve. The way home costs charge in proportion to its length, so the charge above the reserve is a
+distance. A vehicle beyond it is not pulled back (that is for the pilot, or for the autopilot's own
+failsafe) but goes no farther. The distance of an unknown battery is zero.
 
 Standard library only.
 """
@@ -26,7 +26,7 @@ MAX_TICK_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """Limits of motion, and of height above home; a `ValueError` names the wrong one first."""
+    """Limits of motion and of height above home; a `ValueError` begins with the faulty name."""
 
     altitude_min_m: float
     altitude_max_m: float
@@ -46,7 +46,7 @@ class Envelope:
             raise ValueError("altitude_min_m: must be above 0 and below altitude_max_m")
 
     def next_velocity(self, velocity: Point, wanted: Point, dt_s: float) -> Point:
-        """The velocity nearest to the wanted one that the acceleration allows."""
+        """Return the velocity nearest to the wanted one that the acceleration allows."""
         change = (wanted[0] - velocity[0], wanted[1] - velocity[1])
         size, most = math.hypot(*change), self.acceleration_mps2 * dt_s
         share = most / size if size > most else 1.0
@@ -58,21 +58,21 @@ SIGMAS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Stopping:
-    """What a vehicle needs to stop.
+    """Inputs of the stopping distance.
 
     A `ValueError` begins with the name of the limit: a latency or sigma that is negative, a
     deceleration that is not positive, or one that is not finite.
     """
 
     latency_s: float
-    """From a motion that is measured to a setpoint that is obeyed."""
+    """From the measurement of a motion to the setpoint that is obeyed."""
     deceleration_mps2: float
-    """What the vehicle surely brakes with."""
+    """Deceleration that the vehicle reaches in any case."""
     navigation_sigma_m: float
     """Standard deviation of its position, per axis."""
 
     def __post_init__(self) -> None:
-        """Refuse what is not a number or stops nothing."""
+        """Refuse values that are not finite, negative, or without deceleration."""
         if not 0.0 <= self.latency_s < math.inf:
             raise ValueError("latency_s: must be a finite number and not negative")
         if not 0.0 < self.deceleration_mps2 < math.inf:
@@ -86,20 +86,20 @@ class Stopping:
         return SIGMAS * self.navigation_sigma_m
 
     def point(self, place: Point, velocity_mps: Point) -> Point:
-        """Where something that moves like this stops, at the farthest."""
+        """Return the farthest point at which a body with this velocity stops."""
         speed_mps = math.hypot(*velocity_mps)
         time_s = self.latency_s + 0.5 * speed_mps / self.deceleration_mps2
         return ahead(place, velocity_mps, time_s)
 
     def speed_mps(self, room_m: float, wait_s: float) -> float:
-        """The greatest speed, kept `wait_s`, with v wait + v^2 / 2a = `room_m`."""
+        """Return the greatest speed, kept `wait_s`, with v wait + v^2 / 2a = `room_m`."""
         waiting_mps = self.deceleration_mps2 * wait_s
         squared = waiting_mps * waiting_mps + 2.0 * self.deceleration_mps2 * room_m
         return math.sqrt(squared) - waiting_mps
 
 
 def ahead(place: Point, velocity_mps: Point, time_s: float) -> Point:
-    """Where something is after a time, if it goes on like this."""
+    """Return the position after a time at constant velocity."""
     return (place[0] + velocity_mps[0] * time_s, place[1] + velocity_mps[1] * time_s)
 
 
@@ -109,7 +109,7 @@ FULL_PCT = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Reserve:
-    """What it takes to come back.
+    """Charge needed to come back.
 
     A `ValueError` begins with the name of the limit: a reserve that is no share of a battery, or a
     cost that is not positive.
@@ -118,17 +118,17 @@ class Reserve:
     reserve_pct: float
     """Charge that is kept for landing."""
     cost_pct_per_km: float
-    """Charge that a kilometre of the way home takes, into the wind."""
+    """Charge for a kilometre of the way home, into the wind."""
 
     def __post_init__(self) -> None:
-        """Refuse what is not a number or reserves nothing."""
+        """Refuse values that are not finite or reserve nothing."""
         if not 0.0 <= self.reserve_pct < FULL_PCT:
             raise ValueError("battery_reserve_pct: must be from 0 to below 100")
         if not 0.0 < self.cost_pct_per_km < math.inf:
             raise ValueError("battery_pct_per_km: must be a finite number above 0")
 
     def reach_m(self, battery_pct: float | None) -> float:
-        """How far from home there is charge to come back; 0 if nobody knows the charge."""
+        """Return the distance from home that leaves charge to come back; 0 for unknown charge."""
         if battery_pct is None:
             return 0.0
         return max(0.0, battery_pct - self.reserve_pct) / self.cost_pct_per_km * M_PER_KM

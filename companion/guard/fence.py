@@ -1,4 +1,4 @@
-"""The fence: where a setpoint may be. Standard library only."""
+"""The fence: the area where a setpoint may be. Standard library only."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ LEAST_KEEP_OUT_M2 = 1e-3
 class Fence:
     """A simple polygon in local east and north, keep-outs in it, and a margin to their borders.
 
-    `also_inside_enu_m` are polygons that hold at the same time: what is allowed lies inside of all.
-    A `ValueError` says what is wrong: fewer than 3 corners, crossing edges, no area, more corners
-    in all than are looked at in time, a negative margin, or nothing left by it.
+    `also_inside_enu_m` are polygons that apply at the same time: the allowed area lies inside all
+    of them. A `ValueError` names the fault: fewer than 3 corners, crossing edges, no area, more
+    corners in all than can be checked in time, a negative margin, or no area left by it.
     """
 
     polygon_enu_m: Corners
@@ -27,7 +27,7 @@ class Fence:
     keep_out_enu_m: tuple[Corners, ...] = ()
     also_inside_enu_m: tuple[Corners, ...] = ()
     space: FreeSpace = field(init=False, repr=False, compare=False)
-    """What is left by the fence, the keep-outs and the margin."""
+    """Area left by the fence, the keep-outs and the margin."""
 
     def __post_init__(self) -> None:
         """Refuse polygons that enclose nothing, and a fence that leaves nothing usable."""
@@ -48,18 +48,18 @@ class Fence:
             raise ValueError(f"{rest} leave nothing of the fence")
 
     def free_space(self, margin_m: float) -> FreeSpace:
-        """What another margin would leave."""
+        """Return the area that another margin would leave."""
         return FreeSpace(self.polygon_enu_m, self.keep_out_enu_m, margin_m, self.also_inside_enu_m)
 
     def allows(self, point: Point) -> bool:
-        """Whether a point is inside, and outside every keep-out, by at least the margin."""
+        """Return True if a point is inside, and outside every keep-out, by at least the margin."""
         return self.space.allows(point)
 
     def limited(self, start: Point, goal: Point) -> Point:
-        """The farthest point of the straight way from `start` to `goal` with all before allowed.
+        """Return the farthest point of the line from `start` to `goal` with all before allowed.
 
-        From a start that is not allowed itself (blown outside, or started there) the result is
-        the nearest allowed point instead: only ever the shortest way back.
+        From a start that is not allowed itself (blown outside, or started there) the result is the
+        nearest allowed point instead: only ever the shortest way back.
         """
         if self.allows(goal) and self.space.is_clear(start, goal):
             return goal
@@ -69,7 +69,7 @@ class Fence:
         return self.nearest_allowed(start)
 
     def nearest_allowed(self, point: Point) -> Point:
-        """`point` if it is allowed, otherwise the nearest allowed one."""
+        """Return `point` if it is allowed, otherwise the nearest allowed one."""
         nearest = self.space.nearest_allowed(point)
-        assert nearest is not None  # there is a shore, checked when the fence was made
+        assert nearest is not None  # the constructor has checked that there is a shore
         return nearest

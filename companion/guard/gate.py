@@ -1,20 +1,21 @@
-"""The gate: every setpoint passes here, and nothing else makes one. Standard library only.
+"""The gate: every setpoint passes here, and no other code makes one. Standard library only.
 
-Theory of operation. The autopilot takes a setpoint as it is (PX4 accepted x = 1e9 and flew), and
-an ArduPilot position target never times out. So the setpoint is a carrot: it starts where the
-vehicle is, at rest, and moves towards the goal within the envelope, slowing down so that it can
-stop before whatever ends its way. Of every setpoint that moves it is known that
+Theory of operation. The autopilot obeys a setpoint as it is (PX4 accepted x = 1e9 and flew), and an
+ArduPilot position target never times out. So the setpoint is a carrot: it starts at the vehicle, at
+rest, and moves towards the goal within the envelope, slowing down so that it can stop before the
+end of its way. Every setpoint that moves satisfies
 
 - it is inside the fence and outside every keep-out by the margin, and in the altitude band;
-- the place where it would stop (latency, braking) keeps 3 sigma from every border, and so does the
-  straight way to it from the vehicle, both from where the vehicle was measured and from where it is
-  when the setpoint arrives;
+- the point where it would stop (latency, braking) keeps 3 sigma from every border, and so does the
+  straight line to it from the vehicle, both from the measured position and from the predicted one
+  at the arrival of the setpoint;
 - it is no farther from home than the leash and the battery allow, or nearer than it was.
 
-One that fails stays where it was, which was safe. Each is therefore safe to be the last one that is
-ever sent. The stream begins anew where the vehicle is, at rest, in the band, when its setpoint
-cannot be flown to: its position jumped, it is too fast to stop at a border, or the way is not free.
-From outside, or the margin, it is walked in the shortest way, no farther out than the vehicle.
+A step that violates one of these is not made: the setpoint stays where it was, which was safe. Each
+setpoint is therefore safe to be the last one that is ever sent. The stream restarts at the vehicle,
+at rest, in the band, when its setpoint cannot be reached: its position jumped, it is too fast to
+stop at a border, or the way is not free. From outside, or from the margin, the setpoint is walked
+in on the shortest way, no farther out than the vehicle.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ ASIDE_M = 2.0
 
 
 class GuardReason(Enum):
-    """Why a setpoint is not where the planner wanted it."""
+    """Reason why a setpoint differs from the planner's."""
 
     NO_FENCE = "there is no fence yet"
     NOT_FINITE = "goal, vehicle, home or time is not a number to fly by"
@@ -57,16 +58,16 @@ class GuardReason(Enum):
 
 @dataclass(frozen=True, slots=True)
 class GuardLimits:
-    """What no setpoint may exceed; a `ValueError` begins with the name of one that contradicts."""
+    """Limits of every setpoint; a `ValueError` begins with the name of a contradicting one."""
 
     fence: Fence | None
     """None: not known yet, so that nothing moves."""
     envelope: Envelope
     stopping: Stopping
     distance_home_m: float = math.inf
-    """How far from home a setpoint may be."""
+    """Largest distance of a setpoint from home."""
     reserve: Reserve | None = None
-    """None: the battery is not looked at."""
+    """None: the battery is not used."""
 
     def __post_init__(self) -> None:
         """Refuse limits that contradict each other."""
@@ -93,18 +94,18 @@ class GuardLimits:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the guard must know of the vehicle; local east, north and up."""
+    """State of the vehicle for the guard; local east, north and up."""
 
     position_enu_m: Position
     velocity_enu_mps: Position
     home_enu_m: Position
     battery_pct: float | None = None
-    """Charge that is left, 0 to 100; None: unknown."""
+    """Remaining charge, 0 to 100; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A setpoint that is safe to send, how it moves, and what was changed to make it so."""
+    """A setpoint that is safe to send, its velocity, and the reasons of its changes."""
 
     position_enu_m: Position
     reasons: tuple[GuardReason, ...] = ()
@@ -113,7 +114,7 @@ class Guarded:
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """What one tick has to go by."""
+    """Inputs of one tick."""
 
     goal_enu_m: Position
     previous: Guarded
@@ -124,12 +125,12 @@ class _Step:
 
     @property
     def start(self) -> Point:
-        """Where the setpoint was."""
+        """Setpoint before this tick."""
         return self.previous.position_enu_m[:2]
 
     @property
     def vehicle(self) -> Point:
-        """Where the vehicle was measured."""
+        """Measured position of the vehicle."""
         return self.motion.position_enu_m[:2]
 
 
@@ -140,16 +141,16 @@ class Guard:
         self.use(limits)
 
     def use(self, limits: GuardLimits) -> None:
-        """Other limits from now on, for example when the fence becomes known."""
+        """Set other limits, for example when the fence becomes known."""
         self.limits = limits
         fence, clearance_m = limits.fence, limits.stopping.clearance_m
         self._known = None if fence is None else (fence, fence.free_space(clearance_m))
-        """The fence, and where the vehicle itself may be on its way to a setpoint."""
+        """The fence, and the area for the vehicle itself on its way to a setpoint."""
 
     def here(self, motion: Motion) -> Guarded:
-        """The setpoint "stay where you are", in the band; one from outside is then walked in.
+        """Return the setpoint "stay where you are", in the band; from outside it is then walked in.
 
-        A `ValueError` if vehicle or home is nowhere, so that no setpoint is known to be safe.
+        Raises `ValueError` if vehicle or home has no finite position, so that no setpoint is safe.
         """
         if not _are_finite(motion.position_enu_m, motion.home_enu_m):
             raise ValueError("the place of the vehicle or of home is not a number")
@@ -160,16 +161,16 @@ class Guard:
         return Guarded((*motion.position_enu_m[:2], up_m), tuple(reasons))
 
     def stand(self, place_enu_m: Position) -> Guarded:
-        """The setpoint "do not move", even outside: for while nobody knows where that is.
+        """Return the setpoint "do not move", even outside: for while the position is in doubt.
 
-        A `ValueError` if the place is nowhere.
+        Raises `ValueError` if the position is not finite.
         """
         if not _are_finite(place_enu_m):
             raise ValueError("the place to stand at is not a number")
         return Guarded(place_enu_m)
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
-        """The setpoint before, at rest: stopping is allowed at once. One outside comes in."""
+        """Return the previous setpoint, at rest: it may stop at once. One outside comes in."""
         at, climb_mps = previous.position_enu_m, previous.velocity_enu_mps[2]
         if self._known is None or self._known[0].allows(at[:2]):
             is_in_band = self._in_band(at[2], motion, []) == at[2]
@@ -184,9 +185,9 @@ class Guard:
         dt_s: float,
         speed_cap_mps: float = math.inf,
     ) -> Guarded:
-        """The next setpoint on the way to a goal, no faster than `speed_cap_mps` and the limits.
+        """Return the next setpoint on the way to a goal, within `speed_cap_mps` and the limits.
 
-        A `ValueError` if neither the setpoint before nor the vehicle is a place.
+        Raises `ValueError` if neither the previous setpoint nor the vehicle has a finite position.
         """
         if not _are_finite(previous.position_enu_m, previous.velocity_enu_mps):
             return Guarded(self.here(motion).position_enu_m, (GuardReason.NOT_FINITE,))
@@ -211,7 +212,7 @@ class Guard:
             place, velocity = step.start, (0.0, 0.0)
         return Guarded((*place, up_m), tuple(step.reasons), (*velocity, climb_mps))
 
-    # When the vehicle is where its setpoint cannot be flown to from
+    # A vehicle that cannot fly to its setpoint
 
     def _trouble(self, step: _Step, fence: Fence, ways: FreeSpace) -> GuardReason | None:
         vehicle, limits = step.vehicle, self.limits
@@ -227,7 +228,7 @@ class Guard:
         return None if fence.allows(step.start) else GuardReason.MARGIN
 
     def _begun_anew(self, why: GuardReason, step: _Step) -> Guarded:
-        """At the vehicle; or where it was, if a vehicle that is too fast has passed that."""
+        """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it."""
         ve, vn = _level(step.motion.velocity_enu_mps)
         passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn
         if why is GuardReason.TOO_FAST and passed >= 0.0:
@@ -235,7 +236,7 @@ class Guard:
         return Guarded(self.here(step.motion).position_enu_m, (why,))
 
     def _walked_in(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
-        """The next one on the shortest way back; from the vehicle, if the last is not on it."""
+        """Return the next setpoint on the shortest way back, from the vehicle if off that way."""
         goal = fence.nearest_allowed(step.start)
         step = replace(step, goal_enu_m=step.previous.position_enu_m, speed_cap_mps=math.inf)
         left_m, lead_m = math.dist(step.start, goal), math.dist(step.start, step.vehicle)
@@ -273,7 +274,7 @@ class Guard:
         return up_m + climb_mps * step.dt_s, climb_mps
 
     def _permitted(self, step: _Step, fence: Fence) -> Point:
-        """Where the straight way to the goal ends, as far as it may be flown."""
+        """Return the end of the straight line to the goal, as far as it may be flown."""
         limits, home, charge_pct = self.limits, step.motion.home_enu_m[:2], step.motion.battery_pct
         east, north = (min(max(at, -FARTHEST_M), FARTHEST_M) for at in step.goal_enu_m[:2])
         wanted = (east, north)
@@ -291,7 +292,7 @@ class Guard:
         return fence.limited(step.start, goal)
 
     def _velocity(self, step: _Step, goal: Point, fence: Fence) -> Point:
-        """Towards the goal, as fast as the envelope and the way to stop allow."""
+        """Return the velocity towards the goal, within the envelope and the stopping distance."""
         envelope, stopping = self.limits.envelope, self.limits.stopping
         before, left_m = _level(step.previous.velocity_enu_mps), math.dist(step.start, goal)
         if left_m == 0.0:
@@ -317,7 +318,7 @@ class Guard:
     def _is_safe(
         self, place: Point, velocity: Point, step: _Step, fence: Fence, ways: FreeSpace
     ) -> bool:
-        """Whether a setpoint may be the last one; see the theory of operation."""
+        """Return True if a setpoint may be the last one; see the theory of operation."""
         stopping = self.limits.stopping
         arrival = ahead(step.vehicle, _level(step.motion.velocity_enu_mps), stopping.latency_s)
         return (
@@ -329,7 +330,7 @@ class Guard:
 
 
 def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: float) -> bool:
-    """Whether everything that a setpoint is made of can be flown by."""
+    """Return True if all inputs of a setpoint are numbers within the range of a local frame."""
     values = (*motion.position_enu_m, *motion.velocity_enu_mps, *motion.home_enu_m)
     are_near = all(abs(value) <= FARTHEST_M for value in values)
     return are_near and all(map(math.isfinite, (*goal, dt_s))) and speed_cap_mps >= 0.0

@@ -1,1 +1,1 @@
-"""`companion replay`: what was recorded, through the flying code once more."""
+"""`companion replay`: recordings through the flying code once more."""

@@ -1,9 +1,9 @@
-"""`companion replay` of a flight: runs it again and says whether it is the same.
+"""`companion replay` of a flight: runs it again and compares the result.
 
-Recorded and replayed stand side by side: the same to the last bit, or how far apart. On the live
-map a replay shows what the operator saw, or another configuration would have shown. It begins when
-a browser has opened the map, because at speed a flight is over before a page is up; there is no
-limit to that wait, as there is none to the last moment's being shown: Ctrl-C ends both.
+Recorded and replayed stand side by side: the same to the last bit, or with their distance. On the
+live map a replay shows the operator's view, or the view of another configuration. It begins when a
+browser has opened the map, because at speed a flight is over before a page is up; that wait has no
+limit, and the last moment stays as long: Ctrl-C ends both.
 """
 
 from __future__ import annotations
@@ -43,24 +43,24 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class FlightReplay:
-    """What a flight's replay says about its recording, and how exact it can be."""
+    """Comparison of a flight's replay with its recording."""
 
     recorded: Course
     replayed: Course
     is_exact: bool
-    """Whether the inputs were recorded; otherwise ticks were guessed from the tlog."""
+    """True if the inputs were recorded; otherwise ticks are guessed from the tlog."""
     is_same_configuration: bool
     is_course_whole: bool = True
-    """Whether nothing is missing of what was recorded."""
+    """True if the recorded course is complete."""
 
     @property
     def is_identical(self) -> bool:
-        """Whether every estimate and every setpoint is the same, bit for bit."""
+        """True if every estimate and every setpoint is the same, bit for bit."""
         return self.first_difference is None
 
     @property
     def first_difference(self) -> str | None:
-        """Where the two part, in words; None if they do not."""
+        """First difference between the two, in words; None if there is none."""
         recorded, replayed = self.recorded, self.replayed
         if replayed.whole is not None:
             recorded, replayed = recorded.first(*replayed.whole), replayed.first(*replayed.whole)
@@ -73,7 +73,7 @@ class FlightReplay:
     def _unlike(
         self, recorded: Sequence[T], replayed: Sequence[T]
     ) -> Iterator[tuple[int, T | None, T | None]]:
-        """Yield the number of each that differs, and both; of a damaged log only what is there."""
+        """Yield the number of each that differs, and both; of a damaged log only existing ones."""
         if self.is_course_whole:
             for number, (before, after) in enumerate(zip_longest(recorded, replayed), start=1):
                 if before != after:
@@ -86,7 +86,7 @@ class FlightReplay:
 
     @property
     def verdict(self) -> str:
-        """One line: the same, or not, and why that may be."""
+        """One line: identical, or different with a possible reason."""
         first = self.first_difference
         if first is None:
             recorded = self.recorded
@@ -101,11 +101,11 @@ class FlightReplay:
 
     @property
     def is_failed(self) -> bool:
-        """Whether it should have been identical, and is not."""
+        """True if it should have been identical, and is not."""
         return self.is_exact and self.is_same_configuration and not self.is_identical
 
     def table(self) -> str:
-        """Both courses in lines of text."""
+        """Return both courses in lines of text."""
         before, after = _figures(self.recorded), _figures(self.replayed)
         lines = [f"{'':<22} {'recorded':>14} {'replayed':>14}"]
         lines += [f"{name:<22} {before[name]:>14} {after[name]:>14}" for name in before]
@@ -115,7 +115,7 @@ class FlightReplay:
         return "\n".join(lines)
 
     def as_json(self) -> Json:
-        """Plain values for `--json`."""
+        """Return plain values for `--json`."""
         apart = apart_m(self.recorded.estimates, self.replayed.estimates)
         return {
             "identical": self.is_identical,
@@ -128,7 +128,7 @@ class FlightReplay:
 
 
 def apart_m(recorded: Sequence[Json], replayed: Sequence[Json]) -> tuple[float, float] | None:
-    """The largest and the last distance of estimates at the same times; None without any."""
+    """Return the largest and the last distance of estimates at the same times; None without any."""
     replayed_at = _by_time(replayed)
     apart = [
         math.dist(here, replayed_at[key])
@@ -139,7 +139,7 @@ def apart_m(recorded: Sequence[Json], replayed: Sequence[Json]) -> tuple[float, 
 
 
 def _by_time(lines: Sequence[Json]) -> dict[tuple[object, int], tuple[float, float]]:
-    """Places by time; the number separates estimates of one time."""
+    """Return places by time; the number separates estimates of one time."""
     places: dict[tuple[object, int], tuple[float, float]] = {}
     seen: Counter[object] = Counter()
     for line in lines:
@@ -151,7 +151,7 @@ def _by_time(lines: Sequence[Json]) -> dict[tuple[object, int], tuple[float, flo
 
 
 def position_of(line: Json) -> tuple[float, float] | None:
-    """East and north of an estimate's line."""
+    """Return east and north of an estimate's line."""
     place = line.get("position_enu_m")
     match place:
         case [int() | float() as east_m, int() | float() as north_m, *_]:
@@ -229,14 +229,14 @@ def replay_flight(
 
 
 class Pace:
-    """Lets a replay take its time, for people who watch."""
+    """Paces a replay for people who watch."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed
         self._started: tuple[float, float] | None = None
 
     def __call__(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Wait until it is time for this input."""
+        """Wait until this input is due."""
         del endpoint
         if self._started is None:
             self._started = (time.monotonic(), now_s)
@@ -251,7 +251,7 @@ POLL_S = 0.1
 
 
 class MapOfReplay:
-    """Feeds the page from a replay, and goes on showing its last moment."""
+    """Feeds the page from a replay, and keeps its last moment on the page."""
 
     def __init__(self, view: WebView, speed: float) -> None:
         self._view = view
@@ -259,7 +259,7 @@ class MapOfReplay:
         self._last: tuple[CompanionEndpoint, float] | None = None
 
     def __call__(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Wait until it is time for this input, and show what came of it."""
+        """Wait until this input is due, and show its result."""
         self._pace(endpoint, now_s)
         self._last = (endpoint, now_s)
         self._view.update(endpoint, now_s)
@@ -286,7 +286,7 @@ class MapOfReplay:
 
 
 def flight_name(path: Path) -> str:
-    """Return what a flight is called, given its folder, a file in that, or an MCAP file."""
+    """Return the name of a flight, given its folder, a file in that, or an MCAP file."""
     found = path.resolve()
     return found.name if found.is_dir() or is_mcap(found) else found.parent.name
 
@@ -299,7 +299,7 @@ def replay_on_map(
     speed: float,
     done: Callable[[FlightReplay], None],
 ) -> FlightReplay:
-    """Run a flight again on the live map, without buttons, until Ctrl-C; `done` has it earlier."""
+    """Run a flight again on the live map, without buttons, until Ctrl-C; `done` gets the result."""
     facts = open_recording(path).facts
     used = facts.config if config is None else config
     again = "" if used == facts.config else ", with another configuration"

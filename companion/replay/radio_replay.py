@@ -1,7 +1,7 @@
-"""`companion replay` of a radio recording: its bytes decoded anew, and the flying estimator.
+"""`companion replay` of a radio recording: its bytes decoded again, and the flying estimator.
 
-Each emitter has a filter of its own. Where no autopilot was connected nobody knows from where was
-measured; then it is only told what the radios said.
+Each emitter has a filter of its own. Without an autopilot in the recording the vehicle positions
+are unknown, and only the radios' measurements are listed.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from companion.link.radio_stage import RadioStage
 from companion.replay.walk_replay import TargetResult
 
 END_S = 10.0
-"""After the last record, until nothing waits any more."""
+"""Time after the last record at which all waiting measurements are due."""
 
 
 class _Target:
-    """One emitter's filter, and what was said of it."""
+    """One emitter's filter and measurements."""
 
     def __init__(self, config: CompanionConfig, emitter_id: int, track: VehicleTrack) -> None:
         self.queue = EmitterQueue(config.tracking, None, emitter_id)
@@ -36,7 +36,7 @@ class _Target:
         self.count = 0
 
     def take(self, measurement: RangingMeasurement) -> None:
-        """Take one in, which waits for the vehicle's place."""
+        """Queue a measurement, which waits for the vehicle position."""
         self.count += 1
         if measurement.range_m is not None:
             self.ranges_m.append(measurement.range_m)
@@ -45,12 +45,12 @@ class _Target:
 
 @dataclass(frozen=True, slots=True)
 class RadioReplay:
-    """What a recording came to."""
+    """Result of a recording."""
 
     radios: list[str]
-    """A line for each radio, and one for each emitter where there is no place."""
+    """A line for each radio, and one for each emitter if positions are unknown."""
     targets: list[TargetResult] = field(default_factory=list)
-    """Empty without any place."""
+    """Empty without any position."""
 
 
 def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
@@ -113,7 +113,7 @@ def _refusals(result: TargetResult) -> str:
 
 
 def _untold_lines(targets: dict[int, _Target]) -> list[str]:
-    """What was said of emitters, where that is all."""
+    """Return the measurements of emitters in lines, where positions are unknown."""
     lines = []
     for number, target in sorted(targets.items()):
         ranges_m = target.ranges_m

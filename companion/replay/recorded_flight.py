@@ -1,9 +1,8 @@
-"""A recorded flight from its logs, and through the same endpoint once more.
+"""A recorded flight from its logs, and its rerun through the same endpoint.
 
-The endpoint's inputs are in `flight.inputs`, so the replay does the very same: frames,
-ticks and stops at their own times, and nothing else. With the configuration of the flight it gives
-the same estimates and the same setpoints, byte for byte; `flight_replay` looks whether
-that is so.
+The endpoint's inputs are in `flight.inputs`, so the replay does the very same: frames, ticks and
+stops at their own times, and nothing else. With the configuration of the flight the estimates and
+the setpoints are the same, byte for byte; `flight_replay` checks that.
 """
 
 from __future__ import annotations
@@ -58,13 +57,13 @@ SETPOINT_IDS = frozenset(
 
 @dataclass(slots=True)
 class Course:
-    """What a flight came to, recorded or replayed."""
+    """Estimates and setpoints of a flight, recorded or replayed."""
 
     estimates: list[Json] = field(default_factory=list)
     setpoints: list[bytes] = field(default_factory=list)
     localised_s: float | None = None
     whole: tuple[int, int] | None = None
-    """How many estimates and setpoints came before the first damaged input; None: there is none."""
+    """Number of estimates and setpoints before the first damaged input; None: none is damaged."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,17 +82,17 @@ class CourseJournal(FlightView):
         self.course = Course()
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """Frames are collected where they are sent."""
+        """Do nothing: frames are collected where they are sent."""
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Keep an estimate in the words of the event log."""
+        """Keep an estimate in the form of the event log."""
         if kind == "estimate":
             line = plain({"t_s": round(now_s, 4), "kind": kind, **fields})
             assert isinstance(line, dict)
             self.course.estimates.append(line)
 
     def result(self, report: ReportResult, now_s: float) -> None:
-        """Keep when a target was reported first."""
+        """Keep the time of the first report."""
         del report
         if self.course.localised_s is None:
             self.course.localised_s = now_s
@@ -107,9 +106,9 @@ def rerun(
     views: Sequence[FlightView] = (),
     whole: int | None = None,
 ) -> Course:
-    """Run a flight again; `on_input` follows every input, views hear what is reported.
+    """Run a flight again; `on_input` follows every input, views get the reports.
 
-    The course notes what came of the first `whole` inputs; None: of all.
+    The course notes the results of the first `whole` inputs; None: of all.
     """
     journal = CourseJournal()
     tunables = Tunables(config, build_planner)
@@ -141,7 +140,8 @@ def rerun(
 OWN_COMPONENT = 191
 TICK_S = 0.05
 LONGEST_PAUSE_S = 60.0
-"""Between two frames of a tlog; a longer one, or one back in time, is the wall clock being set."""
+"""Between two frames of a tlog; a longer one, or one back in time, is a change of the wall
+clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,23 +151,23 @@ class FlightRecording:
     facts: FlightFacts
     inputs: list[Input]
     is_exact: bool
-    """Whether the inputs were recorded; otherwise they were guessed from the frames."""
+    """True if the inputs were recorded; otherwise they are guessed from the frames."""
     course: Course
     whole_inputs: int | None = None
-    """How many inputs came before the first that is damaged or missing; None: none is."""
+    """Number of inputs before the first that is damaged or missing; None: none is."""
     is_course_whole: bool = True
-    """Whether nothing is missing of the recorded course."""
+    """True if the recorded course is complete."""
     damage: tuple[str, ...] = ()
-    """What could not be read, a line for each file."""
+    """Unreadable parts, a line for each file."""
 
 
 def is_mcap(path: Path) -> bool:
-    """Return whether it is an MCAP file, which holds a flight by itself."""
+    """Return True for an MCAP file, which holds a flight by itself."""
     return path.suffix.lower() == ".mcap"
 
 
 def open_recording(path: Path) -> FlightRecording:
-    """A recorded flight: its folder, any file in it, or an MCAP file; or a `ConfigError`."""
+    """Return a recorded flight: its folder, any file in it, or an MCAP file; or `ConfigError`."""
     if is_mcap(path):
         found = read_mcap_flight(path)
         try:
@@ -225,7 +225,7 @@ def _ends_early(records: list[TlogRecord], inputs: list[Input], facts: FlightFac
 def _inputs_of(
     flight: RecordedFlight, records: list[TlogRecord]
 ) -> tuple[list[Input], int | None, list[int]]:
-    """Return the inputs, how many of them are whole, and the numbers of damaged records."""
+    """Return the inputs, the number of whole ones, and the numbers of damaged records."""
     path = flight.path(INPUTS)
     inputs: list[Input] = []
     bad: list[int] = []
@@ -237,7 +237,7 @@ def _inputs_of(
     whole: list[int] = []
 
     def on_damage(number: int) -> None:
-        """Note a damaged record, and how many inputs there are before it."""
+        """Note a damaged record, and the number of inputs before it."""
         bad.append(number)
         whole.append(len(inputs))
 
@@ -254,7 +254,7 @@ def _inputs_of(
 
 
 def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
-    """The estimates and setpoints in a flight's logs."""
+    """Return the estimates and setpoints in a flight's logs."""
     course = Course()
     for line in lines:
         if line.get("kind") == "estimate":
@@ -269,7 +269,7 @@ def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
 
 
 def inputs_of_tlog(records: list[TlogRecord]) -> list[Input]:
-    """Inputs for a log that has none: frames, and ticks at 20 Hz instead of the flight's own."""
+    """Return inputs for a log without them: frames, and ticks at 20 Hz instead of the flight's."""
     if not records:
         return []
     last_us = records[0].unix_us

@@ -5,7 +5,7 @@ A CSV file has a row per answer of an emitter, with the columns `t_s`, `agent_x_
 "not measured"). x is east, y is north, a bearing is counter-clockwise from east. Optional are
 `agent_z_m`, `own_sigma_m` (standard deviation per axis of the agent's position),
 `own_yaw_sigma_rad` (of the yaw that the bearings were turned by), and `target_x_m` and
-`target_y_m`, which only serve to say how wrong the estimate is. What holds for a whole walk may
+`target_y_m`, which only serve to compute the error of the estimate. Values for a whole walk may
 stand in the JSON object beside it (`walk.json` of `walk.csv`) under the same two names.
 """
 
@@ -43,7 +43,7 @@ ESTIMATED = (
     *("r95_m", "settled_r95_m", "absolute_r95_m", "alternative_enu_m", "range_offset_m"),
     *("range_scale", "height_m", "height_sigma_m"),
 )
-"""What `--json` takes from the estimate as it is."""
+"""Fields of the estimate that `--json` contains unchanged."""
 
 Progress = Callable[[int], None]
 
@@ -57,7 +57,7 @@ class WalkRow:
     agent_enu_m: PositionEnu
     truth_enu_m: tuple[float, float] | None
     own: OwnAccuracy | None = None
-    """How well the agent's position is known; None: not stated."""
+    """Accuracy of the agent's position; None: not stated."""
     yaw_sigma_rad: float = 0.0
     """Standard deviation of the yaw that the bearing was turned by."""
 
@@ -72,7 +72,7 @@ class _Replayed:
 
 @dataclass(frozen=True, slots=True)
 class TargetResult:
-    """What the replay says of one target."""
+    """Result of the replay for one target."""
 
     target_id: str
     rows: int
@@ -97,7 +97,7 @@ class TargetResult:
         return math.dist(self.estimate.position_enu_m, self.truth_enu_m)
 
     def as_json(self) -> dict[str, object]:
-        """Plain values for `--json`."""
+        """Return plain values for `--json`."""
         estimate, seen = self.estimate, self.observability
         return {
             "target_id": self.target_id,
@@ -122,9 +122,9 @@ def replay_walk(
     progress: Progress | None = None,
     own_sigma_m: float | None = None,
 ) -> list[TargetResult]:
-    """Run one tracker per target over a recorded walk, and call `progress` now and then.
+    """Run one tracker per target over a recorded walk; `progress` gets the number of rows.
 
-    `own_sigma_m` replaces what the walk states of its positions.
+    `own_sigma_m` replaces the walk's own accuracy of its positions.
     """
     targets: dict[str, _Replayed] = {}
     for number, row in enumerate(read_walk(path, own_sigma_m)):
@@ -164,14 +164,14 @@ def _result(target_id: str, target: _Replayed) -> TargetResult:
 
 
 class WalkAccuracy(msgspec.Struct, frozen=True):
-    """What holds of all positions of a walk, from the JSON object beside it."""
+    """Accuracy of all positions of a walk, from the JSON object beside it."""
 
     own_sigma_m: NonNegative | None = None
     own_yaw_sigma_rad: NonNegative | None = None
 
 
 def stated_accuracy(path: Path) -> WalkAccuracy:
-    """Return what the JSON file beside a walk states; nothing where there is no such file."""
+    """Return the accuracy in the JSON file beside a walk; none without such a file."""
     beside = path.with_suffix(".json")
     try:
         return msgspec.json.decode(beside.read_bytes(), type=WalkAccuracy)
@@ -182,7 +182,7 @@ def stated_accuracy(path: Path) -> WalkAccuracy:
 
 
 def read_walk(path: Path, own_sigma_m: float | None = None) -> Iterator[WalkRow]:
-    """Yield the rows of a recorded walk; a `ConfigError` names the line that is wrong."""
+    """Yield the rows of a recorded walk; a `ConfigError` names the wrong line."""
     stated = stated_accuracy(path)
     if own_sigma_m is not None:
         stated = msgspec.structs.replace(stated, own_sigma_m=own_sigma_m)
@@ -245,7 +245,7 @@ def _walk_row(
 def _sigma(
     row: Mapping[str, str | None], name: str, place: str, stated: float | None
 ) -> float | None:
-    """Return a row's standard deviation, or what is stated for the whole walk."""
+    """Return a row's standard deviation, or the one of the whole walk."""
     value = _number(row, name, place)
     if value is None:
         return stated
@@ -265,7 +265,7 @@ def _number(row: Mapping[str, str | None], name: str, place: str) -> float | Non
 
 
 def _bearing(row: Mapping[str, str | None], place: str) -> float | None:
-    """A bearing, from -pi to pi; what is counted from 0 to 2 pi in the file is turned there."""
+    """Return a bearing, from -pi to pi; a file may also count from 0 to 2 pi."""
     value = _number(row, "bearing_rad", place)
     if value is None or not math.pi < abs(value) <= 2.0 * math.pi:
         return value
@@ -318,7 +318,7 @@ def explanation(results: list[TargetResult]) -> str:
 
 
 def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[str]:
-    """Yield why a target is still searched, and that positions were taken for poor ones."""
+    """Yield why a target is still searched, and that a position accuracy was assumed."""
     estimates = {r.target_id: r.estimate for r in results if r.estimate is not None}
     open_m = {
         name: estimate.settled_r95_m

@@ -1,4 +1,4 @@
-"""Map tiles from a folder, laid under the map of a report, which carries them in itself."""
+"""Map tiles from a folder, embedded below the map of a report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from companion.web.settings import zooms_of
 MOST_TILES = 24
 """Of a page; at some 20 kB each, as much as the rest of a long report."""
 KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
-"""How pictures begin, whatever their files are called."""
+"""Magic numbers of pictures, whatever the names of their files."""
 MOST_BYTES = 2_000_000
 
 
@@ -30,7 +30,7 @@ class Picture:
 def pictures_of(
     folder: Path, origin: LocalOrigin, bounds: tuple[float, float, float, float]
 ) -> list[Picture]:
-    """Return the tiles under a map (west, east, south, north; local metres), as fine as may be."""
+    """Return the tiles under a map (west, east, south, north; local metres), finest first."""
     zooms = zooms_of(folder)
     if zooms is None:
         return []

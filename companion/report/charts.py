@@ -30,14 +30,14 @@ Bounds = tuple[float, float, float, float]
 
 
 def no_pictures(bounds: Bounds) -> Sequence[Picture]:
-    """Lay nothing below a map."""
+    """Return no pictures for a map without a background."""
     del bounds
     return ()
 
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A drawing with its heading and how to read it."""
+    """A drawing with its heading and a note that explains it."""
 
     title: str
     note: str
@@ -55,7 +55,7 @@ class TimeCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapLayers:
-    """What the map shows; places are local east and north, metres."""
+    """Contents of the map; places are local east and north, metres."""
 
     track_enu_m: Sequence[Point]
     estimates: Sequence[EstimatePoint]
@@ -65,13 +65,13 @@ class MapLayers:
     keep_outs_enu_m: Sequence[Sequence[Point]] = ()
     area_enu_m: Sequence[Point] = ()
     truth_enu_m: Mapping[str, Point] = field(default_factory=dict)
-    """Where emitters truly are, by what the map calls them."""
+    """True positions of emitters, by their labels on the map."""
     pictures: Callable[[Bounds], Sequence[Picture]] = no_pictures
-    """What lies below the map."""
+    """Background of the map."""
 
 
 def flight_map(layers: MapLayers) -> Markup:
-    """The track, the waypoints, and the shrinking 95 % ellipses, as large as what was flown."""
+    """Draw the track, the waypoints, and the shrinking 95 % ellipses, as large as the flight."""
     flown = [*layers.track_enu_m, *layers.waypoints_enu_m, *layers.area_enu_m]
     flown += [*layers.truth_enu_m.values(), *(point.place_enu_m for point in layers.estimates)]
     bounds = square_around(flown or layers.fence_enu_m or [(0.0, 0.0)], MAP_MARGIN_M)
@@ -115,7 +115,7 @@ def _estimates_by_name(points: Sequence[EstimatePoint]) -> dict[str, list[Estima
 
 
 def _draw_ellipses(drawing: SvgPlot, points: Sequence[EstimatePoint], width_m: float) -> None:
-    """How the estimate shrank; an ellipse that is larger than the map would only tint it."""
+    """Draw the shrinking estimate; an ellipse larger than the map would only tint it."""
     chosen = [point for point in points if point.covariance_m2 is not None]
     last = len(chosen) - 1
     if last >= ELLIPSES:
@@ -144,7 +144,7 @@ class TimeCharts:
         span: Point | None = None,
         is_log: bool = False,
     ) -> Chart | None:
-        """The chart; None: nothing to draw. The `span` of a logarithmic axis is above 0."""
+        """Return the chart; None without points. The `span` of a logarithmic axis is above 0."""
         values = [value for curve in curves for _, value in curve.points]
         if not values:
             return None
@@ -164,7 +164,7 @@ class TimeCharts:
 
 
 TRIMMED_SHARE = 0.02
-"""Of the values, on either side, that the axis of a histogram may leave out."""
+"""Share of the values, on either side, that the axis of a histogram may leave out."""
 
 
 def histogram(
@@ -173,11 +173,11 @@ def histogram(
     values: Sequence[float],
     cumulative: Callable[[float], float] | None = None,
 ) -> Chart | None:
-    """Draw how often each value was seen; None: there are no values.
+    """Draw the frequency of the values; None: there are no values.
 
-    A line has how often it was expected, by the `cumulative` probability: of whole bars, so that
-    both have one scale, however narrow the distribution. Few values far away would squeeze all
-    others into one bar, so the outermost bars have whatever lies beyond them, too.
+    A line shows the expected frequency by the `cumulative` probability, of whole bars, so that both
+    have one scale, however narrow the distribution. A few distant values would squeeze all others
+    into one bar, so the outermost bars contain all values beyond them, too.
     """
     if not values:
         return None

@@ -1,4 +1,4 @@
-"""What the event log of a flight holds, sorted for its report."""
+"""Contents of a flight's event log, sorted for its report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SUMMARY_KINDS = ("text", "phase", "answer", "autopilot_text", "bound", "result")
 
 Line = Mapping[str, object]
 Number = Annotated[float, msgspec.Meta(ge=-3.4e38, le=3.4e38)]
-"""What MAVLink can say: single precision. Beyond it, and infinite, a number was damaged."""
+"""Range of single precision, as in MAVLink. Beyond it, and infinite, a number was damaged."""
 Metres = Annotated[float, msgspec.Meta(ge=-4e7, le=4e7)]
 """Of a place or a radius: the Earth is 40,000 km around."""
 Scale = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
@@ -100,20 +100,20 @@ class EventRow:
 
 @dataclass(slots=True)
 class FlightSummary:
-    """What the event log of a flight holds for its report."""
+    """Contents of a flight's event log for its report."""
 
     estimates: list[EstimatePoint] = field(default_factory=list)
     track: FlightTrack = field(default_factory=FlightTrack)
     """Track of the vehicle, metres about the origin."""
     measured_enu_m: list[Point] = field(default_factory=list)
-    """Where the vehicle was when it measured, all that a log without positions has."""
+    """Vehicle positions at measurements, the only ones in a log without a track."""
     origin: LocalOrigin | None = None
     """The last origin of the local frame."""
     waypoints_enu_m: list[Point] = field(default_factory=list)
     events: list[EventRow] = field(default_factory=list)
     """Those of `SUMMARY_KINDS`."""
     fence: Polygons | None = None
-    """The fence that the guard kept last, and its keep-outs, local east and north."""
+    """The guard's last fence, and its keep-outs, local east and north."""
     guard: Counter[str] = field(default_factory=Counter)
     """Interventions of the guard, by reason."""
     links: list[Line] = field(default_factory=list)
@@ -121,7 +121,7 @@ class FlightSummary:
     radios: dict[int, Line] = field(default_factory=dict)
     """The last figures of each radio with a format of its own, by its number."""
     results: list[Line] = field(default_factory=list)
-    """What was reported of each emitter first, in order."""
+    """The first report of each emitter, in order."""
     ended_s: float = 0.0
 
     @property
@@ -136,7 +136,7 @@ class FlightSummary:
 
 
 def summarize_events(lines: Iterable[Line]) -> FlightSummary:
-    """The summary of an event log's lines in JSON's own types; unknown kinds are passed over."""
+    """Return the summary of an event log's lines in JSON's own types; skip unknown kinds."""
     summary = FlightSummary()
     for line in lines:
         time_s = _read(line.get("t_s"), Number) or 0.0
@@ -185,7 +185,7 @@ def _take_line(summary: FlightSummary, kind: str, line: Line) -> None:
 
 
 def _read(value: object, kind: type[T]) -> T | None:
-    """A value of the log as what it should be; None: it is something else."""
+    """Return a value of the log converted to a type; None: it does not match."""
     try:
         return msgspec.convert(value, kind)
     except (msgspec.ValidationError, OverflowError):
@@ -193,9 +193,9 @@ def _read(value: object, kind: type[T]) -> T | None:
 
 
 def radii_of_line(r95_m: float, line: Line) -> str:
-    """Both radii of a result, and the GNSS accuracy that is in the absolute one.
+    """Return both radii of a result, and the GNSS accuracy in the absolute one.
 
-    A log that is older than the absolute radius has the relative one only.
+    A log that is older than the absolute radius has only the relative one.
     """
     absolute_m = _read(line.get("absolute_r95_m"), float)
     own_m = _read(line.get("own_sigma_m"), float)
@@ -206,7 +206,7 @@ def radii_of_line(r95_m: float, line: Line) -> str:
 
 
 def event_text(kind: str, line: Line) -> str:
-    """An event in words, for the table of events."""
+    """Return an event in words, for the table of events."""
     if kind in ("text", "autopilot_text"):
         return str(line.get("text"))
     if kind == "phase":

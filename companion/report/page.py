@@ -1,13 +1,13 @@
 """The report of a flight as an HTML page; complete in itself: no network, no scripts.
 
-Every page about one flight is made here. A `FlightPage` holds what all of them show: heading and
+Every page about one flight is made here. A `FlightPage` holds the common contents: heading and
 verdict, figures, the map, charts and the table of events. `render_page` fills `page.html.j2` with
 it, or a template of another package that says `{% extends "page.html.j2" %}` and adds sections in
-the blocks `verdicts` (before the map) and `sections` (before the events). The blocks see `page`
-and whatever else is given by name; the classes `passed`, `failed`, `dim`, `number`, `state` and
-`scroll` of `page.css` serve their tables. The drawings come from `companion.report.charts`; their
-styles are `track`, `estimate`, `radius`, `truth`, `limit`, `residual` and `step`.
-A page that is not about one flight takes `page_environment` and includes `page.css`.
+the blocks `verdicts` (before the map) and `sections` (before the events). The blocks see `page` and
+the values passed by name; the classes `passed`, `failed`, `dim`, `number`, `state` and `scroll` of
+`page.css` serve their tables. The drawings come from `companion.report.charts`; their styles are
+`track`, `estimate`, `radius`, `truth`, `limit`, `residual` and `step`. A page that is not about one
+flight uses `page_environment` and includes `page.css`.
 """
 
 from __future__ import annotations
@@ -82,15 +82,15 @@ LINK_WORDS = {
     "line_losses": "losses of its line",
     "restarts": "restarts of the autopilot",
 }
-"""What the counters of the event log mean; one that is new has its own name."""
+"""Meaning of the counters in the event log; others keep their own names."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightPage:
-    """What every report of one flight shows."""
+    """Contents of the report of one flight."""
 
     kind: str
-    """Stands above the heading, for example "Flight report"."""
+    """Line above the heading, for example "Flight report"."""
     name: str
     verdict: str
     is_passed: bool
@@ -106,11 +106,11 @@ class FlightPage:
     """In the order of time; the first `MAX_EVENTS` are shown."""
     footer: str
     began_unix_s: float | None = None
-    """The time at zero of the flight's own; None: an invented one, which has no date."""
+    """Unix time at zero of the flight's own; None: an invented time, which has no date."""
 
 
 def page_environment(package: str) -> Environment:
-    """Where templates come from: the package's `templates` first, then ours."""
+    """Return the template environment: the package's `templates` first, then ours."""
     return Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("companion.report")]),
         autoescape=True,
@@ -123,7 +123,7 @@ def page_environment(package: str) -> Environment:
 def render_page(
     page: FlightPage, template: str, package: str = "companion.report", **more: object
 ) -> str:
-    """The page as text; `more` is what the template's own blocks need, by name."""
+    """Return the page as text; `more` are the values of the template's own blocks, by name."""
     charts = [chart for chart in page.charts if chart is not None]
     events = page.events[:MAX_EVENTS]
     found = page_environment(package).get_template(template)
@@ -135,7 +135,7 @@ def render_page(
 def report_page(
     summary: FlightSummary, facts: FlightFacts, name: str, tiles: Path | None = None
 ) -> str:
-    """The page of a recorded flight as text, its map on the `tiles` of a folder."""
+    """Return the page of a recorded flight as text, its map on the `tiles` of a folder."""
     fence, keep_outs = fence_of(summary, facts.config)
     pictures = no_pictures
     if tiles is not None and summary.origin is not None:
@@ -172,7 +172,7 @@ def report_page(
 
 
 def _map_note(layers: MapLayers) -> str:
-    """Return the legend of what is drawn on the map."""
+    """Return the legend of the map."""
     signs = {
         "blue: the track": layers.track_enu_m,
         "red: 95 % ellipses over time, the newer the stronger, and the last R95, dashed the "
@@ -186,7 +186,7 @@ def _map_note(layers: MapLayers) -> str:
 
 
 def verdict_of(summary: FlightSummary) -> str:
-    """The flight in one phrase."""
+    """Return the result of the flight in one phrase."""
     if summary.results:
         told = [(result.get("r95_m"), result) for result in summary.results]
         texts = [radii_of_line(r95_m, result) for r95_m, result in told if isinstance(r95_m, float)]
@@ -218,7 +218,7 @@ def _figures(summary: FlightSummary, facts: FlightFacts) -> list[tuple[str, str]
 
 
 def _places(place: Point, radius_m: object, emitter: str = "") -> list[tuple[str, str]]:
-    """A place on the Earth in degrees, and as MGRS no finer than it is known; none of another."""
+    """Return a place on the Earth in degrees, and as MGRS no finer than its radius, or nothing."""
     if abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
         return []
     known_m = radius_m if isinstance(radius_m, float) else 1.0
@@ -231,10 +231,10 @@ def _places(place: Point, radius_m: object, emitter: str = "") -> list[tuple[str
 def fence_of(
     summary: FlightSummary, config: CompanionConfig
 ) -> tuple[Sequence[Point], Sequence[Sequence[Point]]]:
-    """The fence that the guard kept, and its keep-outs; empty where nobody knows.
+    """Return the fence that the guard kept, and its keep-outs; empty if unknown.
 
-    A log without it is of a flight that never knew one, or of an earlier version: then the
-    configuration's counts, which has only a default where the fence comes from elsewhere.
+    A log without a fence is of a flight without one, or of an earlier version: then the configured
+    one is used, which is only a default if the fence comes from another source.
     """
     limits = config.limits
     if summary.fence is not None:
@@ -273,7 +273,7 @@ def _half_core(u: float) -> float:
 
 
 def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | None]:
-    """R95, offset, residuals, their histogram beside the fitted loss, and NIS."""
+    """Return charts of R95, offset, residuals, their histogram with the fitted loss, and NIS."""
     noise = config.estimation.filter
     expected = HuberDistribution(
         noise.range_sigma_m, threshold(noise.range_k_long), threshold(noise.range_k_short)
@@ -329,11 +329,11 @@ def write_report(
 ) -> Path:
     """Write the report of a flight (its folder, or a file in it), and return its path.
 
-    By default it is in the folder. Its map lies on `tiles` (`z/x/y.png`), where there are any.
-    `say` has a line for each damaged log, the rest of which is reported.
+    By default it is in the folder. Its map lies on `tiles` (`z/x/y.png`), if there are any. `say`
+    gets a line for each damaged log, the rest of which is reported.
     """
     found = open_flight(flight)
-    older = found.directory / "events.old.jsonl"  # put aside when the log reached half its cap
+    older = found.directory / "events.old.jsonl"  # rotated out when the log reached half its cap
     lines: list[Line] = []
     for part in (older, found.path(EVENTS)):
         damaged: list[int] = []
@@ -348,7 +348,7 @@ def write_report(
 
 
 def is_quick(flight: Path) -> bool:
-    """Whether the report of a flight is made in about a second."""
+    """Return True if the report of a flight is made in about a second."""
     try:
         return (flight / EVENTS).stat().st_size <= QUICK_BYTES
     except OSError:

@@ -1,4 +1,4 @@
-"""SVG drawings of a flight, made of nothing but text: map, and values over time."""
+"""SVG drawings of a flight, made of text alone: map, and values over time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_POINTS = 1500
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """From values to places on the drawing."""
+    """Mapping from values to coordinates of the drawing."""
 
     low: float
     high: float
@@ -26,14 +26,14 @@ class Axis:
     is_log: bool = False
 
     def at(self, value: float) -> float:
-        """Where a value is."""
+        """Return the coordinate of a value."""
         low, high = self.low, self.high
         if self.is_log:
             low, high, value = math.log(low), math.log(high), math.log(max(value, low))
         return self.start + (value - low) / (high - low) * (self.end - self.start)
 
     def ticks(self) -> list[float]:
-        """Round values to be named."""
+        """Return round values for labels."""
         if self.is_log:
             first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
             decades = [10.0**power for power in range(first, last + 1)]
@@ -47,7 +47,7 @@ class Axis:
 
 
 class SvgPlot:
-    """A plot with two axes; its title is for those who cannot see it."""
+    """A plot with two axes; its title is for screen readers."""
 
     def __init__(
         self,
@@ -67,16 +67,16 @@ class SvgPlot:
         self._pictures: list[str] = []
 
     def line(self, points: Iterable[Point], style: str) -> None:
-        """A curve through points."""
+        """Add a curve through points."""
         self._parts.append(f'<polyline class="{style}" points="{self._places(points)}"/>')
 
     def area(self, corners: Iterable[Point], style: str, opacity: float = 1.0) -> None:
-        """A polygon."""
+        """Add a polygon."""
         faint = "" if opacity == 1.0 else f' opacity="{opacity:.2f}"'
         self._parts.append(f'<polygon class="{style}"{faint} points="{self._places(corners)}"/>')
 
     def dots(self, points: Iterable[Point], style: str, radius: float = 1.6) -> None:
-        """A dot at every point, as one path so that thousands stay light."""
+        """Add a dot at every point, as one path so that thousands stay light."""
         moves = "".join(
             f"M{self.x.at(px):.1f} {self.y.at(py):.1f}h0" for px, py in thin_points(list(points))
         )
@@ -84,7 +84,7 @@ class SvgPlot:
             self._parts.append(f'<path class="{style}" stroke-width="{2 * radius:g}" d="{moves}"/>')
 
     def picture(self, url: str, north_west: Point, south_east: Point) -> None:
-        """A picture below all that is drawn, cut at the edges of the plot."""
+        """Add a picture below all other parts, cut at the edges of the plot."""
         left, top = self.x.at(north_west[0]), self.y.at(north_west[1])
         width, height = self.x.at(south_east[0]) - left, self.y.at(south_east[1]) - top
         self._pictures.append(
@@ -93,7 +93,7 @@ class SvgPlot:
         )
 
     def circle(self, centre: Point, radius: float, style: str, name: str = "") -> None:
-        """A circle whose radius is a length of the horizontal axis."""
+        """Add a circle whose radius is a length of the horizontal axis."""
         scale = (self.x.end - self.x.start) / (self.x.high - self.x.low)
         cx, cy = self.x.at(centre[0]), self.y.at(centre[1])
         title = f"<title>{escape(name)}</title>" if name else ""
@@ -103,7 +103,7 @@ class SvgPlot:
         )
 
     def cross(self, place: Point, style: str, name: str) -> None:
-        """A cross with a name."""
+        """Add a cross with a name."""
         cx, cy = self.x.at(place[0]), self.y.at(place[1])
         self._parts.append(
             f'<path class="{style}" d="M{cx - 6:.1f} {cy:.1f}h12M{cx:.1f} {cy - 6:.1f}v12">'
@@ -112,7 +112,7 @@ class SvgPlot:
         )
 
     def mark(self, value: float, style: str, name: str) -> None:
-        """A vertical line with a name."""
+        """Add a vertical line with a name."""
         px = self.x.at(value)
         self._parts.append(
             f'<path class="{style}" d="M{px:.1f} {self.y.end:.1f}V{self.y.start:.1f}">'
@@ -120,7 +120,7 @@ class SvgPlot:
         )
 
     def svg(self) -> str:
-        """The drawing as an SVG element."""
+        """Return the drawing as an SVG element."""
         width, height = self._size
         x, y = self.x, self.y
         plot = (
@@ -160,7 +160,7 @@ def _tick(line: str, anchor: str, at: Point, value: float) -> str:
 
 
 def thin_points(points: Sequence[Point]) -> Sequence[Point]:
-    """At most so many of them, evenly; the last one always."""
+    """Return at most `MAX_POINTS` points, evenly spaced, the last one always among them."""
     if len(points) <= MAX_POINTS:
         return points
     step = math.ceil(len(points) / MAX_POINTS)
@@ -168,7 +168,7 @@ def thin_points(points: Sequence[Point]) -> Sequence[Point]:
 
 
 def square_around(points: Iterable[Point], margin: float) -> tuple[float, float, float, float]:
-    """West, east, south and north of the square that holds all points."""
+    """Return west, east, south and north of the square that holds all points."""
     places = list(points)
     east = [p[0] for p in places]
     north = [p[1] for p in places]

@@ -1,1 +1,1 @@
-"""What is done once, before the first flight: the configuration shown, written and set up."""
+"""Tools for use before the first flight: the configuration shown, written and set up."""

@@ -1,7 +1,7 @@
-"""What to set in an autopilot before its first flight under a companion.
+"""Settings of an autopilot before its first flight under a companion.
 
-Sources: the parameter references of PX4 1.15 and ArduCopter 4.5, docs/px4.md and
-docs/ardupilot.md. `companion doctor` reads the values back and says what they mean.
+Sources: the parameter references of PX4 1.15 and ArduCopter 4.5, docs/px4.md and docs/ardupilot.md.
+`companion doctor` reads the values back and explains them.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from companion.config.schema import CompanionConfig
 from companion.io.links.transports import SerialPort, Transport
 
 Setting = tuple[str, str, str]
-"""Name, value, why."""
+"""Name, value, reason."""
 
 
 def settings_to_make(autopilot: str, link: Transport, config: CompanionConfig) -> list[Setting]:
-    """The parameters of one vehicle, in the order in which they are set."""
+    """Return the parameters of one vehicle, in the order in which they are set."""
     baud = link.baud if isinstance(link, SerialPort) else None
     speed_mps = config.limits.speed_mps
     if autopilot == "px4":
@@ -45,7 +45,7 @@ def settings_to_make(autopilot: str, link: Transport, config: CompanionConfig) -
 
 
 def guide(autopilot: str, link: Transport, config: CompanionConfig) -> list[str]:
-    """The same as lines for people."""
+    """Return the settings as lines for people."""
     name = {"px4": "PX4", "ardupilot": "ArduPilot"}[autopilot]
     rows = settings_to_make(autopilot, link, config)
     width = max(len(row[0]) for row in rows)

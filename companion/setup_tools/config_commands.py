@@ -11,7 +11,7 @@ from companion.config.schema import load_config, with_fence, with_radios, with_s
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do it; the exit code."""
+    """Run the command; return the exit code."""
     if arguments.config_command == "schema":
         _say(json_schema())
         return 0

@@ -11,7 +11,7 @@ SYSTEM = Path("/etc/companion")
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
-    """What `companion config` understands."""
+    """Add the options of `companion config`."""
     commands = parser.add_subparsers(dest="config_command", metavar="{show,schema}", required=True)
     show = commands.add_parser(
         "show",
@@ -38,7 +38,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 
 def add_setup(parser: argparse.ArgumentParser) -> None:
-    """What `companion setup` understands."""
+    """Add the options of `companion setup`."""
     parser.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="which one flies")
     for name, place, metavar, text in (
         ("--connect", "link", "URL", f"link to the autopilot, for example {LINK}"),
@@ -60,7 +60,7 @@ def add_setup(parser: argparse.ArgumentParser) -> None:
 
 
 def add_tiles(parser: argparse.ArgumentParser) -> None:
-    """What `companion tiles` understands."""
+    """Add the options of `companion tiles`."""
     commands = parser.add_subparsers(dest="tiles_command", metavar="{fetch}", required=True)
     fetch = commands.add_parser(
         "fetch",

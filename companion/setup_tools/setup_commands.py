@@ -1,4 +1,4 @@
-"""`companion setup`: asks what a vehicle has, or takes it from flags, and makes it ready to fly."""
+"""`companion setup`: asks for the vehicle's equipment, or takes it from flags, and sets it up."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from companion.setup_tools.site_files import (
 )
 
 SYSTEM_UNITS = (Path("/lib/systemd/system"), Path("/usr/lib/systemd/system"))
-"""Where a package has its unit; it reads `service.env` of `SYSTEM`."""
+"""Folders of packaged units, which read `service.env` of `SYSTEM`."""
 HOMES = (Path("/home"), Path("/root"))
 NONE = "none"
 DOCTOR_S = 5.0
@@ -51,19 +51,19 @@ Ask = Callable[[str], str]
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What a vehicle has, as options give it; nothing is checked yet."""
+    """Equipment of a vehicle, as given by options, unchecked."""
 
     autopilot: str
     connect: str
     radio: str | None
-    """NAME[:OPTIONS]@URL; None: the autopilot's link or `ranging` brings what is measured."""
+    """NAME[:OPTIONS]@URL; None: measurements come by the autopilot's link or `ranging`."""
     ranging: str | None
     preset: str | None
     fence: Path | None
 
 
 def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
-    """Do it; the exit code."""
+    """Run the command; return the exit code."""
     directory = arguments.directory or _usual_directory()
     if arguments.remove:
         _say(*remove_files(directory))
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
 
 
 def _checked_link(choices: Choices, config: CompanionConfig) -> Transport:
-    """Return the vehicle's link; a `ConfigError` where a flight on these links would refuse."""
+    """Return the vehicle's link; raise `ConfigError` where a flight on these links would refuse."""
     ranging = () if choices.ranging is None else (choices.ranging,)
     links = flight_links(choices.connect, ranging, config.radios)
     check_exposure(
@@ -97,7 +97,7 @@ def _checked_link(choices: Choices, config: CompanionConfig) -> Transport:
 def _finish(
     arguments: argparse.Namespace, choices: Choices, link: Transport, directory: Path
 ) -> int:
-    """Compile, examine and advise; the files stay written whatever comes of it."""
+    """Compile, examine and advise; the files stay written whatever the result."""
     config = load_config(directory / CONFIG)
     try:
         if not arguments.no_warm_up:
@@ -111,7 +111,7 @@ def _finish(
 
 
 def _findings(config: CompanionConfig, link: Transport) -> list[CheckResult]:
-    """The doctor's; a link that does not open yet is one of them, since the files are written."""
+    """Return the doctor's findings; a link that does not open yet is one, as files are written."""
     try:
         return run_doctor(config, link, DOCTOR_S)
     except CompanionError as error:
@@ -133,7 +133,7 @@ def _next(choices: Choices, directory: Path, arguments: argparse.Namespace) -> l
 
 
 def options(choices: Choices) -> str:
-    """What the command line has beside the configuration."""
+    """Return the options of the command line beside the configuration."""
     words = ["--connect", choices.connect]
     if choices.ranging is not None:
         words += ["--ranging", choices.ranging]
@@ -141,7 +141,7 @@ def options(choices: Choices) -> str:
 
 
 def site_contents(choices: Choices) -> dict[str, bytes]:
-    """The files of a choice, by name; a `ConfigError` for what cannot be."""
+    """Return the files of a choice, by name; raise `ConfigError` for an invalid one."""
     raw: dict[str, Any] = {KEY: SCHEMA_VERSION}
     if choices.preset is not None:
         preset = preset_named(choices.preset)
@@ -164,7 +164,7 @@ def site_contents(choices: Choices) -> dict[str, bytes]:
 
 
 def _with_radio(radios: list[dict[str, Any]], radio: dict[str, Any]) -> list[dict[str, Any]]:
-    """A preset's radios, with what is chosen in place of the one of that name."""
+    """Return a preset's radios, with the chosen one in place of the one of that name."""
     same = next((each for each in radios if each.get("name") == radio["name"]), {})
     for section in ("settings", "options"):
         radio[section] = {**(same.get(section) or {}), **radio[section]}
@@ -172,7 +172,7 @@ def _with_radio(radios: list[dict[str, Any]], radio: dict[str, Any]) -> list[dic
 
 
 def unit(directory: Path, user: str) -> bytes:
-    """The unit that comes with the program, for this installation."""
+    """Return the program's own unit for this installation."""
     text = read_text(shipped_file(f"systemd/{UNIT}"))
     program = shutil.which("companion") or str(Path(sys.argv[0]).absolute())
     text = text.replace("/opt/companion/bin/companion", program)
@@ -189,7 +189,7 @@ def _usual_directory() -> Path:
 
 
 def _choices(arguments: argparse.Namespace, ask: Ask | None) -> Choices:
-    """What flags say, and the answers to what they do not."""
+    """Return choices from flags, and from answers where flags are missing."""
     if ask is None and arguments.link is None:
         raise ConfigError(f"setup: say where the autopilot is: --connect {LINK}")
     asked = _Questions(ask)
@@ -211,7 +211,7 @@ def _choices(arguments: argparse.Namespace, ask: Ask | None) -> Choices:
 
 
 class _Questions:
-    """Asks on a terminal what no flag has told; without a terminal defaults count."""
+    """Asks on a terminal for values without a flag; without a terminal defaults apply."""
 
     def __init__(self, ask: Ask | None) -> None:
         self._ask = ask
@@ -219,7 +219,7 @@ class _Questions:
     def one(
         self, question: str, told: str | None, default: str, among: tuple[str, ...] = ()
     ) -> str:
-        """The flag's value, the answer, or the default."""
+        """Return the flag's value, the answer, or the default."""
         if told is not None or self._ask is None:
             return default if told is None else told
         while True:

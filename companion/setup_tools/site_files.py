@@ -1,9 +1,9 @@
-"""What `companion setup` writes, and how it is undone: all of it, or nothing.
+"""Files that `companion setup` writes and removes: all of them, or none.
 
-Every file is made and checked in a folder of its own, and then moved into its place. What stood
-there before is kept beside it, under its name and `.before-setup`, and comes back with `--remove`.
-`setup.json` lists what was written, with checksums, so that nothing is deleted that somebody has
-changed since.
+Every file is made and checked in a folder of its own, and then moved into its place. An earlier
+file there is kept beside it, under its name and `.before-setup`, and comes back with `--remove`.
+`setup.json` lists the written files, with checksums, so that no file is deleted that was changed
+since.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BEFORE = ".before-setup"
 
 
 class SetupRecord(msgspec.Struct, frozen=True):
-    """What one setup wrote: absolute paths to the SHA-256 of their contents."""
+    """Files of one setup: absolute paths to the SHA-256 of their contents."""
 
     files: dict[str, str]
 
@@ -43,7 +43,7 @@ def check_files(contents: Mapping[str, bytes]) -> CompanionConfig:
 
 
 def write_files(directory: Path, contents: Mapping[Path, bytes]) -> None:
-    """Write them, and the record; if one cannot be written, everything is as before."""
+    """Write the files, and the record; if one cannot be written, everything is as before."""
     record = _record(directory)
     files = {} if record is None else dict(record.files)
     earlier: dict[Path, bytes | None] = {}
@@ -65,7 +65,7 @@ def write_files(directory: Path, contents: Mapping[Path, bytes]) -> None:
 
 
 def _undo(earlier: Mapping[Path, bytes | None], kept: Sequence[Path]) -> None:
-    """Put back what a setup that failed had replaced."""
+    """Restore the files that a failed setup had replaced."""
     for path, content in earlier.items():
         if content is None:
             path.unlink(missing_ok=True)
@@ -76,7 +76,7 @@ def _undo(earlier: Mapping[Path, bytes | None], kept: Sequence[Path]) -> None:
 
 
 def remove_files(directory: Path) -> list[str]:
-    """Undo a setup; a line for each file. A `ConfigError` where there was none."""
+    """Undo a setup; return a line for each file. Raise `ConfigError` if there was none."""
     record = _record(directory)
     if record is None:
         raise ConfigError(f"{directory}: no setup was made here ({RECORD} is missing)")
@@ -103,7 +103,7 @@ def _record(directory: Path) -> SetupRecord | None:
 
 
 def _keep_what_was_there(path: Path, files: Mapping[str, str]) -> list[Path]:
-    """A file that no setup wrote, or that was changed since, is kept beside; where."""
+    """Keep a file that no setup wrote, or that was changed since, beside; return its copies."""
     if not path.exists() or files.get(str(path.absolute())) == _sum(read_file(path)):
         return []
     before = path.with_name(path.name + BEFORE)
@@ -112,7 +112,7 @@ def _keep_what_was_there(path: Path, files: Mapping[str, str]) -> list[Path]:
 
 
 def _put_back(path: Path) -> bool:
-    """Delete a file, or put back what stood there; whether something did."""
+    """Delete a file, or restore the earlier one; return True if there was one."""
     before = path.with_name(path.name + BEFORE)
     if before.exists():
         before.replace(path)

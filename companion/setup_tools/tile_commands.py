@@ -24,7 +24,7 @@ MOST_BYTES = 2_000_000
 """Of one tile."""
 METRES_PER_DEGREE = 111_319.5
 SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
-"""How PNG, JPEG and WebP begin."""
+"""Magic numbers of PNG, JPEG and WebP."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Tile:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fetch what is missing, and return the exit code."""
+    """Fetch missing tiles, and return the exit code."""
     places = wanted_tiles(arguments.around, arguments.radius, arguments.zoom)
     url = _checked_url(arguments.url)
     missing = [each for each in places if not _file(arguments.folder, *each).exists()]
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, int, int]]:
-    """Zoom, x and y of every tile that a square about a place touches."""
+    """Return zoom, x and y of every tile that a square about a place touches."""
     latitude_deg, longitude_deg = _place(around)
     least, most = _zooms(zooms)
     if not 0.0 < radius_m <= 100_000.0:
@@ -95,7 +95,7 @@ def _checked_url(url: str) -> str:
 
 
 def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
-    """One after the other, unhurried; what came before a failure is kept by who takes it."""
+    """Yield tiles one after the other, unhurried; those before a failure are kept by the caller."""
     for zoom, x, y in places:
         address = url.replace("{z}", str(zoom)).replace("{x}", str(x)).replace("{y}", str(y))
         agent = {"User-Agent": f"companion-guidance/{__version__}"}
@@ -115,7 +115,7 @@ def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]
 
 
 def _stored(tiles: Iterable[Tile], folder: Path) -> int:
-    """Write them as `z/x/y.png`, whatever kind of picture they are; browsers look inside."""
+    """Write tiles as `z/x/y.png`, whatever their kind of picture; return their number."""
     count = 0
     for tile in tiles:
         if not tile.picture.startswith(SIGNATURES):

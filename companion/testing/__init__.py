@@ -1,1 +1,1 @@
-"""What authors of plugins try their own code with. Nothing of it flies, and it needs no pytest."""
+"""Checks for authors of plugins. No flight uses them, and they need no pytest."""

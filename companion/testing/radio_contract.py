@@ -1,10 +1,10 @@
-"""What every radio's decoder must hold, tried in one call.
+"""The contract of a radio's decoder, checked in one call.
 
     check_radio(KIND, Path("stream.bin").read_bytes(), Path("golden.jsonl"))
 
-The stream is an example of what the radio sends: whole frames or lines, at best one of each kind,
+The stream is an example of the radio's output: whole frames or lines, at best one of each kind,
 some hundred bytes, that mean the same when they are sent again. The golden file has a reading a
-line, as `golden_lines` writes it. Whatever is broken raises `ContractError`, an AssertionError.
+line, as `golden_lines` writes it. A broken rule raises `ContractError`, an AssertionError.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from companion.radios.decoder import (
 
 NOISE_BYTES = 1_000_000
 TORN_BYTES = 200_000
-"""Of torn pieces: there is much to read in them."""
+"""Of torn pieces: they contain much to decode."""
 MOST_NOISE_S = 1.0
 """Of processor time, for each kind of noise."""
 PIECE_BYTES = 4096
 SETTLED_BYTES = 8192
-"""After so much of a good stream, what was there before it no longer matters."""
+"""Length of a good stream after which earlier data no longer matter."""
 GARBAGE_BYTES = 300
 FLIPS = (0x01, 0x20, 0x80, 0xFF)
 NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -46,12 +46,12 @@ FREE_TEXT = bytes(range(0x20, 0x7F))
 
 
 class ContractError(AssertionError):
-    """A decoder does not hold what all of them must."""
+    """A decoder breaks the contract of all radios."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContractFigures:
-    """What was measured on the way."""
+    """Figures measured by the check."""
 
     readings: int
     """Of the stream."""
@@ -70,10 +70,10 @@ def check_radio(
     has_checksum: bool = False,
     repeats: bool = True,
 ) -> ContractFigures:
-    """Try a radio's decoder with a stream and the readings (or the golden file) that it gives.
+    """Check a radio's decoder with a stream and its readings (or the golden file).
 
     With `has_checksum` a flipped byte may lose readings, but never change one. Without `repeats`
-    the decoder tells new from old by itself: what it has read it need not read once more.
+    the decoder itself separates new from old: it need not repeat a reading.
     """
     readings = read_golden(expected) if isinstance(expected, Path) else list(expected)
     trial = _Trial(lambda: kind.decoder(options), stream, readings, repeats)
@@ -86,18 +86,18 @@ def check_radio(
 
 
 def golden_lines(readings: Iterable[RadioReading]) -> str:
-    """Readings as the golden file has them: JSON, without what has its default."""
+    """Return readings in the form of the golden file: JSON, without default values."""
     return "".join(f"{msgspec.json.encode(_told(reading)).decode()}\n" for reading in readings)
 
 
 def read_golden(path: Path) -> list[RadioReading]:
-    """The readings of a golden file."""
+    """Return the readings of a golden file."""
     lines = path.read_bytes().splitlines()
     return [msgspec.json.decode(line, type=RadioReading) for line in lines if line.strip()]
 
 
 def complaint_of(readings: object) -> str | None:
-    """What no decoder may return, whatever it was fed; None: nothing is wrong."""
+    """Return the fault in a decoder's result, for any input; None: there is none."""
     if not isinstance(readings, list):
         return f"feed returned {type(readings).__name__}, not a list"
     for reading in readings:
@@ -114,7 +114,7 @@ def complaint_of(readings: object) -> str | None:
 
 
 def kept_bytes(decoder: RadioDecoder) -> int:
-    """What a decoder holds, all that it refers to included but code and its options."""
+    """Return the memory of a decoder, with all that it refers to but code and its options."""
     total, seen, waiting = 0, {id(decoder.options)}, list(_parts(decoder))
     while waiting:
         part = waiting.pop()
@@ -127,7 +127,7 @@ def kept_bytes(decoder: RadioDecoder) -> int:
 
 
 def noises(stream: bytes, rng: np.random.Generator) -> dict[str, bytes]:
-    """A megabyte of any bytes, and of text without an end; torn pieces of the stream."""
+    """Return random bytes and endless text, a megabyte each, and torn pieces of the stream."""
     cuts = rng.integers(0, len(stream) + 1, (4 * TORN_BYTES // len(stream), 2))
     torn = b"".join(stream[min(pair) : max(pair)] for pair in cuts.tolist())
     letters = rng.integers(0, len(FREE_TEXT), NOISE_BYTES)
@@ -139,12 +139,12 @@ def noises(stream: bytes, rng: np.random.Generator) -> dict[str, bytes]:
 
 
 def pieces(data: bytes, size: int = PIECE_BYTES) -> Iterator[bytes]:
-    """Some data as it comes over a line."""
+    """Yield data in pieces, as it comes over a line."""
     return (data[at : at + size] for at in range(0, len(data), size))
 
 
 class _Trial:
-    """One decoder, one stream, and what it must give."""
+    """One decoder, one stream, and its expected readings."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class _Trial:
     def feed(
         self, what: str, *parts: bytes, decoder: RadioDecoder | None = None
     ) -> list[RadioReading]:
-        """The readings of parts that are fed one by one."""
+        """Return the readings of parts that are fed one by one."""
         decoder = decoder or self.make()
         readings: list[RadioReading] = []
         for number, part in enumerate(parts):
@@ -181,7 +181,7 @@ class _Trial:
         return readings
 
     def check_splits(self) -> None:
-        """The whole, byte by byte, in two at every place, and begun before at every place."""
+        """Check the whole, byte by byte, cut in two at every byte, and restarted at every byte."""
         stream = self.stream
         decoder = self.make()
         self._same("the stream", self.feed("the stream", stream, decoder=decoder))
@@ -198,7 +198,7 @@ class _Trial:
             self._again(what, self.feed(what, stream, decoder=decoder))
 
     def check_flips(self, has_checksum: bool) -> None:
-        """One byte flipped at each place, in every way where no value may come of it."""
+        """Check one byte flipped at each place, in every way where no value may come of it."""
         there = Counter(golden_lines(self.expected).splitlines())
         for at in range(len(self.stream)):
             for flip in FLIPS if has_checksum else (FLIPS[at % len(FLIPS)],):
@@ -210,7 +210,7 @@ class _Trial:
                     raise ContractError(f"{what}: read {next(iter(wrong))}")
 
     def check_garbage(self) -> None:
-        """Garbage before costs no more than the beginning; garbage after costs nothing."""
+        """Check that garbage before loses only the beginning, and garbage after loses nothing."""
         good = self.stream * (1 + -(-SETTLED_BYTES // len(self.stream)))
         for number in range(10):
             what = f"garbage {number}"
@@ -221,7 +221,7 @@ class _Trial:
             self._same(f"{what} after", found)
 
     def check_noise(self) -> tuple[float, int]:
-        """Seconds of the slowest noise, and the bytes that were kept at most."""
+        """Return the seconds of the slowest noise, and the most bytes kept."""
         slowest_s, most = 0.0, 0
         for what, noise in noises(self.stream, self.rng).items():
             decoder = self.make()
@@ -241,7 +241,7 @@ class _Trial:
         return slowest_s, most
 
     def _again(self, what: str, found: list[RadioReading]) -> None:
-        """The same, or what was not read before of it, in its order."""
+        """Check for the same readings, or for new ones in their order."""
         rest = iter(self.expected)
         if self.repeats or not all(reading in rest for reading in found):
             self._same(what, found)
@@ -270,7 +270,7 @@ def _told(reading: RadioReading) -> dict[str, object]:
 
 
 def _parts(value: object) -> list[object]:
-    """What a value refers to."""
+    """Return the values that a value refers to."""
     if isinstance(value, dict):
         return [*value, *value.values()]
     if isinstance(value, list | tuple | set | frozenset | deque):

@@ -1,1 +1,1 @@
-"""What operators are shown: snapshots, the terminal, log lines and Cursor on Target."""
+"""Views for operators: snapshots, the terminal, log lines and Cursor on Target."""

@@ -1,8 +1,8 @@
 """The flight as log lines on standard error, without ever waiting for their reader.
 
-A terminal that was stopped (Ctrl-S), a pipe that nobody reads and a journal daemon that hangs all
-block a write for good. Lines therefore go through a bounded queue to a daemon thread; what does
-not fit is counted, and reported with the next line that does.
+A stopped terminal (Ctrl-S), a pipe without a reader and a journal daemon that hangs all block a
+write for good. Lines therefore go through a bounded queue to a daemon thread; lines that do not fit
+are counted, and reported with the next line that does.
 
 Where the output is no terminal, the flight is a line now and then.
 """
@@ -39,8 +39,9 @@ class _LineWriter(WriterThread[str]):
         super().__init__("console", MAX_QUEUED)
 
     def write_batch(self, batch: list[str]) -> None:
+        """Write lines, and drop those that the stream refuses."""
         for line in batch:
-            with suppress(OSError, ValueError):  # nobody reads: then nobody misses it
+            with suppress(OSError, ValueError):  # without a reader the line is lost
                 self._write(f"{line}\n")
 
     def _write(self, text: str) -> None:
@@ -54,7 +55,7 @@ class _LineWriter(WriterThread[str]):
 
 
 class ConsoleHandler(logging.Handler):
-    """Hands log lines to a writer thread."""
+    """Passes log lines to a writer thread."""
 
     def __init__(self, stream: TextIO | io.TextIOBase) -> None:
         super().__init__()
@@ -63,7 +64,7 @@ class ConsoleHandler(logging.Handler):
         """Lost lines that the log has mentioned."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Queue a line; counted instead if the queue is full."""
+        """Queue a line; count it instead if the queue is full."""
         try:
             line = printable(self.format(record))
             dropped = self.writer.dropped
@@ -71,11 +72,11 @@ class ConsoleHandler(logging.Handler):
                 line = f"({dropped - self._reported} lines were lost here)\n{line}"
             if self.writer.append(line):
                 self._reported = dropped
-        except Exception:  # the same as the standard handlers: a bad record is no reason to fall
+        except Exception:  # like the standard handlers: a bad record must not end the flight
             self.handleError(record)
 
     def close(self) -> None:
-        """Write what is queued, for a moment at most."""
+        """Write queued lines, for a moment at most."""
         self.writer.close(CLOSE_TIMEOUT_S)
         super().close()
 
@@ -85,7 +86,7 @@ log = logging.getLogger("companion.view")
 PERIOD_S = 15.0
 """Seconds of the flight between two lines."""
 REPORTED_PHASES = HAS_VEHICLE | {Phase.LAUNCHING}
-"""On the ground whatever happens has a text of its own, and a log must not grow for nothing."""
+"""On the ground every event has a text of its own, and a log must not grow without need."""
 
 
 class PlainView(FlightView):
@@ -95,7 +96,7 @@ class PlainView(FlightView):
         self._next_s = -math.inf
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Log a line, if it is time."""
+        """Log a line if one is due."""
         if now_s < self._next_s or endpoint.session.phase not in REPORTED_PHASES:
             return
         self._next_s = now_s + PERIOD_S

@@ -1,10 +1,10 @@
 """Cursor on Target: found emitters as markers on the ground teams' maps, by UDP.
 
-An event goes out when an emitter is localised, when what is known of it has changed, and now and
-then so that nobody takes it for stale; never more than one a second for each emitter. The socket
-does not wait, and what it refuses is counted.
+An event is sent when an emitter is localised, when its estimate has changed, and from time to time
+so that its marker does not become stale; at most one a second for each emitter. The socket does not
+wait, and refused events are counted.
 
-What an event says is in `companion.handoff`.
+`companion.handoff` makes the contents of an event.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from companion.run import FlightView
 log = logging.getLogger("companion.view")
 
 LOOK_S = 0.25
-"""How often it is looked whether something is due."""
+"""Time between two checks for due events."""
 LEAST_S = 1.0
 """Between two events of an emitter."""
 AGAIN_S = STALE_AFTER_S / 10.0
 """An event is repeated after this long, changed or not."""
 CHANGE_SHARE = 0.2
-"""A move by this share of R95, or a change of R95 by it, is worth an event."""
+"""A move by this share of R95, or a change of R95 by it, makes an event due."""
 MAX_PORT = 65_535
 
 
 def cot_address(text: str) -> Address:
-    """The address in `HOST:PORT`, or a `ConfigError`."""
+    """Return the address in `HOST:PORT`; raise `ConfigError` on another form."""
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not host or not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
@@ -47,20 +47,20 @@ def cot_address(text: str) -> Address:
 
 
 class CotRule:
-    """When an emitter's event is due."""
+    """Decides when an emitter's event is due."""
 
     def __init__(self) -> None:
         self._sent: dict[int, tuple[float, TargetEstimate]] = {}
 
     def is_due(self, emitter: EmitterStatus, now_s: float) -> bool:
-        """Whether to send now; if so, it counts as sent."""
+        """Return True if an event is due now; it then counts as sent."""
         estimate = emitter.estimate
         if estimate is None:
             return False
         last = self._sent.get(emitter.emitter_id)
         is_found = estimate.state is EstimateState.LOCALISED or emitter.is_reported
         if last is None and not is_found:
-            return False  # one that was found once is reported to its end, whatever its state
+            return False  # an emitter found once is reported to the end, whatever its state
         if last is not None:
             sent_s, before = last
             since_s = now_s - sent_s
@@ -98,7 +98,7 @@ class CotView(FlightView):
             log.info("Cursor on Target goes to the group %s:%s", target[0], target[1])
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Send what is due."""
+        """Send events that are due."""
         if now_s < self._next_s:
             return
         self._next_s = now_s + LOOK_S

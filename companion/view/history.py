@@ -1,8 +1,8 @@
-"""What a map remembers of a flight, and how it reaches readers that come late or lose a part.
+"""History of a flight for maps, and its transfer to readers that come late or lose a part.
 
-The flight keeps the track and the curves, thinned, from its own event log. A page gets what it
-lacks of them with the next snapshot that is sent, and a browser with the next update. So snapshots
-may be dropped, pages started again and browsers opened late: each has the whole in the end.
+The flight keeps the track and the curves, thinned, from its own event log. A page gets the part
+that it lacks with the next snapshot that is sent, and a browser with the next update. So snapshots
+may be dropped, pages restarted and browsers opened late: each has the whole in the end.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ class HistoryPart(NamedTuple, Generic[T]):
 
     items: list[T]
     is_whole: bool
-    """The items replace what the reader has; otherwise they come after it."""
+    """The items replace the reader's; otherwise they are appended."""
 
 
 class History(Generic[T]):
-    """A list that grows; its version changes when it does more than that."""
+    """A list that grows; its version changes with every other change."""
 
     def __init__(self) -> None:
         self.items: list[T] = []
         self.version = 0
 
     def take(self, part: HistoryPart[T]) -> None:
-        """Take in what was lacking."""
+        """Append or replace by a part."""
         if part.is_whole:
             self.items, self.version = [], self.version + 1
         self.items += part.items
 
     def clear(self) -> None:
-        """Begin again."""
+        """Remove all items."""
         self.items, self.version = [], self.version + 1
 
 
 class HistoryReader:
-    """Reader's place in a history."""
+    """Reader's position in a history."""
 
     def __init__(self, whole_every: int | None = None) -> None:
         """Every `whole_every`th part is the whole, should one have been lost on the way."""
@@ -50,7 +50,7 @@ class HistoryReader:
         self._parts, self._count, self._version = 0, 0, -1
 
     def next_part(self, history: History[T]) -> HistoryPart[T]:
-        """Return what is lacking; it counts as sent."""
+        """Return the part that is lacking; it counts as sent."""
         is_whole = history.version != self._version
         if self._whole_every is not None:
             is_whole = is_whole or self._parts % self._whole_every == 0
@@ -80,7 +80,7 @@ class FlightTrack(History[Point]):
         self._end: Point | None = None
         """The latest position, not a corner yet."""
         self._reach_m = 0.0
-        """How far from the last corner the line went."""
+        """Largest distance of the line from the last corner."""
         self._ahead_rad = 0.0
         self._sector_rad = (0.0, 0.0)
         """Directions from the last corner, relative to `_ahead_rad`, that pass all since then."""
@@ -91,7 +91,7 @@ class FlightTrack(History[Point]):
         return self.items if self._end is None else [*self.items, self._end]
 
     def add(self, place: Point) -> None:
-        """Take in the next position."""
+        """Add the next position."""
         if not self.items:
             self.items.append(place)
             return
@@ -120,7 +120,7 @@ class FlightTrack(History[Point]):
         self.add(place)
 
     def clear(self) -> None:
-        """Begin again, in another frame."""
+        """Remove all corners for another frame."""
         super().clear()
         self._end = None
 
@@ -145,7 +145,7 @@ class CurveHistory(History[dict[str, object]]):
         self._next_s = -math.inf
 
     def is_due(self, now_s: float) -> bool:
-        """Return whether a point at this time is kept."""
+        """Return True if a point at this time is kept."""
         return now_s >= self._next_s
 
     def add(self, point: dict[str, object], now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""What the operator does next, in one or two short sentences, at every moment of a flight."""
+"""The operator's next step, in one or two short sentences, at every moment of a flight."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ ALWAYS = {
     Phase.HANDBACK: "Take over: it asks the autopilot to hold or to return, and stops flying.",
     Phase.STOPPED: "You fly. The companion has ended; start it again for another search.",
 }
-"""Of phases in which nothing else matters."""
+"""Phases whose next step does not depend on anything else."""
 
 
 def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
-    """What to do now; texts that hold in every phase come first."""
+    """Return the next step; texts for every phase come first."""
     vehicle = endpoint.session.vehicle
     if endpoint.binding.heard_s is None:
         return "Switch the autopilot on. Nothing is heard yet: check cable, port and --connect."
@@ -45,7 +45,7 @@ def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
 
 
 def _while_waiting(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
-    if status.detail:  # it says what to do already
+    if status.detail:  # the detail names the next step already
         return "Switch to another mode, for example Hold or Loiter. Then it can be given control."
     session = endpoint.session
     missing = missing_inputs(session.vehicle, session.fencing, status.time_s)

@@ -1,7 +1,7 @@
-"""One moment of a flight as plain values: what every view draws, the page and a terminal.
+"""One moment of a flight as plain values for every view, the page and a terminal.
 
-Lengths are metres in the local frame, east first; times are seconds of the companion's clock. A
-value that is not known is None. Texts are as they came: whoever shows them escapes them.
+Lengths are metres in the local frame, east first; times are seconds of the companion's clock. An
+unknown value is None. Texts are unescaped: a view has to escape them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ESTIMATE_WORDS = {
 
 
 def scene_of(config: CompanionConfig) -> Json:
-    """What does not change during a flight."""
+    """Return the values that do not change during a flight."""
     mission = config.mission
     return {
         "stop_radius_m": mission.stop_radius_m,
@@ -45,7 +45,7 @@ def scene_of(config: CompanionConfig) -> Json:
 
 
 def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
-    """What is known now."""
+    """Return the values of this moment."""
     session = endpoint.session
     status = session.status(now_s)
     vehicle = session.vehicle
@@ -89,7 +89,7 @@ def _phase_text(status: GuidanceStatus) -> str:
 
 
 def _fence(fencing: Fencing) -> Json:
-    """What the guard keeps now, which need not be what the configuration says."""
+    """Return the guard's fence, which may differ from the configured one."""
     fence = fencing.guard.limits.fence
     return {
         "polygon": None if fence is None else fence.polygon_enu_m,
@@ -102,15 +102,15 @@ def _fence(fencing: Fencing) -> Json:
 
 
 VIEW_REACH_M = 60.0
-"""How far a view that does not meet the ground is drawn."""
+"""Length of a field of view that does not meet the ground."""
 VIEW_CORNERS = 36
 
 
 def _antenna_view(endpoint: CompanionEndpoint, now_s: float) -> Json | None:
-    """Where the boresight points, and what of the ground is in its field of view; None: unknown.
+    """Return the antenna's boresight and field of view on the ground; None: unknown.
 
     The ground lies at the height of the target. A view of half of all directions or more has no
-    outline: nothing, or next to nothing, is out of it.
+    outline: almost all directions are inside.
     """
     session = endpoint.session
     params = session.tracker.params.filter
@@ -133,7 +133,7 @@ def _antenna_view(endpoint: CompanionEndpoint, now_s: float) -> Json | None:
 
 
 def _met_on_ground(place: PositionEnu, ray: PositionEnu, height_m: float) -> Point:
-    """Where a ray from a place meets the ground so far below it, or `VIEW_REACH_M` from there."""
+    """Return the point where a ray meets the ground, or the one at `VIEW_REACH_M`."""
     (east, north, _), (e, n, u) = place, ray
     level = math.hypot(e, n)
     reach_m = level * height_m / -u if u < 0.0 < height_m else VIEW_REACH_M
@@ -142,7 +142,7 @@ def _met_on_ground(place: PositionEnu, ray: PositionEnu, height_m: float) -> Poi
 
 
 def _words(estimate: TargetEstimate) -> str:
-    """The state in words, and what would resolve it."""
+    """Return the state in words, and how to resolve an ambiguity."""
     words, aside_m = ESTIMATE_WORDS[estimate.state], aside_of_m(estimate)
     return words if aside_m is None else f"{words}: go {aside_m:.0f} m to the side"
 
@@ -183,7 +183,7 @@ def _emitter(emitter: EmitterStatus) -> Json:
 
 
 def radio_words(endpoint: CompanionEndpoint, now_s: float) -> tuple[tuple[str, str], ...]:
-    """Each radio's name, and how it is."""
+    """Return each radio's name and state."""
     found = [radio.status(now_s) for radio in endpoint.radios]
     return tuple((status.name, status.words) for status in found)
 
@@ -197,7 +197,7 @@ def _waypoint(waypoint: Waypoint) -> Json:
 
 
 def ages_s(endpoint: CompanionEndpoint, now_s: float) -> Mapping[str, float | None]:
-    """How long ago each input was last heard; None: never."""
+    """Return the age of each input, in seconds; None: never received."""
     session = endpoint.session
     state = session.vehicle.track.latest
     heard = {
@@ -212,7 +212,7 @@ def ages_s(endpoint: CompanionEndpoint, now_s: float) -> Mapping[str, float | No
 
 @dataclass(frozen=True, slots=True)
 class FlightSnapshot:
-    """What a terminal shows."""
+    """Contents of the terminal screen."""
 
     status: GuidanceStatus
     setpoint_rate_hz: float
@@ -221,15 +221,15 @@ class FlightSnapshot:
     ages_s: Mapping[str, float | None]
     time_to_go_s: float | None = None
     radios: tuple[tuple[str, str], ...] = ()
-    """Names, and how they are."""
+    """Names and states."""
     next_step: str = ""
-    """What the operator does now."""
+    """The operator's next step."""
 
 
 def flight_snapshot(
     endpoint: CompanionEndpoint, now_s: float, time_to_go_s: float | None = None
 ) -> FlightSnapshot:
-    """The present moment of a flight."""
+    """Return the snapshot of a flight at this moment."""
     status = endpoint.session.status(now_s)
     return FlightSnapshot(
         status=status,
@@ -260,13 +260,13 @@ class TimeToGo:
         self._under_since_s: float | None = None
 
     def of_flight(self, endpoint: CompanionEndpoint, now_s: float) -> float | None:
-        """The seconds to go of a flight, whose end a ground station may change."""
+        """Return the seconds to go of a flight, whose end a ground station may change."""
         params, estimate = endpoint.session.params, endpoint.session.estimate
         self._stop_radius_m, self._confirm_s = params.stop_radius_m, params.stop_confirm_s
         return self.observe(now_s, None if estimate is None else estimate.settled_r95_m)
 
     def observe(self, now_s: float, r95_m: float | None) -> float | None:
-        """The seconds to go, or None where nothing can be said, as without an R95."""
+        """Return the seconds to go; None: unknown, as without an R95."""
         if r95_m is None or not r95_m > 0.0:
             self._radii.clear()
             self._under_since_s = None

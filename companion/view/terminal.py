@@ -1,9 +1,9 @@
 """The flight in a terminal: one screen that is redrawn, in words and numbers.
 
 Theory of operation. A terminal may be stopped (Ctrl-S) or hang (SSH), and then a write never
-returns. So the flight only leaves the newest moment in a slot; a daemon thread draws it, and
-whatever came meanwhile is not drawn. Log lines go above the screen by the same console, so that
-they stay in the terminal's history.
+returns. So the flight only puts the newest moment into a slot; a daemon thread draws it, and
+moments between are not drawn. Log lines go above the screen by the same console, so that they stay
+in the terminal's history.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ BAR_FULL_M = 50.0
 
 
 def screen(moment: FlightSnapshot, title: str) -> Panel:
-    """The whole screen for one moment."""
+    """Return the whole screen for one moment."""
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", justify="right", no_wrap=True)
     grid.add_column(min_width=52)
@@ -96,7 +96,7 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
 
 
 def _ages(moment: FlightSnapshot) -> Text:
-    """How old each input is; what is too old to be flown on is red."""
+    """Return the age of each input; an age too old for guidance is red."""
     text = Text()
     for name, age_s in moment.ages_s.items():
         is_old = age_s is None or age_s > OLD_AFTER_S.get(name, math.inf)
@@ -176,7 +176,7 @@ class ConsoleStream(io.TextIOBase):
         self._console = console
 
     def write(self, text: str) -> int:
-        """Print a line as it is: what looks like markup in it is none."""
+        """Print a line verbatim, without interpreting markup."""
         line = text.removesuffix("\n")
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
         return len(text)
@@ -201,7 +201,7 @@ class TerminalView(FlightView):
         self._thread.start()
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Leave the present moment to be drawn, if it is time."""
+        """Pass the present moment to the thread, if a picture is due."""
         wall_s = time.monotonic()
         if wall_s < self._next_wall_s:
             return
@@ -213,7 +213,7 @@ class TerminalView(FlightView):
             self._changed.notify()
 
     def close(self) -> None:
-        """Draw what waits, for a moment at most, and leave the terminal as it was."""
+        """Draw the last moment, within `CLOSE_S`, and restore the terminal."""
         with self._changed:
             self._is_closed = True
             self._changed.notify()
@@ -229,7 +229,7 @@ class TerminalView(FlightView):
                 moment = self._take()
 
     def _take(self) -> FlightSnapshot | None:
-        """The next moment, when there is one; None: there will be no more."""
+        """Wait for the next moment and return it; None: the view is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._is_closed)
             moment, self._newest = self._newest, None

@@ -1,7 +1,7 @@
 """Buttons of the page.
 
 HOLD, RESUME, RETURN and GRANT are grey with the reason, confirmed, and answered; HAND OVER shows
-what ground teams need.
+the hand-off for ground teams.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ BUTTONS = (
 ANSWER_S = 1.0
 """An answer that takes longer is reported as missing ..."""
 FORGOTTEN_S = 10.0
-"""... and after this long not waited for any more."""
+"""... and ignored after this time."""
 
 
 class CommandButtons:
@@ -41,10 +41,11 @@ class CommandButtons:
     def __init__(self, press: Press) -> None:
         self._press = press
         self._shown_s = 0.0
-        """Of the flight, the moment that is shown."""
+        """Flight time of the moment on the page."""
         self._buttons: dict[str, tuple[ui.button, ui.label]] = {}
         self._awaited: dict[str, tuple[float, float, bool]] = {}
-        """By label: when it was pressed, of the flight and monotonic, and whether it is missed."""
+        """By label: flight time and monotonic time of the press, and whether it is reported
+        missing."""
         for name, label, colour, question in BUTTONS:
             dialog = _confirmation(question, label, colour, partial(self._send, name, label))
             with ui.column().classes("command gap-0 items-center"):
@@ -54,7 +55,7 @@ class CommandButtons:
             self._buttons[name] = (button, reason)
 
     def show(self, picture: Mapping[str, Any]) -> None:
-        """Show what would do something now, and the answers to what was pressed."""
+        """Enable the buttons that have an effect now, and show the answers to pressed ones."""
         self._shown_s = picture["t_s"]
         for name, (button, reason) in self._buttons.items():
             objection = picture["objections"][name]
@@ -67,7 +68,7 @@ class CommandButtons:
                 ui.notify(text, type="negative" if " refused" in text else "positive")
 
     def look(self) -> None:
-        """Say that an answer is missing, which no picture would."""
+        """Report a missing answer."""
         now_s = time.monotonic()
         for label, (flight_s, pressed_s, is_missed) in list(self._awaited.items()):
             if now_s - pressed_s > FORGOTTEN_S:
@@ -100,7 +101,7 @@ def _confirmation(
 
 
 class HandoffButton:
-    """HAND OVER, for the ground team; it is there once something was located."""
+    """HAND OVER, for the ground team; visible once an emitter was located."""
 
     def __init__(self) -> None:
         self._found: object = []
@@ -114,7 +115,7 @@ class HandoffButton:
         self._button.classes("press").set_visibility(False)
 
     def show(self, picture: Json) -> None:
-        """Take in what is known now; an open dialog stays as it was."""
+        """Set the located emitters; an open dialog stays as it was."""
         self._found = picture.get("found", [])
         self._button.set_visibility(bool(self._found))
 

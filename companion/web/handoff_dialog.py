@@ -1,6 +1,6 @@
 """A hand-off for the ground team: the place as text, as a QR code and as files for their maps.
 
-Loaded when somebody presses the button: places on the Earth bring libraries of some size.
+Imported when the button is pressed: places on the Earth need libraries of some size.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SENDER = "companion"
 
 
 class Found(msgspec.Struct, frozen=True):
-    """An emitter that was located, as the flight tells it."""
+    """An emitter that was located, as the flight sends it."""
 
     emitter: str
     estimate: TargetEstimate
@@ -42,7 +42,7 @@ class Found(msgspec.Struct, frozen=True):
 
 
 def fill(found: object) -> None:
-    """Show what is known now in the dialog that is being made."""
+    """Fill the open dialog with the located emitters."""
     handoffs = [each.handoff for each in msgspec.convert(found, list[Found])]
     for handoff in handoffs:
         _place(handoff)
@@ -56,7 +56,7 @@ def fill(found: object) -> None:
 
 
 def _place(handoff: Handoff) -> None:
-    """What is read out over the radio, and what a phone reads from the screen."""
+    """Show the place as text for the radio, and as a code for a phone."""
     radius_m, place = handoff.absolute_r95_m, handoff.place_deg
     texts = {
         "grid": mgrs_text(place, radius_m),

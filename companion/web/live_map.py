@@ -1,16 +1,16 @@
 """The live map of a flight: pictures to a child process, buttons to the session.
 
-Theory of operation. A browser, or ten, or one that stalled, must not be felt by the control tick.
-So the page lives in another process: pictures go down a pipe as JSON lines, a few times a second,
-and only when the pipe has room; what does not fit is not queued, because a newer picture replaces
-it anyway. Buttons come back up another pipe. If the child dies, it is started again, at ever longer
-intervals; meanwhile the browser itself says that its page is not live. The listening socket is
-opened here, before the flight, so that a taken port is an error at once, and kept, so that browsers
-find the next child.
+Theory of operation. Browsers, however many or slow, must not delay the control tick. So the page
+lives in another process: pictures go down a pipe as JSON lines, a few times a second, and only when
+the pipe has room; a picture that does not fit is dropped, because a newer one replaces it anyway.
+Buttons come back up another pipe. If the child dies, it is restarted, at ever longer intervals;
+meanwhile the browser itself shows that its page is not live. The listening socket is opened here,
+before the flight, so that a taken port is an error at once, and kept, so that browsers find the
+next child.
 
-The collector listens where the flight log does, so nothing is measured twice; its lists are
+The collector receives the events of the flight log, so no value is measured twice; its lists are
 bounded. Track and curves are not in the pictures, of which any may be lost: the collector has them
-all, and a picture carries what the page lacks.
+all, and a picture carries the part that the page lacks.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ Sample = dict[str, object]
 
 
 class Collector(FlightView):
-    """Gathers texts, marks, the track and the curves."""
+    """Collects texts, marks, the track and the curves."""
 
     def __init__(self) -> None:
         self.texts: deque[tuple[float, str, str]] = deque(maxlen=TEXTS)
@@ -65,11 +65,11 @@ class Collector(FlightView):
         self._readers: dict[str, HistoryReader] = {}
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Take in an event of the flight log."""
+        """Add an event of the flight log."""
         if kind == "origin":
             place = (fields.get("latitude_deg"), fields.get("longitude_deg"))
             if place != self._origin_deg:
-                self._track.clear()  # what was flown before is of another frame
+                self._track.clear()  # earlier positions are in another frame
             self._origin_deg = place
         elif kind == "position":
             self._track.add(tuple(fields["position_enu_m"])[:2])  # type: ignore[arg-type]
@@ -84,11 +84,11 @@ class Collector(FlightView):
             self._curve.add(point, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Take in a text for the operator."""
+        """Add a text for the operator."""
         self.texts.append((now_s, severity.name.lower(), text))
 
     def next_parts(self, starts: int) -> dict[str, HistoryPart[Any]]:
-        """Return what the page lacks of track and curves: all, where it started once more."""
+        """Return the parts of track and curves that the page lacks: all after a restart."""
         if starts != self._starts:
             self._starts = starts
             self._readers = {"track": HistoryReader(), "curve": HistoryReader()}
@@ -105,14 +105,14 @@ MAX_LINE = 1_000_000
 END_S = 2.0
 LAST_WAIT_S = 0.02
 REAP_S = 0.01
-"""What a child that was killed may take to be gone: the control tick comes next."""
+"""Longest wait for a killed child to end: the control tick comes next."""
 RESTART_S, LONGEST_RESTART_S = 1.0, 30.0
-"""How long after its end the child is started again: doubled each time ..."""
+"""Time from the child's end to its restart, doubled each time ..."""
 LASTED_S = 60.0
 """... until one has lasted for this long."""
 COMMANDS = {command.value: command for command in OperatorCommand}
 FAR_AWAY = ("192.0.2.1", 9)
-"""An address that nobody has (RFC 5737): the way to it leaves by the network's own address."""
+"""Unassigned address (RFC 5737): the route to it leaves by the network's own address."""
 HINTS = {
     errno.EADDRINUSE: "is another program using the port?",
     errno.EACCES: "ports below 1024 are not for everybody",
@@ -132,13 +132,13 @@ class WebProcess:
         self._next_s = 0.0
         self._is_over = False
         self._restart_s: float | None = None
-        """Monotonic, when the child that ended is started again; None: it runs."""
+        """Monotonic time at which the ended child is restarted; None: it runs."""
         self._patience_s = RESTART_S
         self.starts = 0
         self.dropped = 0
         """Pictures that the child was too slow for."""
         self.is_viewed = False
-        """Whether a browser has opened the page."""
+        """True once a browser has opened the page."""
         self.viewers = 0
         """Browsers that have the page open now; one that is closed counts for some seconds more."""
         self._start()
@@ -164,14 +164,14 @@ class WebProcess:
     def _start_again(self) -> None:
         try:
             self._start()
-        except OSError as error:  # no memory, no file descriptors: later, perhaps
+        except OSError as error:  # out of memory or file descriptors: try later
             log.warning("the live map cannot be started again: %s", error.strerror)
             self._restart_s = time.monotonic() + LONGEST_RESTART_S
 
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
     ) -> list[OperatorCommand]:
-        """Send a picture if one is due and may and can be sent; the buttons pressed meanwhile."""
+        """Send a picture if one is due and may be sent; return the buttons pressed meanwhile."""
         if self._is_over:
             return []
         if self._restart_s is not None:
@@ -191,7 +191,7 @@ class WebProcess:
         return self._buttons()
 
     def close(self) -> None:
-        """End the child; it ends by itself when its pipe does."""
+        """Stop the child, which ends by itself when its pipe does."""
         self._is_over = True
         self._listener.close()
         self._close_pipes()
@@ -202,7 +202,7 @@ class WebProcess:
             self._child.wait()
 
     def send_last(self, picture: Mapping[str, object]) -> None:
-        """Send a picture that none follows, and wait for a moment until it is on its way."""
+        """Send the final picture, and wait for a moment until it is on its way."""
         if self._is_over or self._restart_s is not None:
             return
         self._unsent += _line(picture)
@@ -218,7 +218,7 @@ class WebProcess:
                     pipe.close()
 
     def _note_end(self) -> None:
-        """The child ended: start it again after a while."""
+        """Schedule a restart of the child that ended."""
         self._close_pipes()
         self._child.kill()  # it may have closed only its pipe
         with suppress(subprocess.TimeoutExpired):
@@ -261,7 +261,7 @@ class WebProcess:
 
 
 def listening_socket(settings: WebSettings) -> socket.socket:
-    """The socket that the page is served on; a `CompanionError` if it cannot be opened."""
+    """Return the socket of the page; raise `CompanionError` if it cannot be opened."""
     try:
         found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)
         family, kind, protocol, _, address = found[0]
@@ -282,12 +282,12 @@ def listening_socket(settings: WebSettings) -> socket.socket:
 
 
 def announced_url(settings: WebSettings) -> str:
-    """What to type into a browser, also of another device where the network is served."""
+    """Return the address for a browser, also on another device where the network is served."""
     try:
         if not ipaddress.ip_address(settings.host).is_unspecified:
             return settings.url
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.connect(FAR_AWAY)  # of a datagram socket: looks for the way, sends nothing
+            probe.connect(FAR_AWAY)  # a datagram socket: finds the route, sends nothing
             return replace(settings, host=probe.getsockname()[0]).url
     except (OSError, ValueError):
         return settings.url
@@ -298,20 +298,20 @@ def _line(value: Mapping[str, object]) -> bytes:
 
 
 ROOM_S = 0.012
-"""Before the next control tick; nearer to it a picture, some milliseconds, could delay it."""
+"""Spare time before the next control tick that a picture, some milliseconds, needs."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayedFlight:
-    """A flight that is over, and is shown again."""
+    """A past flight that is replayed."""
 
     began_unix_s: float
     words: str
-    """Banner of the page, so that a replay is not taken for a live flight."""
+    """Banner of the page, so that a replay is not mistaken for a live flight."""
 
 
 class WebView(Collector):
-    """The live map of one flight, with the emitter's true place if somebody knows it."""
+    """The live map of one flight, with the emitter's true position if it is known."""
 
     def __init__(
         self,
@@ -322,7 +322,7 @@ class WebView(Collector):
         *,
         outlives: bool = False,
     ) -> None:
-        """`replayed` is a flight that is over; None: it is flown, and the page may outlive it."""
+        """`replayed` is a past flight; None: it is live, and the page may outlive it."""
         super().__init__()
         self._outlives = outlives
         self._last: tuple[CompanionEndpoint, float] | None = None
@@ -335,7 +335,7 @@ class WebView(Collector):
 
     @property
     def url(self) -> str:
-        """Where the page is, for people."""
+        """Address of the page, for people."""
         return announced_url(self._settings)
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
@@ -347,18 +347,18 @@ class WebView(Collector):
             endpoint.tell(OperatorAsked(now_s, command))
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
-        """Show a moment that is over, whatever buttons are pressed."""
+        """Show a past moment, whatever buttons are pressed."""
         self.process.update(clock_s, lambda: self._picture(endpoint, now_s))
 
     def close(self) -> None:
-        """End the page, or leave it with the last moment where it outlives the flight."""
+        """Close the page, or leave it with the last moment if it outlives the flight."""
         if self._last is None or not self._outlives:
             self.process.close()
             return
         self.process.send_last({**self._picture(*self._last), "is_over": True})
 
     def await_left(self) -> None:
-        """End a page that outlived its flight once its last browser has left, or by Ctrl-C."""
+        """Close a page that outlived its flight once its last browser has left, or by Ctrl-C."""
         with suppress(KeyboardInterrupt):
             while self.process.viewers > 0:
                 self.process.update(0.0, dict, may_send=False)
@@ -381,7 +381,7 @@ class WebView(Collector):
         return time.time() if self._replayed is None else self._replayed.began_unix_s + now_s
 
     def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[Sample]:
-        """What was located, and where zero is; the page makes hand-offs of it when asked to.
+        """Return located emitters and the origin, from which the page makes hand-offs on request.
 
         Places on the Earth would cost the flight some ten milliseconds each.
         """

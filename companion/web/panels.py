@@ -43,10 +43,10 @@ def _panel(title: str = "") -> ui.element:
 
 
 class PhaseBar:
-    """What it is doing, in words, across the top."""
+    """The phase in words, across the top."""
 
     def __init__(self, replay: str | None) -> None:
-        """`replay` is what is said of a flight that is over; None: it is live."""
+        """`replay` is the banner of a past flight; None: the flight is live."""
         if replay is not None:
             banner = ui.label(replay).classes("w-full rounded px-3 py-1 font-bold")
             banner.props("id=replay role=status").style(f"background: {REPLAYED}; color: white")
@@ -80,7 +80,7 @@ class PhaseBar:
 
 
 class Numbers:
-    """The figures that decide."""
+    """The figures that matter for the search."""
 
     NAMES = (
         *("relative", "time to go", "position", "grid", "place", "offsets", "reflected"),
@@ -165,7 +165,7 @@ COPY = """() => {
 
 
 def copy_button(*names: str) -> ui.button:
-    """A button that copies the texts of elements, by their ids, in the browser."""
+    """Return a button that copies the texts of elements, by their ids, in the browser."""
     button = ui.button("Copy", color=None).props(f"id=copy-{names[0]} outline no-caps dense")
     button.on("click", lambda: ui.notify("copied"), js_handler=COPY % json.dumps(names))
     return button.classes("press plain")
@@ -196,7 +196,7 @@ def _of_plan(picture: Json) -> dict[str, str]:
 
 
 class AgeBars:
-    """How old each input is; a bar that is full is too old, and red."""
+    """Age of each input; a full bar is too old, and red."""
 
     def __init__(self, scene: Json) -> None:
         self._old_after_s: Mapping[str, float] = scene.get("old_after_s", {})
@@ -220,14 +220,14 @@ class AgeBars:
             share = 0.0 if age_s is None else min(1.0, age_s / limit_s)
             colour = "negative" if share >= 1.0 else "warning" if share > 0.6 else "positive"
             if is_over or (is_found and name == "ranging"):
-                colour = "grey"  # nothing is measured any more, and nothing flown on it
+                colour = "grey"  # ranging has ended, so its age is no fault
             bar.set_value(round(share, 2))  # 4e-14 is no number to a screen reader
             bar.props(f"color={colour}")
             label.set_text("not heard" if age_s is None else f"{age_s:.1f} of {limit_s:g} s")
 
 
 class _ChangingLines:
-    """Lines of a panel, drawn anew only when they change; hidden while there are none."""
+    """Lines of a panel, redrawn only when they change; hidden while there are none."""
 
     def __init__(self, panel: ui.element, classes: str, name: str) -> None:
         self._panel = panel
@@ -248,7 +248,7 @@ class _ChangingLines:
 
 
 class EmitterList(_ChangingLines):
-    """Every emitter heard, and how far it is located."""
+    """Every emitter heard, and its radii."""
 
     def __init__(self) -> None:
         super().__init__(_panel("Emitters"), "gap-0", "emitters")
@@ -264,7 +264,7 @@ class EmitterList(_ChangingLines):
 
 
 class RadioList(_ChangingLines):
-    """Every radio with a format of its own, and how it is."""
+    """Every radio with a format of its own, and its state."""
 
     def __init__(self) -> None:
         super().__init__(_panel("Radios"), "gap-0", "radios")
@@ -276,7 +276,7 @@ class RadioList(_ChangingLines):
 
 
 class TextList(_ChangingLines):
-    """What was said to the operator, newest first."""
+    """Texts for the operator, newest first."""
 
     def __init__(self) -> None:
         panel = _panel("Messages").classes("grows")
@@ -303,9 +303,9 @@ CURVES = (
     ("nis", "NIS, expected: 95 % below 6", "value"),
 )
 LEAST_OF_GOAL = 0.1
-"""Where the logarithmic axis of R95 begins, as a share of the radius that is wanted."""
+"""Start of the logarithmic axis of R95, as a share of the goal."""
 REDRAW_EVERY = 4
-"""Curves change slowly: drawn anew with every fourth picture."""
+"""Curves change slowly: redrawn with every fourth picture."""
 GREY, LINE = "#7c8a9a", "#3b82f6"
 """Of lines, seen on white and on black; texts have their colour from the style sheet."""
 
@@ -329,7 +329,7 @@ class Charts:
                 self._charts[name] = ui.echart(options, renderer="svg").classes("panel chart")
 
     def show(self, curve: Sequence[Mapping[str, Any]]) -> None:
-        """Draw the curves, now and then."""
+        """Draw the curves with every fourth picture."""
         self._count += 1
         if self._count % REDRAW_EVERY != 1:
             return

@@ -1,11 +1,10 @@
 """The child process that serves the page: pictures from standard input, buttons to output.
 
-The page has the map, phase, numbers, ages, emitters, texts, curves and buttons; what the map draws
-is in `search_map.js`. What the page knows (`PictureFeed`) is as much as the flight sends, which is
-bounded.
+The page has the map, phase, numbers, ages, emitters, texts, curves and buttons; `search_map.js`
+draws the map. The page's data (`PictureFeed`) are as much as the flight sends, which is bounded.
 
-Everything shown comes from outside sooner or later (an autopilot's text, an emitter's name), so
-texts go into labels, which escape, and never into HTML.
+All contents come from outside sooner or later (an autopilot's text, an emitter's name), so texts go
+into labels, which escape, and never into HTML.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ from companion.web.settings import LEFT, VIEWED, Access, WebSettings, tile, zoom
 
 
 class PictureFeed:
-    """Takes pictures in; pages read it."""
+    """Latest picture and history, read by the pages."""
 
     def __init__(self, scene: Mapping[str, Any]) -> None:
         self.scene = scene
@@ -56,7 +55,7 @@ class PictureFeed:
         self.curve: History[dict[str, Any]] = History()
 
     def take(self, picture: dict[str, Any]) -> None:
-        """Take in a picture, with what was lacking of track and curves."""
+        """Set the picture, and append its parts of track and curves."""
         self.track.take(HistoryPart(*picture.pop("track", ((), False))))
         self.curve.take(HistoryPart(*picture.pop("curve", ((), False))))
         self.picture = picture
@@ -65,11 +64,11 @@ class PictureFeed:
 
 LEAFLET = Path(nicegui.__file__).parent / "elements" / "leaflet" / "dist"
 WHOLE_EVERY = 40
-"""Pictures after which the whole track goes out again, should a part have been lost."""
+"""Pictures after which the whole track is sent again, should a part have been lost."""
 
 
 class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(LEAFLET)}):
-    """Leaflet on a grid in metres, or on tiles from a folder, of the zooms that there are."""
+    """Leaflet on a grid in metres, or on tiles from a folder, of the zooms found in it."""
 
     def __init__(self, scene: Mapping[str, Any], tile_zooms: tuple[int, int] | None) -> None:
         super().__init__()
@@ -79,7 +78,7 @@ class SearchMap(Element, component="search_map.js", esm={"nicegui-leaflet": str(
         self._reader = HistoryReader(WHOLE_EVERY)
 
     def show(self, hub: PictureFeed) -> None:
-        """Draw the latest moment, and where the vehicle was."""
+        """Draw the latest moment and the track."""
         points, is_whole = self._reader.next_part(hub.track)
         self.run_method("show", hub.picture, points, is_whole)
 
@@ -122,7 +121,7 @@ class Page:
         if self._commands is not None:
             self._commands.look()
         if hub.version == 0:
-            return  # a replay begins when a browser is there
+            return  # a replay begins when a browser has opened the page
         if hub.version == self._shown:
             return
         self._shown = hub.version
@@ -142,11 +141,11 @@ class Page:
 
 
 NICENESS = 19
-"""On a computer with too much to do the control tick comes first, and pages wait."""
+"""On a loaded computer the control tick comes first, and pages wait."""
 MOST_DATA_BYTES = 512 * 2**20
-"""Data that the page's process may allocate: half of what the service may have (MemoryMax)."""
+"""Data that the page's process may allocate: half of the service's limit (MemoryMax)."""
 OOM_SCORE = b"500"
-"""Where memory runs out, the kernel ends the page before the flight, which starts it again."""
+"""Where memory runs out, the kernel ends the page before the flight, which restarts it."""
 MAX_LINE = 4_000_000
 """A picture has some 20 kB."""
 REFUSED = "This page needs its token: open the address that the companion printed."
@@ -159,7 +158,7 @@ PAGE = "/"
 MOST_PAGES = 24
 """Open browsers; each costs the page's process some 0.6 MB."""
 MOST_LOADING = 8
-"""Pages that were asked for and whose browser has not connected: the oldest gives way."""
+"""Pages without a connected browser yet: the oldest is dropped."""
 FULL = "Too many browsers have this page open: close one of them."
 HEADERS = {
     b"x-frame-options": b"DENY",
@@ -170,12 +169,12 @@ HEADERS = {
     b"referrer-policy": b"no-referrer",
     b"x-content-type-options": b"nosniff",
 }
-"""Of every answer: no other site frames it, and none learns the token from a link. NiceGUI has its
-scripts in the page, and Vue compiles templates in the browser."""
+"""Headers of every answer: no other site frames it, and none learns the token from a link. NiceGUI
+has its scripts in the page, and Vue compiles templates in the browser."""
 
 
 class AccessGate:
-    """Refuses what foreign pages may have caused, and who may not look, before a page is made.
+    """Refuses requests of foreign pages and of clients without access, before a page is made.
 
     See `companion.web.settings` for the rules.
     """
@@ -223,14 +222,14 @@ def _with_headers(send: Send) -> Send:
 
 
 class LoadingPages:
-    """Pages and their browsers; of those whose browser has not connected the oldest goes first."""
+    """Pages and their browsers; of those without a connected browser the oldest is dropped."""
 
     def __init__(self) -> None:
         self._clients: dict[str, Client] = {}
         self._viewing: set[str] = set()
 
     def add(self, client: Client) -> None:
-        """Take in a new one, and let the oldest go where there are too many."""
+        """Add a page, and drop the oldest one if there are too many."""
         self._clients[client.id] = client
         client.on_connect(lambda: self._connected(client.id))
         client.on_delete(lambda: self._deleted(client.id))
@@ -254,7 +253,7 @@ class LoadingPages:
 def build_app(
     hub: PictureFeed, access: Access, tiles: Path | None, press: Callable[[str], None]
 ) -> FastAPI:
-    """The web application."""
+    """Return the web application."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     app.add_middleware(AccessGate, access=access)
     zooms = None if tiles is None else zooms_of(tiles)
@@ -269,7 +268,7 @@ def build_app(
 
     @nicegui.app.exception_handler(404)
     def nothing(_request: Request, _error: Exception) -> PlainTextResponse:
-        return PlainTextResponse("nothing is here", 404)  # NiceGUI's own is a page for each
+        return PlainTextResponse("nothing is here", 404)  # NiceGUI would make a page for each
 
     if tiles is not None:
         _add_tiles(app, access, tiles)
@@ -278,7 +277,7 @@ def build_app(
 
 
 def _add_tiles(app: FastAPI, access: Access, folder: Path) -> None:
-    """Serve map tiles, to those who may look: where a search is, is a part of it."""
+    """Serve map tiles to clients with access: they show the site of the search."""
 
     @app.get("/tiles/{zoom}/{x}/{y}.png")
     def one(request: Request, zoom: int, x: int, y: int, token: str | None = None) -> Response:
@@ -315,7 +314,7 @@ async def serve() -> None:
 
 
 def _tell(name: str) -> None:
-    """Write a line to the companion: a button, of which it decides whether that is possible now."""
+    """Write a line to the companion, such as the name of a button, which it may refuse."""
     os.write(sys.stdout.fileno(), f"{name}\n".encode())
 
 

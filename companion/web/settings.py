@@ -1,11 +1,10 @@
-"""Where the page is served and for whom: the command line, access rules, map tiles.
+"""Address of the page and access to it: the command line, access rules, map tiles.
 
-Who may see the page, and who may press its buttons. On a loopback address everybody on this
-computer may look. Beyond loopback a token is needed even to look, unless the operator opens the
-page for viewing. Buttons exist only where control was switched on, and beyond loopback they need
-the token always. A request must name a host that is ours, so that a foreign page in the operator's
-own browser cannot reach the page (DNS rebinding), and a WebSocket must come from a page of ours
-(cross-site WebSocket hijacking).
+Access rules. On a loopback address every user of this computer may look. Beyond loopback a token is
+needed even to look, unless the operator opens the page for viewing. Buttons exist only where
+control was switched on, and beyond loopback they need the token always. A request must name a host
+that is ours, so that a foreign page in the operator's own browser cannot reach the page (DNS
+rebinding), and a WebSocket must come from a page of ours (cross-site WebSocket hijacking).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]", "::1"})
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a bound host is only reached from this computer."""
+    """Return True if a bound host is only reached from this computer."""
     if host == "localhost":
         return True
     try:
@@ -35,22 +34,22 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """The rules of one page."""
+    """The access rules of one page."""
 
     host: str
     token: str | None
     is_control_on: bool = False
     is_view_open: bool = False
-    """Whether those without the token may look, beyond loopback."""
+    """True if the page may be viewed without the token, beyond loopback."""
 
     def has_token(self, given: str | None) -> bool:
-        """Whether this is the token; takes the same time for every wrong one."""
+        """Return True if this is the token; takes the same time for every wrong one."""
         if self.token is None or given is None:
             return False
         return hmac.compare_digest(self.token.encode(), given.encode())
 
     def may_view(self, client_host: str, given: str | None) -> bool:
-        """Whether a client may see the page and its data."""
+        """Return True if a client may see the page and its data."""
         if is_loopback(self.host) and is_loopback(client_host):
             return True
         return self.is_view_open or self.has_token(given)
@@ -64,10 +63,10 @@ class Access:
         return self.has_token(given)
 
     def is_host_ours(self, host_header: str) -> bool:
-        """Whether a request's Host names this page.
+        """Return True if a request's Host names this page.
 
-        On loopback only local names count; beyond, any address does, because a name that
-        somebody else points at us still lacks the token.
+        On loopback only local names count; beyond, any address does, because a foreign name that
+        points at us still lacks the token.
         """
         if not is_loopback(self.host):
             return True
@@ -75,12 +74,12 @@ class Access:
         return _parsed(f"//{host_header}", "hostname") in names
 
     def is_origin_ours(self, origin: str | None, host_header: str) -> bool:
-        """Whether a WebSocket is of a page of this host; browsers always say (RFC 6455, 10.2)."""
+        """Return True if a WebSocket is of a page of this host, by its origin (RFC 6455, 10.2)."""
         return origin is None or _parsed(origin, "netloc") == host_header
 
 
 def _parsed(address: str, part: Literal["hostname", "netloc"]) -> str | None:
-    """A part of an address; None where there is none, or the address is no address at all."""
+    """Return a part of an address; None if it has none, or is no address at all."""
     try:
         found: str | None = getattr(urlsplit(address), part)
     except ValueError:
@@ -92,11 +91,11 @@ NO_TILE = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
     "0000000b49444154789c6360000200000500017a5eab3f0000000049454e44ae426082"
 )
-"""One transparent pixel as PNG: what the map shows where there is no tile."""
+"""One transparent pixel as PNG, for a place without a tile."""
 
 
 def zooms_of(folder: Path) -> tuple[int, int] | None:
-    """The least and the most zoom of `z/x/y.png` in a folder, all numbers; None: no tile at all."""
+    """Return the least and the greatest zoom of `z/x/y.png` in a folder; None: there is no tile."""
     numbered = (path for path in folder.iterdir() if path.name.isdecimal())
     tiles = (tile for path in numbered for tile in path.glob("*/*.png"))
     zooms = [
@@ -108,7 +107,7 @@ def zooms_of(folder: Path) -> tuple[int, int] | None:
 
 
 def tile(folder: Path, zoom: int, x: int, y: int) -> bytes:
-    """A tile as PNG, a transparent one where there is none."""
+    """Return a tile as PNG, a transparent one if it is missing."""
     try:
         return (folder / str(zoom) / str(x) / f"{y}.png").read_bytes()
     except OSError:
@@ -124,7 +123,7 @@ MIN_TOKEN = 8
 
 @dataclass(frozen=True, slots=True)
 class WebSettings(Access):
-    """How the page is served, and for whom."""
+    """Address of the page, and access to it."""
 
     port: int = 0
     tiles: Path | None = None
@@ -132,7 +131,7 @@ class WebSettings(Access):
 
     @property
     def url(self) -> str:
-        """What to type into a browser on this computer."""
+        """Address for a browser on this computer."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         base = f"http://{host}:{self.port}/"
         return base if self.token is None else f"{base}?token={self.token}"
@@ -146,7 +145,7 @@ def web_settings(
     is_view_open: bool = False,
     tiles: Path | None = None,
 ) -> WebSettings:
-    """The settings of the options, with a token beyond loopback; a wrong one is a `ConfigError`."""
+    """Return settings from the options, with a token beyond loopback; `ConfigError` if wrong."""
     host, _, port_text = address.rpartition(":")
     host = host.strip("[]") or LOOPBACK
     if not port_text.isdecimal() or not 0 < int(port_text) < 65536:
@@ -161,7 +160,7 @@ def web_settings(
 
 
 def check_tiles(folder: Path) -> None:
-    """Refuse a folder that the map would stay empty with."""
+    """Refuse a folder without tiles, which would leave the map empty."""
     try:
         has_tiles = zooms_of(folder) is not None
     except OSError as error:
