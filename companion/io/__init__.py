@@ -1,1 +1,1 @@
-"""Shells: sockets, serial ports, clocks and files."""
+"""Everything that touches the system: sockets, serial ports, clocks and files."""

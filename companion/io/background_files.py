@@ -1,13 +1,13 @@
-"""Files that are written without ever making the caller wait: appended to, or replaced.
+"""Files that are appended to or replaced from a background thread, so that the caller never waits.
 
-A record that is appended is written whole or not at all: after a partial write the file is cut
-back, so that one bad moment does not spoil what is recorded after it. Of a capped file the newest
-part is kept: at half the cap it becomes `NAME.old.SUFFIX`, in place of the one before, and a new
-file begins. A reader joins the two in this order.
+An appended record is written whole or not at all: after a partial write the file is cut back, so
+that one failure does not spoil the records after it. Of a capped file the newest part is kept: at
+half the cap it is renamed to `NAME.old.SUFFIX`, replacing the previous one, and a new file begins.
+A reader joins the two in this order.
 
-A replacement is atomic (see `files.write_bytes_atomic`). Of what waits for one file only the newest
-content is written, so that a slow disk costs history and never memory. A failure is counted,
-reported once and tried again only with the next content.
+A replacement is atomic (see `files.write_bytes_atomic`). Of several contents waiting for one file
+only the newest is written, so that a slow disk costs history and never memory. A failure is
+counted, reported once, and retried only with the next content.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 
 
 class BackgroundFile(WriterThread[bytes]):
-    """An append-only file with a writer thread; an existing one is continued.
+    """Append-only file with a writer thread; an existing file is continued.
 
-    `max_bytes` is the cap of the file and its older part together; None: there is none. A
-    `CompanionError` if it cannot be opened.
+    `max_bytes` caps the file and its older part together; None means no cap. Raises a
+    `CompanionError` if the file cannot be opened.
     """
 
     def __init__(self, path: Path, max_bytes: int | None = None) -> None:
@@ -58,25 +58,25 @@ class BackgroundFile(WriterThread[bytes]):
         self.bytes_kept = self._bytes
 
     def note_overflow(self) -> None:
-        """Report a disk that is too slow."""
+        """Report that the disk is too slow."""
         logger.warning("%s: the disk is too slow, records are lost", self.path)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write what is queued, for so long at most, and close."""
+        """Write what is queued within `timeout_s`, then close."""
         is_written = super().close(timeout_s)
         if not is_written:
             logger.warning("%s: the disk hangs, the end of the log is lost", self.path)
         return is_written
 
     def write_batch(self, batch: list[bytes]) -> None:
-        """Write some records, and bring them to the disk now and then."""
+        """Write a batch of records, and sync the file to disk periodically."""
         self._write(batch)
         self.bytes_kept = self._bytes + self._older_bytes
         if time.monotonic() - self._synced_s >= SYNC_PERIOD_S:
             self._sync()
 
     def end(self) -> None:
-        """Bring everything to the disk and close the file."""
+        """Sync the file to disk and close it."""
         self._sync()
         os.close(self._fd)
 
@@ -89,7 +89,7 @@ class BackgroundFile(WriterThread[bytes]):
         joined = b"".join(batch)
         if not joined or (self._has_room(len(joined)) and self._write_whole(joined)):
             return
-        # The part is full, or something is wrong with the disk: save what can be saved.
+        # The part is full, or a write failed: save what can be saved.
         for record in batch:
             if not self._has_room(len(record)):
                 self._begin_new_part()
@@ -100,9 +100,9 @@ class BackgroundFile(WriterThread[bytes]):
         return self._part_bytes is None or self._bytes + size <= self._part_bytes
 
     def _begin_new_part(self) -> None:
-        """Put the file aside; where that fails it stays as it is, full."""
+        """Rename the full file and begin a new one; if renaming fails, the file stays full."""
         try:
-            if self.path.exists():  # not after an earlier attempt that came no further
+            if self.path.exists():  # not after an earlier attempt that got no further
                 self.path.replace(self.older_path)
             descriptor = os.open(self.path, _FLAGS, 0o644)
         except OSError as error:
@@ -112,7 +112,7 @@ class BackgroundFile(WriterThread[bytes]):
         self._fd, self._older_bytes, self._bytes = descriptor, self._bytes, 0
 
     def _write_whole(self, data: bytes) -> bool:
-        """Whether all of `data` was written; the file is as before if not."""
+        """Return True if all of `data` was written; otherwise the file is left as it was."""
         done = 0
         try:
             while done < len(data):
@@ -133,7 +133,7 @@ class BackgroundFile(WriterThread[bytes]):
 
 
 class BackgroundReplacer(WriterThread[Path]):
-    """Replaces files from one thread; `mode`: who may read and write them, less the umask."""
+    """Replaces files from one thread; `mode` is their permission bits before the umask."""
 
     def __init__(self, name: str, mode: int = 0o666) -> None:
         self.written = 0
@@ -145,7 +145,7 @@ class BackgroundReplacer(WriterThread[Path]):
         super().__init__(name, MAX_QUEUED)
 
     def replace(self, path: Path, content: bytes) -> None:
-        """Give a file a new content, soon; after `close` it is counted as lost."""
+        """Replace the content of a file soon; after `close` it is counted as lost."""
         with self._lock:
             is_first = path not in self._waiting
             self._waiting[path] = content
@@ -155,7 +155,7 @@ class BackgroundReplacer(WriterThread[Path]):
             self.overtaken += 1
 
     def write_batch(self, batch: list[Path]) -> None:
-        """Give some files their newest contents."""
+        """Write the newest content of each file in the batch."""
         for path in batch:
             with self._lock:
                 content = self._waiting.pop(path)

@@ -1,4 +1,4 @@
-"""Child processes that never outlive this one, and UDP ports for them."""
+"""Child processes that never outlive this one, and free UDP ports for them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ STOP_S = 5.0
 
 
 def free_udp_port() -> int:
-    """A UDP port of this machine that nobody has at the moment."""
+    """Return a UDP port of this machine that is free at the moment."""
     return free_udp_ports(1)[0]
 
 
 def free_udp_ports(count: int) -> list[int]:
-    """So many of them, each another one: none is let go before all are found."""
+    """Return `count` different free UDP ports; each stays taken until all are found."""
     with contextlib.ExitStack() as stack:
         probes = [
             stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
@@ -39,11 +39,12 @@ def free_udp_ports(count: int) -> list[int]:
 
 
 class ChildProcess:
-    """A module run by this interpreter that ends with us, whatever ends us; `log` has its output.
+    """A module run by this interpreter that ends with this process; its output goes to `log`.
 
-    It reads a pipe of ours as its standard input and stops when that closes, so not even a kill -9
-    of the parent leaves it behind. It has a session of its own, so that a Ctrl-C at the terminal
-    reaches only the parent, which then stops it in order. `env` is added to our environment.
+    Its standard input is a pipe from this process, and it stops when the pipe closes, so that not
+    even a kill -9 of the parent leaves it behind. It runs in a session of its own, so that a Ctrl-C
+    at the terminal reaches only the parent, which then stops it in order. `env` is added to the
+    environment.
     """
 
     def __init__(
@@ -58,8 +59,8 @@ class ChildProcess:
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Start it, or start it again; a `CompanionError` if that cannot be."""
-        # what an earlier mission left there was said by another one
+        """Start the process, or start it again; raises a `CompanionError` if that fails."""
+        # what an earlier mission left there is not this one's output
         self._file = self._log.open("a" if self._has_begun else "w", encoding="utf-8")
         self._has_begun = True
         try:
@@ -77,17 +78,17 @@ class ChildProcess:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it runs."""
+        """Return True while the process runs."""
         return self._process is not None and self._process.poll() is None
 
     @property
     def first_words(self) -> str:
-        """The first line of its output; empty: it has said nothing yet."""
+        """Return the first line of its output; empty if there is none yet."""
         return next(iter(self._lines()), "")
 
     @property
     def last_words(self) -> str:
-        """The last line of its output."""
+        """Return the last line of its output."""
         return next(iter(self._lines()[::-1]), "")
 
     def _lines(self) -> list[str]:
@@ -105,12 +106,12 @@ class ChildProcess:
                 process.stdin.flush()
 
     def signal(self, number: int) -> None:
-        """Send it a signal; nothing happens to one that ended."""
+        """Send a signal to the process; does nothing if it has ended."""
         if self._process is not None and self._process.poll() is None:
             os.kill(self._process.pid, number)
 
     def end(self, timeout_s: float) -> int | None:
-        """SIGTERM; the exit code, or None where it had to be killed."""
+        """Send SIGTERM and return the exit code, or None if the process had to be killed."""
         process = self._process
         if process is None:
             return None
@@ -123,7 +124,7 @@ class ChildProcess:
             return None
 
     def stop(self, timeout_s: float = STOP_S) -> None:
-        """End it, at the latest by force; a second call does nothing."""
+        """End the process, by force if it must; a second call does nothing."""
         process, self._process = self._process, None
         if process is not None:
             if process.poll() is None:

@@ -1,4 +1,4 @@
-"""Whole files, written atomically, and flight directories with the names of their files."""
+"""Files written atomically as a whole, and flight directories with the names of their files."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _FLIGHT_NAME = re.compile(r"(?P<time>\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)(-(?P<numbe
 
 
 def plain(value: object) -> object:
-    """`value` in JSON's own types: NaN and infinity become None, enums their value.
+    """Return `value` in JSON's own types: NaN and infinity become None, enums their value.
 
-    Dataclasses become objects and arrays lists. Whatever JSON has no type for becomes its text,
-    so that a log entry never fails.
+    Dataclasses become objects and arrays lists. Anything that JSON has no type for becomes its
+    text, so that writing a log entry never fails.
     """
     if isinstance(value, Enum):
         return plain(value.value)
@@ -44,17 +44,17 @@ def plain(value: object) -> object:
 
 
 def json_line(value: object) -> bytes:
-    """`plain(value)` as JSON in one line of ASCII, without the line's end."""
+    """Return `plain(value)` as one line of ASCII JSON, without the newline."""
     write = partial(json.dumps, allow_nan=False, separators=(",", ":"))
     try:
-        text = write(value, default=plain)  # most is plain already, down to every number
+        text = write(value, default=plain)  # most values are plain already, down to every number
     except (ValueError, TypeError):
         text = write(plain(value))
     return text.encode("ascii")
 
 
 def read_file(path: Path) -> bytes:
-    """What is in a file; a `ConfigError` if it cannot be read."""
+    """Return the content of a file; raises a `ConfigError` if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -72,9 +72,9 @@ def write_text_atomic(path: Path, text: str, mode: int = 0o666) -> None:
 
 
 def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
-    """Replace a file as a whole: a reader, or a power cut, sees the old one or the new one.
+    """Replace a file as a whole: after a power cut there is either the old or the new content.
 
-    `mode` says who may read and write it, less the umask. A `CompanionError` if it cannot be
+    `mode` is its permission bits before the umask. Raises a `CompanionError` if it cannot be
     written; an old file is still there then.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -91,7 +91,7 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
         temporary.replace(path)
         _sync_directory(path.parent)
     except OSError as error:
-        with suppress(OSError):  # a disk that went read-only keeps it
+        with suppress(OSError):  # on a disk that went read-only the temporary file stays
             temporary.unlink(missing_ok=True)
         raise CompanionError(
             f"{path}: cannot be written ({error.strerror}); check the disk and its permissions"
@@ -99,7 +99,7 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Make sure, before long work, that a file can be written after it, or say why not."""
+    """Check before long work that its output can be written; raises a `CompanionError` if not."""
     if path.is_dir() or not path.name:
         raise CompanionError(f"{path}: is a folder; give the name of a file")
     if not path.parent.is_dir():
@@ -109,7 +109,10 @@ def check_writable(path: Path) -> None:
 
 
 def new_flight_directory(root: Path, unix_s: float) -> Path:
-    """A new directory under `root`, named by the time: `2026-11-21T02-50-00Z`, then `...-2`."""
+    """Return a new directory under `root`, named by the time.
+
+    `2026-11-21T02-50-00Z`, then `...-2`.
+    """
     name = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     suffix = 1
     while True:
@@ -129,9 +132,10 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
 
 
 def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
-    """Delete all but the newest `keep` folders that `new_flight_directory` named; what went.
+    """Delete all but the newest `keep` flight directories below `root`; return the deleted ones.
 
-    The `present` flight is the newest, also where its name is not: a clock may have been set back.
+    Only names as `new_flight_directory` makes them count. `present` counts as the newest even if
+    its name does not: a clock may have been set back.
     """
     named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
     others = [(m["time"], int(m["number"] or 1), p) for m, p in named if p != present]
@@ -143,7 +147,7 @@ def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make a rename last through a power cut."""
+    """Make a rename survive a power cut."""
     descriptor = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(descriptor)

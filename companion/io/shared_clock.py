@@ -3,12 +3,12 @@
 Theory of operation. `time.monotonic` is the same for all processes of a machine. One of them, the
 pacer, keeps in a file which flight time belongs to a monotonic time, and the rate from there; it
 renews both whenever it wakes up, and every process derives the flight time from them. The others
-note in the file when they woke up last.
+note in the file when they last woke up.
 
-Flight time goes at `speed` while every process keeps up. As soon as one is overdue, by `LEEWAY_S`
-of flight, it stands still: for the pacer because what it wrote holds no longer than that, for the
-others because the pacer sees it. So a process that waits for the processor loses no more of the
-flight than the leeway. A machine on which this happens again and again is too slow for `speed`: the
+Flight time runs at `speed` while every process keeps up. As soon as one is overdue, by `LEEWAY_S`
+of flight, it stands still: for the pacer because it sees the delay, for the others because what it
+wrote is valid for no longer than that. So a process that waits for the processor loses no more of
+the flight than the leeway. If this happens repeatedly, the machine is too slow for `speed`: the
 pacer halves it, down to real time.
 """
 
@@ -41,7 +41,7 @@ _WOKEN = struct.Struct(f"<{PEERS}d")
 
 
 class SharedClock(Clock):
-    """The clock as any process but the pacer has it; `number` is its place among them.
+    """Clock of every process but the pacer; `number` is its slot in the file.
 
     `speed` is the pacer's present one.
     """
@@ -53,17 +53,17 @@ class SharedClock(Clock):
         super().__init__()
 
     def restart(self) -> None:
-        """Count from now."""
+        """Start again at zero."""
         self._zero_s, self._latest_s = self._flight_s(time.monotonic()), 0.0
 
     def now_s(self) -> float:
-        """Seconds of flight since this clock was started; never goes back."""
+        """Return the flight seconds since this clock was started; never decreases."""
         wall_s = time.monotonic()
         struct.pack_into("<d", self._memory, _ANCHOR.size + 8 * self._number, wall_s)
         return self._counted_s(self._flight_s(wall_s))
 
     def delay_s(self, until_s: float) -> float:
-        """Wall seconds until this clock may show `until_s`; no more than may pass unseen.
+        """Wall seconds until this clock may show `until_s`, at most the leeway.
 
         Does not count as a sign of life: a process is awake when it reads the time, once a wake-up.
         """
@@ -75,7 +75,7 @@ class SharedClock(Clock):
         return self._latest_s
 
     def _flight_s(self, wall_s: float) -> float:
-        """Flight time by what the pacer wrote last, which holds for the leeway."""
+        """Return the flight time from the pacer's last entry, which is valid for the leeway."""
         since_s, flight_s, rate, self.speed = self._anchor()
         return flight_s + rate * min(max(0.0, wall_s - since_s), LEEWAY_S / self.speed)
 
@@ -87,7 +87,7 @@ class SharedClock(Clock):
 
 
 class Pacer(SharedClock):
-    """The clock of the process that starts the others, and makes the file at `path`.
+    """Clock of the process that starts the others; it creates the file at `path`.
 
     `speed` is lowered to what the machine keeps up with, but not below real time.
     """
@@ -100,20 +100,20 @@ class Pacer(SharedClock):
 
     @property
     def pace(self) -> str:
-        """Speed that the machine keeps up with, in words."""
+        """Return the speed that the machine keeps up with, in words."""
         return f"{'less than ' if self._is_behind else ''}{self.speed:g}x"
 
     def environment(self, number: int) -> dict[str, str]:
-        """The variable for the child process that is to have this clock as `number`."""
+        """Return the environment variable that gives a child process this clock as `number`."""
         return {VARIABLE: f"{number}:{self._path}"}
 
     def restart(self) -> None:
-        """Count from now, and judge the speed from now."""
+        """Start again at zero, and assess the speed from now on."""
         super().restart()
         self._judged_s = (time.monotonic(), self._zero_s)
 
     def now_s(self) -> float:
-        """Seconds of flight since this clock was started; renews what the others go by."""
+        """Return the flight seconds since this clock was started; renews the entry in the file."""
         wall_s = time.monotonic()
         flight_s = self._flight_s(wall_s)
         self._judge(wall_s, flight_s)
@@ -143,6 +143,6 @@ def _anchored(wall_s: float, flight_s: float, rate: float, speed: float) -> byte
 
 
 def clock_of(speed: float) -> Clock:
-    """The clock that the parent process shares with this one, or one of its own at `speed`."""
+    """Return the clock that the parent process shares with this one, or a new one at `speed`."""
     number, _, path = os.environ.get(VARIABLE, "").partition(":")
     return SharedClock(Path(path), int(number)) if path else Clock(speed)

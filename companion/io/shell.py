@@ -1,20 +1,20 @@
 """The one loop that drives any endpoint: its clock, links, one timer, signals.
 
 Theory of operation. The loop wakes when a link has data or the endpoint's timer is due. A wake-up
-stamps the time once, hands over what arrived (64 reads of one link at most), fires the timer if it
-is due, sends what the endpoint has to say and tells `on_wakeup`. The timer is looked at on every
-wake-up, so a flood of datagrams cannot keep it waiting, and it fires once however late it is: what
-to skip is for the endpoint to decide.
+stamps the time once, hands over what arrived (at most 64 reads of one link), fires the timer if it
+is due, sends what the endpoint has queued and calls `on_wakeup`. The timer is checked on every
+wake-up, so a flood of datagrams cannot keep it waiting, and it fires once however late it is: the
+endpoint decides what to skip.
 
 After a stall (the process was suspended or starved) the links hold what arrived meanwhile. It is
-taken in before the timer fires, so that the first tick knows the present; a flood can put that off
-for a tenth of a second only.
+taken in before the timer fires, so that the first tick works with present data; a flood can delay
+that by 0.1 s only.
 
-A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives
-it one and a half wall seconds; a second signal ends at once. Two within 0.3 s are one: timeout(1)
-and some supervisors signal the process and then its group. An exception out of the endpoint is our
-bug: it ends the loop and is raised, because a companion that is silent is safe (the autopilot's own
-failsafe takes over) and one in an unknown state is not.
+A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives it
+1.5 wall seconds; a second signal ends at once. Two within 0.3 s count as one: timeout(1) and some
+supervisors signal the process and then its group. An exception out of the endpoint is a bug of this
+program: it ends the loop and is raised, because a companion that is silent is safe (the autopilot's
+own failsafe takes over) and one in an unknown state is not.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ class Clock:
         self.restart()
 
     def restart(self) -> None:
-        """Count from now."""
+        """Start again at zero."""
         self._started_s = time.monotonic()
 
     def now_s(self) -> float:
-        """Seconds of this clock since it was started; never goes back."""
+        """Return the seconds of this clock since it was started; never decreases."""
         return (time.monotonic() - self._started_s) * self.speed
 
     def delay_s(self, until_s: float) -> float:
-        """Wall seconds until this clock shows `until_s`; 0 if it already does."""
+        """Return the wall seconds until this clock shows `until_s`; 0 if it already does."""
         return max(0.0, (until_s - self.now_s()) / self.speed)
 
 
@@ -76,7 +76,7 @@ OnWakeup = Callable[[float], None]
 
 @dataclass(slots=True)
 class TimerStatistics:
-    """How punctual the timer was, in wall seconds."""
+    """Lateness of the timer in wall seconds."""
 
     fired: int = 0
     late: int = 0
@@ -88,7 +88,7 @@ class TimerStatistics:
     """Times it was later than `STALL_S`, after which the links were emptied first."""
 
     def note(self, late_s: float) -> None:
-        """Take in how late it is now."""
+        """Record the lateness of one firing."""
         self.fired += 1
         self.worst_late_s = max(self.worst_late_s, late_s)
         if late_s > LATE_S:
@@ -97,7 +97,7 @@ class TimerStatistics:
 
 
 class Shell:
-    """Runs one endpoint on its links; `on_wakeup` gets the clock's time at the end of a wake-up."""
+    """Runs one endpoint on its links; `on_wakeup` is called with the time after each wake-up."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class Shell:
         self._failure: BaseException | None = None
 
     async def run(self) -> None:
-        """Drive the endpoint to its end; raises what it raises, or a `LinkError` for a link."""
+        """Drive the endpoint to its end; raises its exception, or a `LinkError` for a link."""
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
         try:
             for link in self.links:
@@ -146,7 +146,7 @@ class Shell:
             raise self._failure
 
     def run_blocking(self) -> None:
-        """`run`, for a caller without an event loop; raises what `run` raises."""
+        """Call `run` without an event loop; raises the same."""
         asyncio.run(self.run())
 
     def request_stop(self) -> None:
@@ -188,7 +188,7 @@ class Shell:
             self._end.set()
 
     def _may_fire(self, now_s: float) -> bool:
-        """Whether the timer, which is due, may fire; after a stall the links come first."""
+        """Return True if the due timer may fire; after a stall the links come first."""
         due_s = self._endpoint.next_timer_s()
         late_s = 0.0 if math.isinf(due_s) else (now_s - due_s) / self._clock.speed
         if self._catching_up_until_s is None and late_s > STALL_S:
@@ -233,7 +233,7 @@ class Shell:
 
     @contextmanager
     def _signals(self, loop: asyncio.AbstractEventLoop) -> Iterator[None]:
-        """Our handlers for the time of the run; only the main thread may have any."""
+        """Install the signal handlers for the run; only the main thread may have any."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return

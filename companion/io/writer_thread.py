@@ -1,7 +1,7 @@
-"""A bounded queue that a daemon thread empties, so that whoever writes never waits.
+"""A bounded queue that a daemon thread empties, so that the caller never waits.
 
-A full queue (a disk, a terminal or a pipe that hangs) costs items, which are counted, and never an
-exception or a pause of the caller.
+A full queue (a disk, a terminal or a pipe that hangs) loses items, which are counted, and never
+raises or blocks the caller.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CLOSE_TIMEOUT_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class WriterHealth:
-    """How a writer, or several together, are doing."""
+    """State of one writer, or of several together."""
 
     queued: int
     dropped: int
@@ -33,10 +33,10 @@ class WriterHealth:
 
 
 class WriterThread(Generic[T]):
-    """The queue and its thread; a subclass says in `write_batch` what becomes of the items.
+    """The queue and its thread; a subclass writes the items in `write_batch`.
 
-    A subclass is whole before it calls this constructor, which starts the thread. Items are written
-    `gather_s` later, many at a time.
+    A subclass must be fully constructed before it calls this constructor, which starts the thread.
+    Items are written `gather_s` later, many at a time.
     """
 
     def __init__(self, name: str, max_queued: int, gather_s: float = 0.0) -> None:
@@ -53,23 +53,23 @@ class WriterThread(Generic[T]):
         self._thread.start()
 
     def write_batch(self, batch: list[T]) -> None:
-        """Write some items; runs on the thread and does not raise."""
+        """Write some items; runs on the thread and must not raise."""
         raise NotImplementedError
 
     def end(self) -> None:
-        """Called last on the thread."""
+        """Release resources; called last on the thread."""
 
     def note_overflow(self) -> None:
-        """The first item is lost to a full queue."""
+        """Report the first item that is lost to a full queue."""
 
     @property
     def dropped(self) -> int:
-        """Items lost so far, to a full queue or a failed write."""
+        """Number of items lost so far, to a full queue or a failed write."""
         return self.overflowed + self.failed
 
     @property
     def health(self) -> WriterHealth:
-        """How it is doing, without waiting for the thread."""
+        """Return the state of the writer without waiting for the thread."""
         since_s = self._busy_since_s
         return WriterHealth(
             queued=self._queue.qsize(),
@@ -80,7 +80,7 @@ class WriterThread(Generic[T]):
         )
 
     def append(self, item: T) -> bool:
-        """Queue an item; counted instead if the queue is full or closed. Whether it was queued."""
+        """Queue an item and return True; it is counted as lost if the queue is full or closed."""
         if not self._is_closed and self._queue.qsize() < self._max_queued:
             self._queue.put(item)
             return True
@@ -98,7 +98,7 @@ class WriterThread(Generic[T]):
         self._queue.put(None)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write what is queued, for so long at most; whether all of it was written."""
+        """Write what is queued within `timeout_s`; return True if all of it was written."""
         self.finish()
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -115,7 +115,7 @@ class WriterThread(Generic[T]):
             self._busy_since_s = None
 
     def _next_batch(self) -> tuple[list[T], bool]:
-        """What is queued, waiting for it, and whether the end was asked for."""
+        """Wait for items; return them, and True if the end was requested."""
         batch: list[T] = []
         item = self._queue.get()
         if self._gather_s and self._queue.qsize() < MAX_BATCH:

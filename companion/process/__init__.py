@@ -1,1 +1,1 @@
-"""What the process does beside flying: diagnostics, the watchdog, and surviving a restart."""
+"""Tasks of the process beside flying: diagnostics, the watchdog, and surviving a restart."""

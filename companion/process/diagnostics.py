@@ -1,8 +1,8 @@
-"""Diagnostics of the process and its links: for the event log, and what operators must know.
+"""Diagnostics of the process and its links, for the event log and the operator.
 
 Memory, descriptors, threads and processor time are read from /proc where there is one, otherwise as
-far as the standard library knows. A link that refuses what is sent is reported; a refused frame is
-not sent again: the next control tick brings a newer one.
+far as the standard library provides them. A link that refuses frames is reported; a refused frame
+is not sent again: the next control tick sends a newer one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _DESCRIPTORS = Path("/proc/self/fd")
 
 @dataclass(frozen=True, slots=True)
 class ProcessUse:
-    """What the process holds at a moment."""
+    """Resources of the process at a moment."""
 
     resident_mb: float
     """Memory in RAM now; the peak where the system does not say."""
@@ -47,13 +47,13 @@ class ProcessUse:
 
 
 def process_use() -> ProcessUse:
-    """What this process holds now."""
+    """Return the present resources of this process."""
     resident_mb = _peak_mb()
     descriptors = None
     with suppress(OSError, ValueError, IndexError):
         pages = int(_STATM.read_text().split()[1])
         resident_mb = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-        descriptors = len(os.listdir(_DESCRIPTORS)) - 1  # without the one that lists them
+        descriptors = len(os.listdir(_DESCRIPTORS)) - 1  # without the descriptor that lists them
     return ProcessUse(
         resident_mb=round(resident_mb, 3),
         descriptors=descriptors,
@@ -63,7 +63,7 @@ def process_use() -> ProcessUse:
 
 
 def _peak_mb() -> float:
-    """ru_maxrss, which macOS counts in bytes and Linux in kB."""
+    """Return the peak memory in MB from ru_maxrss, which macOS counts in bytes and Linux in kB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if os.uname().sysname == "Darwin" else peak / 1e3
 
@@ -78,7 +78,7 @@ TICK_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ProcessParts:
-    """What stands beside the endpoint in its process."""
+    """Parts of the process beside the endpoint."""
 
     journal: BlackBox
     timing: TimerStatistics
@@ -88,7 +88,7 @@ class ProcessParts:
 
     @property
     def checkpoint_writer(self) -> BackgroundReplacer | None:
-        """Who writes checkpoints, once one was saved."""
+        """Return the writer of checkpoints, once one was saved."""
         return None if self.store is None else self.store.writer
 
 
@@ -181,7 +181,7 @@ LINK_TEXTS_PER_S = 0.1
 
 
 class LinkWatch:
-    """Looks at the counters once a second."""
+    """Checks the counters of a link once a second."""
 
     def __init__(self, links: Sequence[Link], journal: Journal) -> None:
         self._links = links
@@ -192,7 +192,7 @@ class LinkWatch:
         self._next_record_s = 0.0
 
     def check(self, now_s: float) -> None:
-        """Report what is news."""
+        """Report changes."""
         if now_s < self._next_look_s:
             return
         self._next_look_s = now_s + LINK_CHECK_PERIOD_S
@@ -206,7 +206,7 @@ class LinkWatch:
     def _check(self, number: int, link: Link, now_s: float) -> None:
         counters, (errors, dropped) = link.counters, self._reported[number]
         is_slow = isinstance(link, StreamLink) and link.is_connected
-        if not is_slow:  # nobody is there: what was dropped is no news
+        if not is_slow:  # no peer is connected: dropping is expected
             dropped = counters.dropped
         refused, lost = counters.send_errors - errors, counters.dropped - dropped
         if not refused and not lost:

@@ -1,13 +1,13 @@
-"""What outlives the process: the mission's memory, kept once a second, and changed parameters.
+"""Memory that outlives the process: the mission's, saved once a second, and changed parameters.
 
 Theory of operation. Files of an earlier run that did not end in order, readable or not, mean that
-something may be in the air: then nothing engages by itself, whatever the configuration says. What a
-whole checkpoint holds is given to the session when the autopilot is heard (and has reported its
-fence, where that is the one to keep), and only if vehicle, limits, fence, mission and age are
-right; otherwise the flight begins anew, with a line that says why. An orderly end deletes the
-files, unless the vehicle was left armed in mid-mission.
+a vehicle may be in the air: then nothing engages by itself, whatever the configuration says. A
+valid checkpoint is given to the session when the autopilot is heard (and has reported its fence, if
+that is the one to keep), and only if vehicle, limits, fence, mission and age match; otherwise the
+flight starts without it, with a line that says why. An orderly end deletes the files, unless the
+vehicle was left armed in mid-mission.
 
-Parameters that a ground station changed are kept beside them, and are taken up at the next start as
+Parameters that a ground station changed are kept beside them, and are restored at the next start as
 far as the configuration's rules allow.
 """
 
@@ -43,34 +43,34 @@ SAVE_PERIOD_S = 1.0
 
 
 class CheckpointStorage(Protocol):
-    """Where checkpoints are."""
+    """Storage of checkpoints."""
 
     def load(self) -> StoredCheckpoints:
-        """What is there; never raises."""
+        """Return the newest valid checkpoint; never raises."""
 
     def save(self, checkpoint: Checkpoint) -> None:
-        """Keep a checkpoint, soon; never waits and never raises."""
+        """Save a checkpoint soon; never waits and never raises."""
 
     def discard(self) -> None:
-        """Forget everything, because the mission ended in order."""
+        """Delete all checkpoints, because the mission ended in order."""
 
     def close(self, timeout_s: float) -> None:
-        """Write what waits, for so long at most."""
+        """Write what is queued within `timeout_s`."""
 
 
 class SessionClock(Protocol):
-    """The clock of a shell."""
+    """Clock of a shell."""
 
     speed: float
 
     def now_s(self) -> float:
-        """The present."""
+        """Return the present time."""
 
 
 class RestartKeeper:
-    """Keeps the memory of one flight, and recalls that of the one before, unless it is too old.
+    """Saves the memory of one flight, and restores that of the previous one unless it is too old.
 
-    `is_fresh`: the operator says that there is nothing to take up.
+    With `is_fresh` the operator asks to ignore a stored mission.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class RestartKeeper:
             self._look_back(max_age_s)
 
     def run(self, now_s: float) -> None:
-        """Recall and keep what is due."""
+        """Restore and save what is due."""
         binding = self._endpoint.binding
         if not binding.is_bound:
             return
@@ -120,7 +120,7 @@ class RestartKeeper:
             self._save()
 
     def close(self, timeout_s: float) -> None:
-        """Keep the memory of a mission that goes on without us, or delete it if it ended."""
+        """Save the memory of a mission that goes on without the companion, else delete it."""
         session = self._endpoint.session
         is_over = session.has_found_all or not session.vehicle.is_armed
         is_known = self._endpoint.is_finished and self._endpoint.binding.is_bound
@@ -137,16 +137,23 @@ class RestartKeeper:
         checkpoint = found.checkpoint
         age = None if checkpoint is None else age_s(checkpoint.saved, self._moment())
         if age is not None and age > max_age_s:
-            log.info("checkpoint: %.0f s old, beyond process.resume_max_age_s: starting anew", age)
+            log.info(
+                "checkpoint: %.0f s old, beyond process.resume_max_age_s: starting a new mission",
+                age,
+            )
             return
         self.is_restart = found.has_files
         if not found.has_files:
             return
         self._endpoint.tell(EarlierRunFound(self._clock.now_s()))
         if checkpoint is None:
-            log.warning("checkpoint: none is whole: starting anew, without engaging by itself")
+            log.warning(
+                "checkpoint: none is whole: starting a new mission, without engaging by itself"
+            )
         elif age is None:
-            log.warning("checkpoint: its age is unknown: starting anew, without engaging by itself")
+            log.warning(
+                "checkpoint: its age is unknown: starting a new mission, without engaging by itself"
+            )
         else:
             self._pending, self._age_s = checkpoint, age * self._clock.speed
         if checkpoint is not None:
@@ -155,7 +162,9 @@ class RestartKeeper:
     def _recall(self, checkpoint: Checkpoint, now_s: float) -> None:
         difference = self._difference(checkpoint.key)
         if difference is not None:
-            text = f"restarted, with {difference}: starting anew, without engaging by itself"
+            text = (
+                f"restarted, with {difference}: starting a new mission, without engaging by itself"
+            )
             self._endpoint.tell(ProcessNoted(now_s, Severity.WARNING, text))
             return
         age = self._age_s + now_s - self._began_s
@@ -190,7 +199,7 @@ MAX_BYTES = 100_000
 
 
 class ParameterKeeper:
-    """Keeps the parameters of one vehicle; what was kept is taken up at once."""
+    """Keeps the changed parameters of one vehicle, and restores them at once."""
 
     def __init__(self, tunables: Tunables, path: Path) -> None:
         self._tunables = tunables
@@ -204,7 +213,7 @@ class ParameterKeeper:
             log.info("parameters changed by a ground station: %s (%s)", words, path)
 
     def run(self, now_s: float) -> None:
-        """Keep what changed; never waits."""
+        """Save changes; never waits."""
         del now_s
         if self._tunables.changed == self._kept:
             return
@@ -217,12 +226,12 @@ class ParameterKeeper:
         self._writer.replace(self._path, content)
 
     def close(self, timeout_s: float) -> None:
-        """Write what waits, for so long at most."""
+        """Write what is queued within `timeout_s`."""
         if self._writer is not None:
             self._writer.close(timeout_s)
 
     def _load(self) -> dict[str, float]:
-        """What was kept; a file that cannot be read is reported and means nothing."""
+        """Return the saved parameters; a file that cannot be read is reported and ignored."""
         try:
             with self._path.open("rb") as file:
                 data = file.read(MAX_BYTES)

@@ -1,13 +1,13 @@
-"""The service manager: what it is notified of (`sd_notify`), and its watchdog.
+"""Notification of the service manager (`sd_notify`), and its watchdog.
 
-It is notified that we are ready, alive or stopping, and what we are doing: datagrams of `KEY=VALUE`
-lines to the socket named by NOTIFY_SOCKET, a path or, with a leading `@`, a name in the abstract
-namespace. Nothing is sent where the variable is not set. The socket never blocks: a manager that
-does not read costs words and no time.
+The manager is notified that the process is ready, alive or stopping, and of its status: datagrams
+of `KEY=VALUE` lines to the socket named by NOTIFY_SOCKET, a path or, with a leading `@`, a name in
+the abstract namespace. Nothing is sent if the variable is not set. The socket never blocks: a
+manager that does not read loses notifications and costs no time.
 
-The watchdog is fed only when every part of the process answered: the control tick (it ran since it
-was last fed; this code itself runs on its thread), the writers of logs and checkpoints (they are
-there; a disk that hangs is no reason to kill a flight), and the links (open).
+The watchdog is fed only when every part of the process responded: the control tick (it ran since
+the last feed; this code itself runs on its thread), the writers of logs and checkpoints (their
+threads are alive; a disk that hangs is no reason to kill a flight), and the links (open).
 
 Source: sd_notify(3), sd_watchdog_enabled(3); of the rule: NASA F Prime, Svc/Health, HTH-007.
 """
@@ -27,13 +27,13 @@ READY, ALIVE, STOPPING = "READY=1", "WATCHDOG=1", "STOPPING=1"
 
 
 class Supervisor:
-    """The service manager, or nobody."""
+    """Connection to the service manager, if there is one."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self.failed = 0
-        """Words that could not be sent."""
+        """Notifications that could not be sent."""
         self.watchdog_s = _watchdog_s(environment)
-        """Silence for longer than this is taken for death; None: nobody counts."""
+        """The manager restarts the process after silence this long; None: no watchdog."""
         self._address = _address(environment.get("NOTIFY_SOCKET", ""))
         self._socket: socket.socket | None = None
         if self._address is not None:
@@ -42,21 +42,21 @@ class Supervisor:
 
     @property
     def is_there(self) -> bool:
-        """Whether anybody wants to know."""
+        """Return True if there is a service manager to notify."""
         return self._socket is not None
 
     def status(self, text: str) -> None:
-        """What we are doing, for `systemctl status`."""
+        """Set the status line of `systemctl status`."""
         self.say(f"STATUS={' '.join(text.split())[:MAX_STATUS]}")
 
     def close(self) -> None:
-        """Say nothing any more."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
     def say(self, words: str) -> None:
-        """Notify it, if it is there to read."""
+        """Notify the manager, if it reads."""
         if self._socket is None or self._address is None:
             return
         try:
@@ -72,7 +72,7 @@ def _address(text: str) -> bytes | None:
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float | None:
-    """WATCHDOG_USEC, if it is meant for this process."""
+    """Return WATCHDOG_USEC in seconds, if it is meant for this process."""
     microseconds, process = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID")
     if not (microseconds.isascii() and microseconds.isdigit() and int(microseconds) > 0):
         return None
@@ -103,7 +103,7 @@ class Watchdog:
         self._status = ""
 
     def run(self, now_s: float, wall_s: float) -> None:
-        """Say what is due; `wall_s` is monotonic."""
+        """Send what is due; `wall_s` is monotonic."""
         if not self._supervisor.is_there or self._timing.fired == 0:
             return
         if not self._is_ready:
@@ -122,7 +122,7 @@ class Watchdog:
             self._report_status(now_s, missing)
 
     def missing(self) -> str | None:
-        """Which part did not answer since it was last fed, in words, or None."""
+        """Return the part that did not respond since the last feed, in words, or None."""
         if self._timing.fired == self._ticks:
             return "the control tick"
         if not self._parts.journal.health.is_alive:

@@ -1,4 +1,4 @@
 """`companion radio`: list, watch, record and calibrate the radios of `companion.radios`.
 
-What a recording is, is below in `companion.io.logs.radio_recording`, where replays find it, too.
+The format of recordings is in `companion.io.logs.radio_recording`, because replays need it, too.
 """

@@ -1,14 +1,14 @@
-"""Sign, fold, mount, lag and noise of the bearings that a radio said of a known point.
+"""Sign, fold, mount, lag and noise of the bearings that a radio reported of a known point.
 
-Theory of operation. A device counts clockwise or counter-clockwise from a boresight that stands
-somewhere on the vehicle, and what lies behind it is printed there or, by two antennas, as its
-mirror image in front. Each of the four is tried at every lag; the one whose residuals point most
-alike (resultant length) is taken, where it is clearly the best. Around it mount and lag are fitted
-robustly, together with waves over the angle (the antenna's elements, the vehicle's body) and, where
-a circle was flown, over the heading (the compass).
+Theory of operation. A device counts clockwise or counter-clockwise from a boresight at some angle
+to the vehicle's nose, and an emitter behind it is reported there or, by two antennas, as its mirror
+image in front. Each of the four combinations is tried at every lag; the one whose residuals have
+the greatest resultant length is chosen if it is clearly the best. Around it mount and lag are
+fitted robustly, together with harmonics over the angle (the antenna's elements, the vehicle's body)
+and, if a circle was flown, over the heading (the compass).
 
-For two antennas a turned sign is the same as a boresight to the other side; it is taken to be in
-front, which for their measurement, a direction cosine, makes no difference.
+For two antennas a reversed sign is the same as a boresight to the other side; it is assumed to be
+in front, which for their measurement, a direction cosine, makes no difference.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ LEAST_RESULTANT = 0.5
 LEAST_FOLDED_RESULTANT = 0.8
 """A folded angle is never far from any other: one that stands still has 0.64."""
 UNLIKELY_PER_S = 1e-3
-"""Where no lag is better than another the smallest one is taken."""
+"""Penalty per second, so that of equally good lags the smallest is chosen."""
 LEAST_LEAD = 0.15
 """By how much the resultant of one sign must be the longer."""
 NORTH_LEAD = 0.05
@@ -62,17 +62,17 @@ LEAST_SIGMA_RAD = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class BearingSamples:
-    """Bearings as the radio said them, (n,) each."""
+    """Bearings as the radio reported them, (n,) each."""
 
     times_s: Vector
     bearings_rad: Vector
     is_array: bool = False
-    """Whether they are arcsines of direction cosines by themselves."""
+    """True if they are arcsines of direction cosines."""
 
 
 @dataclass(frozen=True, slots=True)
 class BearingSense:
-    """How a device counts: what the scan found."""
+    """Sense of a device's angles, as the scan found it."""
 
     sign: int
     is_folded: bool
@@ -80,18 +80,18 @@ class BearingSense:
     lag_s: float
     resultant: float
     other_resultant: float
-    """Of the other sign at its best."""
+    """The best of the other sign."""
 
     @property
     def follows(self) -> bool:
-        """Whether the bearing turns with the vehicle at all."""
+        """Return True if the bearing turns with the vehicle."""
         least = LEAST_FOLDED_RESULTANT if self.is_folded else LEAST_RESULTANT
         return self.resultant >= least
 
 
 @dataclass(frozen=True, slots=True)
 class BearingFit:
-    """What the bearings came to."""
+    """Result of fitting bearings."""
 
     sense: BearingSense
     mount_rad: Figure
@@ -100,26 +100,26 @@ class BearingFit:
     sigma_rad: Figure
     """About sign and mount; of a folded one of the direction cosine, so at boresight."""
     gross_share: float
-    """Of bearings that came from anywhere."""
+    """Share of outliers."""
     field_of_view_rad: float
     """Whole angle; beyond it bearings are worse."""
     behind_share: float
-    """Of the bearings, how many were of a point behind the boresight."""
+    """Share of bearings of a point behind the boresight."""
     waves_rad: tuple[float, float] | None
     """Amplitudes over the angle, once and twice a turn; None: no whole turn."""
     compass_rad: float | None
-    """Amplitude over the heading; None: not told from the waves."""
+    """Amplitude over the heading; None: inseparable from the waves."""
     covered_rad: float
-    """How much of the angles around the vehicle the point was seen at."""
+    """Angle around the vehicle at which the point was seen."""
 
 
 def wrapped(angles_rad: Vector) -> Vector:
-    """The same directions within half a turn."""
+    """Return angles wrapped to [-pi, pi)."""
     return (angles_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def predicted(body: Matrix, mount_rad: float, *, is_folded: bool) -> Vector:
-    """What a device says clockwise, (n,), of unit vectors along nose, right and down, (n, 3)."""
+    """Return a device's clockwise angles, (n,), of body unit vectors (n, 3): nose, right, down."""
     if not is_folded:
         return wrapped(np.arctan2(body[:, 1], body[:, 0]) - mount_rad)
     right = math.cos(mount_rad) * body[:, 1] - math.sin(mount_rad) * body[:, 0]
@@ -127,7 +127,7 @@ def predicted(body: Matrix, mount_rad: float, *, is_folded: bool) -> Vector:
 
 
 def covered_rad(track: PoseTrack, times_s: Vector) -> float:
-    """How much of the whole turn about the nose the point was seen at."""
+    """Return the angle about the nose, of a whole turn, at which the point was seen."""
     body = track.in_body(times_s)
     angles = np.arctan2(body[:, 1], body[:, 0])
     bins = np.bincount(((angles + math.pi) / (2.0 * math.pi) * 36.0).astype(int) % 36, minlength=36)
@@ -137,9 +137,9 @@ def covered_rad(track: PoseTrack, times_s: Vector) -> float:
 def find_sense(
     samples: BearingSamples, track: PoseTrack, *, is_by_north: bool = False
 ) -> BearingSense:
-    """Sign, fold, and where to begin with mount and lag.
+    """Return sign and fold, and the starting values of mount and lag.
 
-    By north nothing is folded, and it is clockwise unless that is clearly wrong.
+    Bearings from north are not folded, and are clockwise unless that is clearly wrong.
     """
     known = track.knows(samples.times_s - SCAN_S, with_yaw=True)
     known &= track.knows(samples.times_s + SCAN_S, with_yaw=True)
@@ -184,7 +184,7 @@ def _folded_mount(turned: Vector, body: Matrix) -> tuple[float, float]:
 
 
 class _FitProblem:
-    """Residuals of the bearings, said less predicted, by mount and lag."""
+    """Residuals of the bearings, reported less predicted, by mount and lag."""
 
     def __init__(self, samples: BearingSamples, track: PoseTrack, sense: BearingSense) -> None:
         self.track, self.sense = track, sense
@@ -193,11 +193,11 @@ class _FitProblem:
         self.said_rad = sense.sign * samples.bearings_rad[known]
 
     def within(self, used: Flags) -> None:
-        """Keep some of the bearings."""
+        """Keep a subset of the bearings."""
         self.times_s, self.said_rad = self.times_s[used], self.said_rad[used]
 
     def errors(self, mount_rad: float, lag_s: float) -> Vector:
-        """Angles, or direction cosines of what is folded."""
+        """Return the residuals as angles, or as direction cosines if folded."""
         body = self.track.in_body(self.times_s - lag_s)
         seen = predicted(body, mount_rad, is_folded=self.sense.is_folded)
         if self.sense.is_folded:
@@ -205,27 +205,29 @@ class _FitProblem:
         return wrapped(self.said_rad - seen)
 
     def off_boresight(self, mount_rad: float, lag_s: float) -> Vector:
-        """True angle clockwise from the boresight, in the antenna's plane."""
+        """Return the true angle clockwise from the boresight, in the antenna's plane."""
         body = self.track.in_body(self.times_s - lag_s)
         return wrapped(np.arctan2(body[:, 1], body[:, 0]) - mount_rad)
 
     def yaw(self, lag_s: float) -> Vector:
-        """Clockwise from north."""
+        """Return the yaw clockwise from north."""
         return self.track.yaw_rad(self.times_s - lag_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Waves:
-    """What is fitted beside mount and lag."""
+    """Harmonics that are fitted beside mount and lag."""
 
     has_angle: bool = False
     has_heading: bool = False
 
 
-def _waves_told(sense: BearingSense, covered: float, view_rad: float, *, has_circle: bool) -> Waves:
-    """Over the angle where all of it was seen; over the heading where that is something else.
+def _observable_waves(
+    sense: BearingSense, covered: float, view_rad: float, *, has_circle: bool
+) -> Waves:
+    """Return the observable harmonics: over the angle if all of it was seen, and over the heading.
 
-    In a turn on one spot both are the same, but not where a cosine is measured.
+    In a turn on one spot both are the same, except where a cosine is measured.
     """
     if sense.is_folded:
         return Waves(has_heading=covered > math.radians(200.0))
@@ -234,9 +236,9 @@ def _waves_told(sense: BearingSense, covered: float, view_rad: float, *, has_cir
 
 
 def core_sigma(errors: Vector, groups: list[Labels]) -> tuple[Figure, float]:
-    """Standard deviation of a normal core, and the share of errors from anywhere, by EM.
+    """Return the standard deviation of a normal core and the share of outliers, by EM.
 
-    Its interval is the widest by the groups that errors may have something in common in.
+    Of the intervals by each grouping of correlated errors the widest is used.
     """
     sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), LEAST_SIGMA_RAD)
     share, anywhere = 0.05, 1.0 / max(2.0 * float(np.max(np.abs(errors))), 12.0 * sigma)
@@ -247,8 +249,8 @@ def core_sigma(errors: Vector, groups: list[Labels]) -> tuple[Figure, float]:
         share = min(max(1.0 - float(core.mean()), 1e-4), 0.5)
         sigma = max(math.sqrt(float(np.sum(core * errors**2) / core.sum())), LEAST_SIGMA_RAD)
     squares = core * errors**2
-    told = [ratio_figure(sums_of(squares, by), sums_of(core, by)) for by in groups]
-    variance = max(told, key=lambda figure: figure.half_width)
+    figures = [ratio_figure(sums_of(squares, by), sums_of(core, by)) for by in groups]
+    variance = max(figures, key=lambda figure: figure.half_width)
     low, high = math.sqrt(max(variance.low, 0.0)), math.sqrt(variance.high)
     return Figure(sigma, low, high), share
 
@@ -261,7 +263,7 @@ def fit_bearings(
     has_circle: bool,
     lag_s: float | None = None,
 ) -> BearingFit:
-    """Mount and lag about what the scan found; `lag_s` holds the lag there."""
+    """Fit mount and lag near the scan's result; `lag_s` fixes the lag."""
     problem = _FitProblem(samples, track, sense)
     covered = covered_rad(track, problem.times_s - sense.lag_s)
     mount, lag, _ = _solved(problem, lag_s, Waves())
@@ -276,7 +278,7 @@ def fit_bearings(
         inside &= np.abs(np.sin(problem.said_rad) - errors) <= max(0.5, 1.0 - CLIP_SIGMAS * usual)
     if inside.sum() >= LEAST_IN_A_STEP:
         problem.within(inside)
-    waves = _waves_told(sense, covered, view_rad, has_circle=has_circle)
+    waves = _observable_waves(sense, covered, view_rad, has_circle=has_circle)
     mount, lag, fit = _solved(problem, lag_s, waves)
     errors = problem.errors(mount, lag)
     amplitudes = [float(math.hypot(*fit.beta[i : i + 2])) for i in range(2, len(fit.beta), 2)]
@@ -300,7 +302,7 @@ def fit_bearings(
 
 
 def _waves(problem: _FitProblem, mount: float, lag: float, waves: Waves) -> Matrix:
-    """Columns of what the antenna does wrong by its angle, and the compass by the heading."""
+    """Return columns for the antenna's error by its angle and the compass's by the heading."""
     off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
     columns: list[Vector] = []
     if waves.has_angle:
@@ -314,7 +316,7 @@ def _waves(problem: _FitProblem, mount: float, lag: float, waves: Waves) -> Matr
 def _solved(
     problem: _FitProblem, held_s: float | None, waves: Waves
 ) -> tuple[float, float, LinearFit]:
-    """Mount, lag and the last fit, whose parameters are mount, lag and the waves."""
+    """Return mount, lag and the last fit, whose parameters are mount, lag and the harmonics."""
     mount = problem.sense.mount_rad
     lag = problem.sense.lag_s if held_s is None else held_s
     half_s = 0.05
@@ -348,9 +350,9 @@ def _with_held_lag(fit: LinearFit) -> LinearFit:
 
 
 def _sectors(problem: _FitProblem, mount: float, lag: float) -> Labels:
-    """Sectors of angle and heading: what an element or the compass does wrong is in one of them.
+    """Return sectors of angle and heading, because an element or the compass errs within one.
 
-    Where there are next to none, pieces of time instead.
+    If there are too few, blocks of time instead.
     """
     off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
     turns = [np.floor((a % (2.0 * math.pi)) / (2.0 * math.pi) * SECTORS) for a in (off, yaw)]
@@ -366,12 +368,12 @@ def _numbered(values: Vector) -> Labels:
 
 
 def _front(off: Vector) -> Vector:
-    """Angles from the nearer end of a folded antenna's boresight."""
+    """Return angles from the nearer end of a folded antenna's boresight."""
     return np.arcsin(np.sin(off))
 
 
 def field_of_view(off: Vector, errors: Vector, *, is_folded: bool) -> float:
-    """Whole angle about the boresight within which bearings come, and are as good as ahead."""
+    """Return the whole angle about the boresight with bearings that are as good as ahead."""
     angles = np.abs(_front(off)) if is_folded else np.abs(off)
     most = 0.5 * math.pi if is_folded else math.pi
     inner = np.abs(errors[angles <= 3.0 * VIEW_STEP_RAD])

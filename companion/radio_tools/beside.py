@@ -1,7 +1,7 @@
 """`companion radio calibrate --beside`: the range offset, with the emitter at the antenna.
 
-What the radio says of a known short distance, less that distance, is its constant: the delay of an
-SDR, of cables and of boards. It is kept for this one radio.
+The reported range at a known short distance, less that distance, is the radio's constant: the delay
+of an SDR, of cables and of boards. It is kept for this one radio.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from companion.mav.endpoint import Chunk, OneShotEndpoint
 
 LISTEN_S = 20.0
 FEWEST = 5
-"""Ranges that a median is taken of; a cell has one for each attach of the phone."""
+"""Least ranges for a median; a cell has one for each attach of the phone."""
 MOST_BESIDE_M = 20.0
 """Farther away a reflection may be in the median: that is a line test."""
 SIGMA_OF_MAD = 1.4826
 
 
 class _Listener(OneShotEndpoint):
-    """Keeps the ranges that a radio says, uncorrected."""
+    """Collects the uncorrected ranges of a radio."""
 
     def __init__(self, setup: RadioSetup, end_s: float) -> None:
         super().__init__(end_s)
@@ -42,7 +42,7 @@ class _Listener(OneShotEndpoint):
         self.ranges_m: list[float] = []
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived."""
+        """Decode received bytes."""
         super().receive(chunk, now_s)
         found = self.stage.receive(chunk.data, now_s)
         self.ranges_m += [m.range_m for m in found if m.range_m is not None]
@@ -51,7 +51,10 @@ class _Listener(OneShotEndpoint):
 def run(
     arguments: argparse.Namespace, neutral: Callable[[RadioSetup], RadioSetup]
 ) -> tuple[int, str]:
-    """Listen and keep the offset; return the exit code, 1 for too few ranges, and what to print."""
+    """Collect ranges and keep the offset.
+
+    Return the exit code, 1 for too few ranges, and the report.
+    """
     distance_m = arguments.beside
     if not 0.0 <= distance_m <= MOST_BESIDE_M:
         raise ConfigError(f"--beside {distance_m:g}: give metres from 0 to {MOST_BESIDE_M:g}")

@@ -1,4 +1,4 @@
-"""`companion radio calibrate`: what is read, and what is printed."""
+"""`companion radio calibrate`: reads a recording and prints its calibration."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EXIT_REFUSED = 1
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read, fit and print; 1 where something was refused."""
+    """Read, fit and print; return 1 if a part was refused."""
     if arguments.beside is not None:
         code, text = beside.run(arguments, neutral)
         print(text, file=sys.stderr if code else sys.stdout)
@@ -104,7 +104,7 @@ def _numbers(text: str, is_geodetic: bool) -> tuple[float, ...]:
 
 @dataclass(slots=True)
 class _Found:
-    """What a file has: measurements by radio and emitter, poses, and where the emitter is."""
+    """Content of a file: measurements by radio and emitter, poses, and the emitter's position."""
 
     source: Path
     point_enu_m: PositionEnu
@@ -115,12 +115,12 @@ class _Found:
     """Of emitters in a walk."""
 
     def add(self, radio: str, measurement: RangingMeasurement) -> None:
-        """Keep one."""
+        """Add a measurement."""
         self.measurements.setdefault((radio, measurement.emitter_id), []).append(measurement)
 
 
 def _of_csv(path: Path) -> _Found:
-    """The walk; its bearings are by north, and nobody tells how good its places are."""
+    """Return the walk of a CSV file: bearings from north, positions of unknown accuracy."""
     found, truths = _Found(path, (0.0, 0.0, 0.0)), Counter[tuple[float, float]]()
     numbers: dict[str, int] = {}
     for row in read_walk(path):
@@ -141,7 +141,7 @@ def _of_csv(path: Path) -> _Found:
 
 
 def neutral(setup: RadioSetup) -> RadioSetup:
-    """The same radio, with nothing corrected that is to be found."""
+    """Return the same radio without the corrections that the calibration determines."""
     plain = RadioSettings()
     names = (
         *("range_offset_m", "range_scale", "bearing_sign", "bearing_mount_deg", "lag_s"),
@@ -191,23 +191,25 @@ def _point(
         return (point[0], point[1], point[2])
     if origin is None:
         raise ConfigError(
-            f"{path}: the autopilot told no origin; give --point-enu, metres about its origin"
+            f"{path}: the autopilot reported no origin; give --point-enu, metres about its origin"
         )
     height_m = point[2] if len(point) == 3 else origin.altitude_m
     return origin.enu_from_geodetic(point[0], point[1], height_m)
 
 
 def _chosen(found: _Found, emitter: str | None, windows: Sequence[RunWindow]) -> CalibrationRun:
-    """The one emitter that is asked for, or that there is."""
+    """Return the run of the emitter that is asked for, or of the only one."""
     shown = {key: found.names.get(key[1], str(key[1])) for key in found.measurements}
     fitting = [key for key in shown if emitter in (None, shown[key], str(key[1]))]
-    told = ", ".join(
+    listed = ", ".join(
         f"{shown[key]} ({len(values)}, {key[0]})" for key, values in found.measurements.items()
     )
     if not fitting:
-        raise ConfigError(f"--emitter {emitter}: {found.source} has {told}")
+        raise ConfigError(f"--emitter {emitter}: {found.source} has {listed}")
     if len(fitting) > 1:
-        raise ConfigError(f"{found.source}: has several emitters; say --emitter ID, of {told}")
+        raise ConfigError(
+            f"{found.source}: has several emitters; give --emitter ID, one of {listed}"
+        )
     radio, number = fitting[0]
     moved = [RunWindow(w.name, w.from_s + found.began_s, w.to_s + found.began_s) for w in windows]
     values = found.measurements[fitting[0]]
@@ -215,7 +217,7 @@ def _chosen(found: _Found, emitter: str | None, windows: Sequence[RunWindow]) ->
 
 
 def _record(arguments: argparse.Namespace) -> None:
-    """The recording that is fitted then, as `companion radio record` makes it."""
+    """Make the recording that is then fitted, as `companion radio record` does."""
     if arguments.link is None:
         raise ConfigError("--radio: needs --connect URL, the autopilot that knows where it is")
     config = with_radios(load_config(arguments.config), arguments.radios)

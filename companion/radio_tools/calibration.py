@@ -1,8 +1,8 @@
-"""From what a radio said at known places to its calibration, or to why there is none.
+"""Calibration of a radio from measurements at known positions, or the reasons for refusing one.
 
-Theory of operation. Bearings and ranges each find their lag; they have one in common, as they come
-from one radio. With it both are fitted. Whatever cannot be believed is refused in words, for ranges
-and bearings apart, so that half a calibration can be used.
+Theory of operation. Bearings and ranges each determine a lag; the radio has one, so the two are
+combined. With it both are fitted. Implausible results are refused in words, for ranges and bearings
+separately, so that half a calibration can be used.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ LEAST_DISTANCES = 4
 BLOCK_S = 5.0
 BLOCKED_SHARE = 0.5
 KEEP_REPORTED = (0.7, 1.4)
-"""Reported over observed sigma within which the radio's own is believed."""
+"""Reported over observed sigma within which the radio's own is used."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunWindow:
-    """What the user says of a recording: a test, and from when to when it went."""
+    """A time window of a recording and the test that was made in it, as the user gives them."""
 
     name: FieldTestName
     from_s: float = -math.inf
@@ -55,7 +55,7 @@ class RunWindow:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationRun:
-    """What is calibrated from."""
+    """Inputs of a calibration."""
 
     radio: str
     emitter_id: int
@@ -68,17 +68,17 @@ class CalibrationRun:
 
 @dataclass(frozen=True, slots=True)
 class Blocked:
-    """What the way through an obstacle does to ranges at this site."""
+    """Effect of an obstacle on ranges at this site."""
 
     seconds: float
     share: float
-    """Longer than three sigma."""
+    """Share of ranges longer by three sigma."""
     excess_m: float | None
 
 
 @dataclass(slots=True)
 class Calibration:
-    """What came out. A part that was refused is there as far as it got, and its refusal with it."""
+    """Result of a calibration; a refused part is included as far as it got, with its refusal."""
 
     radio: str
     emitter_id: int
@@ -86,11 +86,11 @@ class Calibration:
     bearings: int = 0
     tests: FieldTests = field(default_factory=FieldTests)
     lag_s: Figure | None = None
-    """None: the recording does not tell one; counted as 0."""
+    """None: the recording does not determine it; 0 is used."""
     range_fit: RangeFit | None = None
     bearing_fit: BearingFit | None = None
     is_by_north: bool = False
-    """Whether the bearings are, so that nothing turns them any more."""
+    """True if the bearings are from north and no mount is applied."""
     blocked: Blocked | None = None
     range_ratio: float | None = None
     """Reported over observed sigma; None: none is reported."""
@@ -102,30 +102,30 @@ class Calibration:
 
     @property
     def refusals(self) -> list[str]:
-        """Of both parts."""
+        """Return the refusals of both parts."""
         return [*self.range_refusals, *self.bearing_refusals]
 
     @property
     def has_ranges(self) -> bool:
-        """Whether there is a calibration of ranges to use."""
+        """Return True if there is a usable calibration of ranges."""
         return self.range_fit is not None and not self.range_refusals
 
     @property
     def has_bearings(self) -> bool:
-        """Whether there is a calibration of bearings to use."""
+        """Return True if there is a usable calibration of bearings."""
         return self.bearing_fit is not None and not self.bearing_refusals
 
     @property
     def keeps_reported_sigma(self) -> bool:
-        """Whether all that the radio reports fits what was seen."""
+        """Return True if the reported sigmas agree with the observed scatter."""
         used = [(self.has_ranges, self.range_ratio), (self.has_bearings, self.bearing_ratio)]
-        told = [ratio for is_used, ratio in used if is_used and ratio is not None]
+        ratios = [ratio for is_used, ratio in used if is_used and ratio is not None]
         low, high = KEEP_REPORTED
-        return bool(told) and all(low <= ratio <= high for ratio in told)
+        return bool(ratios) and all(low <= ratio <= high for ratio in ratios)
 
 
 def calibrate(run: CalibrationRun) -> Calibration:
-    """Fit everything that the run tells."""
+    """Fit all parameters that the run can determine."""
     track = PoseTrack(run.poses, run.point_enu_m)
     done = Calibration(run.radio, run.emitter_id, own_sigma_m=track.sigma_m)
     done.tests = find_tests(track)
@@ -153,10 +153,10 @@ def calibrate(run: CalibrationRun) -> Calibration:
     else:
         done.lag_s = range_lag
     if wants_ranges and done.ranges:
-        told = ranged & is_placed & is_blocked
-        _fit_ranges(ranges, RangeSamples(times[told], values[told]), track, done)
+        blocked = ranged & is_placed & is_blocked
+        _fit_ranges(ranges, RangeSamples(times[blocked], values[blocked]), track, done)
     _compare_reported(fitted, done)
-    _check_own_place(track, ranges, bearings, done)
+    _check_vehicle_position(track, ranges, bearings, done)
     if not done.ranges and not done.bearings:
         done.range_refusals.append("nothing was measured where the vehicle's place is known")
     elif not (done.has_ranges or done.has_bearings or done.refusals):
@@ -181,7 +181,7 @@ def _bearing_samples(
     track: PoseTrack,
     done: Calibration,
 ) -> tuple[BearingSamples, PoseTrack]:
-    """The bearings, and the track with the yaw that they are to be seen from."""
+    """Return the bearings, and the track with the yaw from which they are seen."""
     by_north = [m for m in fitted if m.bearing_enu_rad is not None]
     by_body = [m for m in fitted if m.bearing_body_rad is not None]
     if len(by_north) > len(by_body):
@@ -201,7 +201,7 @@ def _bearing_samples(
 
 
 def replace_attitude(pose: TimedPose) -> TimedPose:
-    """The pose of a vehicle that lies level and looks north."""
+    """Return the pose of a level vehicle that looks north."""
     return TimedPose(pose.t_s, pose.enu_m, 0.0, 0.0, 0.0, pose.sigma_m)
 
 
@@ -217,7 +217,7 @@ def _range_lag(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> Fig
         is_scanned = scan_lag(ranges, track) is not None
         if moves > 0.5 and is_scanned:
             done.remarks.append(
-                "ranges do not tell the lag: go out and back the same way, or stop at each distance"
+                "ranges do not show the lag: go out and back the same way, or stop at each distance"
             )
     return lag
 
@@ -229,7 +229,7 @@ def _clocks(lag_s: float) -> str:
 def _fit_bearings(
     samples: BearingSamples, track: PoseTrack, done: Calibration, range_lag: Figure | None
 ) -> None:
-    """Fit bearings, and settle the lag that both have."""
+    """Fit bearings, and determine the common lag."""
     done.lag_s = range_lag
     if len(samples.times_s) < LEAST_VALUES:
         done.bearing_refusals.append(
@@ -276,7 +276,7 @@ def _fit_bearings(
 
 
 def combined_figure(one: Figure, other: Figure | None) -> Figure:
-    """The mean of two, each by its variance."""
+    """Return the inverse-variance weighted mean of two figures."""
     if other is None:
         return one
     weights = [1.0 / max(f.sigma, 1e-6) ** 2 for f in (one, other)]
@@ -293,7 +293,7 @@ def _at_lag(
     *,
     has_circle: bool,
 ) -> BearingFit:
-    """The fit at the common lag; what is not known of it is in the mount's interval."""
+    """Return the fit at the common lag; the lag's uncertainty widens the mount's interval."""
     sense = replace(fit.sense, lag_s=lag.value, mount_rad=fit.mount_rad.value)
     held = fit_bearings(samples, track, sense, has_circle=has_circle, lag_s=lag.value)
     later = fit_bearings(
@@ -308,7 +308,7 @@ def _at_lag(
 def _fit_ranges(
     ranges: RangeSamples, blocked: RangeSamples, track: PoseTrack, done: Calibration
 ) -> None:
-    """Fit what is not blocked; `blocked` is what the user says is."""
+    """Fit the ranges that are not blocked; `blocked` is a flag for each from the user."""
     if len(ranges.times_s) < LEAST_VALUES:
         done.range_refusals.append(
             f"only {len(ranges.times_s)} ranges; {LEAST_VALUES} and more are needed"
@@ -316,7 +316,7 @@ def _fit_ranges(
         return
     lag_s, half_s = (0.0, 0.0) if done.lag_s is None else (done.lag_s.value, done.lag_s.half_width)
     used = track.knows(ranges.times_s - lag_s)
-    if done.lag_s is None:  # what was measured under way may be late by any distance
+    if done.lag_s is None:  # ranges under way may be wrong by any distance if they are late
         used &= track.seen(ranges.times_s).speed_mps < LEAST_SPEED_MPS
         if used.sum() < max(LEAST_VALUES, 0.2 * len(used)):
             done.range_refusals.append(
@@ -342,9 +342,9 @@ def _picked(samples: RangeSamples, used: Flags) -> RangeSamples:
 
 def _check_ranges(fit: RangeFit, done: Calibration) -> None:
     if len(fit.distances_m) < LEAST_DISTANCES:
-        told = ", ".join(f"{distance:.1f}" for distance in fit.distances_m)
+        listed = ", ".join(f"{distance:.1f}" for distance in fit.distances_m)
         done.range_refusals.append(
-            f"only {len(fit.distances_m)} distances ({told} m); {LEAST_DISTANCES} are the least, "
+            f"only {len(fit.distances_m)} distances ({listed} m); {LEAST_DISTANCES} are the least, "
             "5 10 20 50 100 m are good"
         )
     elif not fit.is_scale_seen:
@@ -364,14 +364,14 @@ def _errors(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_s: float
 
 
 def _blocks(times: Vector) -> Labels:
-    """Numbers of blocks of time that have enough ranges in the mean."""
+    """Return numbers of time blocks that have enough ranges on average."""
     seconds = float(times.max() - times.min()) or 1.0
     block_s = max(BLOCK_S, LEAST_VALUES * seconds / len(times))
     return np.asarray((times - times.min()) // block_s, dtype=np.int64)
 
 
 def _blocked_blocks(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_s: float) -> Flags:
-    """Ranges of times in which most were too long, and longer than one block of time."""
+    """Return flags of ranges in periods longer than a block in which most were too long."""
     is_long = _errors(samples, track, fit, lag_s) > NLOS_SIGMAS * fit.sigma_m.value
     blocks = _blocks(samples.times_s)
     counts = np.bincount(blocks)
@@ -398,13 +398,13 @@ def _compare_reported(fitted: Sequence[RangingMeasurement], done: Calibration) -
         done.bearing_ratio = float(np.median(bearings)) / done.bearing_fit.sigma_rad.value
 
 
-def _check_own_place(
+def _check_vehicle_position(
     track: PoseTrack, ranges: RangeSamples, bearings: BearingSamples, done: Calibration
 ) -> None:
-    """The vehicle's own place has to be three times as good as the radio."""
+    """Check that the vehicle's position is three times as accurate as the radio."""
     own = track.sigma_m
     if own is None:
-        done.remarks.append("nobody told how good the vehicle's own place is; RTK is good enough")
+        done.remarks.append("accuracy of the vehicle's position is unknown; RTK is good enough")
         return
     if done.range_fit is not None and own > done.range_fit.sigma_m.value / 3.0:
         done.range_refusals.append(

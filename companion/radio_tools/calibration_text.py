@@ -10,7 +10,7 @@ from companion.radio_tools.clustered_fit import Figure
 from companion.radio_tools.range_fit import RangeFit
 
 PRIOR_WIDTHS = 2.5
-"""A prior is so many times as wide as half of the interval."""
+"""Width of a prior, in half intervals."""
 LEAST_PRIOR_M = 0.1
 LEAST_PRIOR_DEG = 3.0
 """A compass is not as good elsewhere as where it was calibrated."""
@@ -18,7 +18,7 @@ WHOLE_DEG = 359.0
 
 
 def verdict(done: Calibration) -> str:
-    """What was found, in a few lines."""
+    """Return the result in a few lines."""
     lines = [_heading(done)]
     if done.range_fit is not None:
         lines += _range_lines(done.range_fit, done)
@@ -44,8 +44,8 @@ def verdict(done: Calibration) -> str:
 def _heading(done: Calibration) -> str:
     distances = "no distances"
     if done.range_fit is not None and done.range_fit.distances_m:
-        told = done.range_fit.distances_m
-        distances = f"{len(told)} distances {told[0]:.1f}-{told[-1]:.1f} m"
+        all_m = done.range_fit.distances_m
+        distances = f"{len(all_m)} distances {all_m[0]:.1f}-{all_m[-1]:.1f} m"
     heading = (
         f"radio {done.radio}, emitter {done.emitter_id}: {done.ranges} ranges, {distances}, "
         f"{done.bearings} bearings"
@@ -91,7 +91,7 @@ def _range_lines(fit: RangeFit, done: Calibration) -> list[str]:
 def _bearing_lines(fit: BearingFit, done: Calibration) -> list[str]:
     mount, sense = fit.mount_rad.times(180.0 / math.pi), fit.sense
     what = "offset from north" if done.is_by_north else "mount"
-    fold = "front and back told apart"
+    fold = "front and back distinguished"
     if sense.is_folded:
         fold = f"two antennas: front and back look alike ({100.0 * fit.behind_share:.0f} % behind)"
     sigma = fit.sigma_rad.times(180.0 / math.pi)
@@ -121,16 +121,19 @@ def _reported(what: str, ratio: float) -> str:
 
 def _lag_line(done: Calibration) -> str:
     if done.lag_s is None:
-        return "lag not told by this recording, taken for 0"
+        return "lag not determined by this recording; 0 is used"
     return f"lag {done.lag_s.value:.3f} s  (95 % {_interval(done.lag_s, 3)})"
 
 
-def _interval(told: Figure, digits: int) -> str:
-    return f"{told.low:.{digits}f} .. {told.high:.{digits}f}"
+def _interval(figure: Figure, digits: int) -> str:
+    return f"{figure.low:.{digits}f} .. {figure.high:.{digits}f}"
 
 
 def yaml_to_paste(done: Calibration) -> str:
-    """Keys for a radio's `settings`, and for `estimation.filter`; empty: nothing is usable."""
+    """Return keys for a radio's `settings` and for `estimation.filter`.
+
+    Empty if nothing is usable.
+    """
     stage: dict[str, str] = {}
     believed: dict[str, str] = {}
     if done.has_ranges and done.range_fit is not None:
@@ -141,8 +144,7 @@ def yaml_to_paste(done: Calibration) -> str:
         return ""
     if done.lag_s is not None:
         stage["lag_s"] = f"{min(max(done.lag_s.value, -1.0), 5.0):.3f}"
-    told = done.range_ratio is not None or done.bearing_ratio is not None
-    if told:
+    if done.range_ratio is not None or done.bearing_ratio is not None:
         believed["use_reported_sigma"] = "true" if done.keeps_reported_sigma else "false"
     return "\n".join(
         [
@@ -170,7 +172,7 @@ def _add_bearing_keys(
     mount_deg = math.degrees(fit.mount_rad.value)
     view_deg = math.degrees(fit.field_of_view_rad)
     prior_deg = PRIOR_WIDTHS * math.degrees(fit.mount_rad.half_width)
-    if is_by_north:  # nothing turns these; the filter finds the offset
+    if is_by_north:  # nothing rotates these antennas; the filter estimates the offset
         prior_deg = max(prior_deg, abs(mount_deg))
     else:
         stage["bearing_sign"] = f"{fit.sense.sign}"
@@ -189,7 +191,7 @@ def _add_bearing_keys(
 
 
 def _upwards(value: float) -> float:
-    """Two digits, never less; what has no bound has the estimator's own prior, 5."""
+    """Return two significant digits, rounded up; infinity becomes the estimator's own prior, 5."""
     if not value > 0.0:
         return 0.0
     if math.isinf(value):
@@ -199,7 +201,7 @@ def _upwards(value: float) -> float:
 
 
 def as_json(done: Calibration) -> dict[str, object]:
-    """Everything, for `companion.io.files.write_json_atomic`."""
+    """Return everything for `companion.io.files.write_json_atomic`."""
     return {
         "radio": done.radio,
         "emitter_id": done.emitter_id,

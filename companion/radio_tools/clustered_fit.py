@@ -1,7 +1,7 @@
-"""Fits whose errors are shared within a place, and intervals that say so.
+"""Fits whose errors are correlated within a place, with intervals that account for it.
 
-Theory of operation. Reflections and the antenna's orientation make all values of one place wrong
-together, so a thousand values of five places are five. Variances are therefore those of the
+Theory of operation. Reflections and the antenna's orientation give all values of one place the same
+error, so a thousand values of five places are five. Variances are therefore those of the
 delete-one-place jackknife (CR3: G. W. Imbens and M. Kolesar, Review of Economics and Statistics 98,
 2016), and intervals are Student's with places less parameters as degrees of freedom.
 """
@@ -25,7 +25,7 @@ MOST_CONDITION = 1e10
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A fitted figure with its 95 % interval."""
+    """Fitted figure with its 95 % interval."""
 
     value: float
     low: float
@@ -38,24 +38,24 @@ class Figure:
 
     @property
     def sigma(self) -> float:
-        """The standard error that a normal distribution of this interval would have."""
+        """Standard deviation of a normal distribution with this interval."""
         return self.half_width / NORMAL_975
 
     def times(self, factor: float) -> Figure:
-        """In another unit."""
+        """Return the figure in another unit."""
         return Figure(factor * self.value, factor * self.low, factor * self.high)
 
 
 def figure(value: float, sigma: float, freedom: float) -> Figure:
-    """By Student's t."""
+    """Return a figure with the interval of Student's t."""
     half = student_975(freedom) * sigma
     return Figure(value, value - half, value + half)
 
 
 def student_975(freedom: float) -> float:
-    """Quantile of Student's t that 97.5 % lie below (Abramowitz and Stegun, eq. 26.7.5)."""
+    """Return the 97.5 % quantile of Student's t (Abramowitz and Stegun, eq. 26.7.5)."""
     n, z = max(freedom, 1.0), NORMAL_975
-    if n < 3.0:  # the series is blunt there
+    if n < 3.0:  # the series is inaccurate there
         exact = (12.706, 4.303, 3.182)
         return float(np.interp(n, (1.0, 2.0, 3.0), exact))
     terms = (
@@ -68,7 +68,10 @@ def student_975(freedom: float) -> float:
 
 
 def sigma_figure(sigma: float, freedom: float) -> Figure:
-    """A standard deviation by chi-square (quantiles of E. B. Wilson and M. M. Hilferty, 1931)."""
+    """Return a standard deviation by chi-square (quantiles of E. B. Wilson and M. M.
+
+    Hilferty, 1931).
+    """
     n = max(freedom, 1.0)
     spread = NORMAL_975 * math.sqrt(2.0 / (9.0 * n))
     high, low = (max(1.0 - 2.0 / (9.0 * n) + sign * spread, 0.05) ** 1.5 for sign in (1, -1))
@@ -76,10 +79,10 @@ def sigma_figure(sigma: float, freedom: float) -> Figure:
 
 
 def places_of(points_m: Matrix, radius_m: float) -> Labels:
-    """Numbers from 0, (n,), of the places that points (n, 3) belong to.
+    """Return numbers from 0, (n,), of the places that points (n, 3) belong to.
 
-    A point farther than the radius from every place so far begins one; then each goes to the
-    nearest, so that the way back is divided as the way out.
+    A point farther than the radius from every place so far starts one; then each goes to the
+    nearest, so that the way back is divided like the way out.
     """
     centres: list[Vector] = []
     last = points_m[:0].sum(axis=0) + math.inf
@@ -99,16 +102,16 @@ def places_of(points_m: Matrix, radius_m: float) -> Labels:
 
 
 def sums_of(values: Vector, labels: Labels) -> Vector:
-    """Sum of each place."""
+    """Return the sum of each place."""
     count = int(labels.max(initial=-1)) + 1
     return np.asarray(np.bincount(labels, weights=values, minlength=count), dtype=np.float64)
 
 
 def ratio_figure(parts: Vector, weights: Vector) -> Figure:
-    """Sum of the parts over sum of the weights, one of each a place, by the jackknife.
+    """Return sum of parts over sum of weights, one of each per place, by the jackknife.
 
-    Where a few places have most of the variance they are its degrees of freedom
-    (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
+    If a few places have most of the variance, they are its degrees of freedom (F. E. Satterthwaite,
+    Biometrics Bulletin 2, 1946).
     """
     used = weights > 0.0
     parts, weights = parts[used], weights[used]
@@ -131,13 +134,13 @@ class LinearFit:
     freedom: float
 
     def figure(self, index: int) -> Figure:
-        """One of the parameters."""
+        """Return one of the parameters."""
         sigma = math.sqrt(max(float(self.covariance[index, index]), 0.0))
         return figure(float(self.beta[index]), sigma, self.freedom)
 
 
 def solved(rows: Matrix, values: Vector, weights: Vector) -> Vector:
-    """Weighted least squares alone, (p,); of what the rows do not tell, the least."""
+    """Return the weighted least squares solution, (p,); of undetermined ones that of least norm."""
     scale = np.sqrt(np.maximum(np.mean(rows**2, axis=0), 1e-300))
     scaled = rows / scale
     weighted = scaled * weights[:, None]
@@ -148,7 +151,7 @@ def solved(rows: Matrix, values: Vector, weights: Vector) -> Vector:
 def linear_fit(rows: Matrix, values: Vector, weights: Vector, labels: Labels) -> LinearFit:
     """Fit values (n,) by rows (n, p); the covariance leaves out one place after the other.
 
-    What the rows do not tell has a variance of infinity.
+    Parameters that the rows do not determine have infinite variance.
     """
     parameters = rows.shape[1]
     count = int(labels.max(initial=-1)) + 1
@@ -177,7 +180,7 @@ def linear_fit(rows: Matrix, values: Vector, weights: Vector, labels: Labels) ->
 
 
 def mirrored_sigma(residuals: Vector, weights: Vector | None = None) -> float:
-    """Standard deviation by the residuals below zero alone: above are reflections, too."""
+    """Return the standard deviation from residuals below zero; above are reflections, too."""
     is_below = residuals < 0.0
     below = -residuals[is_below]
     if not len(below):
@@ -190,7 +193,7 @@ def mirrored_sigma(residuals: Vector, weights: Vector | None = None) -> float:
 
 
 def mills(z: Vector) -> Vector:
-    """Inverse Mills ratio phi(z) / Phi(z) of the standard normal, for any z.
+    """Return the inverse Mills ratio phi(z) / Phi(z) of the standard normal, for any z.
 
     Abramowitz and Stegun, eq. 26.2.17 (1e-7), and the continued fraction 26.2.14 below -3.
     """

@@ -1,12 +1,12 @@
-"""`companion radio identify @URL`: which radio it is that talks there, and what to type for it.
+"""`companion radio identify @URL`: recognises a radio and prints the command that uses it.
 
-Every built-in decoder reads the same bytes; the one that understands most of them has it. Noise is
-understood by none: a decoder must read several measurements, and one of binary frames most bytes.
+Every built-in decoder reads the same bytes; the one that understands most of them wins. Noise must
+match none: a decoder has to read several measurements, and one of binary frames most bytes.
 
-Theory of operation. The time is shared out over the ways to listen: the speeds of a serial port,
-the modules that say nothing before they are asked, the pages of a host. A way on which something
-was measured is not left before the time is over; one on which only garbage comes is left early, and
-what it leaves goes to the others. So the whole never takes longer than asked for.
+Theory of operation. The time is divided among the ways to listen: the speeds of a serial port, the
+modules that must be asked, the pages of a host. A way on which something was measured is kept until
+the time is over; one that brings only garbage is left early, and its remaining time goes to the
+others. So the whole never takes longer than requested.
 """
 
 from __future__ import annotations
@@ -36,25 +36,25 @@ HEARD_SHARES = (3.0, 1.5, 0.75, 0.75)
 ASKED_SHARE = 1.0
 """Of the time, for each radio that is asked."""
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
-"""So many bytes of which so many are no text, and nothing measured: another speed."""
+"""This many bytes with this share of non-text and no reading mean another speed."""
 FEWEST_POWERS = 3
 """Lines of received power alone, to say so."""
 FEWEST_FRAMES_SHARE = 0.5
 """Of the bytes, in binary formats, whose short frames without a checksum occur in noise."""
 TEXT = bytes((*b"\t\n\r\x1b", *range(0x20, 0x7F)))
 NO_LINES = ("lines",)
-"""It reads whatever it is configured for."""
+"""Radios without a format of their own."""
 OPTIONS: Mapping[str, Mapping[str, object]] = {
     "srsran": {"loop_is_off": True, "numerology": 1},
     "oai": {"numerology": 1},
     "android_rtt": {"unit": "mm", "single_emitter": True},
 }
-"""With which a format's stream has readings, whatever its cell or app is."""
+"""Options with which a format's stream has readings, whatever its cell or app is."""
 
 
 @dataclass(slots=True)
 class _Candidate:
-    """One built-in radio that reads what comes."""
+    """A built-in radio whose decoder reads the stream."""
 
     name: str
     decoder: RadioDecoder
@@ -62,7 +62,7 @@ class _Candidate:
     emitters: set[str | int | None] = field(default_factory=set)
 
     def feed(self, data: bytes, now_s: float) -> None:
-        """Read some bytes."""
+        """Decode some bytes."""
         found = self.decoder.feed(data, now_s)
         self.readings += len(found)
         self.emitters.update(reading.emitter for reading in found[:16])
@@ -83,7 +83,7 @@ class Listener:
         ]
 
     def feed(self, data: bytes, now_s: float) -> None:
-        """Let every candidate read some bytes."""
+        """Let every candidate decode some bytes."""
         self.bytes += len(data)
         self._no_text += len(data.translate(None, TEXT))
         for candidate in self.candidates:
@@ -91,7 +91,7 @@ class Listener:
 
     @property
     def found(self) -> _Candidate | None:
-        """The radio, if one understands enough; the one with the fewest bytes left over."""
+        """Return the radio that understands enough, with the fewest bytes left over; or None."""
         fitting = [each for each in self.candidates if self._is_fitting(each, FEWEST)]
         return min(fitting, key=_left_over, default=None)
 
@@ -103,7 +103,7 @@ class Listener:
 
     @property
     def is_garbage(self) -> bool:
-        """Return True if much came that is neither text nor measured."""
+        """Return True if much arrived that is neither text nor measurements."""
         return (
             self.bytes >= GARBAGE_BYTES
             and self._no_text > GARBAGE_SHARE * self.bytes
@@ -112,7 +112,7 @@ class Listener:
 
     @property
     def powers(self) -> int:
-        """Lines of received power alone."""
+        """Return the number of lines with received power alone."""
         return max(each.decoder.counts.refused[POWER_ONLY] for each in self.candidates)
 
     def _is_fitting(self, candidate: _Candidate, fewest: int) -> bool:
@@ -131,7 +131,7 @@ def _left_over(candidate: _Candidate) -> tuple[int, int, int]:
 
 
 class Ear(OneShotEndpoint):
-    """Hears one line until it is clear which radio it is, or this way's time is over."""
+    """Listens to one line until the radio is recognised or the time for this way is over."""
 
     def __init__(self, listener: Listener, share_s: float, most_s: float) -> None:
         super().__init__(most_s)
@@ -140,21 +140,21 @@ class Ear(OneShotEndpoint):
 
     @property
     def is_finished(self) -> bool:
-        """Return True at the end of all time, or of this way's, or once it makes no sense."""
+        """Return True when the time is over, the radio is recognised, or only garbage arrives."""
         listener = self.listener
         if super().is_finished or listener.found is not None or listener.is_garbage:
             return True
         return self.now_s >= self._share_s and not listener.is_promising
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived."""
+        """Decode received bytes."""
         super().receive(chunk, now_s)
         self.listener.feed(chunk.data, now_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One way to listen: as which radio, where, for how long."""
+    """One way to listen: as which radio, at which address, for how long."""
 
     radio: str
     url: str
@@ -163,13 +163,13 @@ class Attempt:
     """Of the time, beside the other attempts' shares."""
     share_s: float = 0.0
     most_s: float = 0.0
-    """The same in seconds, and how long it may take if something was measured."""
+    """The same in seconds, and the limit if something was measured."""
 
 
 def attempts(url: str) -> list[Attempt]:
-    """The ways to listen at a URL, in order: speeds of a serial port, pages of a host.
+    """Return the ways to listen at a URL, in order: speeds of a serial port, pages of a host.
 
-    What only answers is asked before the other speeds, because it is the first at which it does.
+    Radios that only answer are asked before the other speeds, each at its default speed.
     """
     head = url.partition(":")[0].lower()
     if url.startswith("/") or head == "serial":
@@ -192,7 +192,7 @@ def attempts(url: str) -> list[Attempt]:
 
 
 def _asked() -> list[str]:
-    """Radios that say nothing before they are asked."""
+    """Return the radios that must be asked before they report."""
     polls = {name: radio_kind(name).poll for name in BUILT_IN}
     return [n for n, poll in polls.items() if poll is not None and (poll.request or poll.probe)]
 
@@ -202,7 +202,7 @@ Listen = Callable[[Attempt, Listener], None]
 
 
 def timed(ways: Sequence[Attempt], seconds: float, clock: Clocked) -> Iterator[Attempt]:
-    """Yield each with its part of the time that the ones before it have left."""
+    """Yield each way with its share of the remaining time."""
     end_s = clock() + seconds
     for number, way in enumerate(ways):
         left_s = max(0.0, end_s - clock())
@@ -211,7 +211,7 @@ def timed(ways: Sequence[Attempt], seconds: float, clock: Clocked) -> Iterator[A
 
 
 def listen(attempt: Attempt, listener: Listener) -> None:
-    """Hear a real line."""
+    """Listen on a real line."""
     setup = radio_setup(RadioConfig(name=attempt.radio), "identify")
     link = radio_link(setup, attempt.url, is_probed=True)
     ear = Ear(listener, attempt.share_s, attempt.most_s)
@@ -221,7 +221,7 @@ def listen(attempt: Attempt, listener: Listener) -> None:
 def identify(
     url: str, seconds: float = LISTEN_S, hear: Listen = listen, clock: Clocked = time.monotonic
 ) -> tuple[int, str]:
-    """Return the exit code and what to print: the radio and the command, or what was heard."""
+    """Return the exit code and the report: the radio and its command, or what was received."""
     heard, powers, problem = 0, 0, ""
     for attempt in timed(attempts(url), seconds, clock):
         listener = Listener()
@@ -256,5 +256,5 @@ def _words(found: _Candidate, attempt: Attempt, url: str) -> str:
 
 
 def _needs_tag(kind: RadioKind) -> bool:
-    """Return True if it asks only for an emitter that is configured."""
+    """Return True if the radio asks only for a configured emitter."""
     return isinstance(kind.poll, Poll) and bool(kind.poll.probe)

@@ -1,4 +1,4 @@
-"""The options of `companion radio`; a flight loads nothing else of it."""
+"""Options of `companion radio`, apart so that a flight loads nothing else of it."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Where the vehicle was while a radio was calibrated, and what it did there: the tests.
+"""Poses of the vehicle while a radio was calibrated, and the tests that it performed.
 
-Theory of operation. Everything is asked for by time, so that a lag is a shift of it. Positions and
-roll and pitch are interpolated, yaw along its shorter way. The tests are told by yaw and distance:
-a turn is yaw without a way, a circle is a way about the point without a change of distance, a line
-is several distances.
+Theory of operation. Everything is evaluated at a time, so that a lag is a shift of it. Positions
+and roll and pitch are interpolated, yaw along its shorter way. The tests are recognised by yaw and
+distance: a turn changes yaw without moving, a circle moves about the point without a change of
+distance, a line has several distances.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from companion.io.logs.radio_recording import TimedPose
 from companion.radio_tools.clustered_fit import Flags, Matrix, Vector
 
 MOST_GAP_S = 1.5
-"""Over a longer one nobody knows where the vehicle was."""
+"""Poses are not interpolated over longer gaps."""
 STANDING_MPS = 0.5
 TURN_RAD = math.radians(330.0)
 CIRCLE_RAD = math.radians(270.0)
@@ -30,21 +30,21 @@ LEAST_DISTANCE_M = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The point as it lay for the vehicle at some times, (n,) each."""
+    """The point as seen from the vehicle at some times, (n,) each."""
 
     place_m: Matrix
     """Of the vehicle, (n, 3)."""
     distance_m: Vector
     """Slant."""
     closing_mps: Vector
-    """How fast the distance grows."""
+    """Rate of the distance, positive when it grows."""
     speed_mps: Vector
     north_rad: Vector
     """Direction to the point, clockwise from north."""
 
 
 class PoseTrack:
-    """Poses by time; `point_m` is where the emitter is known to be."""
+    """Poses by time; `point_m` is the emitter's known position."""
 
     def __init__(self, poses: Sequence[TimedPose], point_m: PositionEnu) -> None:
         ordered = sorted(poses, key=lambda pose: pose.t_s)
@@ -52,22 +52,22 @@ class PoseTrack:
         self.times_s: Vector = np.array([pose.t_s for pose in kept])
         self.places_m: Matrix = np.array([pose.enu_m for pose in kept]).reshape(-1, 3)
         self.point_m = point_m
-        told = [pose for pose in kept if pose.yaw_rad is not None]
-        self._yaw_times_s: Vector = np.array([pose.t_s for pose in told])
-        self._yaws_rad = np.unwrap(np.array([pose.yaw_rad for pose in told], dtype=float))
-        tilts = [(pose.roll_rad or 0.0, pose.pitch_rad or 0.0) for pose in told]
+        oriented = [pose for pose in kept if pose.yaw_rad is not None]
+        self._yaw_times_s: Vector = np.array([pose.t_s for pose in oriented])
+        self._yaws_rad = np.unwrap(np.array([pose.yaw_rad for pose in oriented], dtype=float))
+        tilts = [(pose.roll_rad or 0.0, pose.pitch_rad or 0.0) for pose in oriented]
         self._tilts_rad: Matrix = np.array(tilts).reshape(-1, 2)
         sigmas = [pose.sigma_m for pose in kept if pose.sigma_m is not None]
         self.sigma_m = float(np.median(sigmas)) if sigmas else None
-        """Of the own place; None: not told."""
+        """Median accuracy of the vehicle's position; None: not reported."""
 
     @property
     def has_yaw(self) -> bool:
-        """Whether the autopilot told how it lay."""
+        """Return True if attitudes are known."""
         return len(self._yaw_times_s) > 1
 
     def knows(self, times_s: Vector, *, with_yaw: bool = False) -> Flags:
-        """Whether poses are near on both sides of the times, (n,)."""
+        """Return flags, (n,), of the times with poses near on both sides."""
         known = self._yaw_times_s if with_yaw else self.times_s
         if len(known) < 2:
             return np.zeros(len(times_s), dtype=np.bool_)
@@ -77,16 +77,16 @@ class PoseTrack:
         return np.asarray(is_inside & is_near)
 
     def place(self, times_s: Vector) -> Matrix:
-        """Positions, (n, 3)."""
+        """Return positions, (n, 3)."""
         columns = [np.interp(times_s, self.times_s, column) for column in self.places_m.T]
         return np.stack(columns, axis=1)
 
     def yaw_rad(self, times_s: Vector) -> Vector:
-        """Clockwise from north, without a wrap, (n,)."""
+        """Return the yaw clockwise from north, unwrapped, (n,)."""
         return np.interp(times_s, self._yaw_times_s, self._yaws_rad)
 
     def seen(self, times_s: Vector) -> Seen:
-        """The point from where the vehicle was."""
+        """Return the point as seen from the vehicle."""
         place = self.place(times_s)
         way = np.array(self.point_m) - place
         distance = np.maximum(np.linalg.norm(way, axis=1), 1e-6)
@@ -97,7 +97,7 @@ class PoseTrack:
         return Seen(place, distance, closing, speed, np.arctan2(way[:, 0], way[:, 1]))
 
     def in_body(self, times_s: Vector) -> Matrix:
-        """Unit vectors to the point along nose, right and down, (n, 3)."""
+        """Return unit vectors to the point along nose, right and down, (n, 3)."""
         way = np.array(self.point_m) - self.place(times_s)
         way /= np.maximum(np.linalg.norm(way, axis=1), 1e-6)[:, None]
         north, east, down = way[:, 1], way[:, 0], -way[:, 2]
@@ -117,7 +117,7 @@ class PoseTrack:
 
 
 def distances_of(distances_m: Vector) -> list[float]:
-    """The distances that are told apart, ascending."""
+    """Return the distinct distances, ascending."""
     found: list[float] = []
     for distance in np.sort(distances_m):
         if not found or distance - found[-1] > max(LEAST_DISTANCE_M, 0.05 * found[-1]):
@@ -127,7 +127,7 @@ def distances_of(distances_m: Vector) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class FieldTests:
-    """What the vehicle did."""
+    """Tests that the vehicle performed."""
 
     turned_rad: float = 0.0
     """Yaw over ground that it did not leave, both ways together."""
@@ -137,17 +137,17 @@ class FieldTests:
 
     @property
     def has_turn(self) -> bool:
-        """Whether it turned once about itself."""
+        """Return True if it turned once about itself."""
         return self.turned_rad >= TURN_RAD
 
     @property
     def has_circle(self) -> bool:
-        """Whether it went about the point."""
+        """Return True if it went about the point."""
         return self.circled_rad >= CIRCLE_RAD
 
 
 def find_tests(track: PoseTrack) -> FieldTests:
-    """Turn and circle, by yaw and distance."""
+    """Find turn and circle by yaw and distance."""
     if len(track.times_s) < 2:
         return FieldTests()
     times = np.arange(track.times_s[0], track.times_s[-1], STEP_S)

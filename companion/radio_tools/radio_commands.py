@@ -1,4 +1,4 @@
-"""`companion radio`: its arguments, and what each of its commands does."""
+"""The commands of `companion radio`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from companion.radios.catalogue import known_radios, radio_kind
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do it; the exit code."""
+    """Run a command; return the exit code."""
     commands: dict[str, Callable[[argparse.Namespace], int]] = {
         "list": _list,
         "identify": _identify,
@@ -63,7 +63,7 @@ def _identify(arguments: argparse.Namespace) -> int:
 
 
 def _radios_of(arguments: argparse.Namespace) -> CompanionConfig:
-    """The configuration with at least one radio, none of which listens to everybody."""
+    """Return the configuration with at least one radio, none of which listens to everyone."""
     config = with_kept_offsets(with_radios(load_config(arguments.config), arguments.radios))
     if not config.radios:
         raise ConfigError("name a radio, for example nlink@/dev/ttyUSB0, or a --config with radios")
@@ -91,7 +91,7 @@ def _print_lines(lines: list[str]) -> None:
 
 
 def _redraw(lines: list[str]) -> None:
-    """From the top of the terminal, and clear what is below."""
+    """Print lines from the top of the terminal, and clear what is below."""
     print("\x1b[H\x1b[J" + "\n".join(lines), flush=True)
 
 

@@ -1,11 +1,12 @@
-"""Offset, scale, noise and lag of the ranges that a radio said at a known distance.
+"""Offset, scale, noise and lag of the ranges that a radio reported at a known distance.
 
-Theory of operation. `said = offset + scale distance + excess + noise`. Within a place the excess is
-none, or exponential; offset and noise are then those of the mixture, by expectation-maximisation
-from the one-sided robust start, because a robust location alone would settle on the long side.
-Places differ by what their reflections share: a second one-sided robust fit goes over the places,
-each weighted by the scatter between places and its own. A lag moves out and back to opposite sides
-of each place's mean, so it is fitted within places, and takes nothing from offset and scale.
+Theory of operation. `reported = offset + scale distance + excess + noise`. Within a place the
+excess is zero, or exponential; offset and noise are then those of the mixture, by
+expectation-maximisation from the one-sided robust start, because a robust location alone would
+settle on the long side. Places differ by the reflections that their ranges share: a second
+one-sided robust fit goes over the places, each weighted by the scatter between places and its own.
+A lag shifts ranges on the way out and on the way back to opposite sides of each place's mean, so it
+is fitted within places, and does not affect offset and scale.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ NLOS_SIGMAS = 3.0
 PLACE_M = 3.0
 """Radius of what counts as one place."""
 REGION_M = 20.0
-"""Radius within which places may share what their reflections do; it widens intervals only."""
+"""Radius within which places may share reflections; it widens intervals only."""
 LEAST_REGIONS = 6
 LEAST_AT_A_PLACE = 5
 LEAST_VALUES_TO_SPLIT = 20
@@ -52,7 +53,7 @@ HALF_FREEDOM = 0.37 / 3.5
 
 @dataclass(frozen=True, slots=True)
 class RangeSamples:
-    """Ranges as the radio said them, (n,) each."""
+    """Ranges as the radio reported them, (n,) each."""
 
     times_s: Vector
     """On the companion's clock, before any lag."""
@@ -61,7 +62,7 @@ class RangeSamples:
 
 @dataclass(frozen=True, slots=True)
 class RangeMixture:
-    """Ranges less distance: a mean of each place, and what they share."""
+    """Ranges less distance: a mean of each place, and the parameters they share."""
 
     means_m: Vector
     """(places,)."""
@@ -72,18 +73,18 @@ class RangeMixture:
 
 @dataclass(frozen=True, slots=True)
 class RangeFit:
-    """What the ranges came to."""
+    """Result of fitting ranges."""
 
     offset_m: Figure
     scale: Figure
     is_scale_seen: bool
-    """Whether the distances tell a scale from an offset."""
+    """True if the distances separate a scale from an offset."""
     is_scale_used: bool
-    """Whether it is not 1; otherwise the offset is that at a scale of 1."""
+    """False if the offset is that at a scale of 1."""
     scatter_m: Figure
     """Standard deviation within a place."""
     between_m: float
-    """Standard deviation of what a place shares."""
+    """Standard deviation of the error that a place shares."""
     sigma_m: Figure
     """Both together."""
     nlos_share: Figure
@@ -92,18 +93,18 @@ class RangeFit:
     worst_m: tuple[float, float] | None
     """Distance and residual of a place that does not fit."""
     is_split: bool
-    """Whether ranges at the same place are of two kinds."""
+    """True if ranges at the same place form two clusters."""
 
     @property
     def effective_scale(self) -> float:
-        """The scale that goes with the offset."""
+        """Scale that goes with the offset."""
         return self.scale.value if self.is_scale_used else 1.0
 
 
 def fit_ranges(
     samples: RangeSamples, track: PoseTrack, lag_s: float, lag_half_s: float = 0.0
 ) -> RangeFit:
-    """Fit offset and scale at a lag; half of its interval is in the offset's."""
+    """Fit offset and scale at a lag; half of its interval enters the offset's."""
     seen = track.seen(samples.times_s - lag_s)
     labels = places_of(seen.place_m, PLACE_M)
     errors = samples.ranges_m - seen.distance_m
@@ -112,20 +113,18 @@ def fit_ranges(
     centres = np.stack([means_of(column, ones, labels) for column in seen.place_m.T], axis=1)
     start = _start(errors, distances, labels)
     slope = np.zeros(len(errors))
-    for _ in range(2):  # a scale makes ranges differ within a place that has a width
+    for _ in range(2):  # a scale makes ranges differ within a place of finite width
         mixture = place_means(errors - slope, labels, start)
         start = mixture.means_m
         level = _level(mixture, distances, centres, labels)
-        scale = level.scale if level.is_scale_told else Figure(0.0, -math.inf, math.inf)
+        scale = level.scale if level.is_scale_observable else Figure(0.0, -math.inf, math.inf)
         slope = scale.value * (seen.distance_m - distances[labels])
-    is_used = level.is_scale_told and not scale.low <= 0.0 <= scale.high
+    is_used = level.is_scale_observable and not scale.low <= 0.0 <= scale.high
     offset = level.offset_m if is_used else level.offset_alone_m
-    if level.is_scale_told and not is_used:  # at a scale of 1, as uncertain as that one is
+    if level.is_scale_observable and not is_used:  # at a scale of 1, which is as uncertain
         half = level.offset_m.half_width
         offset = Figure(offset.value, offset.value - half, offset.value + half)
-    closing = float(
-        np.mean(means_of(seen.closing_mps, ones, labels))
-    )  # 0 where both ways are there
+    closing = float(np.mean(means_of(seen.closing_mps, ones, labels)))  # 0 if a place has both ways
     half = math.hypot(offset.half_width, closing * lag_half_s)
     offset = Figure(offset.value, offset.value - half, offset.value + half)
     residuals = errors - offset.value - (scale.value * seen.distance_m if is_used else 0.0)
@@ -135,7 +134,7 @@ def fit_ranges(
     return RangeFit(
         offset_m=offset,
         scale=Figure(1.0 + scale.value, 1.0 + scale.low, 1.0 + scale.high),
-        is_scale_seen=level.is_scale_told,
+        is_scale_seen=level.is_scale_observable,
         is_scale_used=is_used,
         scatter_m=scatter,
         between_m=between,
@@ -149,7 +148,7 @@ def fit_ranges(
 
 
 def _start(errors: Vector, distances: Vector, labels: Labels) -> Vector:
-    """Means of the places to begin with: the Theil-Sen line through their lower quartiles."""
+    """Return initial means of the places: the Theil-Sen line through their lower quartiles."""
     order = np.argsort(labels, kind="stable")
     parts = np.split(errors[order], np.cumsum(np.bincount(labels))[:-1])
     quartiles = np.array([np.percentile(part, 25.0) for part in parts])
@@ -165,20 +164,20 @@ def _start(errors: Vector, distances: Vector, labels: Labels) -> Vector:
 
 
 def means_of(values: Vector, weights: Vector, labels: Labels) -> Vector:
-    """Weighted mean of each place."""
+    """Return the weighted mean of each place."""
     means: Vector = sums_of(weights * values, labels) / np.maximum(sums_of(weights, labels), 1e-9)
     return means
 
 
 def one_sided_weights(u: Vector, k_long: float = K_LONG) -> Vector:
-    """Weights of residuals in sigma: what is too long counts linearly."""
+    """Return weights of residuals in sigma: too long ones count linearly."""
     return np.where(u > k_long, k_long / np.maximum(u, k_long), 1.0)
 
 
 def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
-    """Means of the places under a mixture of noise and exponential excess, by EM.
+    """Return means of the places under a mixture of noise and exponential excess, by EM.
 
-    Excess is told from noise only where its mean is above two sigma; a smaller one is noise.
+    Excess is distinguished from noise only if its mean is above two sigma.
     """
     means = start
     sigma = max(mirrored_sigma(errors - means[labels]), LEAST_SIGMA_M)
@@ -218,14 +217,14 @@ def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """The fit over the places."""
+    """Fit over the places."""
 
     offset_alone_m: Figure
     """At a scale of 1."""
     offset_m: Figure
     scale: Figure
     """Less 1."""
-    is_scale_told: bool
+    is_scale_observable: bool
     between_m: float
     residuals_m: Vector
     """Of the places."""
@@ -244,14 +243,14 @@ def _level(mixture: RangeMixture, distances: Vector, centres: Matrix, labels: La
     rows = np.stack([ones, distances], axis=1)
     alone, between_alone = _robust_level(rows[:, :1], means, own)
     both, between = _robust_level(rows, means, own)
-    is_told = is_scale_told(distances, math.hypot(mixture.sigma_m, math.sqrt(between)))
-    fit = both if is_told else alone
+    is_observable = is_scale_observable(distances, math.hypot(mixture.sigma_m, math.sqrt(between)))
+    fit = both if is_observable else alone
     return _Level(
         offset_alone_m=_widest(rows[:, :1], means, alone, regions, 0),
         offset_m=_widest(rows, means, both, regions, 0),
         scale=_widest(rows, means, both, regions, 1),
-        is_scale_told=is_told,
-        between_m=math.sqrt(between if is_told else between_alone),
+        is_scale_observable=is_observable,
+        between_m=math.sqrt(between if is_observable else between_alone),
         residuals_m=means - rows[:, : len(fit.beta)] @ fit.beta,
         distances_m=distances,
     )
@@ -264,7 +263,7 @@ class _WeightedFit:
 
 
 def _widest(rows: Matrix, means: Vector, fit: _WeightedFit, regions: Labels, index: int) -> Figure:
-    """A parameter, by places or by regions, whichever is less sure of it."""
+    """Return a parameter by places or by regions, the one with the wider interval."""
     places = np.arange(len(means), dtype=np.int64)
     groups = [places, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [places]
     found = [linear_fit(rows, means, fit.weights, labels).figure(index) for labels in groups]
@@ -272,7 +271,7 @@ def _widest(rows: Matrix, means: Vector, fit: _WeightedFit, regions: Labels, ind
 
 
 def _robust_level(rows: Matrix, means: Vector, own: Vector) -> tuple[_WeightedFit, float]:
-    """The one-sided robust line through the places, and the variance between them."""
+    """Return the one-sided robust line through the places, and the variance between them."""
     count, parameters = rows.shape
     between = max(float(MAD_TO_SIGMA * np.median(np.abs(means - np.median(means)))) ** 2, 1e-8)
     weights = 1.0 / (own + between)
@@ -287,8 +286,8 @@ def _robust_level(rows: Matrix, means: Vector, own: Vector) -> tuple[_WeightedFi
     return _WeightedFit(beta, weights), between
 
 
-def is_scale_told(distances_m: Vector, sigma_m: float) -> bool:
-    """Whether offset and scale can be told from each other."""
+def is_scale_observable(distances_m: Vector, sigma_m: float) -> bool:
+    """Return True if offset and scale can be determined separately."""
     least, most = float(distances_m.min()), float(distances_m.max())
     return most >= 4.0 * least and most - least >= 10.0 * sigma_m and len(distances_m) > 3
 
@@ -296,9 +295,9 @@ def is_scale_told(distances_m: Vector, sigma_m: float) -> bool:
 def _noise(
     errors: Vector, residuals: Vector, mixture: RangeMixture, seen: Seen, labels: Labels
 ) -> tuple[Figure, Figure]:
-    """Scatter on the spot, and the noise of any place, by residuals below the mean, mirrored.
+    """Return the scatter on the spot, and the noise of any place, by mirrored residuals.
 
-    For the second one every metre of the way counts the same, however long the vehicle was there.
+    For the second every metre of the way has the same weight, however long the vehicle was there.
     """
     standing = seen.speed_mps < LEAST_SPEED_MPS
     within = errors - mixture.means_m[labels]
@@ -323,7 +322,7 @@ def _medians(errors: Vector, labels: Labels) -> Vector:
 
 
 def _reflections(residuals: Vector, sigma_m: float, labels: Labels) -> tuple[Figure, Figure | None]:
-    """Share of ranges that are longer by three sigma, and by how much they are."""
+    """Return the share of ranges longer by three sigma, and their mean excess."""
     is_long = (residuals > NLOS_SIGMAS * sigma_m).astype(float)
     share = ratio_figure(sums_of(is_long, labels), sums_of(np.ones(len(residuals)), labels))
     share = Figure(share.value, max(share.low, 0.0), min(share.high, 1.0))
@@ -333,7 +332,7 @@ def _reflections(residuals: Vector, sigma_m: float, labels: Labels) -> tuple[Fig
 
 
 def _worst(level: _Level, scatter_m: float, labels: Labels) -> tuple[float, float] | None:
-    """The place that fits worst, where it is worth a word."""
+    """Return the place that fits worst, if it is worth reporting."""
     worst = int(np.argmax(np.abs(level.residuals_m)))
     far_m = float(level.residuals_m[worst])
     own_m = scatter_m / math.sqrt(float(np.bincount(labels).mean()))
@@ -343,9 +342,9 @@ def _worst(level: _Level, scatter_m: float, labels: Labels) -> tuple[float, floa
 
 
 def is_split(within: Vector, labels: Labels) -> bool:
-    """Whether most places have two kinds of ranges, each alike, and more than 2 m apart.
+    """Return True if most places have two clusters of ranges more than 2 m apart.
 
-    Reflections are not alike: what is exponential is as wide as it is far.
+    Reflections do not form clusters: an exponential excess is as wide as its mean.
     """
     split = places = 0
     for place in range(int(labels.max()) + 1):

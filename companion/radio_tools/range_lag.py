@@ -1,8 +1,8 @@
-"""The lag of ranges, by the way out and back.
+"""Lag of ranges, from ways out and back.
 
-Theory of operation. What is measured late is the distance from where the vehicle was; under way
-that is too short on the way out and too long on the way back. At one place everything else is the
-same both ways, so the lag is fitted to how the ranges of a place differ, and to nothing else.
+Theory of operation. A late range is the distance from where the vehicle was; it is too short on the
+way out and too long on the way back. Within one place everything else is the same both ways, so the
+lag is fitted to the differences between the ranges of a place, and to nothing else.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from companion.radio_tools.range_fit import (
 
 MOST_LAG_S = 2.0
 SCAN_S = 2.5
-"""A lag is looked for beyond what is believed, so that one at the edge is seen as none."""
+"""Scanned beyond the plausible lags, so that one at the edge is recognised as none."""
 SCAN_STEP_S = 0.1
 LEAST_MOVING = 20
 LEAST_CONTRAST_MPS = 0.3
-"""What a vehicle's speed towards the point must differ by at the same place."""
+"""Least difference of the vehicle's speed towards the point at the same place."""
 LAG_SIGMA_S = 0.15
-"""A lag that is known less well than this was not seen."""
+"""A lag with a larger sigma does not count as determined."""
 
 
 def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
-    """The lag, to a tenth of a second, that lets ranges of a place agree; None: it stood still."""
+    """Return the lag, to 0.1 s, at which ranges of a place agree best; None if it stood still."""
     lags = np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S)
     moving = track.seen(samples.times_s).speed_mps > LEAST_SPEED_MPS
     moving &= track.knows(samples.times_s - SCAN_S) & track.knows(samples.times_s + SCAN_S)
@@ -101,7 +101,7 @@ def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnThe
 
 
 def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
-    """The lag by out and back; None: the way does not tell it."""
+    """Return the lag from out and back; None if the way does not determine it."""
     lag_s = scan_lag(samples, track)
     if lag_s is None:
         return None

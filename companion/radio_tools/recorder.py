@@ -1,8 +1,8 @@
-"""`companion radio record`: what radios send, and where the vehicle is meanwhile, into one file.
+"""`companion radio record`: writes the output of radios and the vehicle's poses into one file.
 
-The autopilot is heard as a flight hears it (component 191 of its system, the flight's own requests
-for streams); no command but SET_MESSAGE_INTERVAL and REQUEST_MESSAGE is sent. A pose is a position
-at its own time with the attitude between those that lie beside it, so it waits for the next one.
+The autopilot's streams are requested as in a flight (from component 191 of its system); no command
+but SET_MESSAGE_INTERVAL and REQUEST_MESSAGE is sent. A pose is a position at its own time with the
+interpolated attitude, so it waits for the next attitude.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ from companion.run import link_name, open_signing
 
 HEARTBEAT_PERIOD_S = 1.0
 PATIENCE_S = 0.5
-"""So long a position waits for an attitude beside it."""
+"""A position waits this long for the next attitude."""
 
 
 class PoseListener:
-    """An autopilot's bytes to poses; asks it for its streams."""
+    """Decodes an autopilot's bytes into poses, and requests its streams."""
 
     def __init__(self, system_id: int | None, authenticity: Authenticity) -> None:
         self.binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
@@ -68,7 +68,7 @@ class PoseListener:
         self._next_heartbeat_s = 0.0
 
     def receive(self, chunk: Chunk, now_s: float) -> list[Record]:
-        """Poses and origins that some bytes complete."""
+        """Return poses and origins that some bytes complete."""
         self._authenticity.advance(now_s)
         found: list[Record] = []
         for message in self._codec.decode(chunk.data, is_datagram=chunk.is_datagram):
@@ -83,7 +83,7 @@ class PoseListener:
         return found
 
     def due(self, now_s: float) -> list[Chunk]:
-        """What to send now."""
+        """Return the bytes to send now."""
         self._authenticity.advance(now_s)
         self.binding.note_control(now_s, is_in_control=False, is_armed=False)
         messages: list[Message | None] = []
@@ -103,8 +103,8 @@ class PoseListener:
             case OriginSet(origin=origin):
                 place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
                 names = ("latitude_deg", "longitude_deg", "altitude_m")
-                told = dict(zip(names, place, strict=True))
-                return [RecordedOrigin(**told, projection=origin.projection)]
+                fields = dict(zip(names, place, strict=True))
+                return [RecordedOrigin(**fields, projection=origin.projection)]
             case OwnPlaceRated():
                 self._sigma_m = event.horizontal_m
             case VehicleMoved(state=state) if is_plausible(state):
@@ -118,7 +118,7 @@ class PoseListener:
         return []
 
     def _poses(self, until_s: float) -> list[Record]:
-        """The positions up to a time, each with its attitude, if there is one."""
+        """Return the positions up to a time, each with its attitude, if there is one."""
         poses: list[Record] = []
         while self._waiting and self._waiting[0].time_s <= until_s:
             state = self._waiting.popleft()
@@ -138,7 +138,7 @@ class PoseListener:
 
 
 class RecordingEndpoint(OneShotEndpoint):
-    """Writes what arrives; the vehicle's link, if any, is the first."""
+    """Writes the input of all links; the vehicle's link, if any, is the first."""
 
     def __init__(
         self, writer: RadioRecordingWriter, listener: PoseListener | None, duration_s: float | None
@@ -149,7 +149,7 @@ class RecordingEndpoint(OneShotEndpoint):
         self._listener = listener
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Keep what arrived."""
+        """Record received bytes."""
         super().receive(chunk, now_s)
         number = chunk.link - (self._listener is not None)
         if number >= 0:
@@ -161,7 +161,7 @@ class RecordingEndpoint(OneShotEndpoint):
                 self._writer.write(record)
 
     def handle_timer(self, now_s: float) -> None:
-        """Ask the autopilot what is due."""
+        """Send the requests to the autopilot that are due."""
         super().handle_timer(now_s)
         if self._listener is not None:
             self._output += self._listener.due(now_s)
@@ -169,7 +169,7 @@ class RecordingEndpoint(OneShotEndpoint):
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a recording came to."""
+    """Result of a recording."""
 
     bytes: int
     poses: int
@@ -181,9 +181,9 @@ def record_radios(
     vehicle: FlightLink | None,
     duration_s: float | None,
 ) -> Recorded:
-    """Record the radios of `config` until asked to stop; raises what opening links raises.
+    """Record the radios of `config` until asked to stop; raises the errors of opening links.
 
-    A file that is there already is a `ConfigError`: it may be what somebody flew an hour for.
+    An existing file is a `ConfigError`: it may hold an hour of flight.
     """
     if path.exists():
         raise ConfigError(f"{path}: is there already; delete it, or choose another name")
@@ -215,7 +215,7 @@ def record_radios(
 def _authenticity(
     config: CompanionConfig, vehicle: FlightLink, clock: Clock, stack: ExitStack
 ) -> Authenticity:
-    """Of the vehicle's link, which no other companion may have at the same time."""
+    """Return the authenticity of the vehicle's link, which no other companion may use meanwhile."""
     name = link_name(vehicle.transport)
     state = state_directory(config.process.state_directory, os.environ)
     lock = VehicleLock(state, name, config.vehicle.system_id)

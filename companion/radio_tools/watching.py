@@ -1,7 +1,7 @@
-"""`companion radio watch`: what radios say, live, in lines.
+"""`companion radio watch`: live readings of radios, in lines.
 
-The scatter that is shown is that of what arrives, without the motion: by the differences of values
-that follow each other, robustly, because a few of them are far off where there is no line of sight.
+The scatter shown excludes the motion: it is estimated from differences of consecutive values, and
+robustly, because a few of them are far off without line of sight.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ Show = Callable[[list[str]], None]
 
 
 class EmitterView:
-    """The last measurements of one emitter."""
+    """Last measurements of one emitter."""
 
     def __init__(self) -> None:
         self._kept: deque[tuple[float, RangingMeasurement]] = deque(maxlen=KEPT)
 
     def add(self, measurement: RangingMeasurement, now_s: float) -> None:
-        """Take one in."""
+        """Add a measurement."""
         self._kept.append((now_s, measurement))
 
     def line(self, emitter_id: int, now_s: float) -> str:
-        """The newest values, how often they come and how much they scatter."""
+        """Return the newest values, their rate and their scatter."""
         newest = self._kept[-1][1]
         recent = sum(now_s - time_s <= 5.0 for time_s, _ in self._kept)
         first_s = max(now_s - 5.0, self._kept[0][0])
@@ -72,7 +72,7 @@ class EmitterView:
 
 
 def scatter_of(values: Sequence[float | None], *, is_angle: bool = False) -> float | None:
-    """The standard deviation of what was measured one after the other; None of too few."""
+    """Return the standard deviation of consecutive values; None if there are too few."""
     known = [value for value in values if value is not None]
     steps = [after - before for before, after in pairwise(known)]
     if is_angle:
@@ -95,7 +95,7 @@ def _sigma(seen: float | None, said: float | None) -> str:
 
 
 class WatchingEndpoint(OneShotEndpoint):
-    """Shows lines once a second; nothing is sent but greetings, which links send."""
+    """Shows lines once a second; sends nothing but the links' greetings."""
 
     def __init__(
         self, setups: Sequence[RadioSetup], names: Sequence[str], show: Show, end_s: float | None
@@ -111,7 +111,7 @@ class WatchingEndpoint(OneShotEndpoint):
         self._next_line_s = LINE_S
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived, as far as a flight would."""
+        """Decode received bytes as far as a flight would."""
         super().receive(chunk, now_s)
         if not self._budgets[chunk.link].spend_raw(len(chunk.data)):
             return
@@ -121,7 +121,7 @@ class WatchingEndpoint(OneShotEndpoint):
             view.add(measurement, now_s)
 
     def handle_timer(self, now_s: float) -> None:
-        """Show what is due."""
+        """Show the lines that are due."""
         super().handle_timer(now_s)
         for watch, budget in zip(self._watches, self._budgets, strict=True):
             budget.renew()

@@ -1,1 +1,1 @@
-"""What real radios print: their formats, read without sockets, clocks or files."""
+"""Decoders for the formats of real radios, without sockets, clocks or files."""

@@ -1,6 +1,6 @@
-"""Which radios there are by their names: the built-in ones, and those of installed packages.
+"""Radios by name: the built-in ones, and those of installed packages.
 
-Nothing is imported before it is chosen, so a broken plugin hurts nobody who does not ask for it.
+A radio is imported only when it is chosen, so a broken plugin harms only its users.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ BUILT_IN: Mapping[str, str] = {
 
 
 def known_radios() -> dict[str, str]:
-    """Every name that can be chosen, and where it is from: `built in`, or a package's name.
+    """Return every name that can be chosen, and its origin: `built in`, or a package's name.
 
-    A name of a plugin is here even if the plugin is broken: `radio_kind` says so.
+    A broken plugin is listed, too; `radio_kind` reports the error.
     """
     plugins = {point.name: _package(point) for point in entry_points(group=GROUP)}
     return {name: "built in" for name in BUILT_IN} | {
@@ -57,9 +57,9 @@ def known_radios() -> dict[str, str]:
 
 
 def radio_kind(name: str) -> RadioKind:
-    """The radio of a name; a built-in one wins over a plugin's.
+    """Return the radio of a name; a built-in one takes precedence over a plugin's.
 
-    Raises ConfigError for a name that nobody has, and for a plugin that is broken.
+    Raises a `ConfigError` for an unknown name, and for a plugin that is broken.
     """
     if name in BUILT_IN:
         found = EntryPoint(name, BUILT_IN[name], GROUP).load()
@@ -78,7 +78,7 @@ def radio_kind(name: str) -> RadioKind:
 
 
 def _of_plugin(point: EntryPoint) -> RadioKind:
-    """What a plugin's entry point leads to. Raises ConfigError in one line that names it."""
+    """Load a plugin's entry point. Raises a `ConfigError` in one line that names it."""
     place = f"radio {point.name}: the plugin {_package(point)} ({point.value})"
     try:
         kind = point.load()

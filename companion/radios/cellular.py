@@ -1,8 +1,8 @@
 """Timing advance of base stations: srsRAN_4G, srsRAN Project and OpenAirInterface.
 
-A phone that attaches sends a preamble, and the station tells it how much earlier to send: the way
-there and back, in steps. That is an absolute range. What a station measures afterwards is only how
-far the phone is off from what it was told, and is refused.
+A phone that attaches sends a preamble, and the station answers by how much earlier to send: the
+round trip, in steps. That is an absolute range. Later measurements of the station are only the
+deviation from the commanded advance, and are refused.
 
 Sources: 3GPP TS 36.211 and 38.211 (Ts = 1/30.72 MHz; a step of 16 Ts, halved with each numerology);
 srsran/srsRAN_4G and srsran/srsRAN_Project logs and metrics; OAI's `[RAPROC]` lines.
@@ -35,43 +35,43 @@ Metres = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 
 
 class CellOptions(Params, frozen=True):
-    """What a station's log does not say."""
+    """Properties of the cell that a station's log lacks."""
 
     multipath_sigma_m: Metres = 20.0
-    """Of the detours of the place, in quadrature to the step's own; 10 to 50 m are usual."""
+    """Sigma of the site's detours, in quadrature to the step's own; 10 to 50 m are usual."""
     offset_steps: Annotated[float, msgspec.Meta(ge=-100.0, le=MOST_STEPS)] = 0.0
     """Steps that the station reports of a phone beside its antenna: the delay of its radio."""
     name: Literal["rnti", "none"] = "rnti"
-    """What the emitter is called: the station's number for the phone, which is another one after
-    each attach; `none`: whoever answers is the configured emitter."""
+    """Name of the emitter: the station's number for the phone, which changes with each attach;
+    `none`: any phone that answers is the configured emitter."""
 
 
 class SrsRan4gOptions(CellOptions, frozen=True):
-    """Which of the two logs of one attach is read."""
+    """Selects one of the two logs of an attach."""
 
     log: Literal["mac", "phy"] = "mac"
     """`RACH:` lines of the console or MAC log, in steps; `PRACH:` lines of the PHY log, finer."""
 
 
 class NrOptions(CellOptions, frozen=True):
-    """What the station's carrier is."""
+    """Properties of the station's carrier."""
 
     numerology: Numerology | None = None
-    """0 is 15 kHz, 1 is 30 kHz, and so on; null: as the log reports it, where it does."""
+    """0 is 15 kHz, 1 is 30 kHz, and so on; null: as reported in the log, if it is."""
 
 
 class SrsRanOptions(NrOptions, frozen=True):
-    """What of the metrics of srsRAN Project can be a range."""
+    """Selects the metrics of srsRAN Project that are used as a range."""
 
     loop_is_off: bool = False
-    """Whether the station corrects no timing after the attach: `ta_cmd_offset_threshold` below 0.
-    Else `ta_ns` is what is left over, and no range."""
+    """True if the station corrects no timing after the attach: `ta_cmd_offset_threshold` below 0.
+    Otherwise `ta_ns` is only the remainder, and no range."""
     applied_steps: Annotated[int, msgspec.Meta(ge=0, le=MOST_STEPS)] = 0
     """The timing advance that the phone was given with the attach, in steps; `ta_ns` adds to it."""
 
 
 class _Cell(FieldDecoder):
-    """What the stations' decoders have in common."""
+    """Common part of the stations' decoders."""
 
     Options = CellOptions
 
@@ -83,7 +83,7 @@ class _Cell(FieldDecoder):
     def reading(
         self, range_m: float, step_m: float, rnti: int | None = None, time_s: float | None = None
     ) -> RadioReading:
-        """A range that is even within a step, plus the detours of the place."""
+        """Return a range that is uniform within a step, plus the detours of the site."""
         return RadioReading(
             emitter=None if rnti is None or self._cell.name == "none" else f"0x{rnti:x}",
             device_time_s=time_s,
@@ -92,19 +92,19 @@ class _Cell(FieldDecoder):
         )
 
     def of_steps(self, steps: int, step_m: float, rnti: int | None = None) -> list[RadioReading]:
-        """The station rounds down: the middle of the step."""
+        """Return the middle of the step, because the station rounds down."""
         if not 0 <= steps <= MOST_STEPS:
             return self.refused("timing advance is out of bounds")
         return self.understood(self.reading((steps + 0.5) * step_m, step_m, rnti))
 
 
 def step_m(numerology: int = 0) -> float:
-    """The way to the phone that one step of the timing advance stands for."""
+    """Return the one-way distance of one step of the timing advance, metres."""
     return LTE_STEP_S * ONE_WAY_M_PER_S / float(2**numerology)
 
 
 class SrsRan4gDecoder(_Cell):
-    """LTE: `RACH:` lines of the console, or `PRACH:` lines of the PHY log."""
+    """Decoder of srsRAN_4G (LTE): `RACH:` lines of the console, `PRACH:` lines of the PHY log."""
 
     Options = SrsRan4gOptions
     _RACH = re.compile(r"RACH: .*?\boffset=([0-9]{1,6}), temp_crnti=0x([0-9A-Fa-f]{1,4})")
@@ -112,7 +112,7 @@ class SrsRan4gDecoder(_Cell):
     _MOST = re.compile(r"\bmax_offset=([0-9]{1,5}\.[0-9]+) us\b")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """An attach."""
+        """Return the range of an attach."""
         assert isinstance(self.options, SrsRan4gOptions)
         if self.options.log == "mac" and (found := self._RACH.search(line)):
             return self.of_steps(int(found[1]), step_m(), int(found[2], 16))
@@ -128,7 +128,7 @@ class SrsRan4gDecoder(_Cell):
 
 
 class SrsRanDecoder(_Cell):
-    """5G: srsRAN Project's metrics, a JSON document a line, and its `RACH ind` log lines."""
+    """Decoder of srsRAN Project (5G): metrics, a JSON document a line, and `RACH ind` log lines."""
 
     Options = SrsRanOptions
     longest_line = 60_000
@@ -148,11 +148,11 @@ class SrsRanDecoder(_Cell):
         self._step_m = step_m(known or 0)
 
     def hello(self) -> bytes:
-        """Ask the station's web socket for its metrics."""
+        """Return the request for metrics on the station's web socket."""
         return b'{"cmd":"metrics_subscribe"}\n'
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """A document of metrics, or a line of the log."""
+        """Return the readings of a document of metrics, or of a line of the log."""
         if self._RACH.search(line):
             return self._attaches(line)
         start = line.find("{")
@@ -223,7 +223,7 @@ def _finite(value: object) -> float | None:
 
 
 class OaiDecoder(_Cell):
-    """OpenAirInterface: what a gNB's log says of an attach, and an eNB's `[RAPROC]` lines.
+    """Decoder of OpenAirInterface: attach lines in a gNB's log, and an eNB's `[RAPROC]` lines.
 
     Since 2024 a gNB prints the distance with the answer to the preamble, rounded to the nearest
     step; then the preamble's own line, which came before it, is the same attach and is not used.
@@ -247,12 +247,12 @@ class OaiDecoder(_Cell):
         self._has_answers = False
 
     def reset(self) -> None:
-        """The log of another run may follow."""
+        """Forget the format of the log, because another run may follow."""
         super().reset()
         self._numerology, self._has_answers = self.options.numerology, False
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """An attach; only a gNB's line names a start symbol."""
+        """Return the range of an attach; only a gNB's line names a start symbol."""
         if found := self._ANSWER.search(line):
             self._has_answers = True
             return self._answer(int(found[1]), float(found[2]))

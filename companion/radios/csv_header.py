@@ -1,8 +1,8 @@
-"""Columns of a CSV of ranges, by what their names mean.
+"""Columns of a CSV of ranges, recognised by their names.
 
-`Distance (mm)`, `distanceMm` and `AP1 RTT(mm)` are ranges in millimetres; `distance` is one whose
-unit is not known. A name with more than a quantity, a unit and what usually stands before them
-(`true distance`) is not taken for any.
+`Distance (mm)`, `distanceMm` and `AP1 RTT(mm)` are ranges in millimetres; `distance` is one of
+unknown unit. A name with more than a quantity, a unit and their usual prefixes (`true distance`) is
+not recognised.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _SIGMA = re.compile(
     rf"(?:distance|range|dist|rtt)?(?:std|stddev|stdev|sigma|standarddeviation)(?:in)?({_UNIT})?"
 )
 _PLAIN = {"", "rtt", "ftm", "wifi", "wifirtt", "measured", "estimated", "est", "mean", "avg"}
-"""What may stand before a range that is the row's own."""
+"""Prefixes of a range that is the row's own."""
 _OF_ONE = re.compile(r"(?:ap|anchor|responder|node|tag|rp)?[0-9]{1,5}|(?:ap)?[0-9a-f]{12}")
-"""What stands before a range that has a column for each emitter."""
+"""Prefix of a range that has a column for each emitter."""
 _OWNER = "(?:ap|accesspoint|anchor|responder|peer|target|wifi)"
 _ADDRESS = re.compile(rf"{_OWNER}?(?:bssid|mac(?:addr|address)?)")
 _NAME = re.compile(rf"{_OWNER}(?:id|name)?")
@@ -43,7 +43,7 @@ _OTHERS = {
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column that has a meaning."""
+    """Column with a recognised meaning."""
 
     name: str
     """`range`, `range_sigma`, `emitter`, `emitter_name`, `time`, or one of `_OTHERS`."""
@@ -54,7 +54,7 @@ class Column:
 
 
 def column_of(cell: str) -> Column | None:
-    """What a header's cell means; None: nothing that is read."""
+    """Return the meaning of a header's cell; None if it is not read."""
     word = re.sub(r"[^a-z0-9]", "", cell.lower()).removeprefix("get")
     if found := _TIME.fullmatch(word):
         return Column("time", _TIME_UNITS.get(found[1] or "", found[1] or ""))
@@ -74,7 +74,7 @@ def column_of(cell: str) -> Column | None:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """A whole one: each meaning once, and what is missing or said twice."""
+    """Complete header: each meaning once, and the missing or repeated ones."""
 
     cells: int
     places: dict[str, tuple[int, Column]]
@@ -82,13 +82,13 @@ class Header:
     ranges: tuple[tuple[int, Column], ...]
     """One; or one for each emitter."""
     problem: str | None = None
-    """Why no row below it can be used."""
+    """Reason why no row below it can be used."""
 
 
 def header_of(cells: list[str], *, unit: str | None, is_single: bool) -> Header | None:
-    """The header that a line's cells are; None: none of them is a range.
+    """Return the header made of a line's cells; None if none of them is a range.
 
-    `unit` is that of columns without one, `is_single` says that all rows are of one emitter.
+    `unit` applies to columns without one; with `is_single` all rows are of one emitter.
     """
     places: dict[str, tuple[int, Column]] = {}
     ranges: list[tuple[int, Column]] = []

@@ -1,13 +1,13 @@
-"""What every decoder of a radio's own format is: bytes and time in, readings out.
+"""Interface of every decoder of a radio's own format: bytes and time in, readings out.
 
-Theory of operation. A decoder knows one format and nothing else. It reports what the radio said, in
-the radio's own sense: the emitter by the name that is on the wire, the device's own time, angles
-with the device's own sign and zero. What follows is the same for all of them and is done once, in
-`companion.link.radio_stage`: names to ids, offset and scale, sign, mount, clocks, what is stuck or
-stale. So a new radio is one class here, and cannot get a frame of reference wrong.
+Theory of operation. A decoder knows one format and nothing else. It returns the radio's values in
+the radio's own convention: the emitter by its name on the wire, the device's own time, angles with
+the device's own sign and zero. Everything else is common and done once, in
+`companion.link.radio_stage`: names to ids, offset and scale, sign, mount, clocks, repeated or stale
+values. So a new radio is one class here, and cannot get a frame of reference wrong.
 
-A decoder never raises on what a radio sends. What it cannot use it counts by reason. What it keeps
-between two calls is bounded, and how the stream is cut into pieces makes no difference.
+A decoder never raises on bytes from a radio. It counts unusable ones by reason. Its memory between
+two calls is bounded, and how the stream is cut into pieces makes no difference.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ MOST_KEPT_BYTES = 65_536
 MOST_SHOWN = 80
 """Characters of a line that is shown."""
 MOST_REASONS = 32
-"""Reasons that are told apart in the counts; what comes beyond is counted as `other`."""
+"""Reasons with a count of their own; further ones are counted as `other`."""
 
 
 class AngleFrame(Enum):
-    """What the zero of a reading's angles is."""
+    """Zero direction of a reading's angles."""
 
     DEVICE = "device"
     """The antenna's boresight; the angles are azimuth and elevation about its upright."""
@@ -45,16 +45,16 @@ class AngleFrame(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RadioReading:
-    """One answer of an emitter as its radio says it; what was not measured is None."""
+    """One reading of an emitter as its radio reports it; None for values that were not measured."""
 
     emitter: str | int | None = None
     """By the name on the wire; None: the format has none."""
     device_time_s: float | None = None
-    """By the device's own clock, as it stands on the wire: it may wrap, or start again."""
+    """Device's own clock as on the wire: it may wrap, or restart."""
     age_s: float = 0.0
-    """How old it was when it was sent, where the device says so."""
+    """Age at sending, if the device reports it."""
     range_m: float | None = None
-    """As said: before any offset or scale; negative is possible."""
+    """As reported: before any offset or scale; may be negative."""
     range_sigma_m: float | None = None
     azimuth_rad: float | None = None
     """With the device's sign."""
@@ -69,14 +69,14 @@ class RadioReading:
 
 @dataclass(slots=True)
 class DecoderCounts:
-    """What a decoder has made of its stream so far."""
+    """Counters of a decoder's stream so far."""
 
     frames: int = 0
     """Whole frames, lines or documents that were understood, with readings in them or not."""
     readings: int = 0
     bad_checksum: int = 0
     resync_bytes: int = 0
-    """Bytes that belonged to nothing."""
+    """Bytes that belonged to no frame."""
     refused: Counter[str] = field(default_factory=Counter)
     """By reason, in the operator's words: `no bearing from above`, `status RX_TIMEOUT`."""
     unrecognised: int = 0
@@ -87,7 +87,7 @@ class DecoderCounts:
     """True once the module has named itself, in answer to the kind's probe."""
 
     def pass_over(self, line: str) -> None:
-        """Count a line that is none of the format's, and by its reason one of received power."""
+        """Count a line that is not of the format, and separately one of received power."""
         self.resync_bytes += len(line.encode(errors="replace"))
         if is_power_only(line):
             self.refuse(POWER_ONLY)
@@ -98,7 +98,7 @@ class DecoderCounts:
             self.first_unrecognised = self.first_unrecognised or shown
 
     def refuse(self, reason: str, count: int = 1) -> None:
-        """Count what could not be used. The reason must not hold bytes of the stream."""
+        """Count an unusable frame. The reason must not hold bytes of the stream."""
         if reason not in self.refused and len(self.refused) >= MOST_REASONS:
             reason = "other"
         self.refused[reason] += count
@@ -106,7 +106,7 @@ class DecoderCounts:
 
 @dataclass(frozen=True, slots=True)
 class Poll:
-    """What a radio is asked for that does not talk by itself."""
+    """Query for a radio that reports only when asked."""
 
     path: str
     """By HTTP, where the link's address gives none."""
@@ -118,7 +118,7 @@ class Poll:
 
 
 class RadioDecoder(ABC):
-    """One radio's stream. `options` is a record of the class's own `Options`."""
+    """Decoder of one radio's stream; `options` is a record of the class's own `Options`."""
 
     Options: type[Params] = Params
     """The settings that the format itself needs; unknown keys are refused by their path."""
@@ -129,26 +129,26 @@ class RadioDecoder(ABC):
 
     @abstractmethod
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
-        """The readings that some bytes complete; any cut of the stream gives the same list.
+        """Return the readings that some bytes complete; any cut of the stream gives the same list.
 
-        `received_s` is when the bytes came, on the companion's clock. Never raises on bad bytes.
+        `received_s` is the time of arrival on the companion's clock. Never raises on bad bytes.
         """
 
     def reset(self) -> None:  # noqa: B027 -- most keep nothing
-        """The line was lost and came back: what was begun will not be finished."""
+        """Forget a partial frame, because the line was lost and came back."""
 
     def hello(self) -> bytes:
-        """What to send once the line is open, so that the radio talks."""
+        """Return the bytes that start the radio's output, sent once the line is open."""
         return b""
 
     def request(self) -> bytes:
-        """What to send each period, where it depends on the options; empty: as the kind polls."""
+        """Return the periodic query if it depends on the options; empty: the kind's own query."""
         return b""
 
 
 @dataclass(frozen=True, slots=True)
 class RadioKind:
-    """A radio that can be chosen by its name: a built-in one, or a plugin's."""
+    """Radio that can be chosen by its name: a built-in one, or a plugin's."""
 
     name: str
     """As in `--radio NAME@URL`: lower case, digits and underscores."""
@@ -158,24 +158,24 @@ class RadioKind:
     gives: str
     """`range`, `bearing`, `range, azimuth, elevation`."""
     emitter: str
-    """What the hidden one must carry: `a LinkTrack tag`, `nothing: any transmitter`."""
+    """Device that the hidden person must carry: `a LinkTrack tag`, `nothing: any transmitter`."""
     transport: str = "serial:115200"
     """The usual one, as in an address: `serial:115200`, `http`, `exec`, `udp`."""
     needs_emitter: bool = False
-    """Whether the format names no emitter, so that the settings must."""
+    """True if the format names no emitter, so that the settings must."""
     needs_offset: bool = False
     """Its ranges have a constant of the single device that may be longer than the search: without
     `range_offset_m` or `offset_steps` nothing is localised."""
     clock_wrap_s: float | None = None
-    """After how long the device's clock starts again at zero; None: it does not, or it has none."""
+    """Period after which the device's clock restarts at zero; None: it never does."""
     poll: Poll | None = None
-    """How it is asked, where it does not talk by itself."""
+    """Query for a radio that does not report by itself."""
     defaults: Mapping[str, object] = field(default_factory=dict)
-    """Settings of the common stage that this radio differs in, `bearing_sign` for example."""
+    """Defaults of the common stage for this radio, `bearing_sign` for example."""
 
 
 class LineDecoder(RadioDecoder):
-    """A decoder of text: cuts the stream into lines and hands over each whole one.
+    """Decoder of text that cuts the stream into lines.
 
     A line ends with LF, CRLF or CR LF in any cut; one beyond `longest_line` is dropped whole and
     counted. Bytes that are no text are replaced, so that a line is always a `str`.
@@ -190,7 +190,7 @@ class LineDecoder(RadioDecoder):
 
     @abstractmethod
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """The readings that a line completes."""
+        """Return the readings that a line completes."""
 
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
         """Cut into lines, and read each."""
@@ -212,7 +212,7 @@ class LineDecoder(RadioDecoder):
         return readings
 
     def reset(self) -> None:
-        """Forget the beginning of a line."""
+        """Forget a partial line."""
         self._rest = b""
         self._is_overlong = False
 
@@ -223,14 +223,14 @@ class LineDecoder(RadioDecoder):
 
 
 class FrameDecoder(RadioDecoder):
-    """A decoder of binary frames: finds each whole one and hands it over.
+    """Decoder of binary frames that finds each whole one.
 
-    What is none after all, by its length or checksum, costs one byte: the next is searched from
-    the second byte on, because the first was only taken for a beginning.
+    If length or checksum show that bytes are no frame, one byte is skipped: the search continues at
+    the second byte, because the first was only mistaken for a beginning.
     """
 
     start: Pattern[bytes]
-    """What a frame may begin with, and the part of it that the end of the data cuts off."""
+    """Pattern of a frame's beginning, also when the end of the data cuts it off."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
@@ -238,14 +238,14 @@ class FrameDecoder(RadioDecoder):
 
     @abstractmethod
     def size_at(self, data: bytes, at: int) -> int | None:
-        """Bytes of the frame that begins there; 0: none does; None: more is needed to tell.
+        """Return the size of the frame that begins there; 0: there is none, None: more is needed.
 
-        What it says must not change with what follows, and not exceed `MOST_KEPT_BYTES`.
+        The result must not change with what follows, and not exceed `MOST_KEPT_BYTES`.
         """
 
     @abstractmethod
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """The readings of a whole frame; None: it is none (and counted, if by its checksum)."""
+        """Return the readings of a frame; None if it is invalid (a wrong checksum is counted)."""
 
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
         """Cut into frames, and read each."""
@@ -274,5 +274,5 @@ class FrameDecoder(RadioDecoder):
         return readings
 
     def reset(self) -> None:
-        """Forget the beginning of a frame."""
+        """Forget a partial frame."""
         self._rest = b""

@@ -1,8 +1,8 @@
-"""Text fields to readings: what a column or a named group of an expression may be called.
+"""Vocabulary of text fields: names of columns or of groups in an expression, with their units.
 
-One vocabulary for every text format whose columns are the user's own: the quantity and its unit.
-`range_cm`, `rtt_ns`, `azimuth_deg`, `quality_percent`. A format of a known make names its columns
-by it too, so that a unit is turned into metres, seconds and radians in one place.
+It serves every text format whose columns the user names: the quantity and its unit, as in
+`range_cm`, `rtt_ns`, `azimuth_deg`, `quality_percent`. Formats of a known make name their columns
+by it too, so that units are converted to metres, seconds and radians in one place.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?
 _WHOLE = re.compile(r"0|[1-9][0-9]{0,18}")
 _HEXADECIMAL = re.compile(r"[0-9a-f]{1,12}")
 _LIKE_HEXADECIMAL = re.compile(r"0[0-9]+|[0-9]+[eE][0-9]+")
-"""No decimal notation writes whole numbers so, and a hexadecimal field without letters is."""
+"""Whole numbers as only a hexadecimal field without letters has them."""
 _TRUE, _FALSE = {"1", "true", "yes", "los"}, {"0", "false", "no", "nlos"}
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """What a name of the vocabulary stands for."""
+    """Quantity and unit of a name."""
 
     attribute: str
     """Of the reading."""
@@ -62,15 +62,15 @@ NUMBERS: Mapping[str, Unit] = {
     "quality": Unit("quality"),
     "quality_percent": Unit("quality", 0.01),
 }
-"""Names of what is a number; `rtt` is the time of the way there and back."""
+"""Names of numbers; `rtt` is the round-trip time."""
 WORDS = ("emitter", "line_of_sight")
-"""Names of what is a word."""
+"""Names of words."""
 HEX = "_hex"
 """Behind a name whose field is a whole number in hexadecimal, without a sign."""
 HEX_NAMES = frozenset(name + HEX for name, unit in NUMBERS.items() if unit.attribute != "quality")
 NAMES = frozenset(NUMBERS) | frozenset(WORDS) | HEX_NAMES
 POWERS = frozenset({"rssi", "rssi_dbm", "power", "power_db", "power_dbm", "snr", "snr_db"})
-"""Names of what a radio reports beside, and nothing is made of."""
+"""Names of reported quantities that are not used."""
 SKIPPED = ("", "_", "skip")
 """Names of a column that is not read."""
 
@@ -95,7 +95,7 @@ _ANGLE_NAMES = ("azimuth_rad", "elevation_rad")
 
 
 def number(text: str | None) -> float | None:
-    """The finite number that a text is in plain decimal notation; None: it is none."""
+    """Return the finite number in plain decimal notation, or None."""
     if text is None or not _NUMBER.fullmatch(text := text.strip()):
         return None
     value = float(text)
@@ -103,7 +103,7 @@ def number(text: str | None) -> float | None:
 
 
 def whole(text: str | None, largest: int = 2**32 - 1) -> int | None:
-    """The number from 0 to `largest` that a text is; None: it is none."""
+    """Return the whole number from 0 to `largest`, or None."""
     if text is None or not _WHOLE.fullmatch(text := text.strip()):
         return None
     value = int(text)
@@ -116,14 +116,14 @@ def _hexadecimal(text: str) -> float | None:
 
 
 def ratio(part: int | None, of_all: int | None) -> float | None:
-    """A quality: how many of all were good; None where that is not told, or makes no sense."""
+    """Return a quality, good ones over all; None if unknown or meaningless."""
     if part is None or not of_all or part > of_all:
         return None
     return part / of_all
 
 
 def columns(line: str, delimiter: str = ",") -> list[str]:
-    """The cells of a line, quoted ones whole, without the blanks around them."""
+    """Return the cells of a line, quoted ones whole, without surrounding blanks."""
     try:
         (cells,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True)
     except (csv.Error, ValueError):
@@ -132,7 +132,7 @@ def columns(line: str, delimiter: str = ",") -> list[str]:
 
 
 def emitter_name(text: str) -> str | int | None:
-    """An emitter as it is written: decimal digits are a number, all else a name."""
+    """Return an emitter: decimal digits become a number, anything else is a name."""
     text = text.strip()
     if not text:
         return None
@@ -140,7 +140,7 @@ def emitter_name(text: str) -> str | int | None:
 
 
 def complain_of(names: list[str]) -> str | None:
-    """What is wrong with the names that a user has given; None: nothing."""
+    """Return the error in names that a user has given, or None."""
     for name in names:
         if name in POWERS:
             return f"`{name}`: {POWER_ONLY}"
@@ -157,15 +157,15 @@ def complain_of(names: list[str]) -> str | None:
 
 
 def is_overflow(raw: float) -> bool:
-    """Return True if a whole number of millimetres or centimetres is what firmware has for none."""
+    """Return True if whole millimetres or centimetres are firmware's code for no value."""
     return raw in OVERFLOWS
 
 
 def complain_of_spans(found: re.Match[str]) -> str | None:
-    """Return what is wrong with where the groups of a match stand in their line; None: nothing.
+    """Return the error in the positions of a match's groups in their line, or None.
 
-    A sign that is left out, a number that is cut in two where the expression ends, and another unit
-    behind it than its name has: each would be another value, and pass for one.
+    An omitted sign, a number cut in two where the expression ends, or a different unit behind it:
+    each would be another value that looks valid.
     """
     line = found.string
     for name, text in found.groupdict().items():
@@ -186,33 +186,33 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
 
 
 class FieldDecoder(LineDecoder):
-    """A decoder whose lines come apart into named fields."""
+    """Decoder whose lines consist of named fields."""
 
     def understood(self, reading: RadioReading) -> list[RadioReading]:
-        """One frame with one reading."""
+        """Count a frame with one reading; return the reading."""
         self.counts.frames += 1
         return [reading]
 
     def refused(self, reason: str) -> list[RadioReading]:
-        """One frame that was understood, and cannot be used."""
+        """Count a frame that was understood but cannot be used."""
         self.counts.frames += 1
         self.counts.refuse(reason)
         return []
 
     def no_reading(self) -> list[RadioReading]:
-        """One frame that was understood, and measures nothing that is needed."""
+        """Count a frame that was understood but has no measurement of use."""
         self.counts.frames += 1
         return []
 
     def passed_over(self, line: str) -> list[RadioReading]:
-        """A line that is none of the format's: a console says much."""
+        """Count a line that is not of the format: consoles print much else."""
         self.counts.pass_over(line)
         return []
 
     def read_fields(
         self, texts: Mapping[str, str | None], frame: AngleFrame = AngleFrame.DEVICE
     ) -> list[RadioReading]:
-        """The reading of fields that are named by the vocabulary; empty ones are not measured."""
+        """Return the reading of fields named by the vocabulary; empty ones are not measured."""
         values: dict[str, float] = {}
         for name, text in texts.items():
             unit = NUMBERS.get(name.removesuffix(HEX))

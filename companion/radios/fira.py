@@ -1,9 +1,9 @@
 """FiRa ultra-wideband devices: UCI notifications, and the frames of NXP's SR150 as PX4 reads them.
 
 Layouts: github.com/google/pica `src/uci_packets.pdl`, and PX4's `uwb_sr150` driver; little-endian.
-Neither has a checksum, so what is taken for a message must fit its own numbers in every respect.
-Angles are Q9.7 degrees with the device's sign, each of its own pair of antennas, so arcsines; a
-figure of merit of 0 says that there is none. PX4 negates those of its frames, and so does `sr150`.
+Neither has a checksum, so all numbers of a message must be consistent. Angles are Q9.7 degrees with
+the device's sign, each of its own pair of antennas, so arcsines; a figure of merit of 0 means no
+angle. PX4 negates those of its frames, and so does `sr150`.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ SIGHTS = (*LINE_OF_SIGHT, UNKNOWN_SIGHT)
 
 
 def angle_rad(raw: int, merit: int) -> float | None:
-    """Of Q9.7 degrees; None: it was not measured."""
+    """Return the angle of Q9.7 degrees; None if it was not measured."""
     return raw / PER_RAD if merit else None
 
 
 def quality_of(*merits: int) -> float | None:
-    """The worst of the angles that there are; figures of merit are 0 to 100."""
+    """Return the worst quality of the measured angles; figures of merit are 0 to 100."""
     there = [merit for merit in merits if merit]
     return min(1.0, min(there) / 100.0) if there else None
 
 
 def range_of(centimetres: int, status: int) -> float | None:
-    """Metres; a negative distance has a status of its own, and is written either way."""
+    """Return the range in metres; negative distances have their own status, in either notation."""
     if centimetres == NO_DISTANCE:
         return None
     if status == OK_NEGATIVE_DISTANCE:
@@ -76,10 +76,10 @@ DEFAULTS = {
 
 
 class FiraDecoder(FrameDecoder):
-    """What both formats say of a peer."""
+    """Common part of both formats' decoders."""
 
     def reading_of(self, mac: int, status: int, sight: int, *rest: int) -> list[RadioReading]:
-        """At most one, of distance, azimuth and elevation, each angle with its merit."""
+        """Return at most one reading: distance, azimuth, elevation, each angle with its merit."""
         distance, azimuth, azimuth_merit, elevation, elevation_merit = rest
         if status not in (OK, OK_NEGATIVE_DISTANCE):
             self.counts.refuse(f"status {STATUS_WORDS.get(status, f'0x{status:02x}')}")
@@ -103,12 +103,12 @@ class FiraDecoder(FrameDecoder):
 
 
 class FiraUciDecoder(FiraDecoder):
-    """SESSION_INFO notifications, of however many packets; all other packets are passed over."""
+    """Decoder of SESSION_INFO notifications of any number of packets; other packets are skipped."""
 
     start = re.compile(rb"[\x62\x72](?:\x00\x00|\x00?\Z)")
 
     def size_at(self, data: bytes, at: int) -> int | None:
-        """All packets of a notification, which follow each other."""
+        """Return the size of all packets of a notification, which follow each other."""
         end = at
         for _ in range(MOST_PACKETS):
             if len(data) < end + PACKET_HEADER:
@@ -125,13 +125,13 @@ class FiraUciDecoder(FiraDecoder):
 
     @staticmethod
     def _is_likely(payload: bytes) -> bool:
-        """Whether what is there of the first packet's payload can be that."""
+        """Return True if the first packet's payload so far can be a notification's."""
         return (len(payload) <= KIND_AT or payload[KIND_AT] in KINDS) and (
             len(payload) <= ADDRESS_AT or payload[ADDRESS_AT] in ADDRESSES
         )
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """What each measurement of a notification says."""
+        """Return the readings of all measurements of a notification."""
         payload = _payload_of(frame)
         if len(payload) < SESSION_INFO.size:
             return None
@@ -156,7 +156,7 @@ class FiraUciDecoder(FiraDecoder):
 
 
 def _payload_of(frame: bytes) -> bytes:
-    """Of all packets of a notification."""
+    """Return the payload of all packets of a notification."""
     payload, at = b"", 0
     while at < len(frame):
         end = at + PACKET_HEADER + frame[at + 3]
@@ -166,16 +166,19 @@ def _payload_of(frame: bytes) -> bytes:
 
 
 class Sr150Decoder(FiraDecoder):
-    """A frame a peer; with no checksum, both its ends and all that has bounds must be right."""
+    """Decoder of one frame per peer.
+
+    Without a checksum, both ends and all bounded fields must fit.
+    """
 
     start = re.compile(b"\x8e")
 
     def size_at(self, data: bytes, at: int) -> int | None:
-        """All have the same."""
+        """Return the size, the same for all frames."""
         return SR150_FRAME.size
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """What a frame says of its peer."""
+        """Return the reading of a frame's peer."""
         *_, peer, status, distance, sight, azimuth, elevation, merits, end = SR150_FRAME.unpack(
             frame
         )

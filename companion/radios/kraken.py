@@ -1,12 +1,12 @@
-"""KrakenSDR: the bearing to any transmitter, from the two files that its web server shows.
+"""KrakenSDR: the bearing to any transmitter, from the two files of its web server.
 
-`DOA_value.html` is one line a channel, `doa.xml` one document of the first channel. Both say the
-angle about the array, without any heading: the lines clockwise from its front, the document the
-other way round. Source: krakenrf/krakensdr_doa, `kraken_sdr_signal_processor.py`; krakensdr_docs.
+`DOA_value.html` is one line a channel, `doa.xml` one document of the first channel. Both have the
+angle about the array, without any heading: the lines clockwise from its front, the document
+counter-clockwise. Source: krakenrf/krakensdr_doa, `kraken_sdr_signal_processor.py`; krakensdr_docs.
 
-What makes a file worthless is told apart here, because nothing after this can see it: the files
-stay as they were while nobody transmits, they are written in place while they are read, and a
-receiver that has just been tuned answers with nonsense.
+Worthless files are detected here, because no later stage can: the files stay unchanged while no
+emitter transmits, they are written in place while they are read, and a receiver that has just been
+tuned returns nonsense.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ BEST_CONFIDENCE = 99.0
 OLD_CONFIDENCE = 2.0
 """The most that firmware of 2022 and 2023 reports."""
 FIRST_EPOCH_MS, LAST_EPOCH_MS = 1.0e12, 1.0e13
-"""A clock that has been set says something between 2001 and 2286."""
+"""Range of a clock that has been set: 2001 to 2286."""
 LONGEST_CPI_MS = 60_000.0
 AWAY_MS = 10_000.0
-"""A frequency that is away for so long, while another one is heard, was tuned away from."""
+"""A frequency missing for so long while another one is heard is no longer tuned."""
 STILL_S = 5.0
-"""A page is asked for more often than it changes; one that does not for so long is told of."""
+"""A page that does not change for this long is reported; it is read more often than it changes."""
 LEAST_HZ = 1e6
 """The receivers begin at 24 MHz; what is less was printed in another unit."""
 MOST_CHANNELS = 64
@@ -47,7 +47,7 @@ MARKS = len(b"<DATA>") + len(b"</DATA>")
 
 
 class KrakenOptions(Params, frozen=True):
-    """What of a KrakenSDR's results is believed."""
+    """Conditions under which a KrakenSDR's results are used."""
 
     min_confidence: Annotated[float, msgspec.Meta(ge=0.0, le=BEST_CONFIDENCE)] = 10.0
     """Of 99; below it the direction is that of the noise."""
@@ -55,9 +55,9 @@ class KrakenOptions(Params, frozen=True):
     """The scale that the receiver reports on; null: 99, or 1 of the suite of 2026. Firmware of 2022
     and 2023 reports 0.4 to 2: set 2."""
     settle_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0
-    """For how long a frequency that is new is not believed: tuning, calibration."""
+    """Time for which a new frequency is not used: tuning, calibration."""
     accept_line_array: bool = False
-    """Whether a line array's bearing is taken as it stands. It cannot tell front from back."""
+    """True to use a line array's bearing although it cannot distinguish front from back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Result:
 
     @property
     def name(self) -> str:
-        """The frequency in whole hertz."""
+        """Return the frequency in whole hertz."""
         return f"{self.frequency_hz:.0f}"
 
 
@@ -86,22 +86,22 @@ class Result:
 class _Channel:
     last_ms: float
     heard_s: float
-    """When that came first, on our clock."""
+    """Time of its first arrival, on the companion's clock."""
     believed_from_ms: float
     checksum: int | None = None
     is_parallel: bool = False
-    """Whether another frequency had a result of the same time: no tuning between them."""
+    """True if another frequency had a result of the same time: no tuning between them."""
 
 
 class _Channels:
-    """What was seen of each frequency: nothing is said twice, nor too early."""
+    """Last result of each frequency, against repeated and early results."""
 
     def __init__(self, settle_s: float) -> None:
         self._settle_ms = 1000.0 * settle_s
         self._seen: dict[str, _Channel] = {}
 
     def unchanged_s(self, result: Result, now_s: float) -> float | None:
-        """For how long a frequency has had the same result; None: this is a new one."""
+        """Return for how long a frequency has had the same result; None if the result is new."""
         before = self._seen.get(result.name)
         if before is None:
             return None
@@ -111,7 +111,7 @@ class _Channels:
         return now_s - before.heard_s if is_same else None
 
     def complain_of(self, result: Result, now_s: float) -> str | None:
-        """Why a new result of a frequency is not to be used; None: it is."""
+        """Return the reason not to use a new result of a frequency, or None."""
         name, time_ms = result.name, result.time_ms
         channel = self._next(self._seen.pop(name, None), time_ms, now_s)
         channel.checksum = result.checksum
@@ -121,7 +121,10 @@ class _Channels:
         return "just tuned to this frequency" if time_ms < channel.believed_from_ms else None
 
     def _next(self, before: _Channel | None, time_ms: float, now_s: float) -> _Channel:
-        """A frequency is new once another one was heard in its place."""
+        """Return the channel's next state.
+
+        A frequency is new again after another one was received.
+        """
         others = self._seen.values()
         beside = [one for one in others if one.last_ms == time_ms]
         for one in beside:
@@ -142,11 +145,11 @@ class _Channels:
 
 
 class KrakenDecoder(RadioDecoder):
-    """Base of what reads a KrakenSDR: which of its results are new and good enough."""
+    """Base of the KrakenSDR decoders: selects new results of sufficient quality."""
 
     Options = KrakenOptions
     may_be_unsettled = True
-    """True where results appear that a receiver made while it was being tuned."""
+    """True if results may be from a receiver that was being tuned."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
@@ -155,7 +158,7 @@ class KrakenDecoder(RadioDecoder):
         self._channels = self._new_channels()
 
     def reset(self) -> None:
-        """Forget what was begun, and the channels: another receiver may answer next."""
+        """Forget a partial document and the channels: another receiver may answer next."""
         super().reset()
         self._channels = self._new_channels()
 
@@ -163,13 +166,13 @@ class KrakenDecoder(RadioDecoder):
         return _Channels(self._believed.settle_s if self.may_be_unsettled else 0.0)
 
     def readings_of(self, result: Result | str, now_s: float) -> list[RadioReading]:
-        """The reading of a result, if it is new and good enough; a text is why it is none."""
+        """Return the reading of a result, if it is new and good enough; else count the reason."""
         self.counts.frames += 1
         if isinstance(result, Result):
             unchanged_s = self._channels.unchanged_s(result, now_s)
             if unchanged_s is not None and unchanged_s < STILL_S:
                 return []
-            problem: str | None = "page stands still: nobody transmits"
+            problem: str | None = "page does not change: no transmission"
             if unchanged_s is None:
                 problem = self._complain_of(result, now_s)
         else:
@@ -219,12 +222,12 @@ class KrakenDecoder(RadioDecoder):
 
 
 class KrakenLinesDecoder(KrakenDecoder, LineDecoder):
-    """`DOA_value.html`: a line a channel of 17 fields, and the power seen in each degree."""
+    """Decoder of `DOA_value.html`: a line a channel of 17 fields, and the power of each degree."""
 
     longest_line = 16_384
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """One channel's line; a torn one has another number of fields."""
+        """Return the reading of one channel's line; a torn one has another number of fields."""
         cells = columns(line.rstrip(" ,"))
         if len(cells) < 2:
             self.counts.pass_over(line)
@@ -254,7 +257,7 @@ def _result_of_cells(cells: list[str]) -> Result | str:
 
 
 class KrakenXmlDecoder(KrakenDecoder):
-    """`doa.xml`: one document of the first channel; its angle is counter-clockwise."""
+    """Decoder of `doa.xml`: one document of the first channel; its angle is counter-clockwise."""
 
     longest_document = 8192
     _ELEMENT = re.compile(r"<([A-Z_]{2,32})>\s*([^<>]{1,40}?)\s*</\1>")
@@ -277,7 +280,7 @@ class KrakenXmlDecoder(KrakenDecoder):
         return readings
 
     def reset(self) -> None:
-        """Forget the beginning of a document as well."""
+        """Forget a partial document as well."""
         super().reset()
         self._rest = b""
 
@@ -295,7 +298,7 @@ def _result_of_elements(elements: dict[str, str]) -> Result | str:
     time_ms, theta_deg = number(elements.get("TIME")), number(elements.get("DOA"))
     confidence = number(elements.get("CONF"))
     frequency_mhz = number(elements.get("FREQUENCY"))
-    latency_ms = number(elements.get("LATENCY", "0"))  # programs that speak DF-Aggregator have none
+    latency_ms = number(elements.get("LATENCY", "0"))  # programs that speak DF-Aggregator send none
     if time_ms is None or theta_deg is None or confidence is None:
         return "torn document"
     if frequency_mhz is None or latency_ms is None:

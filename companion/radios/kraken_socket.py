@@ -2,12 +2,12 @@
 
 Source: krakenrf/krakensdr_suite, `kraken_doa_v2/NATIVE_APP_API.md`, section 5, and for peak and
 confidence `music_processor.cpp`. Binary messages are little-endian behind a type: 3 has the
-directions of each channel by its offset from the centre frequency, and 0 says what that is in the
-head of its picture of the band, whose rest is skipped. The angle of the spectrum is
-counter-clockwise. Text messages say, among much else, how the antennas are arranged.
+directions of each channel by its offset from the centre frequency, which type 0 has in the head of
+its picture of the band (the rest is skipped). The angle of the spectrum is counter-clockwise. Text
+messages contain, among much else, the antenna arrangement.
 
-While the squelch is closed, or the receiver calibrates, the last spectrum is sent again and again.
-The same spectrum is no news, so that silence begins at once.
+While the squelch is closed, or the receiver calibrates, the last spectrum is repeated. A repeated
+spectrum is no measurement, so that a lost signal is noticed at once.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class KrakenSocketOptions(KrakenOptions, frozen=True):
 
 
 class KrakenSocketDecoder(KrakenDecoder):
-    """Frames of directions, and of the band for its centre frequency."""
+    """Decoder of frames of directions, and of the band for its centre frequency."""
 
     Options = KrakenSocketOptions
     options: KrakenSocketOptions
@@ -72,12 +72,12 @@ class KrakenSocketDecoder(KrakenDecoder):
         self._is_line_array = False
 
     def hello(self) -> bytes:
-        """Present the token, if there is one, and ask for the two kinds of frames."""
+        """Send the token, if there is one, and request the two kinds of frames."""
         token = f"AUTH:{self.options.token}\n" if self.options.token else ""
         return f"{token}SUBSCRIBE:FFT,DOA\n".encode()
 
     def reset(self) -> None:
-        """Forget what was begun; another receiver may answer next."""
+        """Forget a partial frame; another receiver may answer next."""
         super().reset()
         self._rest, self._skip = b"", 0
         self._centre_hz, self._is_line_array = None, False
@@ -110,10 +110,10 @@ class KrakenSocketDecoder(KrakenDecoder):
         return readings
 
     def _size_at(self, data: bytes, at: int) -> tuple[int | None, int]:
-        """Return the bytes of the frame or line there, and of its head.
+        """Return the sizes of the frame or line there, and of its head.
 
-        A size of 0: there is none; None: more is needed. Of a picture of the band only the head is
-        a frame; the rest is to be skipped.
+        A size of 0 means no frame; None that more bytes are needed. Of a picture of the band only
+        the head is a frame; the rest is skipped.
         """
         if data[at] == ord("{"):
             end = data.find(b"\n", at, at + LONGEST_LINE)
@@ -145,7 +145,7 @@ class KrakenSocketDecoder(KrakenDecoder):
         return head + shown, head
 
     def _read(self, body: bytes, now_s: float) -> list[RadioReading] | None:
-        """Return the readings of a line, or of a frame without its head; None: it is neither."""
+        """Return the readings of a line, or of a frame without its head; None if it is neither."""
         if body.startswith(b"{"):
             return self._text(body)
         (kind,) = WORD.unpack_from(body)
@@ -199,7 +199,10 @@ class KrakenSocketDecoder(KrakenDecoder):
 
 
 def _channels_of(body: bytes) -> list[tuple[float, float, tuple[float, ...]]] | None:
-    """Return offset in Hz, degrees an angle and spectrum of each; None: they do not fill it."""
+    """Return offset in Hz, degrees per bin and spectrum of each.
+
+    None if they do not fill the frame.
+    """
     count = WORD.unpack_from(body, WORD.size)[0] if len(body) >= 2 * WORD.size else 0
     at, channels = 2 * WORD.size, []
     if not 0 < count <= MOST_CHANNELS:
@@ -223,7 +226,7 @@ def _channels_of(body: bytes) -> list[tuple[float, float, tuple[float, ...]]] | 
 
 
 def _peak_of(spectrum: tuple[float, ...], step_deg: float) -> tuple[float, float] | None:
-    """Return angle in degrees and confidence, as the suite has them; None: there is no peak."""
+    """Return angle in degrees and confidence as the suite computes them; None without a peak."""
     count, peak = len(spectrum), max(spectrum)
     mean = sum(spectrum) / count
     if not (math.isfinite(mean) and peak > 0.0 and mean > 0.0 and 0.0 < step_deg <= 360.0):
@@ -234,7 +237,7 @@ def _peak_of(spectrum: tuple[float, ...], step_deg: float) -> tuple[float, float
 
 
 def _shift_of_peak(before: float, peak: float, after: float) -> float:
-    """Return where between two bins the peak is: the top of a parabola through logarithms."""
+    """Return the peak's position between two bins: the top of a parabola through logarithms."""
     if before <= 0.0 or after <= 0.0:
         return 0.0
     left, middle, right = map(math.log, (before, peak, after))

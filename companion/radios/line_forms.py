@@ -1,8 +1,8 @@
-"""Radios whose lines have a few fixed forms, each a row: an expression, and what it says.
+"""Radios whose lines have a few fixed forms, each a row: an expression and its fields.
 
-The groups of an expression are named by the vocabulary of `companion.radios.fields`, so that its
-units, its refusals of torn numbers and its missing values are those of every text format. Further
-modules of this kind are a class of such rows here and a row in `companion.radios.text_table`.
+The groups of an expression are named by the vocabulary of `companion.radios.fields`, so that units,
+torn numbers and missing values are treated as in every text format. Another module of this kind is
+a class of such rows here and a row in `companion.radios.text_table`.
 
 Sources: nrfconnect/sdk-nrf and zephyr, samples of Bluetooth channel sounding; REYAX, AT command
 guide of the RYUW122; Ai-Thinker BU01 (M5Stack Unit UWB documentation) and BU03 (AT+DISTANCE);
@@ -30,7 +30,7 @@ class LineForm:
     pattern: re.Pattern[str]
     """Searched for; each match is a reading. Without groups it measures nothing that is needed."""
     refused: str = ""
-    """Why such a line cannot be used; empty: it can."""
+    """Reason why such a line cannot be used; empty: it can."""
 
 
 def form(pattern: str, refused: str = "") -> LineForm:
@@ -39,12 +39,12 @@ def form(pattern: str, refused: str = "") -> LineForm:
 
 
 class FormDecoder(FieldDecoder):
-    """Lines of a few forms; the first that fits has the line."""
+    """Decoder of lines of a few forms; the first that matches is used."""
 
     forms: ClassVar[tuple[LineForm, ...]]
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return what the first fitting form says."""
+        """Return the readings of the first matching form."""
         for each in self.forms:
             if each.pattern.search(line) is None:
                 continue
@@ -57,7 +57,7 @@ class FormDecoder(FieldDecoder):
         return self.passed_over(line)
 
     def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
-        """Return the reading of a match; of some radios the fields are completed first."""
+        """Return the reading of a match; some radios complete the fields first."""
         return self.read_fields(fields)
 
 
@@ -66,7 +66,7 @@ _AT_STATUS = form(r"^(?:AT\+.*|\+?(?:OK|READY)|\+[A-Za-z_]{2,16}=[^,]*)\s*$")
 
 
 class ChannelSoundingDecoder(FormDecoder):
-    """Distances of Nordic's and Zephyr's samples by phases; by round trips they are metres off."""
+    """Distances of Nordic's and Zephyr's samples by phases; those by round trips are metres off."""
 
     forms = (
         form(r"istance estimates on antenna path [1-9]: ifft: "),
@@ -78,14 +78,14 @@ class ChannelSoundingDecoder(FormDecoder):
 
 
 class TagOptions(Params, frozen=True):
-    """Which tag a module asks for its distance."""
+    """Selects the tag that a module ranges to."""
 
     tag: str = ""
     """Address of up to 8 characters; empty: nothing is asked, and only what comes is read."""
 
 
 class Ryuw122Decoder(FormDecoder):
-    """REYAX RYUW122 in the anchor's role: it asks one tag at a time, centimetres."""
+    """Decoder of the REYAX RYUW122 as anchor: it queries one tag at a time, centimetres."""
 
     Options = TagOptions
     options: TagOptions
@@ -106,28 +106,28 @@ class Ryuw122Decoder(FormDecoder):
             raise ConfigError("ryuw122: tag: its AT+ADDRESS, up to 8 characters without a comma")
 
     def request(self) -> bytes:
-        """Ask the tag; its answer is the distance."""
+        """Return the query of the tag, which it answers with the distance."""
         return f"AT+ANCHOR_SEND={self.options.tag},4,PING\r\n".encode() if self.options.tag else b""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return what a line says; the version names the module."""
+        """Return the reading of a line; the version identifies the module."""
         if "+VER=RYUW122" in line:
             self.counts.is_introduced = True
         return super().read_line(line, received_s)
 
 
 class Bu01Decoder(FormDecoder):
-    """Ai-Thinker BU01 in the tag's role: a line an anchor, once ranging is switched on."""
+    """Decoder of the Ai-Thinker BU01 as tag: a line per anchor, once ranging is switched on."""
 
     forms = (form(r"\ban(?P<emitter>[0-9]):\s?(?P<range_m>-?[0-9]{1,6}\.[0-9]+) ?m"), _AT_STATUS)
 
     def hello(self) -> bytes:
-        """Ranging is off after a reset."""
+        """Switch ranging on, which is off after a reset."""
         return b"AT+switchdis=1\r\n"
 
 
 class Bu03Decoder(FormDecoder):
-    """Ai-Thinker BU03 and BU04, which say the distance when they are asked; metres."""
+    """Decoder of the Ai-Thinker BU03 and BU04, which report the distance when asked; metres."""
 
     forms = (
         form(r"\bdistance: ?(?P<range_m>-?[0-9]{1,6}\.[0-9]+)(?![0-9.])"),
@@ -138,18 +138,18 @@ class Bu03Decoder(FormDecoder):
 
 
 class PozyxOptions(Params, frozen=True):
-    """Which other Pozyx is ranged to over USB."""
+    """Selects the other Pozyx that is ranged to over USB."""
 
     tag: str = ""
     """Network id in hexadecimal, as it is printed on the device; empty: nothing is asked."""
 
 
 class PozyxDecoder(FormDecoder):
-    """Pozyx by the lines of its Arduino sketches, or asked over its own USB port.
+    """Decoder of Pozyx by the lines of its Arduino sketches, or by queries over its USB port.
 
     The port answers a function with `D,`, its status, and its data: a range is u32 milliseconds,
-    u32 millimetres and i16 dBm. What is asked is the last range, and then for a new one, so that a
-    range that did not come about repeats the one before it and is passed over as seen before.
+    u32 millimetres and i16 dBm. The query reads the last range, and then requests a new one, so
+    that after a failed ranging the previous range is repeated and skipped as a duplicate.
     """
 
     Options = PozyxOptions
@@ -169,7 +169,7 @@ class PozyxDecoder(FormDecoder):
             raise ConfigError("pozyx: tag: the network id on the other device, such as 0x6951")
 
     def request(self) -> bytes:
-        """Return both questions about the configured device."""
+        """Return both queries about the configured device."""
         digits = self.options.tag[-4:].lower()
         if not digits:
             return b""
@@ -177,7 +177,7 @@ class PozyxDecoder(FormDecoder):
         return f"F,{self.GET_RANGE},{swapped},11\rF,{self.DO_RANGING},{swapped},1\r".encode()
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return what a line says; the register WHO_AM_I, 0x43, names the device."""
+        """Return the reading of a line; the register WHO_AM_I, 0x43, identifies the device."""
         if line.strip() == "D,43":
             self.counts.is_introduced = True
         return super().read_line(line, received_s)
@@ -201,7 +201,7 @@ class PozyxDecoder(FormDecoder):
 
 
 class Lr11xxDecoder(FormDecoder):
-    """Semtech LR1110 and LR1120 as the ranging example of their SDK prints; whole metres."""
+    """Decoder of the ranging example in Semtech's SDK for the LR1110 and LR1120; whole metres."""
 
     forms = (
         form(r"RTToF result: Distance: (?P<range_m>-?[0-9]{1,10})m, RSSI: "),
@@ -210,10 +210,10 @@ class Lr11xxDecoder(FormDecoder):
 
 
 class DopplerDecoder(FormDecoder):
-    """Doppler direction finders: KN5R-RDF sentences, and the other formats of rotaryclub.
+    """Decoder of Doppler direction finders: KN5R-RDF sentences, and other formats of rotaryclub.
 
     Degrees clockwise from the array's own zero. KN5R-RDF has no sentence for silence: its quality,
-    the mean length of the phase vectors, goes down to that of noise.
+    the mean length of the phase vectors, drops to that of noise.
     """
 
     forms = (

@@ -1,7 +1,7 @@
-"""RADIO_RANGING as JSON, one object a line: for every radio that has a program to print it.
+"""RADIO_RANGING as JSON, one object a line, for any radio with a program to print it.
 
-Names and units are those of the message (docs/wire.md): metres, radians, microseconds. What is
-absent or null was not measured. Unknown keys are ignored, so a line may carry more for its log.
+Names and units are those of the message (docs/wire.md): metres, radians, microseconds. Absent or
+null values were not measured. Unknown keys are ignored, so a line may carry more for its log.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ EmitterName = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class Line(msgspec.Struct, frozen=True):
-    """The keys of a line that count."""
+    """Keys of a line that are used."""
 
     emitter_id: EmitterId | EmitterName | None = None
     time_usec: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)] | None = None
@@ -78,25 +78,25 @@ RULES = {
     "line_of_sight": "line_of_sight must be true, false or null",
 }
 FIELD = re.compile(r"\$\.(\w+)")
-"""Where msgspec says that a value is wrong: of our own names, never of the line's."""
+"""Path of a faulty value in msgspec's error: made of our own names, never of the line's."""
 
 DECODER = msgspec.json.Decoder(Line)
 
 
 class NdjsonDecoder(LineDecoder):
-    """One measurement a line, of any emitter."""
+    """Decoder of one measurement a line, of any emitter."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
         self._beyond_turn = 0
 
     def reset(self) -> None:
-        """Another program may send next."""
+        """Forget the stream's unit of angles: another program may send next."""
         super().reset()
         self._beyond_turn = 0
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """The reading of a line; blank ones and comments have none."""
+        """Return the reading of a line; blank ones and comments have none."""
         text = line.strip(f"{RECORD_SEPARATOR} \t\r")
         if not text or text.startswith("#"):
             return []
@@ -110,9 +110,9 @@ class NdjsonDecoder(LineDecoder):
         return [_reading_of(parsed)]
 
     def _wrong_with(self, line: Line, text: str) -> str | None:
-        """Why a line cannot be used, if so.
+        """Return the reason why a line cannot be used, or None.
 
-        The unit of angles is the stream's: where some exceed a turn, all are in degrees.
+        The unit of angles is the stream's: if any exceeds a turn, all are in degrees.
         """
         foreign = _foreign_key(line)
         if foreign is not None:
@@ -133,7 +133,7 @@ class NdjsonDecoder(LineDecoder):
         return None
 
     def _parsed(self, text: str) -> Line | str:
-        """The line, or why it is none."""
+        """Return the parsed line, or the reason why it is invalid."""
         if "\N{REPLACEMENT CHARACTER}" in text:
             return "not UTF-8"
         try:
@@ -146,7 +146,7 @@ class NdjsonDecoder(LineDecoder):
 
 
 def _foreign_key(line: Line) -> str | None:
-    """The key of another format that stands for what the line does not have by its own name."""
+    """Return the key of another format that stands for a missing quantity."""
     for key, name in FOREIGN.items():
         if getattr(line, key) is not msgspec.UNSET and getattr(line, name) is None:
             return key
@@ -155,7 +155,7 @@ def _foreign_key(line: Line) -> str | None:
 
 def _reading_of(line: Line) -> RadioReading:
     frame = AngleFrame.NOSE if line.body_frame else AngleFrame.NORTH
-    if line.array_angle:  # whatever `body_frame` says, as the message's flags have it
+    if line.array_angle:  # regardless of `body_frame`, as by the message's flags
         frame = AngleFrame.ARRAY
     return RadioReading(
         emitter=line.emitter_id,

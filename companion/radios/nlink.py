@@ -2,12 +2,12 @@
 
 Layouts: github.com/nooploop-dev/nlink_unpack and nlink_parser. Little-endian; a frame ends with the
 low 8 bits of the sum of all bytes before it. Its length must fit the number of its elements as
-well, because one sum in 256 is right by chance, and what is no frame need not be waited for then.
+well, because one sum in 256 is right by chance, and because bytes that are no frame are then
+rejected without waiting.
 
 Angles are the device's: of two antennas, so arcsines, and counter-clockwise, as far as is known, so
-that `bearing_sign` is -1. Frames that
-tell what other nodes measured, or nothing that a range can be made of, are counted and skipped; so
-are those of TOFSense lasers (0x57), byte by byte.
+that `bearing_sign` is -1. Frames with measurements of other nodes, or with nothing that a range can
+be made of, are counted and skipped; so are those of TOFSense lasers (0x57), byte by byte.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from companion.domain import Params, Positive
 from companion.radios.decoder import AngleFrame, FrameDecoder, RadioKind, RadioReading
 
 SHORTEST, LONGEST = 12, 2048
-"""Bytes of a frame that tells its length."""
+"""Bytes of a frame that has a length field."""
 PER_S = PER_M = 1000.0
 DBM = -0.5
 """Signals are in steps of half a dBm, without their sign."""
 NO_DISTANCE = "no distance"
 PER_RAD = 18_000.0 / math.pi
 LOS_GAP_DB = 6.0
-"""A first path so little below the whole signal has nothing in its way (DW1000 user manual)."""
+"""A first path within this of the whole signal means line of sight (DW1000 user manual)."""
 CLOCK_WRAP_S = 2**32 / PER_S
 
 U16, U32 = Struct("<H"), Struct("<I")
@@ -45,7 +45,7 @@ TAG_DISTANCES = Struct("<" + 8 * "Hb")
 
 
 class NlinkOptions(Params, frozen=True):
-    """What the frames do not say about their signals."""
+    """Properties of the signals that the frames lack."""
 
     nlos_gap_db: Positive | None = None
     """Received above first path by more than this: not in line of sight; null: not judged."""
@@ -55,7 +55,7 @@ class NlinkOptions(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where a frame has what is needed of it; offsets from its first byte."""
+    """Offsets of the used fields from a frame's first byte."""
 
     header: int
     """Bytes before the repeated element."""
@@ -93,14 +93,14 @@ IOT_HEADER, IOT_TIME_AT = 14, 8
 
 
 class NlinkDecoder(FrameDecoder):
-    """The ranges and angles that a node measured itself."""
+    """Decoder of the ranges and angles that a node measured itself."""
 
     Options = NlinkOptions
     options: NlinkOptions
     start = re.compile(rb"\x55(?:[\x00-\x09\x0b]|\Z)|\x6a(?:\x00|\Z)")
 
     def size_at(self, data: bytes, at: int) -> int | None:
-        """By the length, and where the elements are all of one size by their number, too."""
+        """Return the frame's length, which must fit its elements if all have one size."""
         if len(data) < at + 2:
             return None
         mark = data[at + 1]
@@ -123,7 +123,7 @@ class NlinkDecoder(FrameDecoder):
         return int(size)
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """What a node measured itself, if the sum is right."""
+        """Return the node's own measurements, if the sum is right."""
         mark = frame[1]
         is_iot = frame[0] != 0x55
         if mark == 0x00 and not is_iot:
@@ -144,7 +144,7 @@ class NlinkDecoder(FrameDecoder):
         return self._nodes(frame, layout, layout.element)
 
     def _nodes(self, frame: bytes, layout: Layout, element: Struct) -> list[RadioReading]:
-        """An element a node."""
+        """Return one reading per element, each a node."""
         time_s = U32.unpack_from(frame, layout.time_at)[0] / PER_S
         has_angle = element is WITH_ANGLE
         readings = []
@@ -167,7 +167,7 @@ class NlinkDecoder(FrameDecoder):
         return readings
 
     def _tag_frame(self, frame: bytes) -> list[RadioReading]:
-        """Eight distances, each by its place the id of an anchor; nothing else is known of them."""
+        """Return eight distances, each indexed by an anchor's id; the frame has nothing else."""
         time_s = U32.unpack_from(frame, TAG_FRAME_TIME_AT)[0] / PER_S
         halves = TAG_DISTANCES.unpack_from(frame, TAG_FRAME_DISTANCES_AT)
         return [
@@ -177,7 +177,7 @@ class NlinkDecoder(FrameDecoder):
         ]
 
     def _iot(self, frame: bytes) -> list[RadioReading] | None:
-        """Peers with both angles, and data of users between; None: they do not fill the frame."""
+        """Return peers with both angles, skipping user data; None if they do not fill the frame."""
         time_s = U32.unpack_from(frame, IOT_TIME_AT)[0] / PER_S
         readings, at, end = [], IOT_HEADER, len(frame) - 1
         for _ in range(frame[IOT_HEADER - 1]):
@@ -202,7 +202,7 @@ class NlinkDecoder(FrameDecoder):
         return readings if at == end else None
 
     def _azimuth_rad(self, raw: int, fp: int) -> float | None:
-        """None: it is from behind."""
+        """Return the azimuth; None if the signal came from behind."""
         least_dbm = self.options.behind_fp_dbm
         if least_dbm is not None and fp * DBM < least_dbm:
             self.counts.refuse("from behind: angle dropped")
@@ -210,7 +210,10 @@ class NlinkDecoder(FrameDecoder):
         return raw / PER_RAD
 
     def _is_in_sight(self, fp: int, rx: int) -> bool | None:
-        """By how much of the signal came first."""
+        """Return True for line of sight, by the share of the signal that came first.
+
+        None if unknown.
+        """
         most_db = self.options.nlos_gap_db
         if most_db is None:
             return None

@@ -1,11 +1,11 @@
 """Decawave PANS on a DWM1001: the lines of its shell, and the answers of its TLV interface.
 
-Over TLV a tag says nothing by itself. It is asked as often as it ranges at most, and answers with
-what it measured last: an answer that has not changed in any of its millimetres is no new one.
+Over TLV a tag reports nothing by itself. It is queried at most as often as it ranges, and answers
+with its last measurement: an answer that is equal to the millimetre is a repetition.
 
-Sources: Decawave's host API (`dwm_api`); the shell's lines as users print them. Both tell the
+Sources: Decawave's host API (`dwm_api`); the shell's lines as users print them. Both have the
 ranges of a tag to its anchors, so the vehicle carries the tag and the hidden one an anchor. The
-tag's own place, which is told as well, is of the anchors' frame and is nobody's here.
+tag's own position, also reported, is in the anchors' frame and not used here.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ PLACE_LINE = re.compile(rf"POS(?:,{WHERE}){{3}},[0-9]{{1,3}}$")
 
 
 class PansOptions(Params, frozen=True):
-    """How the shell is found."""
+    """Options for opening the shell."""
 
     send_lec: bool = False
     """Open the shell and switch its lines on; where they flow already, this would stop them."""
 
 
 class PansDecoder(FieldDecoder):
-    """`lec` and `les` lines."""
+    """Decoder of `lec` and `les` lines."""
 
     Options = PansOptions
     options: PansOptions
 
     def hello(self) -> bytes:
-        """Two returns within a second open the shell; `lec` switches its lines."""
+        """Return two newlines, which open the shell within a second, and the command `lec`."""
         return b"\r\rlec\r" if self.options.send_lec else b""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """A range an anchor, if the line is whole."""
+        """Return a range per anchor, if the line is whole."""
         text = PROMPT.sub("", line.strip())
         if found := DISTANCES.match(text):
             return self._ranges(_counted(found[2] or "", int(found[1])))
@@ -58,34 +58,34 @@ class PansDecoder(FieldDecoder):
             return []
         return self.passed_over(line)
 
-    def _ranges(self, told: list[tuple[str, str]] | None) -> list[RadioReading]:
-        if told is None:
+    def _ranges(self, anchors: list[tuple[str, str]] | None) -> list[RadioReading]:
+        if anchors is None:
             return self.refused("torn line")
         self.counts.frames += 1
-        return [RadioReading(emitter=name.upper(), range_m=float(text)) for name, text in told]
+        return [RadioReading(emitter=name.upper(), range_m=float(text)) for name, text in anchors]
 
 
 def _counted(text: str, count: int) -> list[tuple[str, str]] | None:
-    """So many anchors, and perhaps a place; None: there is more or less."""
-    told, at = [], 0
+    """Return `count` anchors, perhaps followed by a position; None if there are more or fewer."""
+    anchors, at = [], 0
     for _ in range(count):
         found = ANCHOR.match(text, at)
         if not found:
             return None
-        told.append((found[1], found[2]))
+        anchors.append((found[1], found[2]))
         at = found.end()
-    return told if at == len(text) or PLACE.fullmatch(text, at) else None
+    return anchors if at == len(text) or PLACE.fullmatch(text, at) else None
 
 
 def _bracketed(text: str) -> list[tuple[str, str]] | None:
-    """Anchors until the words that are beside them; None: something else is there."""
-    told = []
+    """Return the anchors before the trailing words; None if there is anything else."""
+    anchors = []
     for word in text.split():
         if found := BRACKETED.fullmatch(word):
-            told.append((found[1], found[2]))
+            anchors.append((found[1], found[2]))
         elif not BESIDE.fullmatch(word):
             return None
-    return told
+    return anchors
 
 
 STATUS_BYTES = 3
@@ -105,13 +105,13 @@ MOST_QUALITY = 100
 
 
 LOC_GET = b"\x0c\x00"
-"""`dwm_loc_get`: where the tag is, and how far its anchors are."""
+"""`dwm_loc_get`: the tag's position and the distances of its anchors."""
 MOST_HZ = 10.0
 """A tag ranges no faster."""
 
 
 class PansTlvDecoder(FrameDecoder):
-    """Answers to `dwm_loc_get`, one by one."""
+    """Decoder of answers to `dwm_loc_get`, one by one."""
 
     start = re.compile(rb"\x40(?:\x01|\Z)")
 
@@ -120,7 +120,7 @@ class PansTlvDecoder(FrameDecoder):
         self._last = b""
 
     def size_at(self, data: bytes, at: int) -> int | None:
-        """Of the status, and of what follows it if that is the answer's."""
+        """Return the size of the status, and of the answer that follows it."""
         if len(data) < at + STATUS_BYTES:
             return None
         if data[at + 2]:
@@ -139,7 +139,7 @@ class PansTlvDecoder(FrameDecoder):
         return end - at + 2 + length if length == 1 + count * record.size else 0
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """A range a neighbour."""
+        """Return a range per neighbour."""
         if frame[2]:
             self.counts.refuse(f"answer: {ERRORS[frame[2]]}")
             return []
@@ -152,8 +152,8 @@ class PansTlvDecoder(FrameDecoder):
             self.counts.refuse("seen before")
             return []
         digits = 4 if frame[at] == ANCHORS_TAG else 16
-        told = list(RECORDS[frame[at]].iter_unpack(frame[at + 3 :]))
-        if any(max(qualities) > MOST_QUALITY for _, _, *qualities in told):
+        records = list(RECORDS[frame[at]].iter_unpack(frame[at + 3 :]))
+        if any(max(qualities) > MOST_QUALITY for _, _, *qualities in records):
             return None
         self._last = frame
         return [
@@ -162,7 +162,7 @@ class PansTlvDecoder(FrameDecoder):
                 range_m=distance_mm / 1000.0,
                 quality=quality / MOST_QUALITY,
             )
-            for address, distance_mm, quality, *_ in told
+            for address, distance_mm, quality, *_ in records
         ]
 
 

@@ -1,9 +1,9 @@
-"""Lines that report a received power and nothing that a place can be worked out from.
+"""Lines that report a received power and nothing that a position can be derived from.
 
-Scans of Bluetooth and Wi-Fi, sniffers, LoRa gateways, detectors of pulses: what they print is how
-strong a signal was. The estimator measures by range and direction, and a power becomes neither
-without a model of the path, which rubble has none of. Such lines are refused by one reason, in
-whatever format they come, so that a radio of this kind is named and never silent.
+Scans of Bluetooth and Wi-Fi, sniffers, LoRa gateways, detectors of pulses: they print how strong a
+signal was. The estimator uses ranges and directions, and a power becomes neither without a path
+loss model, which rubble does not have. Such lines are refused for one reason, in whatever format
+they come, so that a radio of this kind is named and never silent.
 
 Forms seen: `iw dev ... scan`, `iwlist`, `tcpdump -e` (radiotap), `hcitool`, `bluetoothctl`,
 `btmon`, Zephyr's `observer`, ESP32 promiscuous sketches, receivers of RadioLib and

@@ -24,7 +24,7 @@ MOST_ANGLE_DEG = 90.0
 RECORD = "SESSION_INFO_NTF:"
 ANY_RECORD = "SESSION_"
 CONTINUED = (" ", "\t", "\r", "[")
-"""How a line begins that goes on with a record."""
+"""First characters of a line that continues a record."""
 MEASUREMENT = re.compile(r"\[mac_address=((?:[^\[\]]|\[\w*\])*)\]")
 """From one bracket to its other; names of values have units in brackets of their own."""
 ADDRESS = re.compile(r"0x[0-9a-fA-F]{1,16}")
@@ -53,7 +53,7 @@ class BlockResult(msgspec.Struct, frozen=True):
 
 
 class Block(msgspec.Struct, frozen=True):
-    """A block of ranging, on one line."""
+    """Block of ranging, on one line."""
 
     results: list[BlockResult]
 
@@ -63,7 +63,7 @@ BLOCKS = msgspec.json.Decoder(Block)
 
 
 class QorvoCliDecoder(FieldDecoder):
-    """SESSION_INFO_NTF records, over two or more lines each, and the JSON blocks before them."""
+    """Decoder of SESSION_INFO_NTF records, of two or more lines each, and of older JSON blocks."""
 
     longest_line = MOST_RECORD_BYTES
 
@@ -72,12 +72,12 @@ class QorvoCliDecoder(FieldDecoder):
         self._record = ""
 
     def reset(self) -> None:
-        """Forget the beginning of a record, too."""
+        """Forget a partial record, too."""
         super().reset()
         self._record = ""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """The measurements of a record that a line ends, or breaks off."""
+        """Return the measurements of a record that a line ends or breaks off."""
         if found := BLOCK.search(line):
             return self._block(line[found.start() :])
         readings: list[RadioReading] = []
@@ -113,11 +113,11 @@ class QorvoCliDecoder(FieldDecoder):
         return readings
 
     def _ended(self) -> list[RadioReading]:
-        """Every measurement that is whole."""
+        """Return the complete measurements of the record."""
         record, self._record = self._record[:MOST_RECORD_BYTES], ""
         self.counts.frames += 1
-        told = (self._reading_of(found[1]) for found in MEASUREMENT.finditer(record))
-        return [reading for reading in told if reading is not None]
+        readings = (self._reading_of(found[1]) for found in MEASUREMENT.finditer(record))
+        return [reading for reading in readings if reading is not None]
 
     def _reading_of(self, text: str) -> RadioReading | None:
         address, *pairs = text.split(",")
@@ -136,7 +136,10 @@ class QorvoCliDecoder(FieldDecoder):
         return self._measured(int(address, 16), values)
 
     def _measured(self, address: int, values: dict[str, str]) -> RadioReading | None:
-        """Where a value is absent it was not measured; where it is no number the rest is torn."""
+        """Return a measurement.
+
+        Absent values were not measured, and malformed ones mean a torn record.
+        """
         there = {key: number(values[key]) for key in TOLD if key in values}
         distance_cm, azimuth_deg, elevation_deg = map(there.get, TOLD)
         if None in there.values() or not there:
@@ -161,7 +164,7 @@ TOLD = ("distance[cm]", "loc_az", "loc_el")
 
 
 class Twr(msgspec.Struct, frozen=True):
-    """What a node measured of a tag; X, Y and Z are the tag's accelerometer."""
+    """A node's measurement of a tag; X, Y and Z are the tag's accelerometer."""
 
     name: Annotated[str, msgspec.Meta(pattern="^[0-9A-Fa-f]{1,16}$")] = msgspec.field(name="a16")
     range_cm: float = msgspec.field(name="D")
@@ -170,7 +173,7 @@ class Twr(msgspec.Struct, frozen=True):
 
 
 class JsFrame(msgspec.Struct, frozen=True):
-    """A frame; the other kinds (SN, NewTag) tell nothing of a place."""
+    """Frame with measurements; the other kinds (SN, NewTag) have none."""
 
     twr: Twr | None = msgspec.field(name="TWR", default=None)
 
@@ -183,10 +186,10 @@ FRAME = msgspec.json.Decoder(JsFrame)
 
 
 class PdoaJsDecoder(FieldDecoder):
-    """`JS`, the length of what follows in four hexadecimal digits, JSON."""
+    """Decoder of `JS`, the length of what follows in four hexadecimal digits, and JSON."""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """The measurements of all frames in a line: a torn one has no end of its own."""
+        """Return the measurements of all frames in a line: a torn one has no end of its own."""
         if found := SHORT_FORM.match(line.strip()):
             right_cm, ahead_cm = (_signed(int(text, 16)) for text in found.group(2, 3))
             range_cm = math.hypot(right_cm, ahead_cm)
@@ -197,7 +200,7 @@ class PdoaJsDecoder(FieldDecoder):
         return [reading for text in frames for reading in self._read(text)]
 
     def _read(self, text: str) -> list[RadioReading]:
-        """By its length; where that is wrong, up to the last brace."""
+        """Read a frame by its length; if that is wrong, up to the last brace."""
         digits, body = text[:LENGTH_DIGITS], text[LENGTH_DIGITS:]
         length = int(digits, 16) if " " not in digits else 0
         for end in (length, body.rfind("}") + 1):
@@ -216,7 +219,7 @@ class PdoaJsDecoder(FieldDecoder):
 
 
 def _placed(name: str, range_cm: float, right_cm: float, ahead_cm: float) -> RadioReading:
-    """Of a place on the node's plane; no place at all: no bearing."""
+    """Return the reading of a position on the node's plane; without a position, no bearing."""
     has_bearing = right_cm != 0.0 or ahead_cm != 0.0
     return RadioReading(
         emitter=name.upper(),

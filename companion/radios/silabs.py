@@ -15,10 +15,10 @@ from companion.radios.fields import FieldDecoder, number
 
 
 class SilabsAoaDecoder(FieldDecoder):
-    """Angles as Silicon Labs' locators publish them, in degrees, each JSON object over its lines.
+    """Decoder of angles as Silicon Labs' locators publish them: degrees, JSON over several lines.
 
     The tag is named by the topic before the object, as `mosquitto_sub -v` prints it. The distance
-    is a guess by power, and is not read.
+    is an estimate by power, and is not read.
     """
 
     _TAG = re.compile(r"/ble-[a-z]{1,4}-([0-9A-Fa-f]{12})")
@@ -30,12 +30,12 @@ class SilabsAoaDecoder(FieldDecoder):
         self._object = ""
 
     def reset(self) -> None:
-        """Forget the object that was begun as well."""
+        """Forget a partial object as well."""
         super().reset()
         self._tag, self._object = None, ""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """A line that begins, goes on with or ends an object."""
+        """Return the reading that a line completes; it begins, continues or ends an object."""
         before, brace, rest = line.partition("{")
         if brace:
             named = self._TAG.findall(before)  # the locator, and then the tag

@@ -1,7 +1,7 @@
-r"""Modules that print a line a measurement: Makerfabs UWB, TREK1000, u-blox AoA, SX1280.
+r"""Modules that print a line per measurement: Makerfabs UWB, TREK1000, u-blox AoA, SX1280.
 
-And any other one: `lines` is a regular expression with named groups, called by quantity and unit as
-`companion.radios.fields` has them: `(?P<emitter>\w+) at (?P<range_m>[\d.]+)`.
+Any other module can be read by `lines`, a regular expression with named groups, called by quantity
+and unit as in `companion.radios.fields`: `(?P<emitter>\w+) at (?P<range_m>[\d.]+)`.
 
 Sources: Makerfabs/MaUWB_DW3000-with-STM32-AT-Command (AT manual 1.0.8); Decawave TREK1000 user
 manual, report of ranges over USB; u-blox XPLR-AOA user guide UBX-21004616; jgromes/RadioLib
@@ -39,10 +39,10 @@ SX1280_M_PER_STEP_KHZ = 150.0 / 4.096
 
 
 class SlotOptions(Params, frozen=True):
-    """Which of the two is hidden."""
+    """Selects whether the tag or the anchor is the hidden emitter."""
 
     hidden: Literal["anchor", "tag"] = "anchor"
-    """What the emitter is: the vehicle carries the other one."""
+    """Role of the emitter; the vehicle carries the other one."""
     slot: Annotated[int, msgspec.Meta(ge=0, lt=SLOTS)] = 0
     """With `hidden: tag`, the slot or number of the anchor on the vehicle."""
 
@@ -72,7 +72,7 @@ class SlotDecoder(FieldDecoder):
 
 
 class MakerfabsAtDecoder(SlotDecoder):
-    """`AT+RANGE=` reports of Makerfabs' AT firmware."""
+    """Decoder of `AT+RANGE=` reports of Makerfabs' AT firmware."""
 
     _REPORT = re.compile(
         r"AT\+RANGE=tid:([0-9]{1,5}), *mask:([0-9A-Fa-f]{1,2}), *seq:([0-9]{1,3}), *(.*)"
@@ -80,11 +80,11 @@ class MakerfabsAtDecoder(SlotDecoder):
     _LIST = re.compile(r"(range|rssi|ancid):\(([^()]*)\)")
 
     def hello(self) -> bytes:
-        """Reports are off after a reset."""
+        """Switch reports on, which are off after a reset."""
         return b"AT+SETRPT=1\r\n"
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """One report: what each slot that answered says, in centimetres; 0 is no answer."""
+        """Return one reading per slot that answered, from centimetres; 0 is no answer."""
         found = self._REPORT.search(line)
         if not found:
             return self.passed_over(line)
@@ -108,7 +108,7 @@ class MakerfabsAtDecoder(SlotDecoder):
 
 
 class TrekDecoder(SlotDecoder):
-    """`mc` reports: four ranges in hexadecimal millimetres, and a mask of those that are valid.
+    """Decoder of `mc` reports: four ranges in hexadecimal millimetres and a validity mask.
 
     `mr` reports are the same before a correction, `ma` reports are between anchors.
     """
@@ -120,7 +120,7 @@ class TrekDecoder(SlotDecoder):
     _OTHERS = re.compile(r"m[ra] [0-9a-f]{2}(?: [0-9a-f]{8}){4} ")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """One report."""
+        """Return the readings of one report."""
         found = self._REPORT.search(line)
         if not found:
             return self.no_reading() if self._OTHERS.search(line) else self.passed_over(line)
@@ -134,7 +134,7 @@ class TrekDecoder(SlotDecoder):
 
 
 class UudfOptions(Params, frozen=True):
-    """What is told of a direction."""
+    """Quality options of a direction."""
 
     as_arcsines: bool = False
     """Both angles as a two-axis array says them, for `antenna.kind: two_axis`: a board that looks
@@ -142,7 +142,10 @@ class UudfOptions(Params, frozen=True):
 
 
 class UudfDecoder(FieldDecoder):
-    """`+UUDF` events of u-blox' direction finding: azimuth and elevation about the board."""
+    """Decoder of `+UUDF` events of u-blox' direction finding.
+
+    Azimuth and elevation about the board.
+    """
 
     Options = UudfOptions
     options: UudfOptions
@@ -150,7 +153,7 @@ class UudfDecoder(FieldDecoder):
     FEWEST_FIELDS, MOST_FIELDS = 9, 10
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """One event; the board's milliseconds start again where it says `+STARTUP`."""
+        """Return the reading of an event; the board's milliseconds restart at `+STARTUP`."""
         found = self._EVENT.search(line)
         if not found:
             return self.passed_over(line)
@@ -174,7 +177,7 @@ class UudfDecoder(FieldDecoder):
         )
 
     def _across_rad(self, azimuth_deg: float, elevation_deg: float) -> float:
-        """The azimuth, or the arcsine of the direction's component to the side."""
+        """Return the azimuth, or the arcsine of the direction's component to the side."""
         azimuth_rad = math.radians(azimuth_deg)
         if not self.options.as_arcsines:
             return azimuth_rad
@@ -182,7 +185,7 @@ class UudfDecoder(FieldDecoder):
 
 
 class Sx1280Options(Params, frozen=True):
-    """What the range is worked out from."""
+    """Selects how the range is computed."""
 
     bandwidth_khz: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
     """Of the ranging exchange, 406.25, 812.5 or 1625: then the register is read instead of the
@@ -190,7 +193,7 @@ class Sx1280Options(Params, frozen=True):
 
 
 class Sx1280Decoder(FieldDecoder):
-    """Semtech SX1280 ranging as RadioLib's and SX12XX-LoRa's examples print it."""
+    """Decoder of Semtech SX1280 ranging as RadioLib's and SX12XX-LoRa's examples print it."""
 
     Options = Sx1280Options
     _RADIOLIB = re.compile(
@@ -206,7 +209,7 @@ class Sx1280Decoder(FieldDecoder):
             raise ConfigError("sx1280: bandwidth_khz: there are 406.25, 812.5 and 1625")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """A line of either library."""
+        """Return the reading of a line of either library."""
         if found := self._RADIOLIB.search(line.rstrip()):
             return self.understood(RadioReading(range_m=number(found[1])))
         if found := self._FAILED.search(line):
@@ -236,25 +239,25 @@ class Sx1280Decoder(FieldDecoder):
 
 
 class LinesOptions(Params, frozen=True):
-    """How a line is read."""
+    """Options for reading a line."""
 
     pattern: Annotated[str, msgspec.Meta(max_length=1000)] = ""
     """A regular expression of Python's `re`, searched for in each line."""
     frame: Literal["device", "array", "nose", "north"] = "device"
-    """What the zero of the angles is."""
+    """Zero direction of the angles."""
     hello: Annotated[str, msgspec.Meta(max_length=200)] = ""
-    """What to send once the line is open; a line end is added."""
+    """Line sent once the line is open, without its line end."""
     request: Annotated[str, msgspec.Meta(max_length=200)] = ""
-    """What to ask every `poll_s`, of a module that only answers; a line end is added."""
+    """Query sent every `poll_s` to a module that only answers, without its line end."""
 
 
 class LinesDecoder(FieldDecoder):
-    """Lines that an expression of the user's own matches; all others are passed over."""
+    """Decoder of lines that a user's own expression matches; all others are skipped."""
 
     Options = LinesOptions
     options: LinesOptions
     longest_line = 1024
-    """An expression that goes back and forth takes its time over long ones."""
+    """Short, because an expression that backtracks is slow on long lines."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
@@ -263,15 +266,15 @@ class LinesDecoder(FieldDecoder):
         self._pattern = _compiled(self.options.pattern)
 
     def hello(self) -> bytes:
-        """As configured."""
+        """Return the configured greeting."""
         return _ended(self.options.hello)
 
     def request(self) -> bytes:
-        """As configured."""
+        """Return the configured query."""
         return _ended(self.options.request)
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """What the groups of the first match say; a group that took no part is not measured."""
+        """Return the reading of the first match; a group that took no part is not measured."""
         found = self._pattern.search(line)
         if found is None:
             return self.passed_over(line)

@@ -1,4 +1,4 @@
-"""The radios that print lines, a row each: what `companion radio list` says and how they are read.
+"""Radios that print lines, a row each: their text in `companion radio list` and their decoder.
 
 Sigmas are those of the makers' data sheets or of the sources that `docs/radios.md` names.
 """
@@ -30,7 +30,7 @@ RANGE, ANGLES = "range", "azimuth, elevation"
 AOA_TAG = "a Bluetooth tag that sends direction finding advertisements"
 ANY_TRANSMITTER = "nothing: any transmitter"
 MS32_S = 2**32 / 1000.0
-"""After how long a clock of 32 bits of milliseconds starts again."""
+"""Period of a 32-bit clock in milliseconds."""
 _AOA: Mapping[str, object] = {"bearing_sigma_deg": 5.0, "elevation_sigma_deg": 5.0}
 
 
@@ -146,7 +146,7 @@ RADIOS: Mapping[str, RadioKind] = {
             "azimuth",
             ANY_TRANSMITTER,
             needs_emitter=True,
-            # Below a magnitude of 100 of 999 is 99 % of what an open squelch prints.
+            # Of the output of an open squelch 99 % has a magnitude below 100 of 999.
             defaults={"bearing_sigma_deg": 10.0, "quality_min": 0.1},
         ),
         RadioKind(

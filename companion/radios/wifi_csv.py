@@ -1,7 +1,7 @@
 """Wi-Fi ranges in CSV: firmware of the ESP32, and apps of Android.
 
-There is no standard of either; only what Android's own class prints of itself has always one form.
-Sources: GTEC-UDC/esp32s2-ftm-tag; Android's `RangingResult`, its `toString`.
+Neither has a standard; only Android's own class always prints itself in one form. Sources:
+GTEC-UDC/esp32s2-ftm-tag; Android's `RangingResult`, its `toString`.
 """
 
 from __future__ import annotations
@@ -36,16 +36,19 @@ DATES = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 
 
 class FtmCsvOptions(Params, frozen=True):
-    """How the columns of an FTM firmware's CSV are called."""
+    """Names of the columns of an FTM firmware's CSV."""
 
     columns: tuple[Annotated[str, msgspec.Meta(max_length=40)], ...] = ()
-    """In order, `emitter`, `range_cm`, `rtt_ns` and so on, `_` for one that is not read; none:
-    the known ones are told apart by themselves."""
+    """In order, `emitter`, `range_cm`, `rtt_ns` and so on, `_` for one that is not read; empty:
+    the known ones are recognised."""
     delimiter: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] = ","
 
 
 class FtmCsvDecoder(FieldDecoder):
-    """CSV of ESP32 firmware: GTEC's columns, the known variants without a header, or given ones."""
+    """Decoder of CSV of ESP32 firmware.
+
+    GTEC's columns, known variants without a header, or given ones.
+    """
 
     Options = FtmCsvOptions
     longest_line = 16_384
@@ -67,12 +70,12 @@ class FtmCsvDecoder(FieldDecoder):
             raise ConfigError(f"ftm_csv: columns: {problem}")
 
     def reset(self) -> None:
-        """Another radio may print next."""
+        """Forget the header: another radio may print next."""
         super().reset()
         self._bars_unit = None
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """One row."""
+        """Return the reading of a row."""
         if self._names:
             return self._given(line)
         if found := self._WORDS.search(line):
@@ -102,7 +105,7 @@ class FtmCsvDecoder(FieldDecoder):
     def _bars(self, distance: str, rtt_ns: str) -> list[RadioReading]:
         """Read a distance in the stream's unit, the only one that agrees with the round trip.
 
-        While both units agree there is none yet.
+        While both units agree there is no reading yet.
         """
         value, rtt = number(distance), number(rtt_ns)
         if value is None or rtt is None:
@@ -122,7 +125,7 @@ class FtmCsvDecoder(FieldDecoder):
         return self.refused(reason or "distance and round trip time do not agree")
 
     def _gtec(self, line: str) -> list[RadioReading]:
-        """`anchorId,rtt_est,rtt_raw,dist[,own_dist],numFrames,` and six columns a frame."""
+        """Read `anchorId,rtt_est,rtt_raw,dist[,own_dist],numFrames,` and six columns a frame."""
         cells = columns(line.rstrip(" ,"))
         for head in (5, 6):
             count = whole(cells[head - 1], 64) if len(cells) >= head else None
@@ -136,7 +139,7 @@ class FtmCsvDecoder(FieldDecoder):
 
 
 class AndroidRttOptions(Params, frozen=True):
-    """What an app's CSV leaves open."""
+    """Properties that an app's CSV leaves open."""
 
     unit: Literal["mm", "cm", "m", "ns", "ps"] | None = None
     """Of distances and deviations whose columns have none in their names."""
@@ -149,9 +152,9 @@ class AndroidRttOptions(Params, frozen=True):
 
 
 class AndroidRttDecoder(FieldDecoder):
-    """CSV of a Wi-Fi RTT app, by its header; names as apps and Android's own API have them.
+    """Decoder of a Wi-Fi RTT app's CSV, by its header, named as in apps or Android's own API.
 
-    Or lines of a log that have results as Android prints them, which are always millimetres.
+    It also reads log lines with results as Android prints them, which are always millimetres.
     """
 
     Options = AndroidRttOptions
@@ -167,7 +170,7 @@ class AndroidRttDecoder(FieldDecoder):
             raise ConfigError("android_rtt: header: no column of it is a distance")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """The header, a row, or results of a log."""
+        """Read the header, a row, or results of a log."""
         line = line.lstrip("\ufeff")
         _, *results = self._RESULT.split(line)
         if results:
@@ -251,7 +254,10 @@ class AndroidRttDecoder(FieldDecoder):
         return readings
 
     def _time_unit(self, unit: str, text: str) -> str:
-        """Empty: neither given, nor a date of this century; then the time of arrival counts."""
+        """Return the unit of time; empty, if neither given nor a date of this century.
+
+        Arrival counts.
+        """
         if self.options.time_unit != "auto" or unit:
             return unit if self.options.time_unit == "auto" else self.options.time_unit
         digits = text.partition(".")[0]

@@ -2,7 +2,7 @@
 
 Sources: espressif/esp-idf `examples/wifi/ftm`, espressif/arduino-esp32
 `libraries/WiFi/examples/FTM`; greearb/iw-ct `measurements.c`, domienschepers/wifi-ftm. Ranges are
-as the radio says them: with the offset of the chip, which is metres.
+as the radio reports them: with the chip's offset, which is metres.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAC = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
 
 
 class Esp32FtmOptions(Params, frozen=True):
-    """Whether the console's own words name the emitter."""
+    """Selects whether the console's own words name the emitter."""
 
     emitter_from_log: bool = True
     """A result has no address; the session's lines before it have. False: all results are the
@@ -41,7 +41,7 @@ class Esp32FtmOptions(Params, frozen=True):
 
 
 class Esp32FtmDecoder(FieldDecoder):
-    """The console of ESP-IDF's and Arduino's FTM examples, with colours and boot text."""
+    """Decoder of the console of ESP-IDF's and Arduino's FTM examples, colours and boot text too."""
 
     Options = Esp32FtmOptions
     _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -68,7 +68,7 @@ class Esp32FtmDecoder(FieldDecoder):
         self._forget()
 
     def reset(self) -> None:
-        """Forget the session that was begun as well."""
+        """Forget a partial session as well."""
         super().reset()
         self._forget()
 
@@ -77,7 +77,7 @@ class Esp32FtmDecoder(FieldDecoder):
         self._quality: float | None = None
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """A line is a result, or something about the session that the next result is of."""
+        """Return the reading of a result; other lines describe the session of the next result."""
         line = self._COLOURS.sub("", line)
         if found := self._IDF.search(line):
             return self._result(found[2], float(found[1]) / 1000.0)
@@ -112,21 +112,21 @@ class Esp32FtmDecoder(FieldDecoder):
 
 
 def complain_of_unsigned(range_m: float | None) -> str | None:
-    """The chip has no negative distance: what it says there is zero, or near 2^32 cm."""
+    """Return the reason to refuse a range; negative ones are printed as zero, or near 2^32 cm."""
     if range_m is None or range_m > LONGEST_M:
         return "distance is out of bounds"
     return "distance 0: the radio cannot say less" if range_m == 0.0 else None
 
 
 class IwFtmOptions(Params, frozen=True):
-    """How much of `iw`'s spread is believed."""
+    """Selects how much of `iw`'s spread is used."""
 
     min_sigma_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.5
     """The variance is that inside one burst, not what the place adds."""
 
 
 class IwFtmDecoder(FieldDecoder):
-    """What `iw dev ... measurement ftm_request` prints, run after run; unknown keys pass."""
+    """Decoder of `iw dev ... measurement ftm_request`, run after run; unknown keys are skipped."""
 
     Options = IwFtmOptions
     _PEER = re.compile(
@@ -153,7 +153,7 @@ class IwFtmDecoder(FieldDecoder):
         self._forget()
 
     def reset(self) -> None:
-        """Forget the peer that was begun as well."""
+        """Forget a partial peer as well."""
         super().reset()
         self._forget()
 
@@ -162,7 +162,7 @@ class IwFtmDecoder(FieldDecoder):
         self._keys: dict[str, int] = {}
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """A peer's block ends where the next begins, or the run does."""
+        """Read a line; a peer's block ends where the next begins, or at the end of the run."""
         if found := self._PEER.match(line):
             readings = self._finish()
             status = int(found[2])

@@ -1,20 +1,21 @@
 """One bounded byte stream over a descriptor: TCP clients, serial ports, pseudo terminals.
 
 Theory of operation. `ByteStream` owns a non-blocking descriptor: it reads a bounded batch per
-wake-up, writes at once what the system takes, and keeps a little for later (`SendQueue`), so that
-a slow line costs telemetry and neither memory nor setpoints. The system would hide a second of a
-slow serial line in its own buffer; no more is written there than the line sends in a tenth of one.
-The links above only know how to obtain a descriptor; `ReopeningLink` does so again and again with a
-growing pause, which is short again once a connection has lasted. A serial port must be there at the
-start, or a wrong name would never be noticed.
+wake-up, writes at once what the system takes, and queues a little (`SendQueue`), so that a slow
+line costs telemetry but neither memory nor setpoints. The system would hide a second of a slow
+serial line in its own buffer; no more is written there than the line sends in 0.1 s. The links
+above only know how to obtain a descriptor; `ReopeningLink` does so repeatedly with a growing
+pause, which is short again once a connection has lasted. A serial port must exist at the start, or
+a wrong name would go unnoticed.
 
-A TCP peer may be gone without a word. What we send and it does not acknowledge ends the connection
-(TCP_USER_TIMEOUT; keep-alive probes only an idle one). One that acknowledges but brings no MAVLink
-frame, such as a stranger's browser or a router whose vehicle is gone, is closed after `SILENT_S`.
+A TCP peer may disappear without closing. If it stops acknowledging, the connection ends
+(TCP_USER_TIMEOUT; keep-alive probes test only an idle one). A peer that acknowledges but sends no
+MAVLink frame, such as a browser or a router whose vehicle is gone, is closed after `SILENT_S`.
 
-Of a pseudo terminal we hold the master side; a link in the file system leads to the slave side,
-which any program opens as a serial port. The master reports a hang-up while nobody has; that is
-looked at twenty times a second, and what we send is dropped until then: nobody hears stale bytes.
+Of a pseudo terminal this process holds the master side; a link in the file system leads to the
+slave side, which any program opens as a serial port. The master reports a hang-up while no program
+has it open; this is polled twenty times a second, and output is dropped until then, so that the
+next program never receives stale bytes.
 """
 
 from __future__ import annotations
@@ -72,14 +73,14 @@ KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
 
 
 class Handle(Protocol):
-    """Whatever owns a descriptor."""
+    """Owner of a descriptor."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the descriptor."""
 
 
 class ByteStream:
-    """A non-blocking descriptor on the running loop; its `handle` is kept open while it lives.
+    """Non-blocking descriptor on the running loop; its `handle` stays open with it.
 
     `received` takes the pieces read in one wake-up; `lost` is called once, when the other end or
     the device is gone and the stream closed. `bytes_per_s` is the speed of a serial line.
@@ -107,11 +108,11 @@ class ByteStream:
 
     @property
     def dropped(self) -> int:
-        """Chunks that were taken or offered, and never sent, because the line is too slow."""
+        """Number of chunks dropped because the line is too slow."""
         return self._queue.dropped
 
     def write(self, data: bytes, *, is_droppable: bool = False) -> bool:
-        """Send now or later; False if too much is waiting already and `data` was dropped."""
+        """Send now or later; return False if too much is waiting already and `data` was dropped."""
         if not self._is_open:
             return False
         was_empty = not self._queue
@@ -121,7 +122,7 @@ class ByteStream:
         return is_taken
 
     def close(self) -> None:
-        """Close without telling `lost`."""
+        """Close without calling `lost`."""
         if not self._is_open:
             return
         self._is_open = False
@@ -184,7 +185,7 @@ class ByteStream:
 
 
 class StreamLink(Link):
-    """A link over at most one byte stream at a time."""
+    """Link over at most one byte stream at a time."""
 
     def __init__(self, name: str, index: int, received: Received) -> None:
         super().__init__(name, index, received)
@@ -197,16 +198,16 @@ class StreamLink(Link):
 
     @property
     def is_open(self) -> bool:
-        """Whether it is connected or tries to be."""
+        """Return True if it is connected or trying to connect."""
         return not self._is_closed
 
     @property
     def is_connected(self) -> bool:
-        """Whether somebody is at the other end, as far as the system knows."""
+        """Return True if there is a peer at the other end, as far as the system knows."""
         return self._stream is not None
 
     def send(self, chunk: Chunk) -> None:
-        """Send to whoever is connected; dropped and counted if nobody is or the line is full."""
+        """Send to the connected peer; dropped and counted if there is none or the line is full."""
         stream = self._stream
         if stream is None:
             self.counters.dropped += 1
@@ -239,7 +240,7 @@ class StreamLink(Link):
         self._looking = asyncio.get_running_loop().call_later(LOOK_PERIOD_S, self._look_at_peer)
 
     def _look_at_peer(self) -> None:
-        """Close a connection without a MAVLink frame in `SILENT_S` looks."""
+        """Close a connection that brought no MAVLink frame in `SILENT_S`."""
         self._silent_looks += 1
         if self._silent_looks < SILENT_S or self._stream is None:
             self._look_again()
@@ -248,7 +249,7 @@ class StreamLink(Link):
         self._forget(f"no MAVLink for {SILENT_S} s")
 
     def _ask(self) -> None:
-        """Ask, and again in a period; a line that is full goes without."""
+        """Send the query now and again after its period; skipped while the line is full."""
         if self._stream is not None:
             self._stream.write(self.request, is_droppable=True)
         loop = asyncio.get_running_loop()
@@ -278,7 +279,7 @@ class StreamLink(Link):
 
 
 class ReopeningLink(StreamLink):
-    """A stream that is opened again, after 0.5 s at first and 5 s at most, whenever it is lost."""
+    """Link that reopens its stream whenever it is lost, after pauses growing from 0.5 s to 5 s."""
 
     def __init__(self, name: str, index: int, received: Received) -> None:
         super().__init__(name, index, received)
@@ -288,10 +289,10 @@ class ReopeningLink(StreamLink):
 
     @abstractmethod
     async def _connect(self) -> tuple[Handle, int]:
-        """A handle and its non-blocking descriptor; raises whatever opening one raises."""
+        """Return a handle and its non-blocking descriptor; raises the `OSError` of opening one."""
 
     async def open(self) -> None:
-        """Begin to connect; a peer that is not there yet is not an error."""
+        """Begin to connect; it is no error if the peer is not there yet."""
         self._start()
 
     def _start(self) -> None:
@@ -335,7 +336,7 @@ class ReopeningLink(StreamLink):
 
 
 class TcpClientLink(ReopeningLink):
-    """A TCP connection that we open."""
+    """TCP connection that this side opens."""
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(f"tcp {host}:{port}", index, received)
@@ -356,7 +357,7 @@ class TcpClientLink(ReopeningLink):
 
 
 class SerialLink(ReopeningLink):
-    """A serial port; reopened when its adapter is plugged in again."""
+    """Serial port; reopened when its adapter is plugged in again."""
 
     def __init__(self, device: str, baud: int, index: int, received: Received) -> None:
         super().__init__(f"serial {device}", index, received)
@@ -364,7 +365,7 @@ class SerialLink(ReopeningLink):
         self._bytes_per_s = baud / BITS_PER_BYTE
 
     async def open(self) -> None:
-        """Open the port; one that is missing at the start is waited for by a service alone."""
+        """Open the port; only a service waits for one that is missing at the start."""
         try:
             self._use_stream(*await self._connect())
         except (OSError, ValueError, termios.error) as error:
@@ -395,7 +396,7 @@ class SerialLink(ReopeningLink):
 
 
 def tune(stream: socket.socket) -> None:
-    """Small frames at once, and a silent death noticed."""
+    """Disable Nagle's algorithm, and detect peers that disappear without closing."""
     stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in (
@@ -418,7 +419,7 @@ LOOK_S = 0.05
 
 
 class PtyLink(StreamLink):
-    """A pseudo terminal under a given path, for one program at a time."""
+    """Pseudo terminal under a given path, for one program at a time."""
 
     def __init__(self, path: str, index: int, received: Received) -> None:
         super().__init__(f"pty {path}", index, received)
@@ -427,7 +428,7 @@ class PtyLink(StreamLink):
         self._look: asyncio.TimerHandle | None = None
 
     async def open(self) -> None:
-        """Make the terminal and its name, which may be taken, or in a folder that is none."""
+        """Make the terminal and its name; raises a `LinkError` if the name cannot be made."""
         try:
             master, slave = os.openpty()
         except OSError as error:
@@ -465,7 +466,7 @@ class PtyLink(StreamLink):
         return f"cannot be made ({error.strerror or error})"
 
     def _wait(self) -> None:
-        """Look whether somebody has opened the slave side, and again in a moment if not."""
+        """Check whether a program has opened the slave side, and check again in a moment if not."""
         self._look = None
         if self._master is None or self._is_closed:
             return
@@ -475,7 +476,7 @@ class PtyLink(StreamLink):
         if is_hung_up:
             self._look = asyncio.get_running_loop().call_later(LOOK_S, self._wait)
         else:
-            # the master outlives its streams: the next to open the port comes by the same one
+            # the master outlives its streams: the next program to open the port uses the same one
             self._use_stream(ExitStack(), self._master)
 
     def _forget(self, reason: str) -> None:

@@ -1,11 +1,11 @@
-"""What every link can do, whatever it runs over, and the queue in front of a slow one.
+"""The interface of every link, and the queue in front of a slow one.
 
 Theory of operation of `SendQueue`: bounded, newest first to survive, whole frames only. On a line
-that cannot take all of it, what is late is worthless: a setpoint of a second ago is worse than
-none. So the queue is short. What can be spared (texts, questions for streams) is let in only while
-little waits; anything else always finds room, at the expense first of what can be spared and then
-of the oldest. A frame that is written in part is finished, because the other side would lose the
-next one with it.
+that cannot carry everything, late data is worthless: a setpoint of a second ago is worse than
+none. So the queue is short. Droppable chunks (texts, stream requests) are queued only while little
+waits; everything else always finds room, first at the expense of droppable chunks and then of the
+oldest. A frame that is partly written is finished, because the receiver would lose the next one
+with it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_READS = 64
 
 @dataclass(slots=True)
 class LinkCounters:
-    """What a link did since it was opened."""
+    """Counters of a link since it was opened."""
 
     received: int = 0
     """Datagrams, or pieces of a stream."""
@@ -43,21 +43,21 @@ class LinkCounters:
     last_error: str = ""
     receive_errors: int = 0
     dropped: int = 0
-    """Chunks not sent because nobody was connected or too much was waiting."""
+    """Chunks not sent because no peer was connected or too much was waiting."""
     reconnects: int = 0
 
 
 class Link(ABC):
-    """One open (or re-opening) connection; its name is for messages: `udp 127.0.0.1:14550`."""
+    """One open (or reopening) connection; its name is for messages: `udp 127.0.0.1:14550`."""
 
     def __init__(self, name: str, index: int, received: Received) -> None:
         self.name = name
         self.index = index
         self.counters = LinkCounters()
         self.greeting = b""
-        """Sent to whoever is connected, each time, before anything else."""
+        """Sent first on every new connection."""
         self.request, self.request_period_s = b"", 1.0
-        """Sent as often over a byte stream, to a radio that only answers."""
+        """Query, and its period, over a byte stream to a radio that only answers."""
         self.tells_loss = False
         """Whether an empty piece of a stream says that its other end is gone."""
         self.expects_mavlink = False
@@ -68,28 +68,37 @@ class Link(ABC):
 
     @abstractmethod
     async def open(self) -> None:
-        """Start listening or connecting; a `LinkError` if it can never work as configured."""
+        """Start listening or connecting.
+
+        Raises a `LinkError` if this configuration can never work.
+        """
 
     @property
     def is_open(self) -> bool:
-        """Whether it listens, is connected, or tries to be; not whether anybody is there."""
+        """Return True while it listens, is connected, or retries; a peer need not be there."""
         return True
 
     def send(self, chunk: Chunk) -> None:
-        """Send now or count why not; never raises and never waits. Here nobody hears it."""
+        """Send now or count the failure; never raises and never waits.
+
+        This base class only counts.
+        """
         del chunk
         self.counters.dropped += 1
 
     def hear_only(self, peer: Address | None) -> None:
-        """Let the system drop what others than `peer` send, if it can; None: hear everybody."""
-        del peer  # only UDP hears unknown peers
+        """Let the kernel drop datagrams of other peers than `peer`, if it can.
+
+        None lifts the filter.
+        """
+        del peer  # only UDP receives from unknown peers
 
     @abstractmethod
     def close(self) -> None:
         """Release everything; a second call does nothing."""
 
     def _note_back(self) -> None:
-        """What was lost, if anything was, is there again."""
+        """Note that a lost connection is back."""
         if self._is_lost:
             self._is_lost = False
             self.counters.reconnects += 1
@@ -97,7 +106,7 @@ class Link(ABC):
 
 
 def bound_address(bound: socket.socket | None) -> Address:
-    """Host and port that an open socket has; `("", 0)` without one."""
+    """Return host and port of an open socket; `("", 0)` without one."""
     if bound is None:
         return ("", 0)
     host, port = bound.getsockname()[:2]
@@ -105,7 +114,7 @@ def bound_address(bound: socket.socket | None) -> Address:
 
 
 def bind_problem(kind: str, host: str, port: int, error: OSError) -> str:
-    """One line for a port that cannot be bound: what is wrong and what to do."""
+    """Return one line about a port that cannot be bound: what is wrong and what to do."""
     where = f"{kind} {host}:{port}"
     if error.errno == errno.EADDRINUSE:
         hint = " (QGroundControl listens there too)" if port == 14550 else ""
@@ -122,7 +131,7 @@ SPARE_SHARE = 0.25
 
 
 class SendQueue:
-    """Chunks in the order of their sending."""
+    """Queue of chunks in the order of sending."""
 
     def __init__(self, limit_bytes: int) -> None:
         self.dropped = 0
@@ -133,11 +142,11 @@ class SendQueue:
         self._written = 0
 
     def __len__(self) -> int:
-        """Bytes that wait."""
+        """Return the number of waiting bytes."""
         return self._bytes - self._written
 
     def add(self, data: bytes, *, is_droppable: bool = False) -> bool:
-        """Queue a chunk; whether it was taken."""
+        """Queue a chunk; return True if it was accepted."""
         if is_droppable and len(self) > SPARE_SHARE * self._limit:
             self.dropped += 1
             return False
@@ -150,11 +159,11 @@ class SendQueue:
         return True
 
     def head(self) -> bytes:
-        """What to write next: the rest of the first chunk, and all that is behind it."""
+        """Return what to write next: the rest of the first chunk, and all that is behind it."""
         return b"".join(data for data, _ in self._waiting)[self._written :]
 
     def consume(self, count: int) -> None:
-        """So many bytes of `head` are written."""
+        """Remove so many written bytes of `head`."""
         self._written += count
         while self._waiting and self._written >= len(self._waiting[0][0]):
             data, _ = self._waiting.popleft()
@@ -162,7 +171,7 @@ class SendQueue:
             self._bytes -= len(data)
 
     def _drop_one(self) -> bool:
-        """Give up the oldest chunk that can be spared, or the oldest; whether there was one."""
+        """Drop the oldest droppable chunk, or else the oldest; return False if there was none."""
         begun = 1 if self._written else 0
         places = range(begun, len(self._waiting))
         spared = (place for place in places if self._waiting[place][1])

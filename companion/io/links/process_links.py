@@ -1,11 +1,11 @@
 """Standard input, and the output of a program that is run, as links.
 
-Theory of operation of a program. The shell runs it in a session of its own. Beside it sits a second
-shell that reads a pipe of ours and ends the whole session when that closes: in order when the link
-does, and just as well when this process is killed. Its standard error is read, too; the last line
-of it says why it ended. One that ends is run again, sooner at first and later if it ends at once,
-whatever it printed; one that is asked periodically is meant to end. It counts as there again once
-it has talked for a second, or has ended as it is meant to.
+Theory of operation of a program. The shell runs it in a session of its own. A second shell beside
+it reads a pipe from this process and ends the whole session when the pipe closes, which happens
+when the link closes and also when this process is killed. The last line of its standard error says
+why it ended. A program that ends is run again, later if it ended at once, whatever it printed; one
+that is run periodically is meant to end. It counts as recovered once it has produced output for a
+second, or has ended as it is meant to.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ STEADY_S = 1.0
 
 
 class ExecLink(Link):
-    """A program's standard output; with `period_s` it is run as often, and ends each time."""
+    """Standard output of a program; with `period_s` it is run periodically, and ends each time."""
 
     def __init__(
         self, command: str, period_s: float | None, index: int, received: Received
@@ -58,11 +58,11 @@ class ExecLink(Link):
 
     @property
     def is_open(self) -> bool:
-        """Whether it runs, or is to be run again."""
+        """Return True while it runs or is to be run again."""
         return not self._is_closed
 
     async def open(self) -> None:
-        """Run it; a program that is not there is a `LinkError`, as far as that can be seen."""
+        """Run the program; raises a `LinkError` if it is missing, as far as that can be seen."""
         if not _SHELL_WORDS & set(self._command):
             program = next(iter(shlex.split(self._command)), "")
             if shutil.which(program) is None:
@@ -70,7 +70,7 @@ class ExecLink(Link):
         self._start()
 
     def close(self) -> None:
-        """End it, and run it no more."""
+        """End the program and do not run it again."""
         self._is_closed = True
         if self._timer is not None:
             self._timer.cancel()
@@ -122,7 +122,7 @@ class ExecLink(Link):
             self._complaint = "".join(c for c in said[-1] if c.isprintable())[:200]
 
     def _look_for_end(self, reason: str) -> None:
-        """Its output has ended; a moment later its exit code is known."""
+        """Handle the end of its output; a moment later its exit code is known."""
         del reason
         if not self._is_closed:
             self._timer = asyncio.get_running_loop().call_later(EXIT_LOOK_S, self._end)
@@ -147,7 +147,7 @@ class ExecLink(Link):
         self._timer = asyncio.get_running_loop().call_later(pause_s, self._start)
 
     def _release(self) -> None:
-        """Let go of the pipes, on which the keeper ends what is left of the session."""
+        """Close the pipes, on which the keeper ends what is left of the session."""
         for stream in self._streams:
             stream.close()
         self._streams = []
@@ -157,7 +157,7 @@ class ExecLink(Link):
 
 
 class StdinLink(StreamLink):
-    """Standard input: a pipe or a terminal; its end is the end."""
+    """Standard input, a pipe or a terminal; the link ends with it."""
 
     def __init__(self, index: int, received: Received) -> None:
         super().__init__("stdin", index, received)

@@ -1,6 +1,6 @@
-"""Where a radio is: an address as of any link, a page to poll, a program, a file, standard input.
+"""Links of radios: an address as of any link, a page to poll, a program, a file, standard input.
 
-The radio's kind fills in what an address leaves out: the speed of a serial port, the scheme and
+The kind of radio fills in what an address leaves out: the speed of a serial port, the scheme and
 port of a host, the path of a page.
 """
 
@@ -35,16 +35,16 @@ Make = Callable[[int, Received], Link]
 
 
 def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> FlightLink:
-    """The link of a radio that is at `url`; a `ConfigError` shows a right one.
+    """Return the link of a radio at `url`; a `ConfigError` shows a correct address.
 
-    With `is_probed` a module that needs to know whom to ask is asked for its own name instead.
+    With `is_probed` a module that must be addressed by name is asked for its own name instead.
     """
     address, make, listens_at = _line(setup, url.strip())
     decoder, poll = setup.kind.decoder(setup.options), setup.kind.poll or DEFAULT_POLL
     greeting, request = decoder.hello(), decoder.request() or poll.request
     request = request or (poll.probe if is_probed else b"")
     if address.startswith("stdin:"):
-        greeting = request = b""  # nothing can be written there
+        greeting = request = b""  # files and pages cannot be written to
     is_asked = request or address.partition(":")[0].lower() in ("http", "https", "exec")
     if setup.settings.poll_s is not None and not is_asked:
         asks = "`lines` has the option `request` for what to ask"
@@ -53,7 +53,7 @@ def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> Fligh
         raise ConfigError(f"radio {setup.kind.name}: poll_s: nothing is asked at {url}; {asks}")
 
     def greeted(index: int, received: Received) -> Link:
-        """The link, which makes the radio talk and says when it is gone."""
+        """Return the link, which sends the radio's greeting and reports when the radio is gone."""
         link = make(index, received)
         link.greeting, link.tells_loss = greeting, True
         link.request, link.request_period_s = request, setup.settings.poll_s or poll.period_s
@@ -90,7 +90,7 @@ def _line(setup: RadioSetup, url: str) -> tuple[str, Make, UdpBind | TcpServer |
 
 
 def _transport(setup: RadioSetup, url: str) -> Transport:
-    """What an ordinary address means, with what the kind's own transport adds to it."""
+    """Return the transport of an ordinary address, with the defaults of the radio's kind."""
     usual, _, detail = setup.kind.transport.partition(":")
     detail = detail.partition("/")[0]
     baud = int(detail) if usual == "serial" and detail.isdigit() else DEFAULT_BAUD
@@ -123,7 +123,7 @@ def _socket(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
 
 
 def _parts(url: str, what: str) -> urllib.parse.SplitResult:
-    """Return the parts of an address with a host; a `ConfigError` shows a right one."""
+    """Return the parts of an address with a host; a `ConfigError` shows a correct one."""
     parts = urllib.parse.urlsplit(url)
     try:
         is_right = bool(parts.hostname) and parts.username is None and parts.port != 0
@@ -145,7 +145,7 @@ def _page(setup: RadioSetup, url: str) -> tuple[str, Make, None]:
 
 
 def _file(setup: RadioSetup, url: str, rest: str) -> tuple[str, Make, None]:
-    """`file:PATH` follows, `file:PATH?play[=SPEED]` plays back."""
+    """Return the link of `file:PATH`, a followed file, or `file:PATH?play[=SPEED]`, a playback."""
     name, _, query = rest.removeprefix("//").partition("?")
     path, (key, _, value) = Path(name), query.partition("=")
     if not name or key not in ("", "play"):

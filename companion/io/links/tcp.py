@@ -1,7 +1,7 @@
 """Listening TCP ports: one for a single client, one for several.
 
-A client is a peer by its address and port; each is a byte stream of its own, so an endpoint keeps
-their unfinished frames apart by the peer that a chunk names.
+A client is a peer by its address and port; each is a byte stream of its own, so that an endpoint
+keeps the unfinished frames of different clients apart.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ BACKLOG = 4
 
 
 class TcpListener(Link):
-    """A listening TCP port; what becomes of a client is for the kinds below."""
+    """Listening TCP port; subclasses decide what happens to a client."""
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(f"tcpin {host}:{port}", index, received)
@@ -30,7 +30,7 @@ class TcpListener(Link):
 
     @property
     def local_address(self) -> Address:
-        """Host and port that the open socket has; `("", 0)` while closed."""
+        """Host and port of the open socket; `("", 0)` while closed."""
         return bound_address(self._listener)
 
     async def open(self) -> None:
@@ -51,18 +51,18 @@ class TcpListener(Link):
 
     @abstractmethod
     def _objection(self) -> str | None:
-        """Why one more client must be turned away; None: it is welcome."""
+        """Return the reason why another client must be refused; None if it is accepted."""
 
     @abstractmethod
     def _welcome(self, client: socket.socket, peer: Address) -> None:
-        """Take a client in."""
+        """Accept a client."""
 
     def _accept(self) -> None:
         if self._listener is None:
             return
         try:
             client, (host, port) = self._listener.accept()
-        except OSError:  # it went away again, or we are out of descriptors
+        except OSError:  # the client left again, or no descriptors are left
             self.counters.receive_errors += 1
             return
         objection = self._objection()
@@ -82,7 +82,7 @@ class TcpListener(Link):
 
 
 class TcpServerLink(TcpListener, StreamLink):
-    """A listening TCP port that serves one client at a time; others are turned away."""
+    """Listening TCP port that serves one client at a time; others are refused."""
 
     def _objection(self) -> str | None:
         return None if self._stream is None else "one client at a time"
@@ -98,9 +98,9 @@ class TcpServerLink(TcpListener, StreamLink):
 
 
 class TcpFanOutLink(TcpListener):
-    """A TCP port for 16 clients; a chunk without a peer goes to all.
+    """TCP port for 16 clients; a chunk without a peer goes to all.
 
-    When all places are taken, a new client gets that of the oldest one that never sent MAVLink.
+    When all places are taken, a new client replaces the oldest one that never sent MAVLink.
     """
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
@@ -111,7 +111,7 @@ class TcpFanOutLink(TcpListener):
 
     @property
     def clients(self) -> tuple[Address, ...]:
-        """Who is connected, in the order of their coming."""
+        """Connected clients, in the order of their connection."""
         return tuple(self._clients)
 
     def send(self, chunk: Chunk) -> None:

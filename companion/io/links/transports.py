@@ -1,9 +1,9 @@
-"""Where a link leads, as MAVLink tools write it, and which links may be opened without a key.
+"""Addresses of links as MAVLink tools write them, and the rule which of them need a signing key.
 
 `udp:HOST:PORT` and `udpin:` both bind and listen, as in pymavlink; MAVSDK's old `udp://HOST:PORT`
 sends instead, and is read here as the same thing as `udp:HOST:PORT`. `udpout:` sends first.
-`make_link` turns a transport into the thing that sends and receives. Links that others on the
-network can reach are opened only to those who have a key.
+`make_link` turns a transport into a link that sends and receives. Links that others on the network
+can reach are opened only with a signing key.
 """
 
 from __future__ import annotations
@@ -32,40 +32,40 @@ class _AtPort:
     port: int
 
     def __str__(self) -> str:
-        """The canonical spelling, which parses to the same address."""
+        """Return the canonical spelling, which parses to the same address."""
         return f"{_SCHEME[type(self)]}:{self.host}:{self.port}"
 
 
 class UdpBind(_AtPort):
-    """Bind and wait; a chunk goes to the peer it names, and nowhere without one."""
+    """UDP port that binds and waits; a chunk goes to the peer it names, and nowhere without one."""
 
 
 @dataclass(frozen=True, slots=True)
 class UdpFanOut(_AtPort):
-    """Bind; a chunk without a peer goes to all `remotes` and the last 16 senders heard."""
+    """UDP port; a chunk without a peer goes to all `remotes` and the last 16 senders heard."""
 
     remotes: tuple[Address, ...] = ()
 
 
 class UdpConnect(_AtPort):
-    """Send first, from a free port, to one remote and hear only that one."""
+    """UDP socket on a free port that sends first, to one remote, and receives only from it."""
 
 
 class TcpClient(_AtPort):
-    """Connect, and again after a loss."""
+    """TCP client that reconnects after a loss."""
 
 
 class TcpServer(_AtPort):
-    """Listen, and serve one client at a time."""
+    """TCP server for one client at a time."""
 
 
 class TcpFanOut(_AtPort):
-    """Listen, and serve several clients; a chunk without a peer goes to all of them."""
+    """TCP server for several clients; a chunk without a peer goes to all of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pty:
-    """A pseudo terminal that others open as a serial port under `path`."""
+    """Pseudo terminal that others open as a serial port under `path`."""
 
     path: str
 
@@ -75,7 +75,7 @@ class Pty:
 
 @dataclass(frozen=True, slots=True)
 class SerialPort:
-    """A serial device, opened again after it was unplugged."""
+    """Serial device, reopened after it was unplugged."""
 
     device: str
     baud: int = DEFAULT_BAUD
@@ -86,7 +86,7 @@ class SerialPort:
 
 @dataclass(frozen=True, slots=True)
 class OwnLine:
-    """A way of its own, which makes its link itself: what only radios have."""
+    """Transport that makes its link itself; only radios have such."""
 
     address: str
     make: Callable[[int, Received], Link]
@@ -109,7 +109,7 @@ Transport = (
     | OwnLine
 )
 Line = Pty | SerialPort
-"""Links that nobody else can hear."""
+"""Links that no other computer can receive."""
 Listening = UdpBind | UdpFanOut | TcpServer | TcpFanOut
 
 _PORTS: dict[str, type[UdpBind | UdpConnect | TcpClient | TcpServer]] = {
@@ -135,7 +135,7 @@ _EXAMPLES = {
 
 
 def parse_transport(text: str, default_baud: int = DEFAULT_BAUD) -> Transport:
-    """The transport that an address in `text` means; a `ConfigError` shows a right one.
+    """Return the transport of the address `text`; a `ConfigError` shows a correct one.
 
     That is `udp:`, `udpin:`, `udpout:`, `tcp:`, `tcpout:` or `tcpin:` with `HOST:PORT`,
     `serial:DEVICE[:BAUD]`, `pty:PATH` or a bare `/dev/...`; `kind://` is read as `kind:`.
@@ -160,7 +160,7 @@ def parse_transport(text: str, default_baud: int = DEFAULT_BAUD) -> Transport:
 
 
 def udp_address(option: str, text: str) -> Address:
-    """The address in the `HOST:PORT` of an option; a `ConfigError` shows a right one."""
+    """Return the address in an option's `HOST:PORT`; a `ConfigError` shows a correct one."""
     try:
         peer = parse_transport(f"udpout:{text}")
     except ConfigError:
@@ -211,7 +211,7 @@ def _wrong(text: str, scheme: str, problem: str) -> ConfigError:
 
 
 def shared(transport: Transport) -> Transport:
-    """The same for a server of everybody who comes."""
+    """Return the transport with a bound UDP port or TCP server opened to several clients."""
     match transport:
         case UdpBind():
             return UdpFanOut(transport.host, transport.port)
@@ -230,7 +230,7 @@ _LINKS: dict[type[_AtPort], Callable[[str, int, int, Received], Link]] = {
 
 
 def make_link(transport: Transport, index: int, received: Received) -> Link:
-    """The link of a transport, not yet open."""
+    """Return the link of a transport, not yet open."""
     match transport:
         case UdpFanOut(host, port, remotes):
             return UdpFanOutLink(host, port, remotes, index, received)
@@ -245,21 +245,21 @@ def make_link(transport: Transport, index: int, received: Received) -> Link:
 
 @dataclass(frozen=True, slots=True)
 class FlightLink:
-    """One link of a flight: where it leads and what it is for."""
+    """One link of a flight: its transport and its role."""
 
     transport: Transport
     spec: LinkSpec
 
 
 def parse_flight_link(text: str, role: LinkRole) -> FlightLink:
-    """A MAVLink link as an option gives its address."""
+    """Return the MAVLink link of an option's address."""
     transport = parse_transport(text)
     is_shared = role is LinkRole.GCS
     return FlightLink(shared(transport) if is_shared else transport, LinkSpec(role))
 
 
 def is_exposed(transport: Transport) -> bool:
-    """Whether it listens where other machines may send to."""
+    """Return True if it listens where other machines may send to."""
     if isinstance(transport, OwnLine):
         return transport.listens_at is not None and is_exposed(transport.listens_at)
     if not isinstance(transport, Listening) or transport.host.lower() == "localhost":
@@ -267,7 +267,7 @@ def is_exposed(transport: Transport) -> bool:
     try:
         return not ipaddress.IPv4Address(transport.host).is_loopback
     except ValueError:
-        return True  # a name, of who knows which interface
+        return True  # a host name may resolve to any interface
 
 
 def check_exposure(
@@ -277,10 +277,10 @@ def check_exposure(
     unsigned_ranging: bool = False,
     remedy: str = "give --signing-key FILE, or insist with --insecure",
 ) -> None:
-    """Refuse, by a `ConfigError`, to listen beyond this machine without proof of who speaks.
+    """Refuse, by a `ConfigError`, to listen beyond this machine without authenticated senders.
 
-    MAVLink without signing obeys whoever sends to the port (CVE-2026-1579 is PX4's name for it).
-    With `unsigned_ranging` a ranging link proves nothing, and every other one does.
+    MAVLink without signing obeys any sender that reaches the port (CVE-2026-1579 is PX4's name for
+    it). With `unsigned_ranging` a ranging link authenticates nothing, and every other one does.
     """
     for link in links:
         may_be_unsigned = unsigned_ranging and link.spec.role is LinkRole.RANGING

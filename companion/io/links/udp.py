@@ -5,12 +5,12 @@ per loop; here a refusal is counted at once and a wake-up reads a bounded batch.
 without SO_REUSEADDR and SO_REUSEPORT: with them a second listener on a port starts without an
 error and one of the two silently gets nothing.
 
-A socket can outlive the interface or the address that it was opened on, and then refuses for ever.
-It is closed and opened again, ever more slowly until it works.
+A socket can outlive the interface or the address that it was opened on, and then fails for ever.
+It is closed and reopened, with growing pauses, until it works.
 
-In a flood of unknown peers the socket's buffer overflows between two looks at it, and the
-autopilot's frames are lost with the rest. So on Linux a classic BPF program on the socket, which
-needs no privilege, drops by source address and port as packets arrive.
+In a flood of unknown peers the socket's buffer overflows between two reads, and the autopilot's
+frames are lost with the rest. So on Linux a classic BPF program on the socket, which needs no
+privilege, drops datagrams by source address and port as they arrive.
 
 Source: Linux kernel documentation, "Linux Socket Filtering".
 """
@@ -40,7 +40,7 @@ _WHOLE, _NOTHING = 0xFFFFFFFF, 0
 
 
 def attach_source_filter(sock: socket.socket, peer: Address) -> bool:
-    """Drop every datagram that is not from `peer`; whether the system can do that."""
+    """Drop every datagram that is not from `peer`; return False if the system cannot."""
     address = int.from_bytes(socket.inet_aton(peer[0]), "big")
     steps = (
         (_LOAD_HALF, 0, 0, _SOURCE_PORT),
@@ -60,7 +60,7 @@ def attach_source_filter(sock: socket.socket, peer: Address) -> bool:
 
 
 def detach_source_filter(sock: socket.socket) -> None:
-    """Take the filter away."""
+    """Remove the filter."""
     try:
         sock.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
     except OSError:
@@ -88,7 +88,7 @@ MAX_PEERS = 16
 
 
 class UdpLink(Link):
-    """A bound socket that answers the peers its chunks name."""
+    """Bound socket that answers the peers its chunks name."""
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(f"udp {host}:{port}", index, received)
@@ -102,12 +102,12 @@ class UdpLink(Link):
 
     @property
     def local_address(self) -> Address:
-        """Host and port that the open socket has; `("", 0)` while closed."""
+        """Host and port of the open socket; `("", 0)` while closed."""
         return bound_address(self._socket)
 
     @property
     def is_open(self) -> bool:
-        """Whether the socket is there, or is being opened again."""
+        """Return True while the socket is open or being reopened."""
         return self._socket is not None or self._reopening is not None
 
     async def open(self) -> None:
@@ -122,7 +122,7 @@ class UdpLink(Link):
         return bind_problem("udp", self._host, self._port, error)
 
     def _start(self) -> None:
-        """Open the socket; an `OSError` if it cannot be attached to its address."""
+        """Open the socket; raises an `OSError` if it cannot be bound to its address."""
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         opened.setblocking(False)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)  # as far as allowed
@@ -139,7 +139,7 @@ class UdpLink(Link):
         self._address = bound_address(opened)  # the same port when it is opened again
 
     def _handle_refusal(self, error: OSError) -> None:
-        """The system refused; a socket whose network is gone is opened again after a while."""
+        """Count a refused send; a socket whose network is gone is reopened after a pause."""
         if error.errno in GONE and self._reopening is None:
             self._reopen_later()
 
@@ -173,7 +173,7 @@ class UdpLink(Link):
                 data, peer = self._socket.recvfrom(MAX_DATAGRAM)
             except (BlockingIOError, InterruptedError):
                 break
-            except OSError as error:  # ECONNREFUSED: an earlier datagram found nobody there
+            except OSError as error:  # ECONNREFUSED: no socket received an earlier datagram
                 self.counters.receive_errors += 1
                 self._handle_refusal(error)
                 continue
@@ -187,7 +187,10 @@ class UdpLink(Link):
         """Take note of a sender."""
 
     def hear_only(self, peer: Address | None) -> None:
-        """Let the kernel drop what others send; a change only, for it is asked often."""
+        """Let the kernel drop datagrams of other peers.
+
+        Acts on changes only, as it is called often.
+        """
         if peer == self._sole_peer or self._socket is None:
             return
         self._sole_peer = peer
@@ -221,7 +224,7 @@ class UdpLink(Link):
             self._reopen_s = FIRST_REOPEN_S
 
     def close(self) -> None:
-        """Close the socket, for good."""
+        """Close the socket for good."""
         if self._reopening is not None:
             self._reopening.cancel()
             self._reopening = None
@@ -230,7 +233,7 @@ class UdpLink(Link):
 
 
 class UdpFanOutLink(UdpLink):
-    """A bound socket; without a peer it sends to fixed remotes and to the last 16 senders."""
+    """Bound socket; a chunk without a peer goes to fixed remotes and to the last 16 senders."""
 
     def __init__(
         self, host: str, port: int, remotes: Sequence[Address], index: int, received: Received
@@ -264,7 +267,7 @@ class UdpFanOutLink(UdpLink):
 
 
 class UdpConnectLink(UdpLink):
-    """A connected socket on a free port that sends first; the system drops what others send."""
+    """Connected socket on a free port that sends first; the system drops other senders."""
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(host, port, index, received)
@@ -277,18 +280,18 @@ class UdpConnectLink(UdpLink):
         opened.connect(self._address)
 
     async def open(self) -> None:
-        """Connect, and greet."""
+        """Connect, and send a first datagram."""
         await super().open()
         if self.greeting:
             self._send_to(self.greeting, None)
 
     def send(self, chunk: Chunk) -> None:
-        """Send to the remote, whatever peer the chunk names: there is only one."""
+        """Send to the remote, the only peer, whichever the chunk names."""
         self._send_to(chunk.data, None)
 
 
 async def resolve(name: str, host: str, port: int) -> Address:
-    """The IPv4 address of a host; a `LinkError`, which begins with `name`, if it is unknown.
+    """Return the IPv4 address of a host; a `LinkError` beginning with `name` if it is unknown.
 
     Names are looked up in a daemon thread and not in the loop's executor: the loop waits for its
     executor when it ends, and a slow name server must not hold up an exit.
@@ -301,7 +304,7 @@ async def resolve(name: str, host: str, port: int) -> Address:
     answer: asyncio.Future[str | None] = loop.create_future()
 
     def settle(address: str | None) -> None:
-        """Give the answer, unless nobody waits any more."""
+        """Set the result, unless the caller has stopped waiting."""
         if not answer.done():
             answer.set_result(address)
 

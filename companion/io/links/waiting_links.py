@@ -1,9 +1,9 @@
-"""Links whose reading waits, each in a thread of its own: web pages that are polled, and files.
+"""Links with blocking reads, each in a thread of its own: polled web pages, and files.
 
-Theory of operation. A server that hangs and a disk that sleeps hold up a thread, never the loop.
-What a thread has read it hands over in pieces and waits until they are taken, so that nothing grows
-when the loop is late. Losses and returns are said once each. An empty piece tells the endpoint that
-what was begun will not be finished.
+Theory of operation. A server that hangs and a disk that sleeps block a thread, never the loop. The
+thread hands over what it has read in pieces and waits until they are taken, so that nothing grows
+when the loop is late. A loss and a return are each reported once. An empty piece means that an
+unfinished message will not be completed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LINES_PER_S = 10.0
 
 
 class WaitingLink(Link):
-    """A link that a daemon thread reads."""
+    """Link that a daemon thread reads."""
 
     def __init__(self, name: str, index: int, received: Received) -> None:
         super().__init__(name, index, received)
@@ -50,7 +50,7 @@ class WaitingLink(Link):
 
     @property
     def is_open(self) -> bool:
-        """Whether it reads, or tries to."""
+        """Return True while it reads or tries to."""
         return not self._stop.is_set()
 
     async def open(self) -> None:
@@ -64,14 +64,14 @@ class WaitingLink(Link):
         self._stop.set()
 
     def _check(self) -> None:
-        """Raise a `LinkError` if it can never work as configured."""
+        """Raise a `LinkError` if this configuration can never work."""
 
     @abstractmethod
     def _work(self) -> None:
-        """Read until `_stop` is set; in the thread."""
+        """Read in the thread until `_stop` is set."""
 
     def _hand_over(self, data: bytes) -> None:
-        """Let the loop have some bytes, and wait until the earlier ones are taken."""
+        """Hand bytes to the loop, and wait until the earlier ones are taken."""
         while not self._room.acquire(timeout=0.5):
             if self._stop.is_set():
                 return
@@ -101,7 +101,7 @@ class WaitingLink(Link):
 
 
 class HttpPollLink(WaitingLink):
-    """A page that is asked for again and again, over one connection while it lasts."""
+    """Page that is requested periodically, over one connection while it lasts."""
 
     def __init__(self, url: str, period_s: float, index: int, received: Received) -> None:
         parts = urllib.parse.urlsplit(url)
@@ -128,7 +128,7 @@ class HttpPollLink(WaitingLink):
         self._disconnect()
 
     def _ask(self) -> bytes:
-        """The page; a server that has closed an idle connection is asked again on a new one."""
+        """Return the page; if the server closed an idle connection, request it on a new one."""
         try:
             return self._page(self._connection or self._connected())
         except (http.client.RemoteDisconnected, ConnectionError):
@@ -154,7 +154,7 @@ class HttpPollLink(WaitingLink):
                 raise ValueError("the page is too large")
             if time.monotonic() > until_s:
                 raise TimeoutError("the answer takes too long")
-        answer.read()  # nothing is left, but only this frees the connection for the next question
+        answer.read()  # used up, but only closing it frees the connection
         if answer.status != http.client.OK:
             raise ValueError(f"HTTP {answer.status} {answer.reason}")
         self._is_new = False
@@ -167,7 +167,7 @@ class HttpPollLink(WaitingLink):
 
 
 class FileLink(WaitingLink):
-    """A file that grows, from its present end on; a new one of its name from the beginning."""
+    """Growing file, read from its present end; a new file of its name from the beginning."""
 
     def __init__(self, path: Path, index: int, received: Received) -> None:
         super().__init__(f"file {path}", index, received)
@@ -192,7 +192,7 @@ class FileLink(WaitingLink):
             self._stop.wait(10.0 * FILE_LOOK_S)
 
     def _follow(self, fd: int) -> None:
-        """Hand over what is added, until the file is another one, or shorter."""
+        """Hand over what is appended, until the file is replaced or truncated."""
         inode = os.fstat(fd).st_ino
         while not self._stop.is_set():
             data = os.read(fd, 65_536)
@@ -206,9 +206,9 @@ class FileLink(WaitingLink):
 
 
 class PlayedFileLink(WaitingLink):
-    """A file that is played back once: a radio recording in its times, others line by line.
+    """File that is played back once: a radio recording at its own times, others line by line.
 
-    Of a recording the first radio called `radio` is played, or the first of all.
+    Of a recording the first radio called `radio` is played, or else the first one.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
-"""A web socket as a stream of bytes: KrakenSDR's suite of 2026, metrics of srsRAN Project.
+"""Web socket as a stream of bytes: KrakenSDR's suite of 2026, metrics of srsRAN Project.
 
 Theory of operation. A thread connects, sends each line of the greeting as a text message, and hands
-over what comes: a text message as a line, a binary one as the frame that a server puts on the wire
-(RFC 6455, section 5.2: unmasked, whole), because its length must go with it. Where the connection
-is lost it is tried again. The certificate of `wss:` is not checked: such devices sign their own.
+over what arrives: a text message as a line, a binary one as the frame that a server puts on the
+wire (RFC 6455, section 5.2: unmasked, whole), because its length must go with it. A lost connection
+is retried. The certificate of `wss:` is not checked: such devices sign their own.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def on_the_wire(message: str | bytes) -> bytes:
 
 
 class WebSocketLink(WaitingLink):
-    """A web socket of another computer."""
+    """Web socket of another computer."""
 
     def __init__(self, url: str, index: int, received: Received) -> None:
         super().__init__(url, index, received)
@@ -72,7 +72,9 @@ class WebSocketLink(WaitingLink):
         from websockets.sync.client import connect
 
         tls = None
-        if self._url.startswith("wss:"):  # devices sign their own certificates: no more than ws:
+        if self._url.startswith(
+            "wss:"
+        ):  # devices sign their own certificates, so wss: proves no more than ws:
             tls = ssl.create_default_context()
             tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
         return connect(
@@ -86,7 +88,7 @@ class WebSocketLink(WaitingLink):
         )
 
     def _read(self, connection: ClientConnection) -> None:
-        """Hand over what comes, until the end."""
+        """Hand over messages until the connection ends."""
         while not self._stop.is_set():
             try:
                 message = connection.recv(timeout=LOOK_S)

@@ -1,4 +1,4 @@
-"""The flight's black box: frames, events, inputs, `result.json` and what the operator reads."""
+"""The flight's black box: frames, events, inputs, `result.json` and the texts to the operator."""
 
 from __future__ import annotations
 
@@ -33,24 +33,25 @@ INPUTS_SHARE = 0.45
 
 
 class BlackBox:
-    """A journal that a process owns.
+    """Journal that a process owns.
 
-    This one stands in where no log can be written: everything is counted as lost, texts are shown.
+    This base class is used where no log can be written: it counts everything as lost and shows
+    texts.
     """
 
     inputs: InputRecorder | None = None
-    """The endpoint's inputs go here; nothing can be run again from nothing."""
+    """Log of the endpoint's inputs; None here, so such a flight cannot be replayed."""
 
     def __init__(self) -> None:
         self._dropped = 0
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """Lose a raw frame."""
+        """Count a raw frame as lost."""
         del data, now_s
         self._dropped += 1
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Lose an event."""
+        """Count an event as lost."""
         del kind, fields, now_s
         self._dropped += 1
 
@@ -59,26 +60,26 @@ class BlackBox:
         _show(severity, text, now_s)
 
     def result(self, report: ReportResult, now_s: float) -> None:
-        """Show the result, which has no other place to be."""
+        """Show the result, which is stored nowhere."""
         _show(Severity.NOTICE, f"result: {plain(report)}", now_s)
 
     @property
     def health(self) -> WriterHealth:
-        """How it is doing, without waiting for any writer."""
+        """Return the state of the writers without waiting for them."""
         return WriterHealth(0, self._dropped, 0, 0.0, is_alive=True)
 
     def discard(self) -> None:
-        """Close it and leave nothing, because the flight never began."""
+        """Close and remove the log, because the flight never began."""
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what is queued, for so long at most in all, and close; losses are reported."""
+        """Write what is queued within `timeout_s` in all, and close; losses are reported."""
 
 
 class FlightJournal(BlackBox):
     """Writes everything the endpoint reports into one flight directory, and never waits for it.
 
-    Wall clock time (`started_unix_s` at `now_s` = 0) is used for logs and nothing else. Of more
-    than `max_bytes` the newest is kept. `mcap` gets everything as well, and is closed with it.
+    Wall clock time (`started_unix_s` at `now_s` = 0) is used for logs and nothing else. Beyond
+    `max_bytes` the newest is kept. `mcap` receives everything as well, and is closed with it.
     """
 
     def __init__(
@@ -103,19 +104,19 @@ class FlightJournal(BlackBox):
         self._handoff = HandoffFiles()
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """Keep a raw frame."""
+        """Record a raw frame."""
         self._tlog.write(data, self._started_unix_s + now_s)
         if self._mcap is not None:
             self._mcap.frame(data, now_s)
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Keep an event."""
+        """Record an event."""
         self._events.write({"t_s": round(now_s, 4), "kind": kind, **fields})
         if self._mcap is not None:
             self._mcap.record(kind, fields, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Keep a text and show it."""
+        """Record a text and show it."""
         self.record("text", {"severity": severity.name.lower(), "text": text}, now_s)
         if self._mcap is not None:
             self._mcap.text(severity, text, now_s)
@@ -147,7 +148,7 @@ class FlightJournal(BlackBox):
 
     @property
     def health(self) -> WriterHealth:
-        """How it is doing, without waiting for any writer."""
+        """Return the state of the writers without waiting for them."""
         writers = [writer.health for writer in (self._results, *self._logs)]
         return WriterHealth(
             queued=sum(one.queued for one in writers),
@@ -167,7 +168,7 @@ class FlightJournal(BlackBox):
         shutil.rmtree(self.directory, ignore_errors=True)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what is queued, for so long at most in all, and close; losses are reported."""
+        """Write what is queued within `timeout_s` in all, and close; losses are reported."""
         deadline_s = time.monotonic() + timeout_s
         for log_file in self._logs:
             log_file.finish()

@@ -1,12 +1,12 @@
 """The log files of a flight, written in the background and read back: tlog, inputs, events.
 
-`flight.tlog` is what MAVLink tools read: 8-byte big-endian microseconds since 1970, raw frame.
+`flight.tlog` is the format of MAVLink tools: 8-byte big-endian microseconds since 1970, raw frame.
 
-`flight.inputs` has the endpoint's inputs, exactly and in order, to replay a flight from: a header
-of fixed size (`_HEADER`), the sender's address as text, the data, and a CRC-32 of all these, which
-files of format 2 do not have. Times are the endpoint's own
-float64 seconds, because a replay is only the same to the last bit if they are. Signatures are left
-out, and frames that carry a key altogether.
+`flight.inputs` has the endpoint's inputs, exactly and in order, for replaying a flight: a header of
+fixed size (`_HEADER`), the sender's address as text, the data, and a CRC-32 of all these, which
+files of format 2 do not have. Times are the endpoint's own float64 seconds, because a replay is
+identical to the last bit only if they are. Signatures are left out, and frames that carry a key
+altogether.
 
 `events.jsonl` has the flight's events as JSON lines.
 """
@@ -49,7 +49,7 @@ OnDamage = Callable[[int], None]
 
 
 class TlogWriter(BackgroundFile):
-    """A tlog that is written from a background thread."""
+    """Tlog that is written from a background thread."""
 
     def write(self, frame: bytes, unix_s: float) -> None:
         """Record one whole frame; a signature is left out, a SETUP_SIGNING altogether."""
@@ -59,13 +59,13 @@ class TlogWriter(BackgroundFile):
 
 
 def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
-    """A frame as a tlog has it, with the time it was sent or received; see `frame_for_log`."""
+    """Return the tlog record of a frame with its time of sending or reception."""
     kept = frame_for_log(frame)
     return None if kept is None else _STAMP.pack(max(0, round(unix_s * 1e6))) + kept
 
 
 def frame_for_log(frame: bytes) -> bytes | None:
-    """A whole frame without its signature; None: it holds a key, and no log may have it."""
+    """Return a whole frame without its signature; None if it holds a key, which no log may have."""
     if is_secret(frame):
         return None
     if not is_signed(frame):
@@ -84,10 +84,10 @@ class TlogRecord:
 def read_tlog(path: Path, on_damage: OnDamage | None = None) -> Iterator[TlogRecord]:
     """Yield the frames of a tlog in order, without a torn last one.
 
-    What is no frame is passed over up to the next frame whose checksum is right, and `on_damage`
-    has its first byte; so is a message that the dialect does not have, whose checksum is unknown
-    and which no flight records. Without `on_damage` messages of other dialects are yielded, and
-    what is no frame is a `ConfigError`, as is a file without any.
+    Bytes that are no frame are skipped up to the next frame with a valid checksum, and `on_damage`
+    is called with the offset of the first; so are messages that the dialect does not have, whose
+    checksum cannot be verified and which no flight records. Without `on_damage` messages of other
+    dialects are yielded, and bytes that are no frame are a `ConfigError`, as is a file without any.
     """
     data, offset = read_file(path), 0
     while offset + _STAMP.size < len(data):
@@ -115,7 +115,7 @@ def read_tlog(path: Path, on_damage: OnDamage | None = None) -> Iterator[TlogRec
 
 
 def _end_of_frame(data: bytes, start: int) -> int | None:
-    """Return where the frame at `start` ends; None: there is none, or its checksum is wrong."""
+    """Return the end of the frame at `start`; None if there is none, or its checksum is wrong."""
     if data[start] not in HEADER_LENGTH:
         return None
     end = frame_end(data, start)
@@ -147,7 +147,7 @@ SEARCHED_AT_ONCE = 1 << 20
 
 
 class InputKind(IntEnum):
-    """What the endpoint received."""
+    """Kinds of endpoint inputs."""
 
     BEGIN = 0
     """The first record; its data name the format."""
@@ -155,13 +155,13 @@ class InputKind(IntEnum):
     TICK = 2
     STOP = 3
     OPERATOR_COMMAND = 4
-    """Its data name what the operator asked for."""
+    """Its data name the operator's command."""
     EARLIER_RUN = 5
     """An earlier process did not end in order."""
     RECALL = 6
-    """Its data are the age, float64 seconds, and what that process knew, in MessagePack."""
+    """Its data are the age, float64 seconds, and that process's memory, in MessagePack."""
     NOTE = 7
-    """Its data are the severity by name, a space, and what the process said to the operator."""
+    """Its data are the severity by name, a space, and the process's text to the operator."""
 
 
 AlsoKeeps = Callable[[bytes, float], None]
@@ -171,7 +171,7 @@ _KINDS = frozenset(int(kind) for kind in InputKind)
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """One thing that the endpoint received."""
+    """One input of the endpoint."""
 
     kind: InputKind
     time_s: float
@@ -181,7 +181,7 @@ class Input:
 
 
 class InputLog(BackgroundFile):
-    """The inputs, written from a background thread, and told to `also` (the MCAP file)."""
+    """Inputs, written from a background thread and passed on to `also` (the MCAP file)."""
 
     def __init__(
         self, path: Path, max_bytes: int | None = None, also: AlsoKeeps | None = None
@@ -192,21 +192,21 @@ class InputLog(BackgroundFile):
         self._keep(InputKind.BEGIN, 0.0, data=FORMAT)
 
     def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
-        """Keep a frame; its signature, if any, is left out, a SETUP_SIGNING altogether."""
+        """Record a frame; a signature is left out, a SETUP_SIGNING altogether."""
         kept = frame_for_log(data)
         if kept is not None:
             self._keep(InputKind.FRAME, now_s, link, peer, kept)
 
     def raw(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
-        """Keep bytes of a radio that does not speak MAVLink."""
+        """Record bytes of a radio that does not speak MAVLink."""
         self._keep(InputKind.FRAME, now_s, link, peer, data)
 
     def tick(self, now_s: float) -> None:
-        """Keep a tick."""
+        """Record a tick."""
         self._keep(InputKind.TICK, now_s)
 
     def event(self, event: events.Event) -> None:
-        """Keep what the process or the operator says; see `event_of`."""
+        """Record an event from the process or the operator; see `event_of`."""
         kind, data = InputKind.STOP, b""
         match event:
             case events.OperatorAsked():
@@ -250,8 +250,8 @@ def read_inputs(path: Path, on_damage: OnDamage | None = None) -> Iterator[Input
 def parse_inputs(data: bytes, name: str, on_damage: OnDamage | None = None) -> Iterator[Input]:
     """Yield the inputs of a flight in order, without a torn last one.
 
-    Where records are missing or damaged, `on_damage` has the number of the first, and what follows
-    goes on with the next that is whole. Without `on_damage` they are a `ConfigError`.
+    Where records are missing or damaged, `on_damage` is called with the number of the first, and
+    reading continues with the next whole one. Without `on_damage` they are a `ConfigError`.
     """
     beginning = data[:MAGIC_WITHIN]
     if FAMILY in beginning and FORMAT not in beginning and UNCHECKED not in beginning:
@@ -291,11 +291,11 @@ class _Record:
     number: int
     value: Input
     end: int
-    """Where the next one begins."""
+    """Offset of the next record."""
 
 
 class _RecordReader:
-    """Finds the records of one file; `is_checked` where each ends with its CRC-32."""
+    """Finds the records of one file; with `is_checked` each ends with its CRC-32."""
 
     def __init__(self, data: bytes, *, is_checked: bool) -> None:
         self._data = data
@@ -307,7 +307,7 @@ class _RecordReader:
         return _CRC.size if self._is_checked else 0
 
     def record_at(self, offset: int, last_s: float) -> _Record | None:
-        """Return the whole record at a byte; None: there is none, or its time is impossible."""
+        """Return the record at an offset; None if there is none, or its time is impossible."""
         data = self._data
         if offset + self._shortest > len(data):
             return None
@@ -329,7 +329,7 @@ class _RecordReader:
         return _Record(number, value, end)
 
     def is_torn(self, offset: int) -> bool:
-        """Return True if what is left at a byte is the beginning of a record without its end."""
+        """Return True if the rest of the file is the beginning of a record without its end."""
         data = self._data
         if offset + _HEADER.size > len(data):
             return True
@@ -337,9 +337,9 @@ class _RecordReader:
         return kind in _KINDS and offset + self._shortest + peer_size + size > len(data)
 
     def next_record(self, offset: int, number: int, last_s: float) -> _Record | None:
-        """Return the first record from a byte on that another one, or the file's end, follows.
+        """Return the first record after an offset that another record, or the file's end, follows.
 
-        Where there is none at a possible time, the time before may have been damaged.
+        If there is none at a possible time, the previous record's time may have been damaged.
         """
         data = self._data
         for first in range(offset, len(data), SEARCHED_AT_ONCE):
@@ -361,7 +361,10 @@ class _RecordReader:
 
 
 def event_of(value: Input) -> events.Event:
-    """What `InputLog.event` kept; a `ConfigError` for a memory that cannot be read."""
+    """Return the event that `InputLog.event` recorded.
+
+    A `ConfigError` if its memory is unreadable.
+    """
     now_s, data = value.time_s, value.data
     match value.kind:
         case InputKind.OPERATOR_COMMAND:
@@ -392,7 +395,7 @@ def _peer(text: bytes) -> Address | None:
 
 
 class EventLog(BackgroundFile):
-    """The events, written from a background thread."""
+    """Event log, written from a background thread."""
 
     def write(self, record: Mapping[str, object]) -> None:
         """Record one event; NaN and infinity become null, control characters are escaped."""
@@ -402,7 +405,7 @@ class EventLog(BackgroundFile):
 def event_lines(path: Path, on_damage: OnDamage | None = None) -> list[dict[str, object]]:
     """Return the event log, without a torn last line (a power cut).
 
-    Other lines that are no JSON object are left out, and `on_damage` has the number of each.
+    Lines that are no JSON object are left out, and `on_damage` is called with the number of each.
     Without `on_damage` they are a `ConfigError`.
     """
     lines = read_file(path).split(b"\n")
@@ -421,7 +424,7 @@ def event_lines(path: Path, on_damage: OnDamage | None = None) -> list[dict[str,
 
 
 def damage_text(path: Path | str, unit: str, places: Sequence[int]) -> str:
-    """Return the line that says where a log is damaged, or nothing where it is not."""
+    """Return the line that says where a log is damaged, or an empty text if it is not."""
     if not places:
         return ""
     more = "" if len(places) == 1 else f" and at {len(places) - 1} more places"

@@ -1,11 +1,12 @@
 """MCAP, the log that Foxglove opens: estimate, poses, residuals, texts, frames and inputs.
 
 Theory of operation. The flight puts values into a bounded queue; one thread turns them into
-messages and writes them. A full queue costs messages, which are counted, and never a pause. The
-file is written in small chunks, so that after a power cut `mcap recover` loses seconds only.
+messages and writes them. A full queue loses messages, which are counted, and never delays the
+flight. The file is written in small chunks, so that after a power cut `mcap recover` loses only
+seconds.
 
 Channels are JSON with Foxglove's own schemas where it has one, so that its map, 3-D and log panels
-work as they are. Source: Foxglove, "Message schemas"; MCAP format specification.
+work unchanged. Source: Foxglove, "Message schemas"; MCAP format specification.
 
 A replay reads the frames, inputs and events back.
 """
@@ -63,7 +64,7 @@ _LOG = _object(timestamp=_TIME, level=_WHOLE, message=_TEXT, name=_TEXT, file=_T
 
 @dataclass(frozen=True, slots=True)
 class McapChannel:
-    """A topic and how its messages are read."""
+    """Topic with its schema."""
 
     topic: str
     schema_name: str = ""
@@ -101,10 +102,10 @@ Message = tuple[str, bytes, int]
 
 
 class McapLog(WriterThread[Message]):
-    """Writes one flight's MCAP file; a journal for the endpoint.
+    """MCAP file of one flight; a journal for the endpoint.
 
-    `flight_json`, how the flight is flown, is kept for a replay; beyond `max_bytes` all is lost. A
-    `CompanionError` if it cannot be opened, or the extra `mcap` is not installed.
+    `flight_json`, the flight's settings, is kept for a replay; beyond `max_bytes` all is lost.
+    Raises a `CompanionError` if the file cannot be opened, or the extra `mcap` is not installed.
     """
 
     def __init__(
@@ -121,13 +122,13 @@ class McapLog(WriterThread[Message]):
     # The endpoint's journal
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """Keep a raw frame, without its signature; one that carries a key not at all."""
+        """Record a raw frame without its signature; frames that carry a key are left out."""
         kept = frame_for_log(data)
         if kept is not None:
             self._put(FRAME_CHANNEL, kept, now_s)
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Keep an event; an estimate becomes poses, a place on the map and residuals, too."""
+        """Record an event; an estimate also becomes poses, a position on the map and residuals."""
         self._put_json("/events", {"t_s": round(now_s, 4), "kind": kind, **fields}, now_s)
         if kind == "origin":
             values: Any = fields
@@ -136,7 +137,7 @@ class McapLog(WriterThread[Message]):
             self._put_estimate(fields, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Keep a text."""
+        """Record a text."""
         value = {
             "timestamp": self._stamp(now_s),
             "level": LEVELS[severity],
@@ -148,21 +149,21 @@ class McapLog(WriterThread[Message]):
         self._put_json("/log", value, now_s)
 
     def result(self, report: ReportResult, now_s: float) -> None:
-        """The result is an event, too; the flight log records it."""
+        """Do nothing: the result is recorded as an event, too."""
 
     def input(self, record: bytes, now_s: float) -> None:
-        """Keep an input, in the form of `InputLog`."""
+        """Record an input in the format of `InputLog`."""
         self._put(INPUT_CHANNEL, record, now_s)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write what is queued, for so long at most, and finish the file."""
+        """Write what is queued within `timeout_s` and finish the file."""
         is_written = super().close(timeout_s)
         if self.dropped or not is_written:
             log.warning("%s: %d messages lost, %s", self.path, self.dropped, self._error or "slow")
         return is_written
 
     def write_batch(self, batch: list[Message]) -> None:
-        """Add some messages to the file; after the first failure none is any more."""
+        """Add messages to the file; none after the first failure."""
         for message in batch:
             self._attempt(self._write, message)
 
@@ -216,14 +217,14 @@ class McapLog(WriterThread[Message]):
     def _put(self, channel: str, data: bytes, now_s: float) -> None:
         stamp_ns = self._stamp_ns(now_s)
         self._room -= len(data) + MESSAGE_OVERHEAD
-        if self._room < 0:  # compressed it is less: the cap is kept with room to spare
+        if self._room < 0:  # compression makes it smaller: the cap is kept with room to spare
             self.overflowed += 1
         else:
             self.append((channel, data, stamp_ns))
 
 
 def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Callable[[], None]]:
-    """The writer's two functions: one message, and the end."""
+    """Return two functions: one writes a message, the other finishes the file."""
     try:
         from mcap.writer import Writer
     except ImportError as error:
@@ -254,7 +255,7 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
 
 
 def _pose(stamp: Json, place: tuple[float, ...]) -> Json:
-    """foxglove.PoseInFrame; the heading is not known here."""
+    """Return a foxglove.PoseInFrame; it has no heading."""
     return {
         "timestamp": stamp,
         "frame_id": FRAME_ID,
@@ -271,7 +272,7 @@ def _fix(
     covariance: tuple[tuple[float, ...], ...],
     origin: LocalOrigin,
 ) -> Json:
-    """foxglove.LocationFix: its covariance is east, north, up, row by row; type 3 is known."""
+    """Return a foxglove.LocationFix with covariance type 3 (known): east, north, up, row-major."""
     latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu((place[0], place[1], 0.0))
     (east, cross), (_, north) = covariance
     return {
@@ -288,7 +289,7 @@ def _fix(
 def _outline(
     place: tuple[float, ...], covariance: tuple[tuple[float, ...], ...], origin: LocalOrigin
 ) -> Json:
-    """The 95 % ellipse as GeoJSON."""
+    """Return the 95 % ellipse as GeoJSON."""
     (east, cross), (_, north) = covariance
     corners = ellipse_95((place[0], place[1]), ((east, cross), (cross, north))).corners_enu_m(24)
     ring = [origin.geodetic_from_enu((*corner, 0.0)) for corner in (*corners, corners[0])]
@@ -299,7 +300,7 @@ def _outline(
 
 @dataclass(slots=True)
 class McapFlight:
-    """A flight in one file."""
+    """A flight read from one file."""
 
     path: Path
     flight_json: bytes
@@ -309,7 +310,10 @@ class McapFlight:
 
 
 def read_mcap_flight(path: Path) -> McapFlight:
-    """The flight in an MCAP file; a `ConfigError` if it cannot be read, or is none of ours."""
+    """Return the flight in an MCAP file.
+
+    A `ConfigError` if it is unreadable or of another program.
+    """
     try:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader

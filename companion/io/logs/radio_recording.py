@@ -1,8 +1,8 @@
-"""A recording of radios: the very bytes they sent, and where the vehicle was meanwhile.
+"""Recording of radios: the bytes they sent, and the vehicle's poses meanwhile.
 
-Theory of operation. A line of JSON each: a header, then bytes, poses and, once the autopilot tells
-it, the origin of its local frame, all in the order in which they came and with the time on the
-companion's clock. Raw bytes are kept, not readings, so that a recording can be decoded anew with
+Theory of operation. The file is JSON lines: a header, then bytes, poses and, once the autopilot
+reports it, the origin of its local frame, all in the order of arrival and with the time on the
+companion's clock. Raw bytes are kept, not readings, so that a recording can be decoded again with
 other settings. Only whole lines are written; a power cut may still tear the last one, which is then
 left out. Neither writer nor reader keeps more than one buffer.
 """
@@ -33,18 +33,18 @@ BUFFER_S = 1.0
 
 
 class RecordedRadio(msgspec.Struct, frozen=True, kw_only=True):
-    """A radio of a recording, as it was chosen."""
+    """Settings of a radio in a recording."""
 
     name: str
     url: str
     options: Mapping[str, object] = {}
-    """Of its format; what differs from the defaults."""
+    """Options of its format that differ from the defaults."""
     settings: Mapping[str, object] = {}
-    """Of the common stage; what differs from the defaults."""
+    """Settings of the common stage that differ from the defaults."""
 
 
 class RecordedOrigin(msgspec.Struct, frozen=True, kw_only=True, tag="origin", tag_field="kind"):
-    """Where the vehicle's local frame is zero; the last one told holds for all of a recording."""
+    """Origin of the vehicle's local frame; the last one reported holds for the whole recording."""
 
     latitude_deg: float
     longitude_deg: float
@@ -53,43 +53,43 @@ class RecordedOrigin(msgspec.Struct, frozen=True, kw_only=True, tag="origin", ta
 
     @property
     def local(self) -> LocalOrigin:
-        """The frame itself."""
+        """Return the local frame."""
         return LocalOrigin(self.latitude_deg, self.longitude_deg, self.altitude_m, self.projection)
 
 
 class RecordingHeader(
     msgspec.Struct, frozen=True, kw_only=True, tag="radio_recording", tag_field="kind"
 ):
-    """The first line."""
+    """First line of a recording."""
 
     version: int = VERSION
     started_unix_s: float
     radios: tuple[RecordedRadio, ...]
     origin: RecordedOrigin | None = None
-    """Where it was known from the start."""
+    """Set if it was known from the start."""
 
 
 class RadioBytes(msgspec.Struct, frozen=True, tag="bytes", tag_field="kind"):
-    """What a radio sent, in base64."""
+    """Bytes that a radio sent, in base64."""
 
     t_s: float
     radio: int
-    """Its place in the header, from 0."""
+    """Its index in the header, from 0."""
     data: bytes
 
 
 class TimedPose(msgspec.Struct, frozen=True, tag="pose", tag_field="kind", omit_defaults=True):
-    """Where the vehicle was and how it lay, as far as the autopilot told."""
+    """Position and attitude of the vehicle at a time, as far as the autopilot reported them."""
 
     t_s: float
     enu_m: PositionEnu
     yaw_rad: float | None = None
     """Clockwise from north."""
     roll_rad: float | None = None
-    """To the right positive; as pitch, nose up positive, told together or not at all."""
+    """Positive to the right; given together with pitch (positive nose up) or not at all."""
     pitch_rad: float | None = None
     sigma_m: float | None = None
-    """Standard deviation of the place, per horizontal axis, where its source tells it."""
+    """Standard deviation of the position per horizontal axis, if its source reports it."""
 
 
 Record: TypeAlias = RadioBytes | TimedPose | RecordedOrigin
@@ -102,8 +102,7 @@ _decoder = msgspec.json.Decoder(RadioBytes | TimedPose | RecordedOrigin)
 class RadioRecordingWriter:
     """Writes a new recording; an old file of that name is replaced.
 
-    Raises `CompanionError` where the disk does not take it; what is there then ends with a whole
-    line.
+    Raises a `CompanionError` if the disk refuses it; the file then ends with a whole line.
     """
 
     def __init__(self, path: Path, header: RecordingHeader) -> None:
@@ -121,7 +120,7 @@ class RadioRecordingWriter:
         self.flush()
 
     def write(self, record: Record) -> None:
-        """Add a record; it is on its way to the disk after a second of records at most."""
+        """Add a record; it is handed to the system within a second of records."""
         match record:
             case RadioBytes() if len(record.data) > MOST_DATA_BYTES:
                 for start in range(0, len(record.data), MOST_DATA_BYTES):
@@ -155,7 +154,7 @@ class RadioRecordingWriter:
         self._written_bytes += len(view)
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write what is left and close the file."""
         if not self._file.closed:
             try:
                 self.flush()
@@ -163,7 +162,7 @@ class RadioRecordingWriter:
                 self._file.close()
 
     def __enter__(self) -> RadioRecordingWriter:
-        """Itself."""
+        """Return itself."""
         return self
 
     def __exit__(
@@ -172,7 +171,7 @@ class RadioRecordingWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close it."""
+        """Close the file."""
         self.close()
 
     def _add(self, record: Record | RecordingHeader) -> None:
@@ -186,7 +185,7 @@ def _is_finite(pose: TimedPose) -> bool:
 
 
 def is_radio_recording(path: Path) -> bool:
-    """Whether a file begins as one does; a file that cannot be read is none."""
+    """Return True if a file begins as a recording does; False if it cannot be read."""
     beginning = b'{"kind":"radio_recording"'
     try:
         with path.open("rb") as file:
@@ -196,7 +195,7 @@ def is_radio_recording(path: Path) -> bool:
 
 
 def read_radio_recording(path: Path) -> tuple[RecordingHeader, Iterator[Record]]:
-    """The header and, one by one, the records; a `ConfigError` names the line that is wrong."""
+    """Return the header and an iterator of the records; a `ConfigError` names the faulty line."""
     lines = _lines(path)
     number, line = next(lines, (1, b""))
     if not line:
@@ -221,7 +220,7 @@ def _records(path: Path, lines: Iterator[tuple[int, bytes]], radios: int) -> Ite
             record = _decoder.decode(line)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             if not line.endswith(b"\n"):
-                return  # the power went while it was written
+                return  # the power was cut while it was written
             raise ConfigError(f"{path}: line {number}: {error}") from None
         if isinstance(record, RadioBytes) and not 0 <= record.radio < radios:
             raise ConfigError(f"{path}: line {number}: the header has no radio {record.radio}")

@@ -1,1 +1,1 @@
-"""What outlives the process: checkpoints, the vehicle lock, and what signing remembers."""
+"""State that outlives the process: checkpoints, the vehicle lock, and the memory of signing."""

@@ -1,13 +1,13 @@
-"""Checkpoints: a mission's memory as bytes that show damage, in two files by turns.
+"""Checkpoints: a mission's memory in two files written alternately, with a checksum.
 
     magic (4)  version (2)  zero (2)  length of the payload (4)  payload  CRC-32 of all before (4)
 
-Little-endian; the payload is MessagePack. A file that was cut off, holds a bit that flipped (CRC-32
-finds every error of up to 32 neighbouring bits), or comes from another version is refused as a
-whole: half a memory is worse than none.
+Little-endian; the payload is MessagePack. A file that is truncated, has a flipped bit (CRC-32
+detects every burst of up to 32 bits), or comes from another version is refused as a whole: half a
+memory is worse than none.
 
 A checkpoint replaces the older of the two files (`files.write_bytes_atomic`, in a thread of its
-own), so that neither a power cut nor a kill can cost both. A reader takes the newest that is whole.
+own), so that neither a power cut nor a kill can lose both. A reader takes the newest valid one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 
 class CheckpointError(Exception):
-    """Bytes that are no checkpoint of ours; the message says why, in words."""
+    """Bytes that are no checkpoint of this program; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class MissionKey:
-    """What a memory belongs to: for any other it means nothing."""
+    """Mission that a memory belongs to; in any other it must not be used."""
 
     system_id: int
     autopilot: Autopilot
@@ -66,7 +66,7 @@ class MissionKey:
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A mission's memory, whose it is, and when it was."""
+    """A mission's memory with its mission and its time."""
 
     sequence: int
     """Larger in each that follows, across restarts, too."""
@@ -76,14 +76,14 @@ class Checkpoint:
 
 
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
-    """The bytes of a checkpoint."""
+    """Return the bytes of a checkpoint."""
     payload = msgspec.msgpack.encode(checkpoint, enc_hook=_plain)
     head = _HEADER.pack(MAGIC, VERSION, 0, len(payload)) + payload
     return head + _CRC.pack(zlib.crc32(head))
 
 
 def decode_checkpoint(data: bytes) -> Checkpoint:
-    """The checkpoint in some bytes; after a `CheckpointError` nothing of it may be used."""
+    """Return the checkpoint in some bytes; after a `CheckpointError` none of it may be used."""
     if len(data) < _HEADER.size + _CRC.size or len(data) > MAX_BYTES:
         raise CheckpointError(f"{len(data)} bytes")
     magic, version, _, length = _HEADER.unpack_from(data)
@@ -101,12 +101,12 @@ def decode_checkpoint(data: bytes) -> Checkpoint:
 
 
 def encode_memory(memory: SessionMemory) -> bytes:
-    """A memory alone, for the log of inputs."""
+    """Return the bytes of a memory alone, for the log of inputs."""
     return msgspec.msgpack.encode(memory, enc_hook=_plain)
 
 
 def decode_memory(data: bytes) -> SessionMemory:
-    """The memory that `encode_memory` made bytes of, to the last bit; or a `CheckpointError`."""
+    """Return the memory that `encode_memory` encoded, bit for bit; or raise a `CheckpointError`."""
     return _decode(data, SessionMemory)
 
 
@@ -118,10 +118,10 @@ def _decode(payload: bytes, kind: type[T]) -> T:
 
 
 def age_s(then: Moment, now: Moment) -> float | None:
-    """Seconds between two moments; None where no clock knows.
+    """Return the seconds between two moments; None if no clock spans both.
 
-    Under one kernel its own clock is exact. Otherwise the wall clock is believed, unless it went
-    back: computers without a clock of their own start in the past.
+    Under one kernel its own clock is exact. Otherwise the wall clock is used, unless it went back:
+    computers without a battery-backed clock start in the past.
     """
     if then.boot_id and then.boot_id == now.boot_id:
         return now.boot_s - then.boot_s if now.boot_s >= then.boot_s else None
@@ -130,7 +130,7 @@ def age_s(then: Moment, now: Moment) -> float | None:
 
 
 def _plain(value: object) -> object:
-    """A numpy scalar, which arithmetic leaves here and there, as Python's own."""
+    """Return a numpy scalar, which arithmetic leaves here and there, as Python's own type."""
     if isinstance(value, float | int):
         return float(value) if isinstance(value, float) else int(value)
     raise TypeError(f"a checkpoint holds no {type(value).__name__}")
@@ -151,7 +151,7 @@ MODE = 0o600
 
 
 def present_moment() -> Moment:
-    """Now, for comparison across restarts."""
+    """Return the present, for comparison across restarts."""
     boot_id = ""
     with suppress(OSError):
         boot_id = _BOOT_ID.read_text(encoding="ascii").strip()
@@ -161,7 +161,7 @@ def present_moment() -> Moment:
 
 @dataclass(frozen=True, slots=True)
 class StoredCheckpoints:
-    """What an earlier process left behind."""
+    """Checkpoint that an earlier process left behind."""
 
     has_files: bool
     """Whether there was anything, readable or not: then an earlier run did not end in order."""
@@ -171,7 +171,7 @@ class StoredCheckpoints:
 
 
 class CheckpointStore:
-    """The two files of one vehicle's link; their directory is made when something is saved."""
+    """The two files of one vehicle link; their directory is created on the first save."""
 
     def __init__(self, directory: Path, name: str) -> None:
         self.paths = tuple(directory / f"{name}.checkpoint-{number}" for number in (0, 1))
@@ -179,7 +179,7 @@ class CheckpointStore:
         """Who writes, once something was saved."""
 
     def load(self) -> StoredCheckpoints:
-        """What is there; never raises."""
+        """Return the newest valid checkpoint; never raises."""
         found: list[Checkpoint] = []
         problems: list[str] = []
         has_files = False
@@ -207,13 +207,13 @@ class CheckpointStore:
             self.writer.replace(path, encode_checkpoint(checkpoint))
 
     def discard(self) -> None:
-        """Delete both, because the mission ended in order; `close` comes first."""
+        """Delete both files, because the mission ended in order; call `close` first."""
         for path in self.paths:
             with suppress(OSError):
                 path.unlink(missing_ok=True)
 
     def close(self, timeout_s: float) -> None:
-        """Write what waits, for so long at most."""
+        """Write what is queued within `timeout_s`."""
         if self.writer is not None:
             self.writer.close(timeout_s)
 
@@ -225,7 +225,7 @@ class CheckpointStore:
         self.writer = BackgroundReplacer("write checkpoint", MODE)
 
     def _sweep(self, directory: Path) -> None:
-        """Delete what a killed writer left half-done."""
+        """Delete the temporary files of a writer that was killed."""
         for path in self.paths:
             with suppress(OSError):
                 for leftover in directory.glob(f".{path.name}.*.tmp"):

@@ -1,7 +1,7 @@
 """Range offsets of single radios, kept by serial number between flights.
 
-A USB radio is recognised by the name that Linux gives it in `/dev/serial/by-id`, which has its
-maker and serial number; any other one by its address.
+A USB radio is recognised by its name in `/dev/serial/by-id` on Linux, which has its maker and
+serial number; any other one by its address.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BY_ID = Path("/dev/serial/by-id")
 
 
 class KeptOffset(msgspec.Struct, frozen=True, kw_only=True):
-    """What a calibration beside the antenna found."""
+    """Range offset that a calibration beside the antenna found."""
 
     range_offset_m: float
     scatter_m: float
@@ -29,7 +29,7 @@ class KeptOffset(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def radio_key(name: str, url: str, by_id: Path = BY_ID) -> str:
-    """Name and serial number of a radio; without one, name and address."""
+    """Return name and serial number of a radio; without a serial number, name and address."""
     device = url.removeprefix("serial:").partition(":")[0]
     try:
         links = sorted(by_id.iterdir())
@@ -44,7 +44,7 @@ def radio_key(name: str, url: str, by_id: Path = BY_ID) -> str:
 
 
 def kept_offsets(directory: Path) -> dict[str, KeptOffset]:
-    """All that are kept; a `ConfigError` names a file that cannot be read."""
+    """Return all kept offsets; a `ConfigError` names a file that cannot be read."""
     path = directory / FILE
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, KeptOffset])
@@ -55,7 +55,7 @@ def kept_offsets(directory: Path) -> dict[str, KeptOffset]:
 
 
 def keep_offset(directory: Path, key: str, offset: KeptOffset) -> Path:
-    """Add one, or replace that of the same radio; return the file."""
+    """Add an offset, or replace that of the same radio; return the file."""
     offsets: Mapping[str, KeptOffset] = {**kept_offsets(directory), key: offset}
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / FILE

@@ -1,12 +1,12 @@
-"""The signing key on disk, and what signing must remember from run to run.
+"""The signing key on disk, and the timestamps that signing must keep from run to run.
 
-Theory of operation. Without its timestamp and the last one of every stream a frame recorded before
-a restart would be let in after it. They are kept beside the key, in two slots written by turns with
-a checksum, so that a power cut costs one at most. After a crash the last seconds are missing: then
-every stream must first be newer than what was stored by `CRASH_MARGIN_S`.
+Theory of operation. Without its own timestamp and the last one of every stream a frame recorded
+before a restart would be accepted after it. They are kept beside the key, in two slots written
+alternately with a checksum, so that a power cut loses one at most. After a crash the last seconds
+are missing: then every stream must first be newer than the stored timestamp by `CRASH_MARGIN_S`.
 
-The memory belongs to its key: with another one it begins anew, and so a new key is also the way
-out when a clock was once far ahead.
+The timestamps belong to their key: with another key they start from zero, and so a new key is also
+the remedy when a clock was once far ahead.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ MAX_KEY_FILE_BYTES = 4096
 
 
 def load_signing_key(path: Path) -> SigningKey:
-    """The key in a file of 64 hexadecimal digits that only its owner may read.
+    """Return the key in a file of 64 hexadecimal digits that only its owner may read.
 
-    A `ConfigError`, which never quotes the content, if the file is missing, open to others (mode
-    beyond 0600), or holds no key.
+    Raises a `ConfigError`, which never quotes the content, if the file is missing, readable by
+    others (mode beyond 0600), or holds no key.
     """
     try:
         with path.open("rb") as file:
@@ -73,7 +73,7 @@ def load_signing_key(path: Path) -> SigningKey:
 
 
 def store_signing_key(path: Path, key: SigningKey) -> None:
-    """Store a key as a whole, for its owner's eyes only."""
+    """Write a key file that only its owner can read."""
     write_text_atomic(path, f"{key.secret.hex()}\n", mode=0o600)
 
 
@@ -87,7 +87,7 @@ MODE = 0o600
 
 
 class _Slot(msgspec.Struct, frozen=True):
-    """What a slot holds, as JSON in front of its checksum."""
+    """Content of a slot, as JSON in front of its checksum."""
 
     version: int
     key: str
@@ -111,7 +111,7 @@ class SigningStore:
         self._last = self._load()
 
     def signing(self, key: SigningKey, rules: SigningPolicy) -> Signing:
-        """Signing that remembers what was stored."""
+        """Return a `Signing` with the stored timestamps."""
         last = self._last
         if last is None:
             return Signing(key, rules=rules)
@@ -120,7 +120,7 @@ class SigningStore:
         return Signing(key, last.timestamp + margin, streams, rules, stored_clock=last.clock)
 
     def next_content(self, signing: Signing, *, is_end: bool) -> tuple[Path, bytes]:
-        """Which slot to replace now, and by what; at the end nothing more is heard or signed."""
+        """Return the slot to replace now and its content; with `is_end` no frame follows."""
         generation = 1 if self._last is None else self._last.generation + 1
         self._last = _Slot(
             VERSION,
@@ -135,7 +135,7 @@ class SigningStore:
         return self.paths[generation % SLOTS], body + f" {zlib.crc32(body):08x}\n".encode()
 
     def _load(self) -> _Slot | None:
-        """The newest memory of this key, if there is any."""
+        """Return the newest memory of this key, or None."""
         contents = [content for path in self.paths if (content := _read(path)) is not None]
         slots = [slot for content in contents if (slot := _decode_slot(content)) is not None]
         if contents and not slots:
@@ -158,13 +158,13 @@ class SigningKeeper:
         self._next_s = STORE_PERIOD_S
 
     def keep(self, now_s: float) -> None:
-        """Store what is due; never waits."""
+        """Store the state if it is due; never waits."""
         if now_s >= self._next_s:
             self._next_s = now_s + STORE_PERIOD_S
             self._replacer.replace(*self._store.next_content(self.signing, is_end=False))
 
     def close(self) -> None:
-        """Store the last state; the margin after a crash covers a disk that refuses it."""
+        """Store the last state; the crash margin covers a disk that refuses it."""
         self._replacer.close()
         self._store_now(is_end=True)
 
@@ -176,7 +176,7 @@ class SigningKeeper:
 def open_signing_keeper(
     key_file: Path, key: SigningKey, rules: SigningPolicy = AS_THE_GUIDE
 ) -> SigningKeeper:
-    """Signing that goes on from the last run, by a memory beside the key, and is stored again."""
+    """Return a keeper that restores signing from the memory beside the key and stores it again."""
     store = SigningStore(key_file, key)
     return SigningKeeper(store.signing(key, rules), store)
 

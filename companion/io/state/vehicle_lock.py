@@ -1,13 +1,13 @@
-"""The state directory, and one companion per vehicle by locks in it.
+"""The state directory, and locks in it that allow one companion per vehicle.
 
 `flock` on a file of the state directory: the kernel releases it however the process ends, so a
 stale lock cannot exist, and the file itself may stay. A companion bound to one system id shares the
 link's lock with those bound to others (several vehicles behind one router) and holds its id's lock
-alone; one that takes the first vehicle it hears holds the link's lock alone.
+alone; one that binds to the first vehicle it hears holds the link's lock alone.
 
-The lock is named after what the address means, however it is spelled. At a place that all users
-share anybody could take it; so companions of two users, state directories or computers are known by
-their frames alone, see `companion.link.outlet.OwnFrames`.
+The lock is named after the resolved address, however it is spelled. In a directory that all users
+share anyone could take it; so companions of two users, state directories or computers are
+recognised only by their frames, see `companion.link.outlet.OwnFrames`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from companion.io.links.transports import OwnLine, Pty, SerialPort, Transport
 def state_directory(configured: str | None, environment: Mapping[str, str]) -> Path:
     """Return the state directory, which need not exist: as configured, systemd's, or XDG's.
 
-    A `ConfigError` where none of these is known: a folder that others may write to is no place.
+    Raises a `ConfigError` if none of these is known: a directory that others may write to is
+    unsafe.
     """
     if configured is not None:
         return Path(configured).expanduser()
@@ -55,11 +56,11 @@ logger = logging.getLogger("companion.io")
 
 
 class VehicleLock:
-    """Held from construction to `release`, or to the end of the process.
+    """Lock of a vehicle, held from construction to `release`, or to the end of the process.
 
-    `link` is the vehicle link's address in its canonical spelling, and `place` what it means, see
-    `place_of`; without a system id it is for whichever vehicle is heard first. A `LinkError` if
-    another companion has the vehicle.
+    `link` is the vehicle link's address in its canonical spelling, and `place` the resolved one,
+    see `place_of`; without a system id it is for the first vehicle that is heard. Raises a
+    `LinkError` if another companion has the vehicle.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class VehicleLock:
             )
 
     def release(self) -> None:
-        """Let another companion have the vehicle; a second call does nothing."""
+        """Release the lock; a second call does nothing."""
         for descriptor in self._descriptors:
             os.close(descriptor)
         self._descriptors.clear()
@@ -103,19 +104,21 @@ class VehicleLock:
                 f"{link}: another companion ({holder}) has this vehicle; stop it, or "
                 "choose another link or vehicle.system_id"
             ) from None
-        with suppress(OSError):  # only for the message of whoever comes next
+        with suppress(OSError):  # only for the message to the next process
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
 
 
 def place_of(link: Transport) -> str:
-    """What a link's address means, the same for every spelling; an unknown name is itself."""
+    """Return the resolved address of a link, the same for every spelling; unknown names stay."""
     kind = type(link).__name__
     match link:
         case SerialPort():
             return f"{kind} {os.path.realpath(link.device)}"
         case Pty():
-            folder, name = os.path.split(link.path)  # the name itself is a link that we make
+            folder, name = os.path.split(
+                link.path
+            )  # the name itself is a link that this program makes
             return f"{kind} {os.path.join(os.path.realpath(folder), name)}"
         case OwnLine():
             return str(link)
@@ -123,7 +126,7 @@ def place_of(link: Transport) -> str:
 
 
 def _number_of(host: str) -> str:
-    """A host's address; its name server may be slow, and the thread is not waited for then."""
+    """Return a host's address; a name server that is slow is not waited for."""
     found = [host]
 
     def look_up() -> None:
@@ -137,6 +140,6 @@ def _number_of(host: str) -> str:
 
 
 def lock_name(link: str) -> str:
-    """A file name for a link: readable, and different for different links."""
+    """Return a file name for a link: readable, and different for different links."""
     readable = re.sub(r"[^A-Za-z0-9.]+", "-", link).strip("-")[:60]
     return f"{readable}-{hashlib.sha256(link.encode()).hexdigest()[:8]}"

@@ -141,7 +141,9 @@ def test_a_memory_of_something_else_is_told_and_not_taken_up(
 ) -> None:
     keeper = process.start(config)
     process.fly(keeper, **autopilot)
-    assert process.said(f"restarted, with {reason}: starting anew, without engaging by itself")
+    assert process.said(
+        f"restarted, with {reason}: starting a new mission, without engaging by itself"
+    )
     assert not process.said("resumed")
     assert process.endpoint is not None
     assert process.endpoint.session.context.has_launched
@@ -159,7 +161,7 @@ def test_a_memory_that_is_too_old_is_as_none(
     process.later(600.0)
     with caplog.at_level(logging.INFO, "companion.run"):
         keeper = process.start(AUTO)
-    assert "610 s old, beyond process.resume_max_age_s: starting anew" in caplog.text
+    assert "610 s old, beyond process.resume_max_age_s: starting a new mission" in caplog.text
     assert not keeper.is_restart
     assert process.endpoint is not None
     assert not process.endpoint.session.context.has_launched
@@ -174,7 +176,7 @@ def test_a_memory_of_unknown_age_is_not_taken_up_and_nothing_engages(
     process.moment = moment
     keeper = process.start(AUTO)
     assert keeper.is_restart
-    assert "its age is unknown: starting anew, without engaging by itself" in caplog.text
+    assert "its age is unknown: starting a new mission, without engaging by itself" in caplog.text
     process.fly(keeper)
     assert not process.said("resumed")
     assert process.endpoint is not None
@@ -193,7 +195,7 @@ def test_damaged_files_mean_a_cold_start_that_engages_nothing(
     process.store.slots = {number: data[:-1] for number, data in process.store.slots.items()}
     keeper = process.start(AUTO)
     assert keeper.is_restart
-    assert "none is whole: starting anew, without engaging by itself" in caplog.text
+    assert "none is whole: starting a new mission, without engaging by itself" in caplog.text
     assert process.endpoint is not None
     assert process.endpoint.session.context.has_launched
     process.fly(keeper)

@@ -225,5 +225,5 @@ def test_a_recording_without_poses_or_with_two_emitters_is_refused(
     two = [replace(m, emitter_id=7 + (i % 2)) for i, m in enumerate(run.measurements)]
     record(replace(run, measurements=two), tmp_path / "two.radio")
     assert typed(tmp_path / "two.radio", "--point-enu", POINT_ENU) == 2
-    assert "several emitters; say --emitter ID" in capsys.readouterr().err
+    assert "several emitters; give --emitter ID" in capsys.readouterr().err
     assert typed(tmp_path / "two.radio", "--point-enu", POINT_ENU, "--emitter", "8") == 0

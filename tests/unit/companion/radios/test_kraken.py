@@ -62,7 +62,7 @@ def test_the_suite_of_2026_is_recognised_and_a_closed_squelch_is_silence() -> No
     assert reading.device_time_s is None
     frozen = [decoder.feed(suite(1718000000500 + 200 * n), 0.2 * n) for n in range(1, 250)]
     assert not any(frozen)
-    assert set(decoder.counts.refused) == {"page stands still: nobody transmits"}
+    assert set(decoder.counts.refused) == {"page does not change: no transmission"}
     assert len(decoder.feed(suite(1718000060000, bearing=219), 60.0)) == 1
 
 
@@ -113,7 +113,7 @@ def test_a_page_that_stays_as_it_was_says_nothing_new(
     assert decoder.feed(data * 9, 0.2) == []
     assert not decoder.counts.refused
     assert decoder.feed(data * 9, 58 * 60.0) == []
-    assert decoder.counts.refused == {"page stands still: nobody transmits": 9}
+    assert decoder.counts.refused == {"page does not change: no transmission": 9}
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def test_what_is_repeated_is_silence_at_once_and_said_after_a_while() -> None:
     repeated = [read(decoder, frozen, now_s=0.2 * number) for number in range(1, 41)]
 
     assert repeated == [[]] * 40
-    assert "page stands still: nobody transmits" in decoder.counts.refused
+    assert "page does not change: no transmission" in decoder.counts.refused
     assert len(read(decoder, directions((0.0, peak_at(31.0))), now_s=9.0)) == 1
 
 
