@@ -1,9 +1,9 @@
-"""Antenna arrays: what they measure of a direction, in axes that the vehicle's attitude turns.
+"""Antenna arrays: what they measure of a direction, in axes that turn with the vehicle's attitude.
 
-The antenna's frame: x is its boresight, y to the right of it, z down; with a mount of zero it is
-the body's forward, right and down. A planar array lies in x and y and tells an azimuth in that
-plane. A line of antennas along y prints the arcsine of the direction cosine along it. A two-axis
-array in y and z prints azimuth and elevation, the arcsines of the cosines along y and along -z.
+Antenna frame: x is the boresight, y points to the right of it, z down; with a zero mount these are
+the body's forward, right and down. A planar array lies in x and y and reports an azimuth in that
+plane. A line of antennas along y reports the arcsine of the direction cosine along it. A two-axis
+array in y and z reports azimuth and elevation, the arcsines of the cosines along y and along -z.
 """
 
 from __future__ import annotations
@@ -32,33 +32,34 @@ MODELS: dict[AntennaKind, int] = {
     "line": COSINES,
     "two_axis": COSINES,
 }
+"""Measurement model of each kind, see `measurement_model`."""
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 ABOUT_VERTICAL: tuple[AntennaKind, ...] = ("auto", "azimuth")
-"""Of these a bearing by north is as good as any, and a yaw is enough to turn one."""
+"""Kinds whose bearing is an azimuth about the vertical: yaw alone turns it into the local frame."""
 Axes = tuple[PositionEnu, PositionEnu, PositionEnu]
 MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
-"""A right angle, which in the wire's 32 bits is a little more than one; no arcsine is more."""
+"""A right angle plus the rounding of 32 bits on the wire; no arcsine is larger."""
 MAX_BEARING_RAD = math.pi + 1e-6
-"""Half a turn, in the same way; more is most likely another unit."""
+"""Half a turn plus the same rounding; more is most likely another unit."""
 
 LEVEL: Axes = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-"""East, south and down: what a planar array that tells its azimuth by north is as good as."""
+"""East, south and down: axes of the level planar array whose azimuth is a bearing from north."""
 
 
 class AntennaParams(Params, frozen=True):
-    """The antenna that measures bearings, and how it is mounted."""
+    """Antenna that measures bearings, and its mount."""
 
     kind: AntennaKind = "auto"
-    """`azimuth`: about the vertical, as accurate at any elevation (the paper's). `auto`: planar,
-    until the bearings show what they are; filters alone take it for `azimuth`."""
+    """`azimuth`: about the vertical, equally accurate at any elevation (the paper's). `auto`:
+    planar, until the bearings identify the antenna; filters alone assume `azimuth`."""
     mount_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the antenna's frame in the body's; (0, -90, 0) looks down."""
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] = 360.0
-    """Whole angle about the boresight in which its directions are believed."""
+    """Full angle about the boresight within which its directions are used."""
 
 
 def antenna_axes_enu(attitude_rad: Triple, mount_deg: Triple) -> Axes:
-    """The antenna's x, y and z, unit vectors in the local frame, by the vehicle's attitude."""
+    """Return the antenna's x, y and z axes at this attitude, unit vectors in the local frame."""
     body = body_axes_ned(attitude_rad)
     roll, pitch, yaw = (math.radians(angle) for angle in mount_deg)
     x, y, z = body_axes_ned((roll, pitch, yaw))
@@ -72,12 +73,13 @@ def antenna_axes_enu(attitude_rad: Triple, mount_deg: Triple) -> Axes:
 def seen_in_enu(
     measurement: RangingMeasurement, attitude: Attitude | None, antenna: AntennaParams
 ) -> RangingMeasurement:
-    """The measurement with its direction in the local frame, as far as that is known.
+    """Return the measurement with its direction in the local frame, as far as that is known.
 
-    It takes the attitude at the time; an azimuth about the vertical needs its yaw alone. Where the
-    kind is not told it comes both ways. Nothing is a direction outside the field of view. A planar
-    array that tells its azimuth by north itself is taken for a level one. What is absurd comes back
-    as it is: the wire may carry infinities, which the screen refuses.
+    It takes the attitude at the time of measurement; an azimuth about the vertical needs its yaw
+    alone. With `auto` it is filled in as an azimuth and as a planar array's. Outside the field of
+    view there is no direction. The north-referenced azimuth of a planar array is treated as that of
+    a level one. Absurd angles are returned unchanged: the wire may carry infinities, which the
+    screen rejects.
     """
     m = measurement
     if antenna.kind in ABOUT_VERTICAL and m.bearing_enu_rad is not None:
@@ -115,7 +117,7 @@ Loss = Literal["", "north", "array", "arcsine", "view"]
 
 
 def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> Loss:
-    """Why a printed angle says no direction to whom knows this antenna; empty: it does."""
+    """Return why a reported angle gives no direction with this antenna; empty if it does."""
     is_azimuth = antenna.kind in (*ABOUT_VERTICAL, "planar")
     if m.bearing_body_rad is None:
         is_by_north = m.bearing_enu_rad is not None and m.array is None
@@ -130,7 +132,7 @@ def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> Loss:
 
 
 def _off_boresight_rad(m: RangingMeasurement, antenna: AntennaParams) -> float:
-    """Angle from the boresight, as far as the antenna prints it."""
+    """Return the angle from the boresight, as far as the antenna reports it."""
     assert m.bearing_body_rad is not None
     if antenna.kind != "two_axis" or m.elevation_rad is None or _has_absurd_angle(m):
         return abs(m.bearing_body_rad)
@@ -150,9 +152,9 @@ def _with_azimuth(m: RangingMeasurement, azimuth_rad: float, axes: Axes) -> Rang
 def _with_cosines(
     m: RangingMeasurement, elevation_rad: float | None, axes: Axes
 ) -> RangingMeasurement:
-    """The cosines; the bearing, too, where both are known and the emitter is in front."""
+    """Return the measurement with its cosines, and with a bearing (in front) if both exist."""
     assert m.bearing_body_rad is not None
-    _, right, (east, north, up) = axes  # the third looks down, the second cosine is upwards
+    _, right, (east, north, up) = axes  # the third axis points down
     above = (-east, -north, -up)
     first = math.sin(m.bearing_body_rad)
     if elevation_rad is None:

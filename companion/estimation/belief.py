@@ -1,12 +1,11 @@
-"""What a tracker believes, as plain values that outlive it, and how it begins again from them.
+"""Checkpoint of a tracker's belief as plain values, and the restart from it.
 
-A belief is the hypotheses as a mixture of Gaussians. It is not the measurements: after a restart
-they cannot be weighed anew, so what was concluded from them is doubted instead. Covariances are
-inflated, and grow with the age by a random walk, for a target or a local frame that drifted while
-nobody measured. A belief that was wrong altogether is given up as any other one: the measurements
-contradict it.
+A belief is the set of hypotheses as a mixture of Gaussians. It does not contain the measurements:
+after a restart they cannot be re-weighted, so the covariances are inflated instead, and grow with
+the age of the checkpoint by a random walk, for a target or a local frame that drifted meanwhile. A
+belief that was wrong altogether is discarded like any other one: the measurements contradict it.
 
-Nothing that was read from a disk is believed unseen, see `Belief.problem`.
+Everything that is read from a disk is validated first, see `Belief.problem`.
 """
 
 from __future__ import annotations
@@ -25,14 +24,18 @@ from companion.estimation.window.older_evidence import OlderEvidence
 from companion.kernel import Matrix
 
 DOUBT = 2.0
-"""Factor on every variance of a belief that comes back."""
+"""Factor on every variance of a restored belief: standard deviations grow by 1.4."""
 DRIFT_M_PER_SQRT_S = 0.1
-"""Random walk of a place that nobody measured, per axis: 1 m after 100 s."""
+"""Random walk of a position without measurements, per axis: 1 m after 100 s."""
 MAX_PLACES = 32
+"""Most hypotheses of a checkpoint; a tracker begins with 24 (`RING_SIZE`)."""
 MAX_COORDINATE_M = 1e5
+"""Largest coordinate in the local frame that is accepted from a file, metres: 100 km, far beyond
+any flight."""
 MAX_VARIANCE = 1e8
+"""Largest variance that is accepted from a file, m^2 (a sigma of 10 km) or rad^2."""
 ASYMMETRY = 1e-6
-"""Relative; rounding leaves less."""
+"""Largest relative asymmetry of a covariance; rounding leaves less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,26 +44,27 @@ class BelievedPlace:
 
     log_weight: float
     mean: tuple[float, ...]
-    """(n,), see `measurement_model`."""
+    """State (n,), see `measurement_model`."""
     covariance: tuple[tuple[float, ...], ...]
-    """(n, n)"""
+    """(n, n)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """The hypotheses of one target."""
+    """Hypotheses of one target, as they are stored in a checkpoint."""
 
     emitter_id: int | None
     measurements: int
     places: tuple[BelievedPlace, ...]
     """Best first; empty before the first measurement."""
     own: OwnAccuracy | None = None
-    """Of the vehicle's place, at the worst; None: nobody kept it."""
+    """Worst accuracy of the vehicle position while this was measured; None: not recorded."""
     raised_m: float = 0.0
-    """By how much the vehicle's heights were moved since the heights here were true."""
+    """Sum of the height steps of the vehicle's navigation since the heights stored here were
+    valid."""
 
     def problem(self, size: int) -> str | None:
-        """Why nothing can begin from it in a tracker with a state of `size` components, or None."""
+        """Return why a tracker with a state of `size` components cannot start from it, or None."""
         if not 0 < len(self.places) <= MAX_PLACES:
             return f"{len(self.places)} places"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:
@@ -81,7 +85,7 @@ def belief_of(
     own: OwnAccuracy | None = None,
     raised_m: float = 0.0,
 ) -> Belief | None:
-    """The belief in some hypotheses, best first; None without any."""
+    """Return the belief that these hypotheses, best first, amount to; None without any."""
     if not hypotheses:
         return None
     best = hypotheses[0].log_weight
@@ -99,7 +103,7 @@ def belief_of(
 def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
-    """The hypotheses of a belief that nobody renewed for a while."""
+    """Return the hypotheses of a belief of this age, with inflated covariances."""
     walk = max(params.process_noise_m_per_sqrt_s, DRIFT_M_PER_SQRT_S)
     hypotheses = []
     for place in belief.places:
@@ -111,11 +115,11 @@ def hypotheses_of(
 
 
 def as_evidence(hypothesis: Hypothesis, params: FilterParams) -> OlderEvidence:
-    """A hypothesis as a prior of the window, without what the window's own prior says already."""
+    """Return a hypothesis as a prior of the window, less the prior that the window has already."""
     centre, sigmas = params.prior
     centre[RANGE_OFFSET : BEARING_OFFSET + 1] = 0.0
     own = np.diag((1.0 / sigmas) ** 2)
-    own[:RANGE_OFFSET] = 0.0  # the window takes the position's prior to be flat
+    own[:RANGE_OFFSET] = 0.0  # the window's position prior is flat
     held = np.linalg.inv(hypothesis.state.covariance)
     values, vectors = np.linalg.eigh(0.5 * (held + held.T) - own)
     information: Matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T

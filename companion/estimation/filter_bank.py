@@ -1,11 +1,11 @@
-"""One measurement through every hypothesis, and the gate that they hold it against.
+"""Update of every hypothesis with one measurement, and the outlier gate.
 
-The gate tells which innovations a believable estimate can explain. An innovation is judged in
-standard deviations of the estimate's own uncertainty and of the noise that the run has shown.
-Reflections make ranges longer by any amount and are the robust loss's task, but no path is shorter
-than the straight one: a range that is too short by more than the gate is wrong, and so is a bearing
-that is off by more. Those are not fused. A range that is longer than reflections make it is fused,
-because the loss holds it at bay, but agrees with nothing.
+The gate decides which innovations a credible estimate can explain. An innovation is tested in
+standard deviations of the estimate's own uncertainty and of the measured noise. Reflections make
+ranges longer by any amount and are left to the robust loss, but no path is shorter than the
+straight one: a range that is too short by more than the gate is an error, and so is a bearing that
+is off by more. Those are not fused. A range that is too long even for a reflection is fused,
+because the loss bounds its influence, but it does not count as agreement.
 """
 
 from __future__ import annotations
@@ -29,33 +29,32 @@ from companion.estimation.measurement_model import AZIMUTH, COSINES
 from companion.estimation.screening.measurement_screen import RejectReason
 
 LIKELY_LOG_RATIO = math.log(0.05)
-"""A hypothesis at least this probable beside the best one has a say at the gate."""
+"""Log of the probability, relative to the best, from which a hypothesis takes part in the gate."""
 GATE_SIGMAS = 6.0
 """Recorded Wi-Fi and UWB walks and flights in the shadow of buildings stay within it."""
 LONG_SIGMAS = 25.0
-"""Reflections reach 20 of the inflated standard deviations now and then."""
+"""Reflections occasionally reach 20 of the inflated standard deviations."""
 
 
 class Gate(NamedTuple):
-    """What became of one measurement at the gate."""
+    """Result of the outlier gate for one measurement."""
 
     passes_range: bool = True
     """False: too short to be fused."""
     passes_bearing: bool = True
     """False: off by too much to be fused."""
     agrees_in_range: bool = True
-    """Whether the range, if there is one, agrees with the estimate: neither too short nor absurdly
-    long."""
+    """True if the range, if any, agrees with the estimate: neither too short nor absurdly long."""
     agrees_in_bearing: bool = True
 
     @property
     def agrees(self) -> bool:
-        """Whether all that was measured agrees with the estimate."""
+        """True if every measured component agrees with the estimate."""
         return self.agrees_in_range and self.agrees_in_bearing
 
     @classmethod
     def of(cls, report: UpdateReport, inflation: Inflation, antenna: int = AZIMUTH) -> Gate:
-        """The gate's judgement of an update; two direction cosines are one direction."""
+        """Return the gate's result for an update; two direction cosines count as one direction."""
         ranged = _in_sigmas(report.range, inflation[0])
         borne = abs(_in_sigmas(report.bearing, inflation[1]))
         if antenna == COSINES:
@@ -69,20 +68,20 @@ class Gate(NamedTuple):
         )
 
     def unarmed(self) -> Gate:
-        """The same judgement with nothing kept out, while the estimate has yet to prove itself."""
+        """Return the same result with nothing rejected, for an estimate that is not yet proven."""
         return self._replace(passes_range=True, passes_bearing=True)
 
     def joined(self, other: Gate) -> Gate:
-        """The judgement of two hypotheses: what either can explain is no outlier."""
+        """Return the combined result of two hypotheses: what either explains is no outlier."""
         return Gate(*(mine or its for mine, its in zip(self, other, strict=True)))
 
     @property
     def reject_reason(self) -> RejectReason:
-        """What a measurement that does not pass is counted as."""
+        """Reason under which a measurement that does not pass is counted."""
         return RejectReason.BEARING_OUTLIER if self.passes_range else RejectReason.RANGE_OUTLIER
 
     def passed(self, measurement: RangingMeasurement) -> RangingMeasurement | None:
-        """What of a measurement is fused; None: nothing."""
+        """Return the components of a measurement that may be fused; None: none."""
         if self.passes_range and self.passes_bearing:
             return measurement
         if not self.passes_range:
@@ -94,10 +93,11 @@ class Gate(NamedTuple):
 
 
 OPEN = Gate()
+"""Gate that passes everything."""
 
 
 def _in_sigmas(report: ModalityReport | None, inflation: float) -> float:
-    """The innovation in its own standard deviations; 0 where nothing was measured."""
+    """Return the innovation in its own standard deviations; 0 where nothing was measured."""
     if report is None:
         return 0.0
     return report.innovation / (report.noise_sigma * math.sqrt(inflation + report.prior_share))
@@ -105,14 +105,14 @@ def _in_sigmas(report: ModalityReport | None, inflation: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class BankUpdate:
-    """Hypotheses after a measurement; those that lost their covariance are gone."""
+    """Hypotheses after a measurement, without those whose covariance became indefinite."""
 
     hypotheses: tuple[Hypothesis, ...]
-    """In the order of those before."""
+    """Survivors, in their order before the update."""
     reports: tuple[UpdateReport, ...]
-    """Of each that survived, the best one's first."""
+    """One for each survivor, the best one's first."""
     gate: Gate
-    """What the hypotheses that were likely before it can explain."""
+    """Joint gate of the hypotheses that were likely before the update."""
 
 
 def update_hypotheses(
@@ -123,7 +123,10 @@ def update_hypotheses(
     told: Inflation,
     shown: Inflation,
 ) -> BankUpdate:
-    """All hypotheses after a measurement by the inflation `told`; the gate goes by that `shown`."""
+    """Return all hypotheses after a measurement.
+
+    The filters use the first inflation, the gate the second one, which is as measured.
+    """
     before, survivors, reports = [], [], []
     thresholds = target_filter.params.thresholds.tolist()
     for hypothesis in hypotheses:
@@ -133,7 +136,7 @@ def update_hypotheses(
             continue
         log_weight = hypothesis.log_weight
         before.append(log_weight)
-        if len(hypotheses) > 1:  # one alone has no rival to be weighed against
+        if len(hypotheses) > 1:  # a single hypothesis needs no weight
             log_weight += log_likelihood(report, thresholds, told)
         survivors.append(replace(hypothesis, log_weight=log_weight, state=report.state))
         reports.append(report)
@@ -150,7 +153,7 @@ def update_hypotheses(
 def log_likelihood(
     report: UpdateReport, thresholds: Sequence[Sequence[float]], inflation: Sequence[float]
 ) -> float:
-    """Robust log-likelihood of all innovations of an update, tempered by the inflation."""
+    """Return the robust log-likelihood of an update's innovations, tempered by the inflation."""
     total = 0.0
     for row, (k_long, k_short), c in zip(report.modalities, thresholds, inflation, strict=True):
         if row is None:

@@ -1,14 +1,14 @@
-"""The places a target may be: first hypotheses, and what becomes of them, jumps included.
+"""Hypotheses about the target's position: the first ones, pruning and merging, navigation jumps.
 
 One range alone puts the target on a ring, one bearing alone on a ray. Both are covered by a small
-bank of Gaussians, each run by the same filter and weighted by its (tempered) likelihood. A
-walk along a line leaves two of them, mirror images of each other: then the state is ambiguous, and
+bank of Gaussians, each updated by the same filter and weighted by its (tempered) likelihood. A
+straight track leaves two of them, mirror images of each other: the state is then ambiguous, and
 both are kept. A range with a bearing needs only one.
 
-When the vehicle's own navigation jumps, hypotheses and measurements move along. All that was
-measured is relative to the vehicle, so the target, and every place that it was seen from, move by
-as much as the reported position; bearings that are measured from the heading turn against it, and
-so does their offset. Heights do not move here: the tracker keeps to those of before a step.
+When the vehicle's navigation jumps, hypotheses and measurements are shifted with it. Measurements
+are relative to the vehicle, so the target, and every position that it was measured from, move by as
+much as the reported position; bearings that are measured from the heading turn against it, and so
+does their offset. Heights are not shifted here: the tracker keeps those from before a step.
 """
 
 from __future__ import annotations
@@ -34,36 +34,39 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 RING_SIZE = 24
+"""Hypotheses on the ring around a first range: one every 15 degrees."""
 RAY_SIZE = 8
+"""Hypotheses along a first bearing: from 3 m out to 184 m with `RAY_GROWTH`."""
 RAY_GROWTH = 1.8
-"""Each hypothesis along a bearing is this much farther out than the one before it."""
+"""Ratio of the distances of neighbouring hypotheses along a bearing; their radial sigma is 0.35 of
+the distance, so that they overlap."""
 
 PRUNE_LOG_RATIO = math.log(1e-7)
-"""A hypothesis this much less probable than the best one is dropped."""
+"""Log of the probability relative to the best hypothesis below which one is dropped."""
 
 MERGE_DISTANCE2 = 4.0
-"""Two hypotheses nearer than this (Mahalanobis, squared) are one."""
+"""Squared Mahalanobis distance below which two hypotheses are merged: 2 sigma."""
 
 
 class HypothesisParams(Params, frozen=True):
-    """How the first hypotheses are laid out."""
+    """Layout of the first hypotheses."""
 
     nearest_m: Positive = 3.0
-    """Smallest distance that a bearing alone is taken to mean."""
+    """Distance of the nearest hypothesis along a bearing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """One place where the target may be, with its log-probability up to a constant."""
+    """One position where the target may be, with its log-probability up to a constant."""
 
     log_weight: float
     state: FilterState
     least_covariance_m2: Matrix | None = None
-    """(2, 2) that the position's is not believed to be below, from the window; None: no limit."""
+    """Lower limit of the position covariance, (2, 2), from the window; None: no limit."""
 
     @property
     def place_enu_m(self) -> Point:
-        """East and north."""
+        """East and north of the mean."""
         return (float(self.state.mean[0]), float(self.state.mean[1]))
 
 
@@ -73,7 +76,7 @@ def first_hypotheses(
     filter_params: FilterParams,
     params: HypothesisParams,
 ) -> tuple[Hypothesis, ...]:
-    """Where the target may be after its first measurement."""
+    """Return the hypotheses that a target's first measurement gives rise to."""
     range_m = measurement.range_m
     if range_m is None:
         placed = [
@@ -102,14 +105,14 @@ def first_hypotheses(
 
 
 _Placed = list[tuple[float, float, Matrix]]
-"""Direction from the sensor, distance along the ground, and the position's covariance (2, 2)."""
+"""Direction from the sensor, ground distance, and position covariance (2, 2) of each hypothesis."""
 
 
 def _directions_rad(measurement: RangingMeasurement) -> list[float]:
-    """Where along the ground a direction points; not every array sees which side it comes from.
+    """Return the horizontal directions that a measurement may mean, one or two.
 
-    A line of antennas leaves two sides of its own, and a two-axis array what is behind it, unless
-    that is up in the air.
+    A line of antennas does not distinguish its two sides, nor a two-axis array front from back,
+    unless one of them points into the sky.
     """
     array = measurement.array
     if array is not None and array.second is not None:
@@ -166,7 +169,7 @@ def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_
 
 
 def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
-    """Their probabilities, summing to 1, in order."""
+    """Return the probabilities of the hypotheses, in order; their sum is 1."""
     hypotheses = tuple(hypotheses)
     if len(hypotheses) == 1:
         return np.ones(1)
@@ -177,7 +180,7 @@ def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
 
 
 def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
-    """The hypotheses worth keeping, best first; of two that are close the better has the weight."""
+    """Return the hypotheses best first, the improbable ones dropped and close ones merged."""
     ordered = sorted(hypotheses, key=lambda h: -h.log_weight)
     best = ordered[0].log_weight
     kept: list[Hypothesis] = []
@@ -196,7 +199,7 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
 
 
 def _distance2(a: FilterState, b: FilterState) -> float:
-    """Squared Mahalanobis distance of two positions under the smaller of the covariances' sum."""
+    """Return the squared Mahalanobis distance of two positions under their summed covariance."""
     difference = a.mean[:2] - b.mean[:2]
     (ee, en), (_, nn) = (a.covariance[:2, :2] + b.covariance[:2, :2]).tolist()
     e, n = difference.tolist()
@@ -204,18 +207,18 @@ def _distance2(a: FilterState, b: FilterState) -> float:
 
 
 JUMP_SIGMA_RAD = math.radians(2.0)
-"""How well a jump of the heading is known."""
+"""Standard deviation of a heading jump that the autopilot reports."""
 
 
 def state_step(params: FilterParams, shift_en_m: Point, turn_rad: float) -> Vector:
-    """By how much a state (n,) moves in a jump; bearings turn by `turn_rad`, counter-clockwise."""
+    """Return the change of a state (n,) in a jump; `turn_rad` counts counter-clockwise."""
     step = np.zeros(len(params.prior[0]))
     step[EAST], step[NORTH], step[BEARING_OFFSET] = *shift_en_m, turn_rad
     return step
 
 
 def shift_hypothesis(hypothesis: Hypothesis, step: Vector, sigma_m: float) -> Hypothesis:
-    """The hypothesis after a jump that is known to `sigma_m` per axis."""
+    """Return the hypothesis after a jump whose size is known to `sigma_m` per axis."""
     state = hypothesis.state
     mean = state.mean + step
     mean[BEARING_OFFSET] = wrap_pi(float(mean[BEARING_OFFSET]))
@@ -227,7 +230,7 @@ def shift_hypothesis(hypothesis: Hypothesis, step: Vector, sigma_m: float) -> Hy
 
 
 def shift_rows(rows: Matrix, shift_en_m: Point, step: Vector, params: FilterParams) -> Matrix:
-    """Measurements as they would have been made after a jump, of the same shape."""
+    """Return measurements as they would have been made after a jump, of the same shape."""
     after = np.array(rows)
     after[:, :2] += shift_en_m
     if params.model.antenna == AZIMUTH:

@@ -1,4 +1,4 @@
-"""What a filter believes about a measurement: slant range, bearing and elevation of one target.
+"""Measurement model: slant range, bearing and elevation of one target, h(x), H and R.
 
 The state is [east, north, range offset, bearing offset], followed by a range scale and by the
 target's height where these are not known:
@@ -8,18 +8,19 @@ target's height where these are not known:
     elevation   atan2(height difference, ground range)
 
 A measurement is three numbers in that order, NaN where nothing was measured: inside the kernels
-they are one array. With a known height and no elevation the arithmetic is that of the plane.
+they are one array. With a known height and no elevation the geometry is that of the plane.
 
 An antenna array does not measure an azimuth about the vertical. It measures the components of u,
-the unit vector to the target, along axes a and b of its own, which the vehicle's attitude turns.
-Then the bearing's and the elevation's place hold, with R(c) the turn by the bearing offset c,
+the unit vector to the target, along its own axes a and b, which turn with the vehicle's attitude.
+The rows of bearing and elevation then hold, with R(c) the rotation by the bearing offset c,
 
     planar array      atan2(b . R(c) u, a . R(c) u)      its azimuth, clockwise from a to b
     any other         a . R(c) u   and   b . R(c) u      direction cosines
 
-with noise s on each component. An azimuth's is s / rho then, with rho the length of u in the plane
-of the array: nothing near its normal. There, where s / rho is no small angle, a phase says less
-than its variance, by 1 + (s / rho)^2 to a good approximation (that of a Rician phase).
+with noise s on each component. The noise of an azimuth is then s / rho, with rho the length of u in
+the plane of the array: near its normal an azimuth has no information. Where s / rho is no small
+angle, a phase has less information than its variance suggests, by 1 + (s / rho)^2 to a good
+approximation (that of a Rician phase).
 
 Paper: eq. (1) with h of the range lifted to the flown altitude, because a radio measures slant
 range (the paper works in the plane of flight). Deviations: scale, height, elevation and arrays.
@@ -36,53 +37,57 @@ import numpy as np
 from companion.kernel import Matrix, Vector, kernel
 
 EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = 0, 1, 2, 3
-"""Places in the state that always exist."""
+"""Indices of the state that always exist."""
 
 RANGE, BEARING, ELEVATION = 0, 1, 2
-"""Rows of a measurement; of direction cosines the last two."""
+"""Rows of a measurement; an array's direction cosines are in the last two."""
 MODALITIES = 3
+"""Number of rows of a measurement."""
 
 ABSENT = -1
 """Index of a component that is not part of the state."""
 
 MIN_RANGE_M = 1e-3
-"""Closer than this the direction to the target has no meaning."""
+"""Distance below which the direction to the target is undefined."""
 
 AZIMUTH, PLANAR, COSINES = 0, 1, 2
-"""What stands in the bearing's place: an azimuth about the vertical, as the paper has it, that of a
+"""Content of the bearing row: an azimuth about the vertical, as in the paper, the azimuth of a
 planar array in its own plane, or direction cosines."""
 FIRST_AXIS, SECOND_AXIS, POSE_SIZE = 3, 6, 9
-"""Where a sensor's pose has its antenna's axes, behind its place."""
+"""Indices of an antenna's axes in a sensor's pose, behind the position, and the size of the
+pose."""
 MIN_SINE2 = 1e-6
-"""Nearer to a planar array's normal than its root, an azimuth has no meaning."""
+"""Lower limit of the squared sine of the angle to a planar array's normal, where an azimuth is
+undefined."""
 
 
 class RangingModel(NamedTuple):
-    """The constants of the model, as the kernels take them."""
+    """Constants of the model, as the kernels take them."""
 
     height_m: float
-    """Height of the target above the local origin, where it is not in the state."""
+    """Height of the target above the local origin, if it is not in the state."""
     height_index: int
-    """Place of the height in the state, or `ABSENT`."""
+    """Index of the height in the state, or `ABSENT`."""
     scale_index: int
-    """Place of the range scale in the state, or `ABSENT`."""
+    """Index of the range scale in the state, or `ABSENT`."""
     own_sigma_m: float
-    """How well the vehicle knows its own place, per axis."""
+    """Standard deviation of the vehicle position, per axis."""
     near_target_terms: bool
-    """Whether variances contain the second-order terms."""
+    """True if variances contain the second-order terms."""
     bearing_inflation: float = 1.0
-    """How much worse than thermal bearings are. The own position's error does not grow with that,
-    so that it counts for less beside them."""
+    """Variance of bearings over thermal noise. The vehicle's position error does not grow with it,
+    so that it counts for less beside inflated bearings."""
     antenna: int = AZIMUTH
     """`AZIMUTH`, `PLANAR` or `COSINES`."""
     range_share: float = 1.0
-    """What a range is worth in the window's objective, as a share of an independent one."""
+    """Weight of a range in the window's objective, as a share of an independent one."""
     direction_share: float = 1.0
+    """The same weight of a direction."""
 
 
 @kernel
 def target_height_m(mean: Vector, model: RangingModel) -> float:
-    """Height of the target above the local origin, estimated or known."""
+    """Return the height of the target above the local origin, estimated or configured, metres."""
     if model.height_index >= 0:
         return float(mean[model.height_index])
     return model.height_m
@@ -90,7 +95,7 @@ def target_height_m(mean: Vector, model: RangingModel) -> float:
 
 @kernel
 def range_factor(mean: Vector, model: RangingModel) -> float:
-    """What the true distance is multiplied by."""
+    """Return the factor on the true distance, 1 + scale."""
     if model.scale_index >= 0:
         return 1.0 + float(mean[model.scale_index])
     return 1.0
@@ -98,7 +103,7 @@ def range_factor(mean: Vector, model: RangingModel) -> float:
 
 @kernel
 def cosines(de: float, dn: float, du: float, turn_rad: float, pose: Vector) -> tuple[float, float]:
-    """Components along the antenna's axes of the unit vector (de, dn, du), turned by `turn_rad`."""
+    """Return the unit vector (de, dn, du), turned by `turn_rad`, along the antenna's two axes."""
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     east, north = c * de - s * dn, s * de + c * dn
     return (
@@ -109,9 +114,10 @@ def cosines(de: float, dn: float, du: float, turn_rad: float, pose: Vector) -> t
 
 @kernel
 def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
-    """Range, bearing and elevation expected, (3,), of a state; metres, radians, not wrapped.
+    """Return the range, bearing and elevation, (3,), of a state; metres and radians, not wrapped.
 
-    The sensor is its place, (3,), or with an antenna array its pose, (9,): place and two axes.
+    The sensor is its position, (3,), or with an antenna array its pose, (9,): position and two
+    axes.
     """
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])
@@ -133,7 +139,7 @@ def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector
 
 @kernel
 def jacobian(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Matrix:
-    """Partials by the state, (3, n); the position's are zero where a direction has no meaning."""
+    """Return the partials by the state, (3, n); zero where a direction is undefined."""
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])
     du = target_height_m(mean, model) - float(sensor_enu_m[2])
@@ -172,7 +178,7 @@ def fill_array_partials(
     pose: Vector,
     model: RangingModel,
 ) -> None:
-    """The rows of H, (3, n), of an array: those of its cosines, or of its azimuth."""
+    """Fill the direction rows of H, (3, n), with an array's partials (cosines or azimuth)."""
     slant = max(math.sqrt(de * de + dn * dn + du * du), MIN_RANGE_M)
     e, n, up = de / slant, dn / slant, du / slant
     c, s = math.cos(mean[3]), math.sin(mean[3])
@@ -197,13 +203,13 @@ def fill_array_partials(
 def variances(
     P: Matrix, mean: Vector, sensor_enu_m: Vector, sigma: Vector, model: RangingModel
 ) -> Vector:
-    """Variances of range, bearing and elevation about the model, (3,), m^2 and rad^2.
+    """Return the variances of range, bearing and elevation about the model, (3,), m^2 and rad^2.
 
-    Radio noise `sigma` (3,), the vehicle's own position (for angles by the angle it spans from the
-    target), and the spread of the model's second-order part: (tr P / 2r)^2 for the range,
-    (tr P / r^2)^2 with r along the ground for the bearing. Without these an EKF believes a
-    linearisation that is meaningless near the target, and diverges. The elevation's cone above the
-    target is as sharp.
+    They contain the radio's noise `sigma` (3,), the vehicle's position error (for angles, the angle
+    that it subtends at the target), and the spread of the model's second-order part: (tr P / 2r)^2
+    for the range, (tr P / r^2)^2 with the ground range r for the bearing. Without these an EKF
+    trusts a linearisation that is meaningless near the target, and diverges. The elevation is as
+    nonlinear right above the target.
     """
     de = float(mean[0]) - float(sensor_enu_m[0])
     dn = float(mean[1]) - float(sensor_enu_m[1])
@@ -235,7 +241,7 @@ def variances(
 def array_variances(
     P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel
 ) -> Vector:
-    """The same as `variances` for an antenna array; `sigma` of a component, (3,)."""
+    """Return the variances as in `variances` for an antenna array; `sigma` of a component, (3,)."""
     de = float(mean[0]) - float(pose[0])
     dn = float(mean[1]) - float(pose[1])
     du = target_height_m(mean, model) - float(pose[2])
@@ -255,7 +261,7 @@ def array_variances(
         sine2 = max(x * x + y * y, MIN_SINE2)
         view2 = slant2 * sine2
         R[1] /= sine2
-        R[1] *= 1.0 + R[1]  # what a phase that is no small angle says less
+        R[1] *= 1.0 + R[1]  # Rician phase: a large angle carries less information than its variance
     R[1] += own2 / view2 + (trace / view2) ** 2
     R[2] += own2 / slant2 + (trace / slant2) ** 2
     return R

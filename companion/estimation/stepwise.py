@@ -1,9 +1,9 @@
-"""Work that can be done step by step, so that something more urgent may come in between.
+"""Computations that run step by step, so that more urgent work can come in between.
 
-A solution of the window takes many times what a control tick may wait for. So the functions that
-solve are generators: between two steps they yield what the step was worth, and another one decides
-when they go on. The steps are the same however they are spread over time, and so are the results,
-bit for bit; no clock takes part in it. Where nothing is urgent the function is called as any other.
+Solving the window takes many times what a control tick may wait for. So the functions that solve
+are generators: they yield the cost of each step, and the caller decides when they continue. The
+steps, and so the results, are the same bit for bit however they are spread over time; no clock
+takes part. Where nothing is urgent the function is called like any other.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 Steps: TypeAlias = Generator[int, None, T]
-"""Yields after each step what it took, in measurements that are gone through once."""
+"""Generator that yields the cost of each step, in measurements that are passed over once."""
 PASS_ROWS = 1000
-"""What a pass over measurements takes however few they are: the calls of numpy in plain Python.
+"""Fixed cost of a pass over measurements, however few, in measurements: numpy's call overhead.
 
 Measured on one core of a laptop: 0.22 ms and 0.22 us for each measurement; compiled 0.01 ms and
-0.19 us. So a unit is no more than a quarter of a microsecond either way."""
+0.19 us. So a unit is at most a quarter of a microsecond either way.
+"""
 
 
 def passes(count: int, rows: int) -> int:
-    """What it takes to go so many times through so many measurements."""
+    """Return the cost of `count` passes over so many measurements."""
     return count * (PASS_ROWS + rows)
 
 
 def finish(steps: Steps[T]) -> T:
-    """Go through all steps at once; return the result."""
+    """Run all steps at once; return the result."""
     while True:
         try:
             next(steps)
@@ -41,7 +42,7 @@ def finish(steps: Steps[T]) -> T:
 
 
 def while_same(steps: Steps[None], state: Callable[[], object]) -> Steps[None]:
-    """Go through steps; give them up once what they stand on is another one."""
+    """Run steps, and abandon them once `state()` has changed since the start."""
     before = state()
     for cost in steps:
         yield cost
@@ -50,7 +51,7 @@ def while_same(steps: Steps[None], state: Callable[[], object]) -> Steps[None]:
 
 
 class Callee(Generic[P, T]):
-    """A stepwise method of one object: called as a whole, or begun by `steps`."""
+    """Stepwise method of one object: called as a whole, or started by `steps`."""
 
     __slots__ = ("steps",)
 
@@ -58,7 +59,7 @@ class Callee(Generic[P, T]):
         self.steps = steps
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
-        """Go through all steps at once."""
+        """Run all steps at once."""
         return finish(self.steps(*args, **kwargs))
 
 
@@ -76,6 +77,6 @@ class Stepwise(Generic[S, P, T]):
     def __get__(self, instance: S, owner: type[Any]) -> Callee[P, T]: ...
 
     def __get__(self, instance: S | None, owner: type[Any]) -> Any:
-        """The method of this object; of none, it takes one as its first argument."""
+        """Return the method bound to this object; on the class, one that takes the object first."""
         method: Callable[..., Any] = self._method
         return Callee(method if instance is None else partial(method, instance))

@@ -1,13 +1,13 @@
-"""The estimate that hypotheses add up to: the place that is told, its R95, and the state.
+"""Estimate of a set of hypotheses: the reported position, its R95, and the state.
 
-R95 is the radius about the estimate that holds 95 % of the probability of all hypotheses. It is
-relative, that is in the vehicle's own frame, and decides about the state. The absolute one takes
-the error of the vehicle's own place in, the same one for every hypothesis: each covariance grows by
-its variance on both axes.
+R95 is the radius about the estimate that holds 95 % of the probability of all hypotheses. The
+relative one, in the vehicle's own frame, decides about the state. The absolute one includes the
+error of the vehicle position on the Earth, which all hypotheses share: its variance is added to
+both axes of each covariance.
 
-That error does not stand still, so that the frame in which a search has its mean is not the one
-that the vehicle flies in at its end (`shared_errors`). Nothing that is measured shows it, and so it
-counts in both radii, and not in the one that the search waits for.
+That error drifts, so that the frame of a search's mean is not the one that the vehicle flies in at
+its end (`shared_errors`). No measurement reveals the drift, so it counts in both radii, but not in
+the one that a search waits for.
 """
 
 from __future__ import annotations
@@ -26,26 +26,31 @@ from companion.estimation.window.shared_errors import NO_ERRORS, SharedErrors
 from companion.kernel import Matrix, Vector, frozen, kernel
 
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
-"""Turn between neighbours on a spiral that covers a disc evenly."""
+"""Angle between neighbours on a spiral that covers a disc evenly."""
 
 MIN_AXIS_RATIO = 4e-3
-"""Ellipses thinner than this (in variance) are taken as this thin; R95 differs by under 0.1 %."""
+"""Lower limit of an ellipse's variance ratio; R95 differs by under 0.1 %."""
 LOG_OUTSIDE = math.log(0.05)
+"""Log of the probability outside R95."""
 R95_START = 0.5 * 1.9**2
-"""R^2 / 2 that the search for R95 begins from, less than that of the narrowest ellipse."""
+"""Start of the search for R95, in R^2 / 2: less than that of the narrowest ellipse (1.96 sigma)."""
 R95_TOLERANCE = 1e-12
+"""Step of R^2 / 2, in units of the larger variance, at which the search ends: rounding."""
 R95_MAX_STEPS = 20
+"""Newton steps at most; four suffice for every ellipse."""
 
 _BOTH_AXES = np.eye(2)
+"""Unit covariance (2, 2)."""
 _PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
+"""Midpoints of 64 equal parts of a quarter turn, which hold by symmetry for the whole turn."""
 _COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
 
 AMBIGUOUS_PROBABILITY = 0.05
-"""A second hypothesis with at least this probability makes the estimate ambiguous."""
+"""Probability of a second hypothesis from which the estimate is ambiguous."""
 LEAST_ASIDE_M = 10.0
-"""A walk to the side by less than this tells nothing."""
+"""Shortest detour that is asked for; shorter ones do not separate mirror images."""
 MAX_AMBIGUOUS = 3
-"""More distinct places than this is searching, not ambiguous."""
+"""With more distinct positions than this the state is searching, not ambiguous."""
 
 
 def estimate_of(
@@ -58,7 +63,7 @@ def estimate_of(
     is_diverged: bool,
     shared: SharedErrors = NO_ERRORS,
 ) -> TargetEstimate:
-    """What hypotheses, best first, add up to; `is_diverged`: the filter was started anew lately."""
+    """Return the estimate of hypotheses, best first; `is_diverged`: the filter was reset lately."""
     weights, best, own = probabilities(hypotheses), hypotheses[0], shared.own
     covariances = [
         shared.within_reach(
@@ -93,7 +98,7 @@ def estimate_of(
         height_sigma_m=math.sqrt(P[height, height]) if height >= 0 else None,
         range_scale=float(mean[scale]) if scale >= 0 else 0.0,
         own=own,
-        # a rival's place that is blurred may come nearer: no reason to promise more
+        # a blurred rival may come nearer, which must not make the absolute radius the smaller one
         absolute_r95_m=max(r95_m, _r95_m(hypotheses, weights, on_earth)),
         settled_r95_m=settled_m,
     )
@@ -121,10 +126,10 @@ class KeptEstimate:
 
 
 def aside_of_m(estimate: TargetEstimate) -> float | None:
-    """How far off its line the sensor should go to tell two places apart; None: there is one.
+    """Return how far off its line the sensor should go to resolve an ambiguity; None without one.
 
-    Mirror images are as far from a line as each other. From a few metres aside, a quarter of what
-    parts them, one is nearer by more than ranges are wrong by.
+    Mirror images are equally far from every point of the line. At a quarter of their distance to
+    the side, one is nearer than the other by more than the errors of ranges.
     """
     other = estimate.alternative_enu_m
     if other is None:
@@ -133,7 +138,10 @@ def aside_of_m(estimate: TargetEstimate) -> float | None:
 
 
 def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix:
-    """The filter's or, if wider, the window's covariance, plus the own position's error, (2, 2)."""
+    """Return the covariance of the target in the vehicle's frame, (2, 2), m^2.
+
+    It is the filter's or, if wider, the window's, plus the error of the vehicle position.
+    """
     covariance = hypothesis.state.covariance[:2, :2]
     least = hypothesis.least_covariance_m2
     if least is not None and least[0, 0] + least[1, 1] > covariance[0, 0] + covariance[1, 1]:
@@ -164,11 +172,11 @@ def _state(weights: Vector, r95_m: float, localised_r95_m: float) -> EstimateSta
 
 
 def r95_of_covariance_m(covariance_m2: Matrix) -> float:
-    """Radius of the circle about the mean that holds 95 % of a 2-D Gaussian, metres.
+    """Return the radius of the circle about the mean that holds 95 % of a 2-D Gaussian, metres.
 
     The probability outside radius R is the mean over directions of exp(-R^2 q / 2) / (q sqrt(det))
     with q the inverse variance in that direction. Its logarithm is convex in R^2 / 2, so Newton's
-    method from below climbs to the root without a step too far.
+    method from below converges without overshoot.
     """
     (a, b), (_, c) = covariance_m2.tolist()
     middle, away = 0.5 * (a + c), math.hypot(0.5 * (a - c), b)
@@ -180,7 +188,7 @@ def r95_of_covariance_m(covariance_m2: Matrix) -> float:
 
 @kernel
 def _radius_m(ratio: float, high: float) -> float:
-    """R95 of an ellipse whose variances are `high`, m^2, and `ratio` times that."""
+    """Return R95 of an ellipse whose variances are `high`, m^2, and `ratio` times that."""
     q = _COS2 + _SIN2 / ratio
     share = 1.0 / q
     share /= share.sum()
@@ -197,7 +205,7 @@ def _radius_m(ratio: float, high: float) -> float:
 
 @functools.cache
 def _spiral(count: int) -> Matrix:
-    """So many equally probable points of a standard normal, (2, count)."""
+    """Return `count` equally probable points of a standard normal, (2, count)."""
     order = np.arange(count)
     radii = np.sqrt(-2.0 * np.log1p(-(order + 0.5) / count))
     turn_rad = GOLDEN_ANGLE_RAD * order
@@ -207,10 +215,11 @@ def _spiral(count: int) -> Matrix:
 def r95_of_mixture_m(
     centre_m: Vector, components: Sequence[tuple[float, Vector, Matrix]], rings: int = 24
 ) -> float:
-    """Radius about `centre_m` (2,) that holds 95 % of a mixture of 2-D Gaussians, metres.
+    """Return the radius about `centre_m` (2,) that holds 95 % of a mixture of 2-D Gaussians.
 
-    Components are (probability, mean (2,), covariance (2, 2)), probabilities summing to 1; each
-    counts as `2 * rings**2` equally probable points along a spiral, so that no two share a radius.
+    The radius is in metres. Components are (probability, mean (2,), covariance (2, 2)),
+    probabilities summing to 1; each is represented by `2 * rings**2` equally probable points along
+    a spiral, so that no two share a radius.
     """
     normal = _spiral(2 * rings**2)
     distances, weights = [], []

@@ -1,9 +1,10 @@
-"""From ranging measurements to an honest estimate of one target.
+"""Tracker of one target: from ranging measurements to an honest estimate.
 
-`TargetTracker` is what the guidance session and the replay share. It conducts its parts: the screen
-rejects what is implausible (counted, and without touching the filter), the bank runs the filter
-over the hypotheses, the optimizer corrects these by a window of measurements, the noise tells how
-much worse than thermal the innovations are, and integrity whether measurements and estimate agree.
+The guidance session and the replay share `TargetTracker`. It coordinates its parts: the screen
+rejects implausible measurements (counted, and without touching the filter), the bank runs the
+filter over the hypotheses, the optimizer corrects these by a window of measurements, the noise
+monitor measures how far innovations exceed thermal noise, and track integrity checks whether
+measurements and estimate agree.
 """
 
 from __future__ import annotations
@@ -68,15 +69,16 @@ from companion.estimation.window.shared_errors import NO_ERRORS, SharedSigmas
 from companion.estimation.window.window_map import WindowParams
 
 UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
-"""What is not known of the ground's height and of a radio's stamps where nothing is configured."""
+"""Standard deviations of the ground's height and of the lag of a radio's stamps, if not
+configured."""
 BETWEEN_WALLS = 2.0
-"""GNSS error over its reported accuracy between buildings, where nothing is configured."""
+"""GNSS error over its reported accuracy between buildings, if the environment is not configured."""
 FIX_CHANGE = 2.0
-"""By how much the accuracy that is told changes when the fix becomes another one."""
+"""Ratio of reported accuracies from which a fix counts as degraded: its error is another one."""
 
 
 class TrackerParams(Params, frozen=True):
-    """Everything about the estimate of one target."""
+    """Parameters of the estimate of one target."""
 
     kind: FilterKind = "asymmetric_huber"
     """The recursive filter; the others are baselines."""
@@ -85,28 +87,28 @@ class TrackerParams(Params, frozen=True):
     hypotheses: HypothesisParams = HypothesisParams()
     window: WindowParams = WindowParams()
     localised_r95_m: Distance = 2.0
-    """The state is `localised` while R95 is at most this."""
+    """R95 up to which the state is `localised`."""
     is_range_calibrated: bool = True
-    """False: the radio adds a constant that is unknown, so no place is `localised`; a radio that is
-    known for it says so by itself until its offset is set."""
+    """False: the radio adds an unknown constant, so no position is `localised`. Presets of radios
+    that do so set it until their offset is configured."""
     initial_inflation: Positive = 4.0
-    """Variance inflation taken for granted until the run has shown its own."""
+    """Variance inflation that is assumed until it has been measured."""
     adaptation: AdaptationParams | None = None
-    """Whether and how noise and thresholds are learnt on the run; null: they stay as configured."""
+    """On-line learning of noise and thresholds; null: they stay as configured."""
     range_gross_k: Positive | None = 6.0
-    """Ranges shorter than expected by more than this many sigma count linearly even where
-    `filter.range_k_short` is null: no noise makes them; null: quadratic at any size."""
+    """Ranges shorter than predicted by more than this many sigma have a linear loss even where
+    `filter.range_k_short` is null: noise does not produce them; null: quadratic at any size."""
     adapt_inflation: bool = True
-    """Whether the inflation is measured; false keeps it at 1, as the paper's filter has it."""
+    """True: the inflation is measured; false: it stays at 1, as in the paper's filter."""
 
     def __post_init__(self) -> None:
-        """Refuse to learn an array's noise: it depends on where it looks."""
+        """Reject adaptation for an array, whose noise depends on the direction of view."""
         if self.adaptation is not None and self.filter.antenna.kind not in ABOUT_VERTICAL:
             raise ValueError("adaptation needs filter.antenna.kind: azimuth")
 
     @property
     def believed(self) -> FilterParams:
-        """What the tracker's filter believes: `filter`, ranges bounded on the short side."""
+        """Parameters of the tracker's filter: `filter` with ranges bounded on the short side."""
         if self.range_gross_k is None or self.filter.range_k_short is not None:
             return self.filter
         return msgspec.structs.replace(self.filter, range_k_short=self.range_gross_k)
@@ -114,22 +116,22 @@ class TrackerParams(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class FusionReport:
-    """What became of one measurement."""
+    """Result of one measurement."""
 
     reject_reason: RejectReason | None
     update: UpdateReport | None = None
-    """The best hypothesis' update; None if rejected, and for the first measurement."""
+    """Update of the best hypothesis; None if rejected, and for the first measurement."""
     restarted: bool = False
-    """The filter lost its covariance or contradicted its measurements, and was started anew."""
+    """True if the filter lost its covariance or contradicted its measurements, and was reset."""
     agrees: bool = True
-    """Whether all that was measured agrees with the estimate."""
+    """True if every measured component agrees with the estimate."""
     measurement: RangingMeasurement | None = None
-    """What was measured, its bearing in the local frame, where the log is to tell it."""
+    """The measurement, its bearing in the local frame, where it is to be logged."""
     sensor_enu_m: PositionEnu | None = None
 
 
 class TargetTracker:
-    """Tracks one emitter: `emitter_id`, or the first one heard."""
+    """Tracker of one emitter: `emitter_id`, or the first one received."""
 
     def __init__(self, params: TrackerParams, emitter_id: int | None = None) -> None:
         self.params = params
@@ -137,23 +139,23 @@ class TargetTracker:
         self.accepted = 0
         self.last_accepted_s: float | None = None
         self.hypotheses: tuple[Hypothesis, ...] = ()
-        """The places the target may be, best first."""
+        """Possible positions of the target, best first."""
         self.own: OwnAccuracy | None = None
-        """How well the vehicle knew its own place, at the worst while this was measured: satellites
-        err by the same for minutes, so a time of a worse fix is not made good by a better one."""
+        """Worst accuracy of the vehicle position during these measurements: GNSS errors persist for
+        minutes, so that a better fix does not correct what was measured with a worse one."""
         self._best_own_m = math.inf
-        """How well at the best: satellites of another fix err by something else."""
+        """Best reported accuracy: a fix of another quality has another error."""
         self.raised_m = 0.0
-        """By how much the vehicle's heights were moved since the target's place was begun: what is
-        kept here stays about the zero of before, where a known height of the target holds."""
+        """Sum of the height steps of the vehicle's navigation since the track began: heights in the
+        tracker keep the first zero, about which a configured target height is valid."""
         self.integrity = TrackIntegrity()
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
-        """What the bearings show of an antenna that is not told; None: it is told."""
+        """Identification of an antenna that is not configured; None: it is configured."""
         self._told_antenna = ToldAntennaWatch()
         self._screen = MeasurementScreen(params.filter, params.acceptance)
         believed = params.believed
-        # noise that is learnt on the run is that of an azimuth
+        # adaptation learns the noise of an azimuth
         if params.filter.antenna.kind == "auto" and params.adaptation is None:
             self.antenna = AntennaCheck(believed)
             believed = self.antenna.params
@@ -163,7 +165,7 @@ class TargetTracker:
         self._shared = NO_ERRORS
         self._kept_estimate = KeptEstimate()
         self._moves = 0
-        """How often the frame was moved, or all forgotten: steps begun before are given up."""
+        """Number of frame shifts and resets; steps that began before the latest are abandoned."""
         self._noise = InnovationNoise.starting(params.initial_inflation)
         self._learner: NoiseLearner | None = None
         if params.adaptation is not None:
@@ -171,7 +173,7 @@ class TargetTracker:
 
     @property
     def rejected(self) -> Counter[RejectReason]:
-        """Measurements, or parts of them, that were not fused."""
+        """Counts of measurements, or components of them, that were not fused, by reason."""
         return self._screen.rejected
 
     @Stepwise
@@ -182,9 +184,9 @@ class TargetTracker:
         now_s: float,
         own: OwnAccuracy | None = None,
     ) -> Steps[FusionReport]:
-        """Take in one measurement, its bearing in ENU, from the antenna's place (None: unknown).
+        """Take in one measurement, its bearing in ENU, from the antenna's position (None: unknown).
 
-        `own` is how well that place is known on the Earth; None says nothing about it.
+        `own` is the accuracy of that position on the Earth; None: unknown.
         """
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
@@ -195,7 +197,7 @@ class TargetTracker:
         self.emitter_id = measurement.emitter_id
         judgement = self._screen.judge(measurement, sensor_enu_m, now_s)
         if judgement.is_newly_objected and not self.integrity.agreement.is_proven:
-            self._forget_place()  # it was made from the very values that are rejected now
+            self._forget_place()  # it was derived from the values that are rejected now
         if judgement.reason is not None:
             self.rejected[judgement.reason] += 1
         if judgement.passed is None:
@@ -213,6 +215,7 @@ class TargetTracker:
             yield from while_same(self.optimize.steps(), lambda: self._moves)
         at_s = measurement.measured_at_s
         estimate = self.estimate(at_s) if self.watch.is_due(at_s) else None
+        """Return the estimate of the target at this time; None before the first measurement."""
         if estimate is not None:
             mean = self.hypotheses[0].state.mean
             look = self.watch.look.steps(self._optimizer.map, mean, estimate.r95_m, at_s)
@@ -230,7 +233,7 @@ class TargetTracker:
             self._best_own_m = min(self._best_own_m, own.horizontal_m)
 
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
-        """Fuse what was let through, as far as the hypotheses can explain it."""
+        """Fuse what passed the screen, unless the gate rejects it."""
         params, is_white = self._filter.params, self._noise.is_white
         row = self._optimizer.kept_as.seen(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
@@ -274,7 +277,7 @@ class TargetTracker:
         )
 
     def _restart(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
-        """Give the estimate up, and start from what was measured last, outliers included."""
+        """Discard the track, and reinitialise from the latest measurement, even an outlier."""
         self.integrity.give_up(measurement.measured_at_s, self.accepted)
         self._noise = InnovationNoise.starting(self.params.initial_inflation)
         self._optimizer.begin_with_latest()
@@ -282,7 +285,7 @@ class TargetTracker:
         return FusionReport(None, None, restarted=True)
 
     def _learn(self, report: UpdateReport, learner: NoiseLearner) -> None:
-        """Learn the noise, and tune the filter to it now and then."""
+        """Learn the noise, and periodically tune the filter to it."""
         self._learner = learner.after(report)
         if self._learner.is_due and self._learner.count > learner.count:
             tuned = self._learner.tuned(self.params.believed)
@@ -291,11 +294,10 @@ class TargetTracker:
 
     @Stepwise
     def optimize(self, fresh_starts: int | None = None) -> Steps[None]:
-        """Check the hypotheses against the window, and let its optima correct them.
+        """Check the hypotheses against the window, and replace them by its optima.
 
-        `fresh_starts` is how many starts there are besides them: `params.window.starts` are from
-        every direction, and None are as many as the evidence calls for. Nothing is done without a
-        hypothesis.
+        `fresh_starts` is the number of starts besides them: `params.window.starts` covers every
+        direction, and None leaves the number to the evidence. Without a hypothesis nothing is done.
         """
         if not self.hypotheses:
             return
@@ -323,10 +325,10 @@ class TargetTracker:
 
     @property
     def _shared_sigmas(self) -> SharedSigmas:
-        """What is not known of what all measurements share, as told or configured."""
+        """Standard deviations of the errors that all measurements share, reported or configured."""
         params, own = self._filter.params, self.own or UNTOLD
         if params.model.antenna == AZIMUTH and self.own is None:
-            return SharedSigmas()  # the paper's world, in which places and heights are known
+            return SharedSigmas()  # as in the paper, where positions and heights are known
         lag_s = params.stamp_lag_sigma_s
         lag_s = (UNTOLD_LAG_S if self.antenna is not None else 0.0) if lag_s is None else lag_s
         own_height_m = OPTIMISM * own.vertical_m if own.is_told else 0.0
@@ -339,7 +341,7 @@ class TargetTracker:
         return SharedSigmas(own_m, height_m, lag_s, jump_m)
 
     def reject(self, reason: RejectReason) -> FusionReport:
-        """Count a measurement that is not fused, or that the caller could not even offer."""
+        """Count a measurement that is not fused, also one that the caller could not prepare."""
         self.rejected[reason] += 1
         return FusionReport(reason)
 
@@ -361,10 +363,10 @@ class TargetTracker:
         self._optimizer.clear()
 
     def move(self, shift_enu_m: PositionEnu, turn_rad: float, sigma_m: float = 0.0) -> None:
-        """The vehicle's navigation jumped: what is known moves along, see `hypotheses`.
+        """Shift all that is known with a jump of the vehicle's navigation, see `hypotheses`.
 
-        Bearings that are measured from the heading turn counter-clockwise; those of a radio that
-        knows north itself do not. The shift is known to `sigma_m` per axis.
+        Bearings measured from the heading turn counter-clockwise; north-referenced ones do not. The
+        shift is known to `sigma_m` per axis.
         """
         self._moves += 1
         turn_rad = turn_rad if self._screen.has_body_bearings else 0.0
@@ -377,16 +379,16 @@ class TargetTracker:
 
     @property
     def target_height_m(self) -> float:
-        """The height that is configured for the target, about the vehicle's present zero."""
+        """Configured height of the target about the vehicle's present zero, metres."""
         return self.params.filter.target_height_m + self.raised_m
 
     @property
     def belief(self) -> Belief | None:
-        """What would be worth knowing after a restart; None before the first measurement."""
+        """Checkpoint for a restart; None before the first measurement."""
         return belief_of(self.hypotheses, self.emitter_id, self.accepted, self.own, self.raised_m)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
-        """Begin again, with doubt, from what was believed; or say why not, and change nothing."""
+        """Restore a checkpoint with inflated covariances; return why if it cannot be used."""
         params = self._filter.params
         problem = belief.problem(len(params.prior[0]))
         if problem is not None:
@@ -422,7 +424,7 @@ class TargetTracker:
         return replace(estimate, time_s=now_s, height_m=estimate.height_m + self.raised_m)
 
     def budget(self, now_s: float) -> dict[str, float]:
-        """Return R95 in metres after each term that widens it, the last one the absolute R95."""
+        """Return R95 in metres after each term that widens it; the last one is the absolute R95."""
         estimate = self.estimate(now_s)
         if estimate is None:
             return {}
@@ -441,14 +443,14 @@ class TargetTracker:
         return budget
 
     def objection(self, now_s: float) -> Objection | None:
-        """Why the estimate must not be flown on, although there is one; None: it may."""
+        """Return why the estimate must not be used for guidance; None: it may be used."""
         objection = self._screen.objection or self.integrity.objection(now_s)
         if objection is None and self.hypotheses and self.integrity.is_recovering(self.accepted):
             return Objection.RECOVERING
         return objection
 
     def baseline_m(self, sensor_up_m: float) -> float:
-        """How far to the side of the target a view from this height must be to say much."""
+        """Return the least horizontal baseline to the target for an informative range, metres."""
         if self._optimizer.window.has_bearings or not self.hypotheses:
             return 0.0
         mean = self.hypotheses[0].state.mean
@@ -457,10 +459,7 @@ class TargetTracker:
 
     @property
     def antenna_shown(self) -> str | None:
-        """What directions show of the antenna that is not told, or `contradicted` of one that is.
-
-        None: nothing worth telling.
-        """
+        """Antenna kind that bearings identify, `contradicted` for a configured one, or None."""
         if self.antenna is not None:
             return self.antenna.shown
         return "contradicted" if self._told_antenna.is_contradicted else None
@@ -472,10 +471,10 @@ class TargetTracker:
 
     @property
     def array_sigmas(self) -> tuple[float, float] | None:
-        """Of a range, m, infinite where none came of late, and of a direction cosine, rad.
+        """Standard deviations of a range, m (infinite: none lately), and of a direction cosine.
 
-        With the inflation that the run has shown, and a range with the own place in it. A direction
-        may be out of view now, and counts as it is configured then. None: no measurement yet.
+        They contain the measured inflation, and the range's the vehicle position error. A direction
+        may be out of view at present, and then has its configured sigma. None: no measurement yet.
         """
         if not self._optimizer.latest or not self.hypotheses:
             return None
@@ -493,7 +492,7 @@ class TargetTracker:
 
     @property
     def health(self) -> TrackerHealth:
-        """How far the estimate can be trusted, as live values."""
+        """Live values of how far the estimate can be trusted."""
         observability = None
         if self.hypotheses:
             observability = self._optimizer.observability(self.hypotheses[0].state.mean)

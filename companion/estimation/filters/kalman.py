@@ -1,11 +1,11 @@
-"""The recursive filters: asymmetric Huber, Huber, ADMM and plain extended Kalman filter, by name.
+"""Recursive filters: asymmetric Huber, Huber, ADMM and plain extended Kalman filter, by name.
 
-They share prediction, and the update with one weight per modality; thresholds tell them apart. The
-Huber-EKF is symmetric: it takes a long range for as wrong as a short one. The EKF gives every
-measurement the weight one.
+They share the prediction, and the update with one weight per modality; they differ in thresholds.
+The Huber-EKF is symmetric: it treats a long range like a short one. The EKF gives every measurement
+the weight one.
 
-The ADMM-EKF handles the non-negative bias by splitting instead of by a closed form. One measurement
-asks for the minimum over the change d of the state, with whitened residuals v, of
+The ADMM-EKF handles the non-negative bias by splitting instead of by a closed form. For one
+measurement it minimises, over the change d of the state, with whitened residuals v,
 
     1/2 d^T P^-1 d + sum_m rho_m(v_m)      subject to   v_m = (y_m - H_m d) / sqrt(R_m)
 
@@ -17,10 +17,10 @@ dual w and a penalty kappa, the alternating direction method of multipliers repe
     w <- w + y~ - H~ d - v
 
 The covariance is that of the weights psi(v) / v at the end, in Joseph form. With few iterations the
-answer depends on the penalty: that is what the closed form does without.
+result depends on the penalty, which the closed form does not have.
 
-Source: S. Boyd et al., Distributed Optimization and Statistical Learning via ADMM (2011), ch. 3
-and 6. Paper: the baseline "ADMM-EKF"; it does not print its splitting.
+Source: S. Boyd et al., Distributed Optimization and Statistical Learning via ADMM (2011), ch. 3 and
+6. Paper: the baseline "ADMM-EKF"; it does not print its splitting.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ from companion.estimation.measurement_model import RangingModel, jacobian, varia
 from companion.kernel import Matrix, Vector, frozen, kernel
 
 KernelResult = tuple[Vector, Matrix, Matrix, bool]
-"""Mean, covariance, report and whether they are sane, as the update kernels return them."""
+"""Mean, covariance, report and positive definiteness, as the update kernels return them."""
 
 
 class RecursiveFilter:
-    """An extended Kalman filter whose rows are weighed by the params' thresholds.
+    """Extended Kalman filter whose rows are weighted by the params' thresholds.
 
-    The `kernel` has the arguments and results of `robust_update`; `options` is what it takes
-    besides.
+    The `kernel` has the arguments and results of `robust_update`; `options` are its further
+    arguments.
     """
 
     def __init__(
@@ -75,12 +75,12 @@ class RecursiveFilter:
         self.kernel = kernel
         self._walk = params.process_noise_m_per_sqrt_s
         self.settings = (params.thresholds, params.bounds, params.model, *options)
-        """The kernel's last arguments, the same for every measurement."""
+        """Last arguments of the kernel, the same for every measurement."""
         self._seen: tuple[object, object, tuple[Vector, ...]] = (None, None, ())
-        """What was last measured, and from where, as the kernel takes it: for all hypotheses."""
+        """Latest measurement, sensor position and kernel arguments, reused for all hypotheses."""
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
-        """The state at `time_s`; the covariance grows by the random walk, if any."""
+        """Return the state at `time_s`; the covariance grows by the random walk, if any."""
         q = self._walk
         dt_s = time_s - state.time_s
         if q == 0.0 or dt_s <= 0.0:
@@ -98,11 +98,11 @@ class RecursiveFilter:
         sensor_enu_m: PositionEnu,
         inflation: Inflation = NO_INFLATION,
     ) -> UpdateReport:
-        """The state after a measurement; see `TargetFilter.update`.
+        """Return the result of a measurement; see `TargetFilter.update`.
 
-        A late measurement of a target that walks is fused where the sensor was at its time; the
-        walk since then is noise of it. (Its correlation with the state's own error is left out,
-        which makes the filter a little more careful than it had to be.)
+        A late measurement of a moving target is fused from the sensor position at its time; the
+        random walk since then is added to its noise. (Its correlation with the state's own error is
+        left out, which makes the filter slightly conservative.)
         """
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
         if self._seen[0] is not measurement or self._seen[1] is not sensor_enu_m:
@@ -127,26 +127,26 @@ class RecursiveFilter:
 
 
 class AsymmetricHuberEkf(RecursiveFilter):
-    """The filter of the paper: ranges linear above `range_k_long`, bearings on both sides.
+    """Filter of the paper: ranges linear above `range_k_long`, bearings on both sides.
 
-    With `range_k_short` ranges are linear on the short side as well, for sensors whose gross
-    errors are short; without it the loss is the paper's.
+    With `range_k_short` ranges are linear on the short side as well, for sensors whose gross errors
+    are short; without it the loss is the paper's.
 
     Paper: eqs. (7) to (9), used recursively. Deviations: the range is slant; the variances contain
-    second-order terms and the vehicle's own position uncertainty (`measurement_model`), without
-    which the filter diverges near the target and is over-confident right above it.
+    second-order terms and the vehicle position's uncertainty (`measurement_model`), without which
+    the filter diverges near the target and is over-confident right above it.
     """
 
 
 class HuberEkf(RecursiveFilter):
-    """The symmetric baseline, which ignores that b >= 0. Paper: eq. (8) for every modality."""
+    """Symmetric baseline, which ignores that b >= 0. Paper: eq. (8) for every modality."""
 
     def __init__(self, params: FilterParams) -> None:
         super().__init__(msgspec.structs.replace(params, range_k_short=params.range_k_long))
 
 
 class Ekf(RecursiveFilter):
-    """The baseline that believes its measurements; thresholds in the params do not count."""
+    """Baseline without robust weights; thresholds in the params are ignored."""
 
     def __init__(self, params: FilterParams) -> None:
         no_thresholds = {"range_k_long": None, "range_k_short": None, "bearing_k": None}
@@ -154,16 +154,16 @@ class Ekf(RecursiveFilter):
 
 
 class AdmmParams(Params, frozen=True):
-    """How long the splitting is iterated."""
+    """Iterations and penalty of the splitting."""
 
     iterations: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 10
     penalty: Positive = 1.0
-    """kappa, in units of the whitened residual's own curvature."""
+    """Penalty kappa, in units of the whitened residual's own curvature."""
 
 
 @kernel
 def proximal_residual(a: float, k_long: float, k_short: float, penalty: float) -> float:
-    """The minimising v of rho(v) + penalty/2 (a - v)^2, with the asymmetric Huber loss rho."""
+    """Return the v that minimises rho(v) + penalty/2 (a - v)^2, rho the asymmetric Huber loss."""
     v = a * penalty / (1.0 + penalty)
     if v > k_long:
         return a - k_long / penalty
@@ -182,16 +182,16 @@ def split(
     iterations: int,
     penalty: float,
 ) -> tuple[Vector, Vector]:
-    """The change of the state (n,) and the split residuals v (3,) after some iterations.
+    """Return the change of the state (n,) and the split residuals v (3,) after these iterations.
 
     H (3, n) and y (3,) are whitened, and zero where nothing was measured; `inflation` (3,) are
-    factors on the variances: the loss counts that much less. `thresholds` are (3, 2), P is (n, n).
+    factors on the variances, by which the loss is divided. `thresholds` are (3, 2), P is (n, n).
     """
     PHt = np.dot(P, H.T.copy())
     spread = np.dot(H, PHt)
     S = spread + np.diag(inflation / penalty)
     gain = np.linalg.solve(S, PHt.T.copy()).T.copy()
-    explained = np.dot(H, gain)  # what a step of the state explains of the residuals
+    explained = np.dot(H, gain)  # share of the residuals that a step of the state explains
     v, dual, asked = np.zeros(3), np.zeros(3), np.zeros(3)
     for _ in range(iterations):
         for row in range(3):
@@ -221,7 +221,7 @@ def admm_update(
     iterations: int,
     penalty: float,
 ) -> tuple[Vector, Matrix, Matrix, bool]:
-    """One measurement by splitting; arguments and results as in `robust_update`."""
+    """Update the state with one measurement by splitting; arguments as in `robust_update`."""
     H = jacobian(mean, sensor_enu_m, model)
     y = innovations(z, mean, sensor_enu_m, model)
     R = variances(P, mean, sensor_enu_m, sigma, model)
@@ -254,7 +254,7 @@ def admm_update(
 
 
 class AdmmEkf(RecursiveFilter):
-    """The iterative baseline."""
+    """Iterative baseline."""
 
     def __init__(self, params: FilterParams, admm: AdmmParams | None = None) -> None:
         self.admm = admm or AdmmParams()
@@ -269,8 +269,9 @@ KINDS: dict[FilterKind, Callable[[FilterParams], TargetFilter]] = {
     "admm": AdmmEkf,
     "ekf": Ekf,
 }
+"""Filter classes by their configured names."""
 
 
 def filter_of(kind: FilterKind, params: FilterParams) -> TargetFilter:
-    """The filter of that name; its `params` are those in force, thresholds included."""
+    """Return the filter of that name; its `params` are those in force, thresholds included."""
     return KINDS[kind](params)

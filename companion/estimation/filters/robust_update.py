@@ -12,7 +12,7 @@ u = r / sigma the threshold is k = tau / sigma = lambda sigma, and
 
 and the mirror image below -k_short. k_short = infinity is the one-sided loss of the paper,
 k_short = k_long the symmetric Huber loss, both infinite the quadratic loss. A finite k_short serves
-sensors whose gross errors are short (recorded UWB shows bursts of them).
+sensors whose gross errors are short (recorded UWB has bursts of them).
 
 The update in Joseph form. With whitened innovations u = y / sqrt(R) and the weights w(u),
 
@@ -40,16 +40,16 @@ from companion.estimation.measurement_model import RangingModel, jacobian, predi
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 
 DEFINITE_MARGIN = 1e-14
-"""Share of the variances without which a covariance must still have a Cholesky factor.
+"""Share of the variances that is subtracted before a covariance must have a Cholesky factor.
 
-Twice what rounding can do to a factor of 6 components (N. J. Higham, Accuracy and Stability of
-Numerical Algorithms, theorem 10.7), so that two computers never differ about what was accepted.
+Twice the rounding error of a factor of 6 components (N. J. Higham, Accuracy and Stability of
+Numerical Algorithms, theorem 10.7), so that two computers accept the same covariances.
 """
 
 
 @kernel
 def asymmetric_huber_loss(u: float, k_long: float, k_short: float) -> float:
-    """Loss of a whitened residual; convex and continuously differentiable. Paper: eqs. (7), (8)."""
+    """Return the loss of a whitened residual; convex and C1. Paper: eqs. (7), (8)."""
     if u > k_long:
         return k_long * (u - 0.5 * k_long)
     if u < -k_short:
@@ -59,13 +59,13 @@ def asymmetric_huber_loss(u: float, k_long: float, k_short: float) -> float:
 
 @kernel
 def asymmetric_huber_influence(u: float, k_long: float, k_short: float) -> float:
-    """Derivative of the loss: the residual, clipped to [-k_short, k_long]."""
+    """Return the derivative of the loss: the residual clipped to [-k_short, k_long]."""
     return min(max(u, -k_short), k_long)
 
 
 @kernel
 def asymmetric_huber_weight(u: float, k_long: float, k_short: float) -> float:
-    """Influence over residual, in (0, 1]: how much of the measurement counts."""
+    """Return the robust weight, influence over residual, in (0, 1]."""
     if u > k_long:
         return k_long / u
     if u < -k_short:
@@ -74,18 +74,18 @@ def asymmetric_huber_weight(u: float, k_long: float, k_short: float) -> float:
 
 
 def threshold(k: float | None) -> float:
-    """A configured threshold as a number: none at all is infinity."""
+    """Return a configured threshold as a number; none is infinity."""
     return math.inf if k is None else k
 
 
 def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
-    """Gain, covariance and innovation variance of one measurement row, in Joseph form.
+    """Return gain, covariance and innovation variance of one measurement row, in Joseph form.
 
         S = H P H^T + R,   K = P H^T / S,   P <- (I - K H) P (I - K H)^T + K R K^T
 
     with H (n,) and P (n, n) symmetric positive definite; the result is K (n,), the new P, exactly
-    symmetric, and S. The product is multiplied out factor by factor, each a rank-one change of the
-    one before: the same numbers as with full matrices, and as robust, without a matrix product.
+    symmetric, and S. The product is expanded factor by factor, each a rank-one change of the one
+    before: the same numbers as with full matrices, and as robust, without a matrix product.
     """
     PH = np.dot(P, H)
     S = float(np.dot(H, PH)) + R
@@ -97,7 +97,7 @@ def joseph_row(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
 
 @kernel
 def joseph_row_by_entries(P: Matrix, H: Vector, R: float) -> tuple[Vector, Matrix, float]:
-    """The same entry by entry: faster than arrays for a compiler, slower for an interpreter."""
+    """Return the result of `joseph_row`, entry by entry: faster when compiled, slower in Python."""
     n = H.size
     PH, K, rest = np.empty(n), np.empty(n), np.empty(n)
     left, updated = np.empty((n, n)), np.empty((n, n))
@@ -128,11 +128,11 @@ if IS_COMPILED:
 
 @kernel
 def within_bounds(mean: Vector, P: Matrix, lower: Vector, upper: Vector) -> Vector:
-    """The most probable mean (n,) with every component between its bounds (estimate projection).
+    """Return the most probable mean (n,) within the bounds of all components (projection).
 
-    Components without bounds (infinite ones) follow along P. A component that another's projection
-    pushed over its bound is projected in turn, which only comes near the most probable mean; the
-    last word has a clip, so that bounds hold exactly.
+    Unbounded components follow along P. A component that another's projection pushed over its bound
+    is projected in turn, which only approximates the most probable mean; a final clip makes the
+    bounds exact.
     """
     is_inside = True
     for index in range(mean.size):
@@ -150,7 +150,7 @@ def within_bounds(mean: Vector, P: Matrix, lower: Vector, upper: Vector) -> Vect
 
 
 def is_positive_definite(mean: Vector, P: Matrix) -> bool:
-    """Whether mean and covariance are finite, and the covariance positive definite for certain."""
+    """Return True if mean and covariance are finite, and P is positive definite with a margin."""
     if not math.isfinite(float(mean.sum() + P.sum())):
         return False
     factor: list[list[float]] = []
@@ -167,7 +167,7 @@ def is_positive_definite(mean: Vector, P: Matrix) -> bool:
 
 @kernel
 def is_positive_definite_by_entries(mean: Vector, P: Matrix) -> bool:
-    """The same entry by entry, see `joseph_row_by_entries`."""
+    """Return the result of `is_positive_definite`, entry by entry, see `joseph_row_by_entries`."""
     if not math.isfinite(mean.sum() + P.sum()):
         return False
     n = mean.size
@@ -193,14 +193,14 @@ if IS_COMPILED:
 
 @kernel
 def wrapped(angle_rad: float) -> float:
-    """The same direction in [-pi, pi)."""
+    """Return the same direction in [-pi, pi)."""
     turned = (angle_rad + math.pi) % (2.0 * math.pi)
     return turned - math.pi
 
 
 @kernel
 def innovations(z: Vector, mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
-    """Measured minus predicted, (3,), the bearing's wrapped; NaN where nothing was measured."""
+    """Return measured minus predicted, (3,), the bearing's wrapped; NaN where not measured."""
     y = z - predicted(mean, sensor_enu_m, model)
     y[1] = wrapped(y[1])
     return y
@@ -208,7 +208,7 @@ def innovations(z: Vector, mean: Vector, sensor_enu_m: Vector, model: RangingMod
 
 @kernel
 def lateness_variance(H: Vector, late_m2: float, model: RangingModel) -> float:
-    """What a random walk of the target adds to the variance of one late measurement row."""
+    """Return the variance that a late measurement row gains by a random walk of the target."""
     position2 = H[0] * H[0] + H[1] * H[1]
     if model.height_index >= 0:
         position2 += H[model.height_index] * H[model.height_index]
@@ -228,7 +228,7 @@ def robust_update(
     bounds: Matrix,
     model: RangingModel,
 ) -> tuple[Vector, Matrix, Matrix, bool]:
-    """One measurement of up to three rows, each with the weight of its own innovation.
+    """Update the state with one measurement of up to three rows, each with its own robust weight.
 
     Args:
         z: (3,) range, bearing, elevation; NaN where not measured.
@@ -240,8 +240,8 @@ def robust_update(
 
     Returns:
         Mean (n,), covariance (n, n), report (3, 7) with the fields of `ModalityReport` in their
-        order, the row's share of the NIS, and NaN rows where nothing was measured, and whether the
-        covariance is positive definite; where it is not, mean and covariance are those given.
+        order, the row's share of the NIS, and NaN rows where nothing was measured, and True if the
+        covariance is positive definite; if it is not, mean and covariance are those given.
     """
     H = jacobian(mean, sensor_enu_m, model)
     y = innovations(z, mean, sensor_enu_m, model)
@@ -277,7 +277,7 @@ def robust_update(
 
 @kernel
 def settled(mean: Vector, P: Matrix, bounds: Matrix) -> Vector:
-    """The mean within its bounds, its bearing offset an angle within half a turn."""
+    """Return the mean within its bounds, its bearing offset within half a turn."""
     mean = within_bounds(mean, P, bounds[0], bounds[1])
     if abs(mean[3]) > math.pi:
         mean = mean.copy()

@@ -1,11 +1,4 @@
-"""What every filter of the target's position shares: protocol, states, reports and parameters.
-
-Another filter is a class with the members of `TargetFilter` and a row in `kalman.KINDS`: tracker,
-window, gate and first hypotheses ask for nothing else.
-
-`FilterParams` is what a filter believes (noise, thresholds, priors and bounds), and the kernels'
-form of it.
-"""
+"""Common parts of the filters of the target's position: protocol, states, reports, parameters."""
 
 from __future__ import annotations
 
@@ -40,15 +33,16 @@ from companion.estimation.measurement_model import (
 from companion.kernel import Matrix, Vector, frozen
 
 Pose = tuple[float, ...]
-"""A sensor's place, and behind it the two axes of an antenna array: 3 or 9 numbers, ENU."""
+"""Sensor position, followed by the two axes of an antenna array if any: 3 or 9 numbers, ENU."""
 Inflation = tuple[float, float, float]
 """Factors on the variances of range, bearing and elevation."""
 NO_INFLATION: Inflation = (1.0, 1.0, 1.0)
+"""Thermal noise only."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterState:
-    """Mean (n,) and covariance (n, n); see `measurement_model` for what the components are."""
+    """Mean (n,) and covariance (n, n); `measurement_model` lists the components."""
 
     time_s: float
     mean: Vector
@@ -56,35 +50,35 @@ class FilterState:
 
     @classmethod
     def of(cls, time_s: float, mean: Vector, covariance: Matrix) -> FilterState:
-        """A state whose arrays are its own and read-only."""
+        """Return a state whose arrays are copied and read-only."""
         return cls(time_s, frozen(np.array(mean)), frozen(np.array(covariance)))
 
 
 @dataclass(frozen=True, slots=True)
 class ModalityReport:
-    """What one range or one bearing did in an update."""
+    """Result of one range, bearing or elevation in an update."""
 
     innovation: float
     """z - h(x), metres or radians; positive when a range is longer than predicted."""
     innovation_variance: float
-    """S with the robust weight in it, beside what the modalities before this one explained."""
+    """S with the robust weight in it, after the modalities before this one were fused."""
     noise_sigma: float
     """Square root of R before weight and inflation: the unit of `whitened_innovation`."""
     whitened_innovation: float
     weight: float
     """Robust weight, in (0, 1]."""
     prior_share: float
-    """H P H^T / R: how much of the innovation is the state's own uncertainty."""
+    """H P H^T / R: the state's own uncertainty in the innovation."""
 
     @classmethod
     def of_row(cls, row: list[float]) -> ModalityReport | None:
-        """A row of six numbers of what the update kernels report; None if nothing was measured."""
+        """Return the report of six numbers of an update kernel; None if nothing was measured."""
         return None if math.isnan(row[0]) else cls(*row)
 
 
 @dataclass(frozen=True, slots=True)
 class UpdateReport:
-    """The state after a measurement, and what the measurement said."""
+    """State after a measurement, and the result of each modality."""
 
     state: FilterState
     range: ModalityReport | None
@@ -93,7 +87,7 @@ class UpdateReport:
     nis: float
     """y^T S^-1 y over the modalities measured, with the robust weights in S."""
     is_positive_definite: bool
-    """False: `state` is the one from before, and the filter must be restarted."""
+    """False: `state` is the previous one, and the filter must be reset."""
 
     @property
     def modalities(self) -> tuple[ModalityReport | None, ...]:
@@ -102,14 +96,14 @@ class UpdateReport:
 
 
 class TargetFilter(Protocol):
-    """A recursive filter of a target's position; pure, the caller keeps the state."""
+    """Recursive filter of a target's position; pure, the caller keeps the state."""
 
     @property
     def params(self) -> FilterParams:
-        """What it believes, as in force; window, likelihood and noise monitor believe the same."""
+        """Parameters in force, shared with window, likelihood and noise monitor."""
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
-        """The state at a later time."""
+        """Return the state at a later time."""
 
     def update(
         self,
@@ -118,48 +112,48 @@ class TargetFilter(Protocol):
         sensor_enu_m: PositionEnu,
         inflation: Inflation = NO_INFLATION,
     ) -> UpdateReport:
-        """The state after a measurement taken at `sensor_enu_m`.
+        """Return the state after a measurement taken at `sensor_enu_m`.
 
         Args:
             state: At the measurement's time, or later: then the measurement is late, and the random
-                walk since then counts as noise of it.
+                walk since then is added to its noise.
             measurement: With range, bearing in ENU, elevation, or several of them.
             inflation: Factors on the variance of range, bearing and elevation.
         """
 
 
 NO_AXES = (0.0,) * 6
-"""Of a measurement without a direction."""
+"""Placeholder axes of a measurement without a direction."""
 VAGUEST = (MOST, math.pi, math.pi)
-"""The largest standard deviations that count, of a range (m), a bearing and an elevation (rad):
-half a turn says nothing of a direction."""
+"""Largest standard deviations of a range (m), a bearing and an elevation (rad) that are used: half
+a turn is no information about a direction."""
 FLOAT32_STEP = 2.0**-23
-"""Relative: the configured number as a float32 message has it is not below the configured one."""
+"""Relative rounding of float32: a configured sigma may be reported this much smaller."""
 
 
 class FilterParams(Params, frozen=True, dict=True):
-    """What a filter believes about the radio; the defaults are the paper's canonical scenario.
+    """Assumptions of a filter about the radio; the defaults are the paper's canonical scenario.
 
-    What follows from it for the kernels is found once; those arrays are not to be written to.
+    The derived arrays for the kernels are cached; they must not be written to.
     """
 
     range_sigma_m: Positive = 1.5
-    """Thermal noise of a range where the radio reports none, and the least that a reported one
-    counts as: a radio, or a forger, that claims less gets no more weight."""
+    """Thermal noise of a range where the radio reports none, and the lower limit of a reported one:
+    a radio, or a forger, that reports less gets no more weight."""
     bearing_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 2.0
-    """The same of a bearing."""
+    """Thermal noise of a bearing, in the same way."""
     use_reported_sigma: bool = True
-    """Whether the radio's own standard deviations count where they are larger than the above."""
+    """True: the radio's own standard deviations are used where they are larger than the above."""
     range_k_long: Positive | None = 1.5
-    """Threshold for ranges that are too long, in sigma; null: never robust on that side."""
+    """Threshold for ranges that are too long, in sigma; null: quadratic loss on that side."""
     range_k_short: Positive | None = None
-    """Threshold for ranges that are too short; null is the paper's one-sided loss."""
+    """Threshold for ranges that are too short; null: the paper's one-sided loss."""
     bearing_k: Positive | None = 1.5
-    """Threshold for bearings and elevations on both sides; null: never robust."""
+    """Threshold for bearings and elevations on both sides; null: quadratic loss."""
     elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 5.0
-    """The same of an elevation."""
+    """Thermal noise of an elevation, in the same way."""
     use_elevation: bool = True
-    """Whether measured elevations count; false where the antenna tilts with the vehicle."""
+    """True: measured elevations are used; false where the antenna tilts with the vehicle."""
     range_offset_m: Signed = 0.0
     """Prior mean of the constant range offset."""
     range_offset_sigma_m: Positive = 5.0
@@ -173,51 +167,52 @@ class FilterParams(Params, frozen=True, dict=True):
     bearing_offset_max_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 180.0
     """Hard bound of the bearing offset, to both sides."""
     range_step_m: NonNegative = 0.0
-    """Ranges come in steps of so much, as a cell's timing advance does; 0: they do not."""
+    """Quantisation step of ranges, as with a cell's timing advance; 0: none."""
     range_scale_sigma: NonNegative = 0.0
-    """Prior standard deviation of the range's scale error; 0: ranges have none."""
+    """Prior standard deviation of the range's scale error; 0: no scale error."""
     range_scale_max: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.5
     """Hard bound of the scale error, to both sides."""
     range_scale_min: Annotated[float, msgspec.Meta(gt=-1.0, le=0.0)] | None = None
-    """Hard lower bound of the scale error, where it is another; 0: ranges never come out short."""
+    """Hard lower bound of the scale error, where it differs; 0: ranges are never too short."""
     reach_m: Positive | None = None
-    """How far this radio is heard: the target is about as near to the path, as the standard
-    deviation of a Gaussian per axis; null: anywhere."""
+    """Reach of this radio, as the standard deviation per axis of the target about the path; null:
+    unlimited."""
     place_range_sigma_m: NonNegative = 0.0
-    """How much of a range's error stays with the place, before the run has shown it; 0: nothing is
-    believed before errors are seen to repeat each other."""
+    """Spatially correlated part of a range's error, before it is measured; 0: none is assumed until
+    errors are seen to repeat."""
     place_bearing_sigma_deg: NonNegative = 0.0
-    """The same of a bearing's."""
+    """Spatially correlated part of a bearing's error, in the same way."""
     place_length_m: Positive = 4.0
-    """Over which distance those errors change, before the run has shown it."""
+    """Correlation length of those errors, before it is measured."""
     position_sigma_m: Positive = 30.0
-    """Prior standard deviation of the first position fix, each axis."""
+    """Prior standard deviation of the first position, each axis."""
     own_position_sigma_m: NonNegative = 0.1
-    """How well the vehicle knows its own place; it counts in every measurement and in R95."""
+    """Standard deviation of the vehicle position; part of every measurement's noise and of R95."""
     process_noise_m_per_sqrt_s: NonNegative = 0.0
-    """Random walk of the target; 0: it lies still."""
+    """Random walk of the target; 0: it is stationary."""
     stamp_lag_s: NonNegative = 0.0
-    """How much later than it measured the radio stamps."""
+    """Delay of the radio's stamps after the measurement."""
     stamp_lag_sigma_s: NonNegative | None = None
-    """How well that is known; null: as told with the antenna, 0.15 s where nobody told it."""
+    """Standard deviation of that delay; null: 0 with a configured antenna, else 0.15 s."""
     target_height_m: Signed = 0.0
     """Height of the emitter above the local origin."""
     target_height_sigma_m: NonNegative = 0.0
-    """How well that height is known; above 0 it is estimated."""
+    """Standard deviation of that height; above 0 it is estimated."""
     near_target_terms: bool = True
-    """Second-order terms of the measurement model, which keep the filter sane close by."""
+    """Second-order terms of the measurement model, without which the filter diverges near the
+    target."""
     antenna: AntennaParams = AntennaParams()
-    """What measures the bearing."""
+    """Antenna that measures the bearing."""
 
     def __post_init__(self) -> None:
-        """Refuse bounds that leave nothing between them."""
+        """Reject bounds that exclude every value."""
         low, high = self.range_offset_min_m, self.range_offset_max_m
         if low is not None and high is not None and low >= high:
             raise ValueError("range_offset_min_m must be below range_offset_max_m")
 
     @cached_property
     def model(self) -> RangingModel:
-        """What the kernels need to know of the measurement model and of the state's layout."""
+        """Constants of the measurement model and of the state's layout, for the kernels."""
         has_scale, has_height = self.range_scale_sigma > 0.0, self.target_height_sigma_m > 0.0
         return RangingModel(
             height_m=self.target_height_m,
@@ -230,26 +225,26 @@ class FilterParams(Params, frozen=True, dict=True):
 
     @property
     def step_sigma_m(self) -> float:
-        """Standard deviation of a value that is even within a step of the ranges."""
+        """Standard deviation of the quantisation error, uniform within a step of the ranges."""
         return self.range_step_m / math.sqrt(12.0)
 
     @property
     def place_sigmas(self) -> tuple[float, float]:
-        """Of a range's and a bearing's errors that stay with the place, metres and radians.
+        """Spatially correlated sigmas of a range and a bearing, metres and radians.
 
-        A range repeats its step's error from wherever it is within the same step.
+        The quantisation error of a range is part of them: it repeats within the same step.
         """
         range_m = math.hypot(self.place_range_sigma_m, self.step_sigma_m)
         return range_m, math.radians(self.place_bearing_sigma_deg)
 
     @property
     def range_length_m(self) -> float:
-        """Over which distance a range's errors change: half a step flies out of it on average."""
+        """Correlation length of range errors: at least half a step, the mean way out of it."""
         return max(self.place_length_m, 0.5 * self.range_step_m)
 
     @property
     def prior(self) -> tuple[Vector, Vector]:
-        """Mean and standard deviations of the state, each (n,), new, before any measurement."""
+        """Prior mean and standard deviations of the state, each (n,), as new arrays."""
         offset_m = self.range_offset_m
         if self.range_offset_min_m is not None:
             offset_m = max(offset_m, self.range_offset_min_m)
@@ -296,7 +291,7 @@ class FilterParams(Params, frozen=True, dict=True):
     def seen(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu
     ) -> tuple[Pose, Vector, Vector]:
-        """A measurement as the kernels take it: the sensor's pose, values and sigmas, each (3,)."""
+        """Return a measurement for the kernels: the sensor's pose, values and sigmas, each (3,)."""
         m = measurement
         pose: Pose = sensor_enu_m
         has_elevation = self.use_elevation and not m.is_array_angle
@@ -304,7 +299,8 @@ class FilterParams(Params, frozen=True, dict=True):
         if self.model.antenna != AZIMUTH:
             values, pose = (m.range_m, None, None), (*sensor_enu_m, *NO_AXES)
             if m.array is None and m.bearing_enu_rad is not None and self.model.antenna == PLANAR:
-                values = (m.range_m, -m.bearing_enu_rad, None)  # by north: of a level array
+                # a north-referenced bearing is treated as that of a level array
+                values = (m.range_m, -m.bearing_enu_rad, None)
                 pose = (*sensor_enu_m, *LEVEL[0], *LEVEL[1])
             elif m.array is not None:
                 values = (m.range_m, m.array.first, m.array.second)
@@ -313,10 +309,10 @@ class FilterParams(Params, frozen=True, dict=True):
         return pose, z, np.array(self.seen_sigmas(m))
 
     def seen_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
-        """Return the standard deviations of range, bearing and elevation that count.
+        """Return the standard deviations of range, bearing and elevation that are used.
 
-        No range is better than its steps, and nothing is better than its radio is configured to
-        be, whatever the radio reports.
+        A range's is at least its quantisation error, and a reported one at least the configured
+        one.
         """
         m, least_m = measurement, self.step_sigma_m
         believed = (
@@ -341,7 +337,7 @@ class FilterParams(Params, frozen=True, dict=True):
 
 
 def _within(reported: float | None, least: float, most: float, default: float) -> float:
-    """Return a reported standard deviation within its range, or the default of one that is none."""
+    """Return a reported standard deviation within its limits; the default if none is reported."""
     if reported is None:
         return default
     return least if reported < least * (1.0 - FLOAT32_STEP) else min(reported, most)

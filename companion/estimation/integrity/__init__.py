@@ -1,1 +1,1 @@
-"""Whether the estimate may be trusted: consistency, contradictions, motion of the target."""
+"""Integrity of the estimate: consistency, contradictions, motion of the target."""

@@ -1,18 +1,19 @@
-"""Notices that a target walks although it is believed to lie still.
+"""Detector of motion of a target that is assumed stationary.
 
-Theory of operation. A walk makes residuals larger, and the noise that the run has shown grows along
-with them, so that every test of their size stays in its band. But it also gives them an order. The
-measurements of the last seconds are fitted twice: by a target that lies still, and by one that
-walks evenly, whose partials by the velocity are those by the place times the age. The velocity v
-is judged by the sandwich covariance C of the second fit, in which whatever the walk explains is no
-noise any more: v^T C^-1 v is chi-square with 2 degrees of freedom, if the target lies still. The
-more careful of the white and the correlated covariance counts, because a reflection that comes and
-goes with the place is correlated; and the fall of the cost must say the same, because a fit that
-ended in another valley does not lower it.
+Theory of operation. Motion of the target makes residuals larger, and the measured noise grows with
+them, so that every test of their size stays in its band. But it also gives them an order. The
+measurements of the last seconds are fitted twice: with a stationary target, and with one of
+constant velocity, whose partials by the velocity are those by the position times the age. The
+velocity v is tested with the sandwich covariance C of the second fit, in which the motion is no
+longer noise: v^T C^-1 v is chi-square with 2 degrees of freedom for a stationary target. The larger
+of the white and the correlated covariance is used, because reflections that change with the
+vehicle's position are correlated; and the decrease of the cost must be as significant, because a
+fit that ended in another minimum does not lower it.
 
-The estimate stays as it is, and the operator is told: a reflection that changes with the vehicle's
-place, behind a building for example, looks the same from one side, and no threshold parts the two
-(flights behind the block of `obstacle.yaml` reach 188, walks of 0.3 m/s 120 to 140).
+The estimate stays unchanged, and the operator is informed: a reflection that changes with the
+vehicle's position, behind a building for example, looks the same from one side, and no threshold
+separates the two (flights behind the block of `obstacle.yaml` reach 188, targets at 0.3 m/s 120 to
+140).
 
 Source: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; the statistic is Wald's.
 """
@@ -42,55 +43,60 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 SPANS_S = (10.0, 20.0, 40.0)
-"""What is looked at: a short span for whoever turns soon, a long one for whoever walks slowly."""
+"""Spans that are tested: short ones for a target that turns soon, long ones for a slow one."""
 LEAST_SPAN_S = 8.0
-"""Less than this tells nothing."""
+"""Shorter spans are not tested."""
 MIN_COUNT, MAX_COUNT = 20, 512
-"""Fewer measurements tell nothing; more are not kept."""
+"""Fewest measurements in a test, and most that are kept."""
 EVERY_S, EVERY_COUNT = 1.0, 5
-"""At least so much time and so many measurements are between two looks: fewer say nothing new."""
+"""Least time and least number of measurements between two tests."""
 CALM_EVERY_COUNT = 10
-"""The same while nothing speaks for a walk."""
+"""Measurements between two tests while nothing indicates motion."""
 NEAR = 3.0
-"""A place is asked for while R95 is at most so many times what counts as localised."""
+"""R95 over the localised R95 up to which the target is tested."""
 SIGNIFICANT = 60.0
-"""Ten times what a statistic of this law reaches by chance once in 20: errors that repeat
-themselves for half a minute, or change with the place, reach 55 now and then."""
+"""Statistic of a significant motion: ten times the 95 % quantile of chi-square with 2 degrees of
+freedom, because errors that persist for half a minute or depend on the position occasionally reach
+55."""
 LOST_SIGNIFICANT = 180.0
-"""The same of a target whose place was known and is no more: reflections can do that as well."""
+"""The same for a target whose position was known and is no longer: reflections can do that as
+well."""
 IN_A_ROW = 2
-"""It must be so often in a row."""
+"""Consecutive significant tests that confirm a motion."""
 CALM = 18.4
-"""Below this, 1 in 1e4, nothing speaks for a walk any more."""
+"""Statistic below which nothing indicates motion: probability 1e-4 for a stationary target."""
 CALM_COUNT = 10
-"""It must be so often in a row."""
+"""Consecutive tests below that level that end a reported motion."""
 WORTH_A_LOOK = 9.2
-"""Where a first step says less than this, 1 in 100, nobody walks."""
+"""Statistic of a first step (probability 0.01) below which the second fit is skipped."""
 MAX_SPEED_MPS = 3.0
-"""Standard deviation of each component of the velocity before anything is measured."""
+"""Prior standard deviation of each component of the velocity."""
 MAX_ITERATIONS = 12
+"""Gauss-Newton steps of a fit at most: it starts at the optimum of the stationary target."""
 MAX_HALVINGS = 6
+"""Dampings, each eight times the one before, that are tried in one step."""
 STEP_TOLERANCE_M = 5e-3
+"""Step of the position at which a fit ends: far below any R95."""
 SCORES_PASSES, COVARIANCE_PASSES = 2, 10
-"""Over the measurements, measured: for the problem linearised once, and for a covariance."""
+"""Passes over the measurements, as measured, for one linearisation and for one covariance."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetMotion:
-    """A target that walks evenly, as the last seconds have it."""
+    """Motion of a target at constant velocity during the last seconds."""
 
     velocity_mps: Vector
     significance: float
-    """Chi-square with 2 degrees of freedom, if the target lies still."""
+    """Chi-square with 2 degrees of freedom for a stationary target."""
 
     @property
     def speed_mps(self) -> float:
-        """How fast it walks."""
+        """Ground speed."""
         return math.hypot(*self.velocity_mps.tolist())
 
 
 class MotionWatch:
-    """Keeps the measurements of the last seconds, and asks them now and then."""
+    """Monitor that keeps the measurements of the last seconds and tests them periodically."""
 
     def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
         self._is_wanted = filter_params.process_noise_m_per_sqrt_s == 0.0
@@ -98,14 +104,14 @@ class MotionWatch:
         self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
         self._due_s = -math.inf
         self._left = 0
-        """Measurements until the next look."""
+        """Measurements until the next test."""
         self._was_near = False
-        """Whether the target's place was known once."""
+        """True once the target's position was known."""
         self._reset()
 
     @property
     def motion(self) -> TargetMotion | None:
-        """How the target walks, once that was seen twice in a row; None: it lies still."""
+        """Motion of the target, confirmed by two consecutive tests; None: stationary."""
         return self.suspected if self._is_seen else None
 
     def clear(self) -> None:
@@ -118,7 +124,7 @@ class MotionWatch:
         self._significant = self._calm = 0
         self._is_seen = False
         self.suspected: TargetMotion | None = None
-        """How the target seems to walk, since the first look that says so; None: it lies still."""
+        """Motion that the latest tests indicate, confirmed or not; None: stationary."""
 
     def add(self, time_s: float, row: Row) -> None:
         """Take in a measurement."""
@@ -127,21 +133,21 @@ class MotionWatch:
             self._left -= 1
 
     def move(self, shift_en_m: Point, step: Vector, params: FilterParams) -> None:
-        """Move all along with the vehicle's navigation, which jumped; see `hypotheses`."""
+        """Shift all measurements with a jump of the vehicle's navigation; see `hypotheses`."""
         if self._rows:
             rows = shift_rows(np.array(self._rows), shift_en_m, step, params)
             self._rows = deque(rows, maxlen=MAX_COUNT)
 
     def is_due(self, now_s: float) -> bool:
-        """Whether it is time to look again."""
+        """Return True if the next test is due."""
         is_time = not now_s < self._due_s <= now_s + EVERY_S
         return bool(self._rows) and self._left <= 0 and is_time
 
     @Stepwise
     def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> Steps[None]:
-        """Look whether the target walks, where it matters: not of one that may be anywhere.
+        """Test for motion, unless the target's position is unknown.
 
-        One whose place was known, and is lost, may have walked on.
+        A target whose position was known, and is lost, may have moved.
         """
         self._due_s, self._left = now_s + EVERY_S, EVERY_COUNT
         is_near = r95_m <= self._near_m
@@ -164,7 +170,7 @@ class MotionWatch:
             self._reset()
 
     def _spans(self) -> list[Matrix]:
-        """Measurements in order of time, (n, 10) each; spans that hold too little are left out."""
+        """Return the measurements of each span in order of time, (n, 10), without short ones."""
         rows = np.array(self._rows)
         rows = rows[np.argsort(rows[:, SEQUENCE], kind="stable")]
         times_s = rows[:, SEQUENCE]
@@ -177,7 +183,7 @@ class MotionWatch:
 
     @Stepwise
     def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> Steps[TargetMotion | None]:
-        """The motion of the shortest span in which it is significant, or the most significant."""
+        """Return the motion of the shortest span where it is significant, else the likeliest."""
         best: TargetMotion | None = None
         for rows in self._spans():
             motion = yield from motion_of(window_map, rows, mean)
@@ -191,7 +197,7 @@ class MotionWatch:
 
 
 def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[TargetMotion | None]:
-    """How a target believed to lie at `mean` (k,) walks, if it does; rows end with their time."""
+    """Return the motion of a target near `mean` (k,), or None. Rows end with their time."""
     still, walk = (yield from window_map.solve.steps(rows, mean)), _Walk(window_map, rows)
     if still is None:
         return None
@@ -216,7 +222,7 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[Target
 
 
 class _Place(NamedTuple):
-    """A state, the problem linearised there, and its cost."""
+    """State, the problem linearised there, and its cost."""
 
     state: Vector
     scores: Scores
@@ -224,7 +230,7 @@ class _Place(NamedTuple):
 
 
 class _Walk:
-    """The window's problem for states [..., east velocity, north velocity], placed at the end."""
+    """Problem of the window with the state [..., east velocity, north velocity] at the end."""
 
     def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
         self._map = window_map
@@ -239,7 +245,7 @@ class _Walk:
         self._bounds = np.hstack([window_map.bounds, free])
 
     def scores(self, state: Vector) -> Scores:
-        """The problem linearised at a state: seen from a target that walks, the sensor does."""
+        """Return the linearised problem: the target's motion is seen as motion of the sensor."""
         rows = np.array(self._rows)
         rows[:, :2] -= self._age_s[:, None] * state[-2:]
         scores = self._map.scores(rows, state[:-2])
@@ -248,7 +254,7 @@ class _Walk:
         return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
 
     def cost(self, state: Vector) -> float:
-        """The objective at a state."""
+        """Return the objective at a state."""
         return self._cost(self.scores(state), state)
 
     def _cost(self, scores: Scores, state: Vector) -> float:
@@ -256,7 +262,7 @@ class _Walk:
         return losses + float(state @ (0.5 * self._information @ state - self._pull))
 
     def minimum(self, state: Vector) -> Steps[Vector]:
-        """Where damped re-weighted Gauss-Newton steps lead."""
+        """Return the minimum that damped re-weighted Gauss-Newton steps reach."""
         with np.errstate(all="ignore"):
             at, damping = self._at(state), 1e-3
         for _ in range(MAX_ITERATIONS):
@@ -276,7 +282,7 @@ class _Walk:
         return _Place(state, scores, self._cost(scores, state))
 
     def _moved(self, at: _Place, damping: float) -> tuple[_Place | None, float, int]:
-        """A place of lower cost, None if there is none; the next damping; how many were tried."""
+        """Return a state of lower cost, if any, the next damping, and the number of tries."""
         A, descent = self._system(at.scores, at.state)
         hold_at_bounds(A, descent, at.state, self._bounds)
         scale = np.diag(np.diag(A) + 1e-9)
@@ -301,7 +307,7 @@ class _Walk:
         return descent - self._information @ state
 
     def may_begin(self, still: Vector) -> bool:
-        """Whether a first step away from lying still, with white noise, is worth the second fit."""
+        """Return True if a first step from rest, with white noise, justifies the second fit."""
         scores = self.scores(still)
         A_inverse = np.asarray(np.linalg.inv(curvature(scores) + self._information))
         last = A_inverse[-2:]
@@ -311,13 +317,13 @@ class _Walk:
             covariance = last @ (variability + self._information) @ last.T
             return float(velocity @ np.linalg.solve(covariance, velocity)) >= WORTH_A_LOOK
 
-        # what is nearly always enough to say no takes half the time
+        # this lower bound nearly always suffices to decline, at half the cost
         if not is_worth(least_variability(scores)):
             return False
         return is_worth(pooled_variability(scores, A_inverse, np.ones(3)))
 
     def covariance(self, state: Vector) -> tuple[Matrix, float]:
-        """Of the state, (k + 2, k + 2), and how much less is measured than thermal noise says."""
+        """Return the state's covariance, (k + 2, k + 2), and the inflation over thermal noise."""
         scores = self.scores(state)
         A = curvature(scores) + self._information
         A_inverse = np.asarray(np.linalg.inv(A))
@@ -329,7 +335,7 @@ class _Walk:
 
 
 def least_variability(scores: Scores) -> Matrix:
-    """What `pooled_variability` never is below, (k, k)."""
+    """Return a lower bound of `pooled_variability`, (k, k)."""
     k = scores.H.shape[1]
     parts = [(scores.moment(m, k), scores.part(m)) for m in scores.measured]
     B: Matrix = sum((moment * (H.T @ H) for moment, H in parts), np.zeros((k, k)))

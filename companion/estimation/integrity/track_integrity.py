@@ -1,13 +1,13 @@
-"""What speaks for and against an estimate: contact, agreement, contradictions, NIS, restarts.
+"""Evidence for and against an estimate: contact, agreement, contradictions, NIS, resets.
 
-Contact is what was heard of the emitter lately, the age of each kind and how much of it agrees.
-Agreement is whether the measurements of the last seconds fit the estimate at all; a contradiction
-is a run of them that a confident estimate cannot explain.
+Contact is the latest reception of the emitter: the age of each kind of measurement, and how many
+agree. Agreement is the share of the latest measurements that fit the estimate at all; a
+contradiction is a run of measurements that a confident estimate cannot explain.
 
-Divergence. An estimate may fail more gently, for instance because the target moves: innovations are
-merely larger than they should be, until the measured inflation has grown to hide them. So the NIS
-of the last seconds is held against its band: its median, because outliers are the gate's task, and
-without ranges that are taken for reflections.
+Divergence. An estimate may also fail gradually, for instance because the target moves: innovations
+are then merely too large, until the measured inflation has grown to hide them. So the NIS of the
+last seconds is tested against its band: its median, because outliers are left to the gate, and
+without ranges that are identified as reflections.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from companion.estimation.noise.innovations import mean_band
 from companion.estimation.screening.measurement_screen import Objection
 
 GAP_S = 2.0
-"""Without a measurement that agrees for this long the contact was interrupted."""
+"""Time without a measurement that agrees after which contact is interrupted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Times are those of the measurements themselves, on the companion's clock.
+    """Latest reception of the emitter, in times of measurement on the companion's clock.
 
-    Only measurements that agree with the estimate count: refused ones, outliers and frozen values
-    are as good as none. While nothing is known of the target, everything agrees.
+    Only measurements that agree with the estimate count, not rejected ones, outliers or frozen
+    values. Before there is an estimate, everything agrees.
     """
 
     range_s: float | None = None
-    """When the newest range was measured; None: there was none yet."""
+    """Time of the newest range; None: none yet."""
     bearing_s: float | None = None
     agreeing: int = 0
     """Measurements that agreed since the last gap, or since the first one."""
 
     def after(self, measurement: RangingMeasurement, gate: Gate) -> Contact:
-        """With a measurement, its bearing in ENU; a late one makes nothing younger or older."""
+        """Return the contact after a measurement with its bearing in ENU, which may be late."""
         at_s, newest_s = measurement.measured_at_s, self.newest_s
         range_s, bearing_s = self.range_s, self.bearing_s
         has_range = measurement.range_m is not None and gate.agrees_in_range
@@ -59,41 +59,42 @@ class Contact:
 
     @property
     def newest_s(self) -> float | None:
-        """When the newest measurement of any kind was made."""
+        """Time of the newest measurement of any kind; None: none yet."""
         times_s = [time_s for time_s in (self.range_s, self.bearing_s) if time_s is not None]
         return max(times_s, default=None)
 
     def is_interrupted(self, now_s: float) -> bool:
-        """Whether there is a gap now, or there was no contact yet."""
+        """Return True during a gap, and before the first contact."""
         newest_s = self.newest_s
         return newest_s is None or now_s - newest_s > GAP_S
 
     def agreeing_since_gap(self, now_s: float) -> int:
-        """How many measurements agreed since the last gap; 0 during a gap."""
+        """Return the number of measurements that agreed since the last gap; 0 during a gap."""
         return 0 if self.is_interrupted(now_s) else self.agreeing
 
     def range_age_s(self, now_s: float) -> float | None:
-        """How old the newest range is; None if there was none yet."""
+        """Return the age of the newest range; None: none yet."""
         return None if self.range_s is None else max(now_s - self.range_s, 0.0)
 
     def bearing_age_s(self, now_s: float) -> float | None:
-        """How old the newest bearing is; None if there was none yet."""
+        """Return the age of the newest bearing; None: none yet."""
         return None if self.bearing_s is None else max(now_s - self.bearing_s, 0.0)
 
 
 WINDOW_S = 2.0
+"""Least span of the window of agreement."""
 WINDOW_COUNT = 10
-"""The window holds at least so much time and so many measurements."""
+"""Fewest measurements in that window."""
 PROVEN_COUNT = 40
-"""An estimate that agreed with so many measurements has a say in which are outliers."""
+"""Measurements that agreed before an estimate may reject outliers."""
 LOST_SHARE, FOUND_SHARE = 0.2, 0.5
-"""With less of the window agreeing than the first there is no agreement, until it is the second."""
+"""Share of the window below which agreement is lost, and share at which it is regained."""
 HOPELESS_S, HOPELESS_COUNT = 5.0, 20
-"""Without agreement for so long and so many measurements, the target is no longer where it was."""
+"""Time and number of measurements without agreement after which the track is lost."""
 
 
 class Agreement:
-    """Counts which of the last measurements agreed."""
+    """Share of the latest measurements that agree with the estimate."""
 
     def __init__(self) -> None:
         self._window: deque[tuple[float, bool]] = deque()
@@ -101,11 +102,11 @@ class Agreement:
         self._lost_s = 0.0
         self._since_lost = 0
         self.is_proven = False
-        """Whether enough measurements agreed since the estimate began."""
+        """True if enough measurements agreed since the estimate began."""
         self.is_lost = False
-        """Whether next to nothing that is measured agrees with the estimate."""
+        """True if hardly any measurement agrees with the estimate."""
         self.is_hopeless = False
-        """Whether that has lasted so long that the estimate should be given up."""
+        """True if agreement was lost for so long that the track should be discarded."""
 
     def add(self, time_s: float, *, agrees: bool) -> None:
         """Take in a measurement."""
@@ -127,35 +128,35 @@ class Agreement:
 
 
 CONTRADICTION_COUNT = 40
-"""How many measurements in a row must contradict the estimate before it is given up."""
+"""Consecutive contradicting measurements at which the track is discarded."""
 CONTRADICTION_U = 3.0
-"""Whitened innovation that contradicts: a bearing off to the same side, a range too short."""
+"""Whitened innovation of a contradiction: a bearing off to the same side, or a range too short."""
 
 BEHIND = 3.0
-"""A bearing that is off to neither side (+-1), but points the other way."""
+"""Value of `Contradiction.side` for a bearing that points the other way, neither +1 nor -1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """How many measurements in a row contradicted in the same way, ranges and bearings apart."""
+    """Runs of measurements that contradict in the same way, ranges and bearings apart."""
 
     bearings: int = 0
     side: float = 0.0
-    """Where those bearings are off to: +-1 or `BEHIND`."""
+    """Direction in which those bearings are off: +-1 or `BEHIND`."""
     ranges: int = 0
-    """Ranges that are too short; too long ones say nothing, because that is what reflections do."""
+    """Ranges that are too short; long ones do not contradict, because reflections make them."""
     rejected_ranges: int = 0
-    """Ranges that did not pass the gate: a run of them is no run of outliers."""
+    """Ranges that did not pass the gate: a long run of them is not a run of outliers."""
     rejected_bearings: int = 0
 
     @property
     def is_conclusive(self) -> bool:
-        """Whether the estimate should be given up."""
+        """True if the track should be discarded."""
         counts = (self.bearings, self.ranges, self.rejected_ranges, self.rejected_bearings)
         return max(counts) >= CONTRADICTION_COUNT
 
     def after(self, report: UpdateReport, inflation: Inflation, gate: Gate = OPEN) -> Contradiction:
-        """The counts after one more update."""
+        """Return the counts after one more update."""
         bearings, side, ranges = self.bearings, self.side, self.ranges
         rejected_ranges, rejected_bearings = self.rejected_ranges, self.rejected_bearings
         if report.bearing is not None:
@@ -178,37 +179,40 @@ def _side(report: ModalityReport, inflation: float) -> float:
 
 
 def _whitened(report: ModalityReport, inflation: float) -> float:
-    """The innovation in standard deviations; 0 where the state's own uncertainty dominates."""
+    """Return the innovation in standard deviations; 0 where the state's uncertainty dominates."""
     if report.prior_share >= 1.0:
         return 0.0
     return report.whitened_innovation / math.sqrt(inflation)
 
 
 NIS_WINDOW_S = 3.0
+"""Least span of the window of the NIS."""
 NIS_WINDOW_COUNT = 30
-"""The window holds at least so much time and so many measurements."""
+"""Fewest measurements in that window."""
 OUT_OF_BAND_S = 3.0
+"""Time for which the NIS must stay above its band before the track is discarded."""
 OUT_OF_BAND_COUNT = 10
-"""The NIS must be above its band for at least so long and so many measurements in a row."""
+"""Consecutive measurements with the NIS above its band, in the same way."""
 NEWEST_COUNT = 5
-"""So many of the newest say whether it still is."""
+"""Newest measurements that must still be above the band."""
 RESTART_MEMORY_S = 60.0
+"""Time in which resets of the track are counted."""
 MAX_RESTARTS = 2
-"""An estimate that was started anew this often within that time is not flown on."""
+"""Resets within that time that forbid guidance on the estimate."""
 
 
 class NisWindow:
-    """The normalised innovations squared of the last seconds, per degree of freedom."""
+    """Normalised innovations squared of the last seconds, per degree of freedom."""
 
     def __init__(self) -> None:
         self._values: deque[tuple[float, float, int]] = deque()
         self._dof = 0
-        """Degrees of freedom of all of them."""
+        """Degrees of freedom in the window."""
         self._above_since_s: float | None = None
         self._above_count = 0
 
     def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
-        """Take in an update, by the inflation shown; whether the NIS has been too high too long."""
+        """Take in an update; return True if the NIS was above its band for too long."""
         squares = _normalised_squares(report, inflation)
         if not squares:
             return False
@@ -217,7 +221,7 @@ class NisWindow:
         while len(self._values) > NIS_WINDOW_COUNT and self._values[0][0] < time_s - NIS_WINDOW_S:
             self._dof -= self._values.popleft()[2]
         values = [value for _, value, _ in self._values]
-        band = math.inf  # while there are too few
+        band = math.inf  # too few measurements
         if len(values) >= NIS_WINDOW_COUNT:
             dof = self._dof / len(values)
             band = mean_band(dof, len(values))[1] / dof
@@ -229,13 +233,13 @@ class NisWindow:
             self._above_since_s = time_s
         self._above_count += 1
         has_lasted = time_s - self._above_since_s >= OUT_OF_BAND_S
-        # the window is slow to see that it is over
+        # the window's median lags behind the end of an excursion
         is_over = statistics.median(values[-NEWEST_COUNT:]) <= band
         return has_lasted and self._above_count >= OUT_OF_BAND_COUNT and not is_over
 
 
 def _normalised_squares(report: UpdateReport, inflation: Inflation) -> list[float]:
-    """Of each innovation over its variance; none where the range is taken for a reflection."""
+    """Return each innovation squared over its variance; none if the range was a reflection."""
     if _is_reflected(report):
         return []
     squares = []
@@ -246,22 +250,22 @@ def _normalised_squares(report: UpdateReport, inflation: Inflation) -> list[floa
 
 
 def _is_reflected(report: UpdateReport) -> bool:
-    """Whether the range says that the signal came by another way; then so did its bearing."""
+    """Return True if the range indicates a reflection; then its bearing is reflected as well."""
     row = report.range
     return row is not None and row.weight < 1.0 and row.innovation > 0.0
 
 
 DETOUR_S = 15.0
-"""How long a shadow may last before what is measured in it speaks against the estimate."""
+"""Longest shadow in which contradicting measurements are not held against the estimate."""
 KNOWN_RAD = math.radians(5.0)
-"""An estimate that foretells a bearing this well, one standard deviation, knows better."""
+"""Predicted bearing sigma up to which the estimate takes precedence over a bearing."""
 
 
 def _is_detour(report: UpdateReport, gate: Gate) -> bool:
-    """Whether the signal came around an edge: farther than it is, from somewhere else.
+    """Return True if the signal came around an edge: too far, and from another direction.
 
-    That is what a shadow does, and the vehicle must fly out of it to know better. A range that is
-    too long for any reflection is none of it, and what a vague estimate expects counts for nothing.
+    That happens in a shadow, and only flying out of it shows which is right. A range that is too
+    long for any reflection does not qualify, nor does the prediction of a vague estimate.
     """
     row = report.bearing
     if row is None or row.noise_sigma * math.sqrt(row.prior_share) > KNOWN_RAD:
@@ -270,33 +274,34 @@ def _is_detour(report: UpdateReport, gate: Gate) -> bool:
 
 
 class TrackIntegrity:
-    """Counts how measurements agree with the estimate that they meet."""
+    """Bookkeeping of how measurements agree with the estimate."""
 
     def __init__(self) -> None:
         self.contact = Contact()
-        """How old each kind of measurement is, and how many agreed since the last gap."""
+        """Ages of the measurements, and the number that agreed since the last gap."""
         self.restarts = 0
-        """How often the estimate was given up."""
+        """Number of tracks that were discarded."""
         self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
         self._recovered_at = 0
-        """Measurements accepted until the estimate is believed again."""
+        """Accepted measurements from which the estimate is trusted again."""
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was counted for and against the estimate, because it is another one."""
+        """Clear the evidence, because there is another estimate."""
         self.agreement = Agreement()
         self._contradiction = Contradiction()
         self._detour_since_s: float | None = None
-        """Since when every measurement came on a detour; None: the newest did not."""
+        """Time since which every measurement came on a detour; None: the newest did not."""
         self._nis = NisWindow()
         self._inflation_at_loss: Inflation | None = None
-        """Shown when agreement was lost; None: it is not."""
+        """Measured inflation when agreement was lost; None: it is not lost."""
 
     def judging(self, shown: Inflation) -> Inflation:
-        """The inflation that measurements are judged by.
+        """Return the inflation that the gate works with.
 
-        Once next to nothing agrees, that itself inflates what the run shows, until everything would
-        agree again with an estimate that nothing speaks for.
+        Once agreement is lost, the disagreement itself raises the measured inflation, until
+        everything would agree again with an unfounded estimate. So it is capped at its value before
+        the loss.
         """
         if self._inflation_at_loss is None:
             return shown
@@ -304,13 +309,13 @@ class TrackIntegrity:
         return (range_, bearing, elevation)
 
     def begin(self, measurement: RangingMeasurement) -> None:
-        """Note the first measurement of an estimate, which agrees with everything."""
+        """Count the first measurement of an estimate, which agrees by definition."""
         self.contact = self.contact.after(measurement, OPEN)
 
     def note(
         self, measurement: RangingMeasurement, report: UpdateReport, gate: Gate, judging: Inflation
     ) -> bool:
-        """Note how a measurement agrees; whether the estimate should be given up."""
+        """Count how a measurement agrees; return True if the track should be discarded."""
         at_s = measurement.measured_at_s
         self.contact = self.contact.after(measurement, gate)
         if not (self.agreement.is_proven and _is_detour(report, gate)):
@@ -330,23 +335,23 @@ class TrackIntegrity:
         return is_conclusive or is_out_of_band
 
     def give_up(self, time_s: float, accepted: int) -> None:
-        """The estimate is started anew; what was counted against the old one is void."""
+        """Count a discarded track, and clear the evidence against it."""
         self.restarts += 1
         self._restarts_s.append(time_s)
         self._recovered_at = accepted + 1 + CONTRADICTION_COUNT
         self.reset()
 
     def forget(self) -> None:
-        """Forget the contact, too, because the frame may have moved."""
+        """Clear the contact as well, because the frame may have moved."""
         self.contact = Contact()
         self.reset()
 
     def is_recovering(self, accepted: int) -> bool:
-        """Whether the estimate was given up so few measurements ago that it is not believed."""
+        """Return True if the track was reset too recently to be trusted."""
         return accepted < self._recovered_at
 
     def objection(self, now_s: float) -> Objection | None:
-        """The gravest of what speaks against flying on the estimate."""
+        """Return the gravest reason not to use the estimate for guidance; None: there is none."""
         restarts_s = self._restarts_s
         if len(restarts_s) == MAX_RESTARTS and now_s - restarts_s[0] <= RESTART_MEMORY_S:
             return Objection.UNSTABLE

@@ -1,24 +1,24 @@
-"""How noisy a radio is, learnt from its own residuals: EM for the NLOS bias and for sigma.
+"""On-line EM for a radio's noise: sigma, share and mean bias of NLOS ranges, bearing noise.
 
-Theory of operation. A range residual r = y - h(x) is an offset mu, thermal noise N(0, sigma^2)
-and, with probability p, a reflection's bias b ~ Exp(lambda). Its density is a mixture,
+Theory of operation. A range residual r = y - h(x) is an offset mu, thermal noise N(0, sigma^2) and,
+with probability p, a reflection's bias b ~ Exp(lambda). Its density is a mixture,
 
     f(r) = (1 - p) N(r; mu, sigma^2) + p lambda exp(k^2/2 - k u) Phi(u - k)
 
 with u = (r - mu) / sigma and k = lambda sigma. Given r and that there is a bias, b / sigma is the
-normal N(u - k, 1) cut off at 0. The E-step takes the *moments* of that posterior and the
-probability g that there is a bias at all, the M-step the maximum of the expected likelihood:
+normal N(u - k, 1) truncated at 0. The E-step takes the *moments* of that posterior and the
+probability g of a bias, the M-step the maximum of the expected likelihood:
 
     p = mean g    1/lambda = sum g b / sum g    mu = mean (r - g b)    sigma^2 = mean (r - b - mu)^2
 
 A prior worth a few measurements is added in every M-step, so that it never fades: in line of sight
-nothing is learnt about lambda, and it rests at its prior. One measurement at a time, the sums are
-forgotten exponentially. Where reflections are nearly all there is, a free offset and the share can
-hardly be told apart. Bearings have no sign: theirs is a mixture of two zero-mean normals.
+nothing is learnt about lambda, and it stays at its prior. On line, the sums are forgotten
+exponentially. Where nearly every range is reflected, a free offset and the share can hardly be
+separated. Bearings have no sign: theirs is a mixture of two zero-mean normals.
 
-Paper: section IV-C, "Path to Adaptive Estimation". Deviations: as said; the EM as printed, and why
-it is biased, is in `tools/study/printed_adaptation.py`. Sources: O. Cappe and E. Moulines, J. Royal
-Statistical Society B 71 (2009), for EM on sums that are updated measurement by measurement;
+Paper: section IV-C, "Path to Adaptive Estimation". Deviations: as described; the EM as printed, and
+why it is biased, is in `tools/study/printed_adaptation.py`. Sources: O. Cappe and E. Moulines, J.
+Royal Statistical Society B 71 (2009), for EM on sums that are updated measurement by measurement;
 P. J. Huber, Robust Statistics (1981), for the variance of an M-estimate.
 """
 
@@ -39,24 +39,24 @@ from companion.estimation.noise.mixtures import (
 )
 
 SHORTEST_U = 3.0
-"""Ranges shorter than this many sigma are learnt from as if no shorter: the mixture has no place
-for gross errors on that side, and a burst of them would pass for thermal noise."""
+"""Residuals are clipped at this many sigma on the short side: the mixture does not model gross
+errors there, and a burst of them would raise sigma."""
 SHARE_MARGIN = 1e-6
-"""Shares stay this far from 0 and 1, where EM would never leave again."""
+"""Distance of shares from 0 and 1, which are fixed points of EM."""
 
 
 class AdaptationParams(Params, frozen=True):
-    """What may be learnt about a radio's noise, how fast, and within which bounds."""
+    """Rate, priors and bounds of learning a radio's noise."""
 
     memory: Annotated[float, msgspec.Meta(ge=2.0)] = 300.0
-    """Measurements until one counts 1/e of what it did, on-line."""
+    """Measurements after which one has decayed to 1/e of its weight."""
     prior_count: Positive = 3.0
-    """How many measurements the first sigma, share and offset are worth, for good."""
+    """Weight of the prior sigma, share and offset, in measurements; it does not fade."""
     tail_prior_count: Positive = 10.0
-    """How many reflections the first mean bias is worth, gross bearing errors the wide sigma: more,
-    because the measurements that say something about them may never come."""
+    """Weight of the prior mean bias, in reflections, and of the wide sigma, in gross bearing
+    errors: larger, because informative measurements may never come."""
     estimate_offset: bool = False
-    """Whether the location of the residuals is learnt too; false: it is the prior's."""
+    """True: the location of the residuals is learnt too; false: it stays at its prior."""
     range_sigma_min_m: Positive = 0.02
     range_sigma_max_m: Positive = 20.0
     mean_bias_min_m: Positive = 0.2
@@ -64,14 +64,14 @@ class AdaptationParams(Params, frozen=True):
     bearing_sigma_min_deg: Positive = 0.1
     bearing_sigma_max_deg: Positive = 60.0
     wide_ratio_min: Annotated[float, msgspec.Meta(gt=1.0)] = 1.5
-    """Least ratio of wide to narrow sigma: below it the two cannot be told apart."""
+    """Least ratio of wide to narrow sigma, below which the two are indistinguishable."""
     k_min: Positive = 0.1
-    """Least threshold for the filter: below it a loss has hardly any curvature left."""
+    """Least threshold for the filter, below which a loss has hardly any curvature."""
     k_max: Positive = 5.0
-    """Largest threshold for the filter: above it a loss is as good as quadratic."""
+    """Largest threshold for the filter, above which a loss is practically quadratic."""
 
     def __post_init__(self) -> None:
-        """Refuse bounds that leave nothing between them."""
+        """Reject bounds that exclude every value."""
         for low, high in (
             ("range_sigma_min_m", "range_sigma_max_m"),
             ("mean_bias_min_m", "mean_bias_max_m"),
@@ -83,20 +83,21 @@ class AdaptationParams(Params, frozen=True):
 
     @property
     def forgetting(self) -> float:
-        """Factor on everything learnt, per measurement."""
+        """Factor on all sums per measurement."""
         return 1.0 - 1.0 / self.memory
 
 
 DEFAULTS = AdaptationParams()
+"""Adaptation as shipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class RangeNoise:
-    """The parameters of the range mixture."""
+    """Parameters of the range mixture."""
 
     sigma_m: float
     mean_bias_m: float
-    """1/lambda, the mean bias of a reflection."""
+    """Mean bias of a reflection, 1/lambda."""
     nlos_share: float
     offset_m: float = 0.0
     """Location of the thermal noise."""
@@ -108,7 +109,7 @@ class RangeNoise:
 
     @property
     def parameters(self) -> tuple[float, float, float, float]:
-        """As the kernels of `mixtures` take them."""
+        """Arguments of the kernels of `mixtures`."""
         return (self.sigma_m, self.mean_bias_m, self.nlos_share, self.offset_m)
 
 
@@ -119,11 +120,11 @@ class RangeSums(NamedTuple):
     nlos: float = 0.0
     bias_m: float = 0.0
     noise_m: float = 0.0
-    """Of residual - bias."""
+    """Sum of residual minus bias."""
     noise2_m2: float = 0.0
 
     def most_likely(self, prior: RangeNoise, params: AdaptationParams) -> RangeNoise:
-        """The M-step, the prior counted in."""
+        """Return the M-step, the prior included."""
         extra, extra_tail = params.prior_count, params.tail_prior_count
         count, noise_m = self.measurements + extra, self.noise_m + extra * prior.offset_m
         noise2_m2 = self.noise2_m2 + extra * (prior.sigma_m**2 + prior.offset_m**2)
@@ -141,25 +142,26 @@ class RangeSums(NamedTuple):
 
 
 NOTHING_LEARNT = RangeSums()
+"""Sums before the first measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class AdaptiveRangeNoise:
-    """One emitter's range noise, learnt measurement by measurement."""
+    """Range noise of one emitter, learnt measurement by measurement."""
 
     params: AdaptationParams
     prior: RangeNoise
     noise: RangeNoise
     learnt: RangeSums = NOTHING_LEARNT
-    """What the measurements said, without the prior."""
+    """Sums over the measurements, without the prior."""
 
     @classmethod
     def starting(cls, prior: RangeNoise, params: AdaptationParams = DEFAULTS) -> AdaptiveRangeNoise:
-        """Believes in `prior` until measurements say otherwise."""
+        """Return the noise before the first measurement: the prior."""
         return cls(params, prior, RangeSums().most_likely(prior, params))
 
     def after(self, residual_m: float) -> AdaptiveRangeNoise:
-        """The noise after one more residual, measured minus predicted range."""
+        """Return the noise after one more residual, measured minus predicted range."""
         shortest_m = self.noise.offset_m - SHORTEST_U * self.noise.sigma_m
         *sums, _ = range_expectations(max(residual_m, shortest_m), *self.noise.parameters)
         keep = self.params.forgetting
@@ -171,7 +173,7 @@ class AdaptiveRangeNoise:
 
 @dataclass(frozen=True, slots=True)
 class BearingNoise:
-    """The parameters of the bearing mixture: two zero-mean normals."""
+    """Parameters of the bearing mixture: two zero-mean normals."""
 
     sigma_rad: float
     wide_sigma_rad: float
@@ -180,7 +182,7 @@ class BearingNoise:
 
 @dataclass(frozen=True, slots=True)
 class AdaptiveBearingNoise:
-    """One emitter's bearing noise, learnt measurement by measurement."""
+    """Bearing noise of one emitter, learnt measurement by measurement."""
 
     params: AdaptationParams
     prior: BearingNoise
@@ -196,11 +198,11 @@ class AdaptiveBearingNoise:
     def starting(
         cls, prior: BearingNoise, params: AdaptationParams = DEFAULTS
     ) -> AdaptiveBearingNoise:
-        """Believes in `prior` until measurements say otherwise."""
+        """Return the noise before the first measurement: the prior."""
         return cls(params, prior, prior)
 
     def after(self, residual_rad: float) -> AdaptiveBearingNoise:
-        """The noise after one more residual, measured minus predicted bearing in [-pi, pi)."""
+        """Return the noise after one more residual, measured minus predicted in [-pi, pi)."""
         n, keep, square = self.noise, self.params.forgetting, residual_rad**2
         wide, _ = bearing_expectations(residual_rad, n.sigma_rad, n.wide_sigma_rad, n.wide_share)
         sums = (
@@ -214,7 +216,7 @@ class AdaptiveBearingNoise:
     def _most_likely(
         self, count: float, wide: float, narrow_rad2: float, wide_rad2: float
     ) -> BearingNoise:
-        """The M-step with the prior in it, on the border where the two sigmas come too close."""
+        """Return the M-step, the prior included; the ratio of the sigmas is kept at its minimum."""
         prior, ratio = self.prior, self.params.wide_ratio_min
         extra, extra_tail = self.params.prior_count, self.params.tail_prior_count
         narrow_rad2 += extra * prior.sigma_rad**2
@@ -237,24 +239,24 @@ class AdaptiveBearingNoise:
 
 @dataclass(frozen=True, slots=True)
 class LearntThresholds:
-    """Noise and thresholds as `FilterParams` has them; thresholds in sigma."""
+    """Noise and thresholds in the terms of `FilterParams`; thresholds in sigma."""
 
     range_sigma_m: float
     range_k_long: float
-    """Threshold lambda sigma, the paper's: right where nearly every range is reflected."""
+    """The paper's threshold lambda sigma, best where nearly every range is reflected."""
     range_k_least_variance: float
-    """The threshold that wastes least where many ranges are line of sight: it is larger."""
+    """Threshold of least variance where many ranges are line of sight; it is larger."""
     bearing_sigma_rad: float
     bearing_k: float
-    """The threshold of least variance for bearings."""
+    """Threshold of least variance for bearings."""
 
 
 def thresholds_of(
     ranges: RangeNoise, bearings: BearingNoise, params: AdaptationParams = DEFAULTS
 ) -> LearntThresholds:
-    """What the filter should take for granted, given this noise; within [k_min, k_max].
+    """Return the noise and thresholds for the filter, within [k_min, k_max].
 
-    Paper: eq. (10). The two of least variance are those with which a constant is located best.
+    Paper: eq. (10). Those of least variance are the best for estimating a constant.
     """
     low, high = params.k_min, params.k_max
     ratio = bearings.wide_sigma_rad / bearings.sigma_rad

@@ -1,24 +1,24 @@
-"""The run's own noise from its innovations: is it white, how much worse than thermal.
+"""Noise monitor: whiteness of innovations, and their variance over thermal noise.
 
-Theory of operation. A robust filter adds w / R of information per measurement, as if its noise
-were the thermal one wherever the weight is 1. Under NLOS that is too much: the residuals of an
-M-estimator with influence psi carry only E[psi']^2 / E[psi^2] / R (Huber's sandwich), and
-consecutive residuals of a recorded walk repeat each other, which divides by (1 + rho) / (1 - rho)
-for a lag-1 correlation rho of psi. The ratio of the two is the variance inflation
+Theory of operation. A robust filter adds w / R of information per measurement, as if its noise were
+thermal wherever the weight is 1. Under NLOS that is too much: the residuals of an M-estimator with
+influence psi carry only E[psi']^2 / E[psi^2] / R (Huber's sandwich), and consecutive residuals of a
+recorded walk are correlated, which divides by (1 + rho) / (1 - rho) for a lag-1 correlation rho of
+psi. The ratio of the two is the variance inflation
 
     c = E[w] E[psi^2] / E[psi']^2 (1 + rho) / (1 - rho)
 
-measured on the run's own innovations and applied to R in gain and covariance alike. With
-well-specified white noise c = 1. A consistent filter's NIS, y^T S^-1 y, is chi-square distributed
-with as many degrees of freedom as y has components; its mean lies in a band about that number.
+measured on the innovations and applied to R in gain and covariance alike. With well-specified white
+noise c = 1. A consistent filter's NIS, y^T S^-1 y, is chi-square distributed with as many degrees
+of freedom as y has components; its mean lies in a band about that number.
 
 The learner retunes the filter to one emitter's noise by the on-line EM of `adaptation`; the radio's
-own report of sigma no longer counts then.
+reported sigma is then ignored.
 
-Paper: section IV-C, "Path to Adaptive Estimation", per emitter.
-Sources: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; Y. Bar-Shalom, X. R.
-Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4;
-E. B. Wilson and M. M. Hilferty, PNAS 17 (1931), for the quantile.
+Paper: section IV-C, "Path to Adaptive Estimation", per emitter. Sources: P. J. Huber, Robust
+Statistics (1981), chapter 6, for the sandwich; Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation
+with Applications to Tracking and Navigation (2001), section 5.4; E. B. Wilson and M. M. Hilferty,
+PNAS 17 (1931), for the quantile.
 """
 
 from __future__ import annotations
@@ -52,18 +52,19 @@ from companion.estimation.window.sandwich import (
 from companion.kernel import Matrix
 
 NOISE_FORGETTING = 1.0 - 1.0 / 300.0
-"""Memory of the noise monitor, in measurements."""
+"""Forgetting factor of the noise monitor: a memory of 300 measurements."""
 PRIOR_COUNT = 8.0
-"""How many measurements the monitor's prior is worth."""
+"""Weight of the monitor's prior, in measurements."""
 MIN_PAIRS = 12.0
-"""Fewer pairs of neighbours than this tell nothing of correlation."""
+"""Fewest pairs of neighbours for an estimate of correlation."""
 MAX_INFLATION = 400.0
+"""Upper limit of the inflation: 20 times the thermal sigma."""
 NORMAL_975 = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % above it."""
 NIS_FORGETTING = 1.0 - 1.0 / 200.0
-"""Memory of the NIS monitor, in measurements."""
+"""Forgetting factor of the NIS monitor: a memory of 200 measurements."""
 MAX_PRIOR_SHARE = 1.0
-"""Innovations that are more of the state's own uncertainty than this say nothing of noise."""
+"""Largest share of the state's own uncertainty in an innovation from which noise is learnt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,20 +72,20 @@ class NoiseMonitor:
     """Running moments of one modality's whitened innovations, with forgetting."""
 
     initial_inflation: float
-    """What is believed until the data say otherwise."""
+    """Prior of the second moment."""
     count: float = 0.0
     weight_sum: float = 0.0
     influence_sum: float = 0.0
     influence2_sum: float = 0.0
     slope_sum: float = 0.0
-    """Count of measurements on the quadratic part (psi' = 1)."""
+    """Number of measurements on the quadratic part of the loss (psi' = 1)."""
     pair_count: float = 0.0
     lag_sum: float = 0.0
-    """Sum of products of consecutive influences; the first of a chain has none before it."""
+    """Sum of products of consecutive influences; the first of a chain has no predecessor."""
     previous: float | None = None
 
     def after(self, u: float, k_long: float, k_short: float) -> NoiseMonitor:
-        """The moments after one more whitened innovation `u`."""
+        """Return the moments after one more whitened innovation `u`."""
         influence = float(asymmetric_huber_influence(u, k_long, k_short))
         has_pair = self.previous is not None
         return NoiseMonitor(
@@ -101,12 +102,12 @@ class NoiseMonitor:
 
     @property
     def bilateral_share(self) -> float:
-        """Share of measurements on the quadratic part: those that add curvature."""
+        """Share of measurements on the quadratic part of the loss, which add curvature."""
         return self.slope_sum / self.count if self.count else 1.0
 
     @property
     def correlation(self) -> float:
-        """Lag-1 correlation of psi, 0 where it cannot be told from white noise."""
+        """Lag-1 correlation of psi; 0 where it is not significant."""
         if self.pair_count < MIN_PAIRS:
             return 0.0
         mean = self.influence_sum / max(self.count, 1.0)
@@ -119,7 +120,7 @@ class NoiseMonitor:
 
     @property
     def inflation(self) -> float:
-        """The variance inflation c >= 1."""
+        """Variance inflation c >= 1."""
         count = self.count + PRIOR_COUNT
         weight = (self.weight_sum + PRIOR_COUNT) / count
         influence2 = (self.influence2_sum + PRIOR_COUNT * self.initial_inflation) / count
@@ -129,16 +130,16 @@ class NoiseMonitor:
 
     @property
     def repetition(self) -> float:
-        """The factor (1 + rho) / (1 - rho) for innovations that repeat each other."""
+        """Factor (1 + rho) / (1 - rho) of correlated innovations."""
         rho = self.correlation
         return (1.0 + rho) / (1.0 - rho)
 
 
 def mean_band(dof: float, count: float) -> tuple[float, float]:
-    """Where the mean of `count` chi-square values of `dof` degrees of freedom lies with 95 %.
+    """Return the 95 % band of the mean of `count` chi-square values of `dof` degrees of freedom.
 
-    By the cube-root normal approximation: within 5 % for 5 degrees of freedom in all, 1 % for 20.
-    A sum of weights may stand for the count.
+    By the cube-root normal approximation: within 5 % for 5 degrees of freedom in all, 1 % for 20. A
+    sum of weights may replace the count.
     """
     total = dof * count
     spread = math.sqrt(2.0 / (9.0 * total))
@@ -154,8 +155,8 @@ class NisMonitor:
     """Running mean of the NIS per degree of freedom, with forgetting; 1 is consistent.
 
     S is the innovation variance that the filter works with, robust weight and inflation included:
-    with these the mean is near 1 or a little below it, because saturated innovations are given more
-    variance than they show. Above the band the filter is over-confident.
+    with these the mean is near 1 or slightly below it, because saturated innovations are assigned
+    more variance than they have. Above the band the filter is over-confident.
     """
 
     count: float = 0.0
@@ -163,7 +164,7 @@ class NisMonitor:
     total: float = 0.0
 
     def after(self, report: UpdateReport) -> NisMonitor:
-        """With one more update."""
+        """Return the monitor after one more update."""
         dof = sum(row is not None for row in report.modalities)
         return NisMonitor(
             NIS_FORGETTING * self.count + dof, NIS_FORGETTING * self.total + report.nis
@@ -176,42 +177,42 @@ class NisMonitor:
 
     @property
     def is_overconfident(self) -> bool:
-        """Whether the mean is above the band of white, consistent innovations."""
+        """True if the mean is above the band of white, consistent innovations."""
         return self.count >= 1.0 and self.total / self.count > mean_band(1.0, self.count)[1]
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerHealth:
-    """How far an estimate can be trusted."""
+    """Indicators of how far an estimate can be trusted."""
 
     nis: float | None
     """Mean NIS per degree of freedom; 1 is consistent."""
     is_overconfident: bool
-    """Whether it is above its 95 % band."""
+    """True if it is above its 95 % band."""
     correlation: tuple[float, float, float]
     """Lag-1 correlation of range, bearing and elevation innovations; 0: white."""
     inflation: Inflation
-    """How much worse than thermal noise each modality is taken to be."""
+    """Variance of each modality over thermal noise."""
     nlos_share: float
-    """Share of recent ranges taken for reflections."""
+    """Share of recent ranges identified as reflections."""
     observability: Observability | None
     """Curvature and bilateral information; None before the first measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class InnovationNoise:
-    """What the innovations of a run have shown."""
+    """Noise of a run as measured on its innovations."""
 
     monitors: tuple[NoiseMonitor, ...]
     nis: NisMonitor
 
     @classmethod
     def starting(cls, initial_inflation: float) -> InnovationNoise:
-        """Before the first innovation."""
+        """Return the noise before the first innovation."""
         return cls((NoiseMonitor(initial_inflation),) * MODALITIES, NisMonitor())
 
     def after(self, report: UpdateReport, thresholds: Matrix) -> InnovationNoise:
-        """With one more update learnt from. Args: thresholds (3, 2)."""
+        """Return the noise after one more update; `thresholds` are (3, 2)."""
         monitors = []
         for monitor, row, (k_long, k_short) in zip(
             self.monitors, report.modalities, thresholds.tolist(), strict=True
@@ -226,16 +227,16 @@ class InnovationNoise:
 
     @property
     def is_white(self) -> bool:
-        """Whether innovations know nothing of each other, as far as can be told."""
+        """True if no correlation of innovations is significant."""
         return all(monitor.correlation == 0.0 for monitor in self.monitors)
 
     @property
     def nlos_share(self) -> float:
-        """Share of recent ranges on the linear branch of the loss: taken for reflections."""
+        """Share of recent ranges on the linear branch of the loss, identified as reflections."""
         return 1.0 - self.monitors[0].bilateral_share
 
     def inflation(self, found: Inflation | None) -> Inflation:
-        """Variance inflation of each modality; `found` is the window's own, where it was solved."""
+        """Return the variance inflation of each modality; `found` is the window's, if solved."""
         if found is None:
             ranges, bearings, elevations = (monitor.inflation for monitor in self.monitors)
         else:
@@ -246,7 +247,7 @@ class InnovationNoise:
         return (ranges, bearings, elevations)
 
     def health(self, inflation: Inflation, observability: Observability | None) -> TrackerHealth:
-        """The live values."""
+        """Return the live values."""
         ranges, bearings, elevations = self.monitors
         return TrackerHealth(
             nis=self.nis.mean,
@@ -259,16 +260,16 @@ class InnovationNoise:
 
 
 RETUNE_EVERY = 50
-"""Measurements learnt from between two tunings."""
+"""Measurements between two tunings of the filter."""
 FIRST_NLOS_SHARE = 0.5
-"""What is believed of reflections before anything is learnt."""
+"""Prior share of reflections."""
 WIDE_RATIO = 3.0
-"""How much wider gross bearing errors are taken to be before anything is learnt."""
+"""Prior ratio of the sigma of gross bearing errors to that of the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseLearner:
-    """What has been learnt about one emitter."""
+    """On-line learner of one emitter's noise."""
 
     ranges: AdaptiveRangeNoise
     bearings: AdaptiveBearingNoise
@@ -277,7 +278,7 @@ class NoiseLearner:
 
     @classmethod
     def starting(cls, believed: FilterParams, params: AdaptationParams) -> NoiseLearner:
-        """Before the first measurement: what the filter's own parameters mean."""
+        """Return the learner before the first measurement; the parameters are its prior."""
         k = believed.range_k_long or params.k_max
         sigma_rad = math.radians(believed.bearing_sigma_deg)
         ranges = RangeNoise(
@@ -293,7 +294,7 @@ class NoiseLearner:
         )
 
     def after(self, report: UpdateReport) -> NoiseLearner:
-        """With one more update learnt from."""
+        """Return the learner after one more update."""
         ranges, bearings = self.ranges, self.bearings
         has_range, has_bearing = _is_noise(report.range), _is_noise(report.bearing)
         if report.range is not None and has_range:
@@ -306,11 +307,11 @@ class NoiseLearner:
 
     @property
     def is_due(self) -> bool:
-        """Whether the filter should be tuned to what has been learnt."""
+        """True if the filter should be tuned to the learnt noise."""
         return self.count > 0 and self.count % RETUNE_EVERY == 0
 
     def tuned(self, believed: FilterParams) -> FilterParams:
-        """The filter's parameters with the noise that was learnt."""
+        """Return the filter's parameters with the learnt noise."""
         found = thresholds_of(self.ranges.noise, self.bearings.noise, self.params)
         return msgspec.structs.replace(
             believed,

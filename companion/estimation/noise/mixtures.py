@@ -1,13 +1,13 @@
 """Densities and posterior moments of the noise mixtures that `adaptation` fits, as kernels.
 
-Theory of operation. Everything about a bias given its residual follows from a unit normal N(z, 1)
-cut off below 0. With phi and Phi of the standard normal and h = phi(z) / Phi(z),
+Theory of operation. The posterior of a bias given its residual is a unit normal N(z, 1) truncated
+below 0. With phi and Phi of the standard normal and h = phi(z) / Phi(z),
 
     mass Phi(z)        mean z + h        second moment 1 + z (z + h)
 
-which cancel to nothing far in the tail. There, with x = -z, the continued fraction of the inverse
-Mills ratio h = x + 1/(x + 2/(x + 3/...)) gives mean = 1/C and second moment = (C - x) / C with
-C = x + 2/(x + 3/...), where nothing cancels.
+which cancel far in the tail. There, with x = -z, the continued fraction of the inverse Mills ratio
+h = x + 1/(x + 2/(x + 3/...)) gives mean = 1/C and second moment = (C - x) / C with C = x + 2/(x +
+3/...), where nothing cancels.
 
 Source: M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions (1964), eq. 26.2.14.
 """
@@ -19,27 +19,28 @@ import math
 from companion.kernel import kernel
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
+"""Negative log of the standard normal density at 0."""
 TAIL = 4.0
-"""From this far below 0 the continued fraction is used."""
+"""Distance below 0 from which the continued fraction is used."""
 TAIL_TERMS = 30
-"""Enough for full precision from `TAIL` on."""
+"""Terms of the continued fraction: full precision from `TAIL` on."""
 
 
 @kernel
 def normal_density(z: float) -> float:
-    """Density of the standard normal."""
+    """Return the density of the standard normal."""
     return math.exp(-0.5 * z * z - HALF_LOG_2_PI)
 
 
 @kernel
 def normal_cdf(z: float) -> float:
-    """Distribution function of the standard normal."""
+    """Return the distribution function of the standard normal."""
     return 0.5 * math.erfc(-z / math.sqrt(2.0))
 
 
 @kernel
 def truncated_normal(z: float) -> tuple[float, float, float, float]:
-    """N(z, 1) cut off below 0, for any z: log Phi(z), mean, second moment, and mean - z."""
+    """Return log Phi(z), mean, second moment and mean - z of N(z, 1) truncated below 0."""
     if z >= -TAIL:
         mass = normal_cdf(z)
         gain = normal_density(z) / mass
@@ -56,7 +57,7 @@ def truncated_normal(z: float) -> tuple[float, float, float, float]:
 def range_expectations(
     residual_m: float, sigma_m: float, mean_bias_m: float, nlos_share: float, offset_m: float
 ) -> tuple[float, float, float, float, float]:
-    """What one residual says about its bias and noise, given the parameters (the E-step).
+    """Return the E-step of one range residual, given the parameters.
 
     The bias of a reflection, of probability `nlos_share` in (0, 1), has the mean 1/lambda;
     `offset_m` is the location mu of the thermal noise. The result is the probability of a
@@ -66,7 +67,7 @@ def range_expectations(
     u, k = (residual_m - offset_m) / sigma_m, sigma_m / mean_bias_m
     z = u - k
     log_mass, mean, square, gain = truncated_normal(z)
-    # Of two forms each, the one that subtracts the smaller numbers.
+    # of two equivalent forms the one with less cancellation
     if z < 0.0:
         log_mills = -math.log(gain)
         noise, noise2 = u - mean, u * u - 2.0 * u * mean + square
@@ -92,7 +93,10 @@ def range_expectations(
 def bearing_expectations(
     residual_rad: float, sigma_rad: float, wide_sigma_rad: float, wide_share: float
 ) -> tuple[float, float]:
-    """Probability that a bearing residual is of the wide normal, and its log density (1/rad)."""
+    """Return the probability that a bearing residual is of the wide normal, and its log density.
+
+    The density is per radian.
+    """
     narrow, wide = residual_rad / sigma_rad, residual_rad / wide_sigma_rad
     log_narrow = math.log1p(-wide_share) - math.log(sigma_rad) - 0.5 * narrow * narrow
     log_wide = math.log(wide_share) - math.log(wide_sigma_rad) - 0.5 * wide * wide
@@ -102,10 +106,10 @@ def bearing_expectations(
 
 @kernel
 def mean_map_bias(threshold: float, k: float, nlos_share: float) -> float:
-    """E[max(0, u - threshold)] of a residual of the range mixture, everything in sigma.
+    """Return E[max(0, u - threshold)] of a residual of the range mixture, everything in sigma.
 
-    Both parts integrate in closed form: the normal's is phi(t) - t Phi(-t), a reflection's adds
-    the mass of its bias beyond t, (Phi(-t) + exp(k^2/2 - k t) Phi(t - k)) / k.
+    Both parts integrate in closed form: the normal's is phi(t) - t Phi(-t), a reflection's adds the
+    mass of its bias beyond t, (Phi(-t) + exp(k^2/2 - k t) Phi(t - k)) / k.
     """
     t = threshold
     thermal = normal_density(t) - t * normal_cdf(-t)
@@ -115,11 +119,11 @@ def mean_map_bias(threshold: float, k: float, nlos_share: float) -> float:
 
 @kernel
 def one_sided_huber_variance(knot: float, k: float, nlos_share: float) -> tuple[float, float]:
-    """Variance of the one-sided Huber location of the range mixture, and its threshold, in sigma.
+    """Return n times the variance of the one-sided Huber location, and its threshold, in sigma.
 
-    Residuals' influence is cut off at `knot`. The location settles at the mean of min(u, knot),
-    which is what the filter's range offset takes up. The result is the number of measurements times
-    the variance, and the threshold knot - location.
+    Residuals of the range mixture have their influence clipped at `knot`. The location converges to
+    the mean of min(u, knot), which the filter's range offset absorbs; the threshold is knot -
+    location.
 
     The moments of (knot - u)+ follow from those of u and of (u - knot)+; for a reflection the
     second moment of the latter is the normal's plus 2 / k times its first.
@@ -136,7 +140,7 @@ def one_sided_huber_variance(knot: float, k: float, nlos_share: float) -> tuple[
 
 @kernel
 def least_variance_k_long(k: float, nlos_share: float) -> float:
-    """The one-sided threshold, in sigma, with about the least variance under the range mixture."""
+    """Return the one-sided threshold, in sigma, of about least variance under the range mixture."""
     best, least = 0.0, math.inf
     for step in range(61):
         variance, threshold = one_sided_huber_variance(-1.0 + 0.1 * step, k, nlos_share)
@@ -147,7 +151,7 @@ def least_variance_k_long(k: float, nlos_share: float) -> float:
 
 @kernel
 def huber_variance(k: float, wide_ratio: float, wide_share: float) -> float:
-    """Variance of Huber's location estimate times the number of measurements, E psi^2 / E[psi']^2.
+    """Return n times the variance of Huber's location estimate, E psi^2 / E[psi']^2.
 
     In squares of the narrow sigma: 1 is what least squares has without the wide normal of the
     mixture, which is `wide_ratio` as wide. The threshold k is on both sides, in narrow sigma.
@@ -164,7 +168,7 @@ def huber_variance(k: float, wide_ratio: float, wide_share: float) -> float:
 
 @kernel
 def least_variance_k(wide_ratio: float, wide_share: float, k_min: float, k_max: float) -> float:
-    """The threshold in [k_min, k_max] with the least `huber_variance`, to about 5 %."""
+    """Return the threshold in [k_min, k_max] of least `huber_variance`, to about 5 %."""
     best, least, steps = k_max, huber_variance(k_max, wide_ratio, wide_share), 40
     for step in range(steps):
         k = k_min * (k_max / k_min) ** (step / steps)

@@ -1,1 +1,1 @@
-"""Which measurements may reach the filter: validity, gate, plausibility, units."""
+"""Screening of measurements before the filter: validity, plausibility, units."""

@@ -1,16 +1,16 @@
-"""Which measurements never reach a filter, and why: invalid, repeated, frozen, in a wrong unit.
+"""Screen of raw measurements: invalid, repeated, frozen or in a wrong unit, with reasons.
 
-All of it is said without any estimate. An `Objection` is why an estimate must not be flown on,
-although there is one: a radio that is read wrongly may be read wrongly in other ways, too.
+It needs no estimate. An `Objection` forbids guidance on an estimate that exists: a radio that is
+misread in one way may be misread in others, too.
 
-Frozen: a value that stands still while the vehicle moves was not measured. A radio that hangs
+Frozen: a value that stays constant while the vehicle moves was not measured. A radio that hangs
 repeats its last number with fresh stamps. Noise never repeats itself to the last bit, and a radio
-with coarse numbers repeats them only while the vehicle hardly moves beside its steps.
+with coarse numbers repeats them only while the vehicle moves little compared to its steps.
 
-Bearings: their scatter tells whether they are in radians. In degrees a bearing is mostly more than
-half a turn, which is rejected, or turns at random, because two degrees of noise are more than a
-hundred then. Divided instead, it hardly leaves zero, whatever the vehicle flies by: a direction
-finder that is quiet beside its own noise measures nothing.
+Bearings: their scatter shows whether they are in radians. In degrees most bearings exceed half a
+turn, which is rejected, or turn at random, because two degrees of noise are then more than a
+hundred. A bearing that was divided instead hardly leaves zero, whatever the vehicle flies past: a
+direction finder with less scatter than its own noise measures nothing.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from companion.geometry.coordinates import wrap_pi
 
 
 class RejectReason(Enum):
-    """Why a measurement was rejected; the filter is untouched by it."""
+    """Reason for rejecting a measurement; a rejected one does not change the filter."""
 
     OTHER_EMITTER = "other emitter"
     NOTHING_MEASURED = "nothing measured"
@@ -65,23 +65,24 @@ class RejectReason(Enum):
 
 
 class AcceptanceParams(Params, frozen=True):
-    """What counts as a plausible and timely measurement."""
+    """Limits of a plausible and timely measurement."""
 
     max_range_m: Positive = 2000.0
-    """A longer range is a fault of the radio or its unit."""
+    """A longer range is an error of the radio or of its unit."""
     max_age_s: Positive = 1.0
     """An older measurement is rejected; a younger one is fused at its own time."""
 
 
 FUTURE_TOLERANCE_S = 0.1
+"""Error of clock synchronisation that is tolerated."""
 LEAST_NORMAL = 2.0**-126
-"""Of 32 bits. Nothing is measured as finely: what is smaller, but not zero, was no float."""
+"""Smallest normal float32. No sensor resolves less: a smaller number, except zero, was no float."""
 
 
 def reject_reason_of(
     measurement: RangingMeasurement, now_s: float, params: AcceptanceParams
 ) -> RejectReason | None:
-    """Why the measurement cannot be used, judged by itself, or None if it can."""
+    """Return why the measurement is invalid by itself; None: it is valid."""
     m = measurement
     bearings = [b for b in (m.bearing_enu_rad, m.bearing_body_rad) if b is not None]
     ranges = [] if m.range_m is None else [m.range_m]
@@ -105,9 +106,9 @@ def reject_reason_of(
 
 
 def identity_of(measurement: RangingMeasurement) -> Hashable:
-    """What two copies of one measurement share: the stamp alone is shared by range and bearing.
+    """Return what two copies of one measurement share; range and bearing may share a stamp.
 
-    Not the bearing that was turned from the body frame, because a copy may see a later yaw.
+    The bearing in ENU is not part of it, because it may be turned by a later yaw in a copy.
     """
     m = measurement
     bearing_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
@@ -116,7 +117,7 @@ def identity_of(measurement: RangingMeasurement) -> Hashable:
 
 
 class Objection(Enum):
-    """The gravest of what speaks against the estimate; values are for the operator."""
+    """Gravest reason against the estimate; the values are shown to the operator."""
 
     RANGE_UNIT = "ranges do not fit the own motion: wrong unit?"
     BEARING_UNIT = "bearings make no sense: wrong unit?"
@@ -126,26 +127,29 @@ class Objection(Enum):
 
 
 FROZEN_COUNT = 5
+"""Equal values in a row before a value may be frozen."""
 FROZEN_S = 1.0
+"""Least duration of equal values before they are frozen."""
 FROZEN_M = 2.0
-"""So many equal values in a row, over so much time and own motion, are frozen."""
+"""Least motion of the vehicle during equal values before they are frozen."""
 FROZEN_STEPS = 2.0
-"""Own motion in steps of the ranges, where that is more: across a step is not through it."""
+"""The same motion in steps of the ranges, if more: motion across the line of sight changes no
+range."""
 
 
 class FrozenValue:
-    """Watches one value of one radio."""
+    """Detector of a value of one radio that stays constant while the vehicle moves."""
 
     def __init__(self, least_m: float = FROZEN_M) -> None:
         self._least_m = least_m
-        """Own motion over which equal values are frozen ones."""
+        """Motion of the vehicle from which equal values are frozen."""
         self._value: float | None = None
         self._since_s = 0.0
         self._since_enu_m: PositionEnu = (0.0, 0.0, 0.0)
         self._count = 0
 
     def add(self, value: float, time_s: float, sensor_enu_m: PositionEnu) -> bool:
-        """Take in a value; whether it is frozen."""
+        """Take in a value; return True if it is frozen."""
         if value != self._value:
             self._value, self._count = value, 1
             self._since_s, self._since_enu_m = time_s, sensor_enu_m
@@ -156,42 +160,44 @@ class FrozenValue:
 
 
 QUIET_S, RANDOM_S = 2.5, 4.0
-"""How far back is looked for either."""
+"""Span of the bearings that are tested for being quiet, and for being random."""
 MIN_COUNT, MAX_COUNT = 16, 96
+"""Fewest bearings in a test, and most that are kept."""
 EVERY = 4
+"""Bearings between two tests."""
 MIN_PATH_M = 5.0
-"""Own motion before being quiet means anything."""
+"""Motion of the vehicle without which quiet bearings prove nothing."""
 QUIET_SIGMAS = 1.0 / 6.0
-"""Between the outer tenths of the bearings; noise alone makes it 2.6."""
+"""Distance between the outer deciles, in sigma, below which bearings are quiet; noise makes 2.6."""
 RANDOM_COSINE = 0.1
-"""Mean cosine of the turns from one bearing to the next: about 0 for bearings from anywhere, 0.36
-with two outliers among five."""
+"""Mean cosine of the turns between consecutive bearings below which they are random: about 0 for
+random bearings, 0.36 with two outliers among five."""
 RANDOM_COUNT = 32
-"""Turns needed to tell the two."""
+"""Turns needed for the test."""
 
 
 class BearingCheck:
-    """Watches the bearings of one emitter."""
+    """Monitor of one emitter's bearings: quiet or random ones are in a wrong unit."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
         self._since = 0
         self.is_quiet = False
-        """Whether bearings stand still beside their own noise while the vehicle moves."""
+        """True if bearings scatter less than their noise while the vehicle moves."""
         self.is_random = False
-        """Whether each bearing points elsewhere than the one before."""
+        """True if consecutive bearings are unrelated."""
         self.is_rejected = False
-        """Whether bearings must not be used: either of the two."""
+        """True if bearings must not be used, for either of the two reasons."""
 
     def forget_samples(self) -> None:
-        """Forget what was measured, but not the judgement."""
+        """Forget the measurements, but not the result."""
         self._samples.clear()
         self._since = 0
 
     def add(
         self, time_s: float, bearing_rad: float, sigma_rad: float, sensor_enu_m: PositionEnu
     ) -> None:
-        """Take in a bearing, and judge now and then."""
+        """Take in a bearing, and test periodically."""
         self._samples.append((time_s, bearing_rad, sigma_rad, sensor_enu_m))
         while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - RANDOM_S:
             self._samples.popleft()
@@ -228,23 +234,24 @@ class BearingCheck:
 
 
 ABSURD_S = 2.0
+"""Least span of the window of absurd values."""
 ABSURD_COUNT = 10
-"""The window of absurd values holds at least so much time and so many values."""
+"""Fewest values in that window."""
 STEEP_RATIO = 1.5
-"""Nearer than this many heights the emitter is below, where bearings may point anywhere."""
+"""Range over height below which the emitter is below the vehicle, where bearings are arbitrary."""
 
 
 class AbsurdShare:
-    """How many of the last values of one kind were absurd."""
+    """Share of absurd values among the latest ones of one kind."""
 
     def __init__(self) -> None:
         self._window: deque[tuple[float, bool]] = deque()
         self._absurd_count = 0
         self.is_most = False
-        """Whether it is more than a half."""
+        """True if it exceeds a half."""
 
     def add(self, time_s: float, *, is_absurd: bool) -> None:
-        """Take in a value that arrived at a time."""
+        """Take in a value that arrived at this time."""
         self._window.append((time_s, is_absurd))
         self._absurd_count += is_absurd
         while len(self._window) > ABSURD_COUNT and self._window[0][0] < time_s - ABSURD_S:
@@ -255,41 +262,42 @@ class AbsurdShare:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What of a measurement may be used."""
+    """Result of the screen for one measurement."""
 
     passed: RangingMeasurement | None
-    """None: nothing of it."""
+    """Components that may be used; None: none."""
     reason: RejectReason | None = None
-    """Why not all of it."""
+    """Reason if not all of it may be used."""
     is_newly_objected: bool = False
-    """Whether there is an objection since this measurement: the ones before were no better."""
+    """True if an objection begins with this measurement: earlier ones were no better."""
 
 
 DUPLICATE_MEMORY = 256
+"""Measurements in which duplicates are searched: 2.5 s of a radio of 100 Hz."""
 
 
 class MeasurementScreen:
-    """Watches the raw values of one emitter, and lets through what may be fused."""
+    """Screen of one emitter's raw measurements."""
 
     def __init__(self, params: FilterParams, acceptance: AcceptanceParams) -> None:
         self.rejected: Counter[RejectReason] = Counter()
-        """Measurements, or parts of them, that were not fused."""
+        """Counts of measurements, or components of them, that were not fused, by reason."""
         self.has_body_bearings = False
-        """Whether the newest bearing came relative to the vehicle's heading."""
+        """True if the newest bearing is relative to the vehicle's heading."""
         self._params, self._acceptance = params, acceptance
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything that was measured, and the judgements."""
+        """Forget all measurements and results."""
         self._recent: dict[Hashable, None] = {}
-        """What the last valid measurements were, oldest first."""
+        """Identities of the latest valid measurements, oldest first."""
         self._units = UnitCheck(self._params, self._acceptance.max_range_m)
         self._bearings = BearingCheck()
         self._absurd_ranges, self._absurd_bearings = AbsurdShare(), AbsurdShare()
         self.forget_motion()
 
     def forget_motion(self) -> None:
-        """The vehicle's own position jumped: nothing before it is compared with what follows."""
+        """Forget positions from before a jump of the vehicle's navigation."""
         self._units.forget_samples()
         self._bearings.forget_samples()
         least_m = max(FROZEN_M, FROZEN_STEPS * self._params.range_step_m)
@@ -297,7 +305,7 @@ class MeasurementScreen:
 
     @property
     def objection(self) -> Objection | None:
-        """Why nothing should be flown on such values."""
+        """Reason not to use such values for guidance; None: there is none."""
         if self._units.is_rejected or self._absurd_ranges.is_most:
             return Objection.RANGE_UNIT
         if self._bearings.is_rejected or self._absurd_bearings.is_most:
@@ -307,7 +315,7 @@ class MeasurementScreen:
     def admit(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
     ) -> RejectReason | None:
-        """Why a measurement is rejected by itself; None: it is valid, and remembered."""
+        """Return why a measurement is invalid or repeated; None: it is valid, and remembered."""
         reason = self._invalidity(measurement, sensor_enu_m, now_s)
         if reason is RejectReason.RANGE_ABSURD:
             self._absurd_ranges.add(now_s, is_absurd=True)
@@ -335,7 +343,7 @@ class MeasurementScreen:
         return None
 
     def _lost_direction(self, measurement: RangingMeasurement) -> RejectReason | None:
-        """Why a bearing that was measured says no direction; None: it does, or there is none."""
+        """Return why a measured bearing gives no direction; None: it does, or there is none."""
         antenna = self._params.antenna
         loss = lost_direction(measurement, antenna)
         if measurement.has_direction and loss != "north":
@@ -355,7 +363,7 @@ class MeasurementScreen:
     def judge(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
     ) -> Judgement:
-        """What of a valid measurement may be used; a bearing of the body frame is in ENU too."""
+        """Return what of a valid measurement may be used; a body bearing comes with one in ENU."""
         was_plausible = self.objection is None
         range_reason = self._range_reason(measurement, sensor_enu_m, now_s)
         bearing_reason = self._bearing_reason(measurement, sensor_enu_m, now_s)
@@ -399,7 +407,7 @@ class MeasurementScreen:
             return RejectReason.FROZEN
         height_m = abs(sensor_enu_m[2] - self._params.target_height_m)
         is_flat = m.range_m is not None and m.range_m > STEEP_RATIO * height_m
-        # without a range only an azimuth about the vertical tells what is random, and what is steep
+        # without a range only azimuths about the vertical can be tested: the steepness is unknown
         if is_flat or (m.range_m is None and m.array is None):
             _, sigma_rad, _ = self._params.seen_sigmas(m)
             self._bearings.add(m.measured_at_s, raw_rad, sigma_rad, sensor_enu_m)

@@ -1,22 +1,22 @@
-"""Do ranges come in metres? Own motion tells, wherever the target is.
+"""Test of the unit of ranges against the vehicle's motion, independent of any estimate.
 
 Theory of operation. A range in the wrong unit is a plausible number: 60 m become 0.6. But ranges
-must change as the distance to *some* place does when the vehicle moves. So the ranges of the last
-seconds are explained twice: in metres, and in each larger unit that is confused with metres,
+must change as the distance to *some* position does when the vehicle moves. So the ranges of the
+last seconds are explained twice: in metres, and in each larger unit that is confused with metres,
 
     z_i = factor (|p - s_i| + offset) + e_i
 
-with the place p anywhere within the radio's reach. What counts is how little is left unexplained,
-(n / 2) log var(e) in the radio's own numbers for n independent ones, and the offset beside its
-prior; long ranges are reflections, so that an offset may be long for nothing. Neither a noise is
-assumed nor an estimate, which might have been made from the same wrong numbers. A factor is
-believed when it is a thousand times as probable, and until metres are more probable again.
+with the position p anywhere within the radio's reach. The cost is what remains unexplained, (n / 2)
+log var(e) in the radio's own numbers for n independent ones, plus the prior of the offset; a long
+offset costs nothing, because long ranges are reflections. The test assumes neither a noise level
+nor an estimate, which might be derived from the same wrong numbers. A factor is accepted at odds of
+a thousand to one, and dropped when metres are again more probable.
 
 In a smaller unit the ranges, noise included, become absurdly long or scatter by hundreds of metres,
-which no reflection does. Nothing is flown on such ranges, whatever their unit may be.
+which no reflection does. Guidance does not use such ranges, whatever their unit.
 
-Ranges in steps (`range_step_m`) hardly change over the last seconds, in whatever unit they are. The
-variance of a step is taken as left in any case, so that nothing is concluded from it.
+Ranges in steps (`range_step_m`) hardly change within seconds in any unit. The variance of a step
+always counts as unexplained, so that nothing is concluded from it.
 """
 
 from __future__ import annotations
@@ -34,50 +34,58 @@ from companion.estimation.filters.target_filter import FilterParams
 from companion.kernel import Matrix, Vector
 
 FACTORS = (1e-3, 1e-2, 1.0 / 57.29577951308232)
-"""What ranges are multiplied by in the larger units that are confused with metres."""
+"""Reported over true range in kilometres, in hundreds of metres, and after a conversion from
+degrees to radians that was applied to ranges as well."""
 MAX_SPREAD_M = 100.0
-"""Between the quartiles of the ranges of the last seconds, beyond own motion and a step."""
+"""Largest distance between the quartiles of recent ranges beyond the vehicle's motion and a
+step."""
 CHANGED_RATIO = 5.0
-"""Ranges that became so much shorter or longer come in another unit than before."""
+"""Ratio of newest to earlier ranges from which they come in another unit than before."""
 NEWEST_COUNT = 4
-"""So many must say so."""
+"""Consecutive ranges that must have changed."""
 WINDOW_S = 3.0
+"""Span of the ranges in a test: a vehicle at 3 m/s moves by 9 m in it."""
 MIN_COUNT, MAX_COUNT = 12, 48
+"""Fewest and most ranges in a test."""
 EVERY = 8
-"""Ranges between two judgements; one of another size is judged as soon as there are enough."""
+"""Ranges between two tests; after a change of size the next test comes as soon as possible."""
 REJECT_LOG_RATIO = math.log(1000.0)
+"""Log-likelihood ratio to metres at which a factor is accepted."""
 ACCEPT_LOG_RATIO = -3.0
+"""Log-likelihood ratio at which ranges count as metres again: 20 to 1."""
 REFINED, REFINEMENTS = 4, 5
-"""So many of the best places are refined, in so many steps, where ranges come in metres."""
+"""Number of best positions that are refined in metres, and Gauss-Newton steps of each."""
 DIRECTIONS = 24
+"""Directions of the grid of trial positions: one every 15 degrees."""
 NEAREST_M, RINGS = 1.0, 20
+"""Radius of the innermost ring of trial positions, metres, and number of rings out to the reach."""
 LEAST_NOISE_M = 1e-3
-"""What no radio resolves, in its own numbers."""
+"""Finest resolution of any radio, in its own numbers."""
 MOST_NOISE_M = 40.0
-"""A unit in which the radio would be noisier than this is none."""
+"""Noise of the radio, metres, above which a unit is ruled out."""
 OUTLIER_DEVIATIONS = 4.0
-"""Ranges longer than the median by more median deviations than this count as that much longer."""
+"""Ranges above the median are clipped at this many median absolute deviations."""
 FREE_EXCESS_M = 30.0
-"""An offset that is longer by up to this is a reflection, which costs nothing."""
+"""Range offset up to which a reflection explains it at no cost."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """Ranges of the last seconds and where they were measured, oldest first."""
+    """Recent ranges and the positions where they were measured, oldest first."""
 
     range_m: Vector
-    """(n,) as the radio has it."""
+    """(n,) as reported by the radio."""
     sensor_enu_m: Matrix
-    """(n, 3)"""
+    """(n, 3)."""
 
 
 class _Moments:
-    """Ranges, (n,), beside distances to places, (places, n): what a factor's cost depends on."""
+    """Moments of ranges (n,) and of distances to positions (places, n) for a factor's cost."""
 
     def __init__(self, range_m: Vector, distances_m: Matrix) -> None:
         self.count = len(range_m)
         self.range_m = float(range_m.mean())
-        """Mean of the ranges, as the radio has them."""
+        """Mean of the ranges, as reported by the radio."""
         self.distance_m: Vector = np.asarray(distances_m.mean(axis=1))
         self._range_about_m = range_m - self.range_m
         self._distance_about_m = distances_m - self.distance_m[:, None]
@@ -88,19 +96,18 @@ class _Moments:
         self._product: Vector = self._distance_about_m @ self._range_about_m
 
     def residual2(self, factor: Matrix) -> Matrix:
-        """Sum of squares that factors on the distances leave at each of the places.
+        """Return the sum of squares that factors on the distances leave at each position.
 
-        Factors of all places are (n, 1), of each place (places,), and so is what comes back.
-
+        Factors of all positions are (n, 1), of each position (places,), and so is the result.
         Rounding of the sums is a millionth of `LEAST_NOISE_M` squared where ranges spread by up to
-        `MAX_SPREAD_M`; wider ones are not flown on anyhow.
+        `MAX_SPREAD_M`; guidance does not use wider ones anyhow.
         """
         left = self._range2 + factor * (factor * self._distance2 - 2.0 * self._product)
         return np.asarray(np.maximum(left, 0.0))
 
     @property
     def independent(self) -> float:
-        """How many independent measurements the window is worth, about its best linear fit."""
+        """Effective number of independent measurements, about the best linear fit."""
         slope = self._product / np.maximum(self._distance2, 1e-12)
         best = int(np.argmin(self.residual2(slope)))
         residual = self._range_about_m - slope[best] * self._distance_about_m[best]
@@ -112,35 +119,35 @@ class _Moments:
 
 
 class UnitCheck:
-    """Watches the ranges of one emitter."""
+    """Monitor of the unit of one emitter's ranges."""
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
         self._params = params
         self._noise2_m2 = max(LEAST_NOISE_M, params.step_sigma_m) ** 2
-        """What is never explained, as a variance of the radio's own numbers."""
+        """Variance that always counts as unexplained, in the radio's own numbers."""
         angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
         self._around_m: Matrix = rings.reshape(-1, 2)
-        """Where places are looked for around the vehicle, (places, 2), relative to it."""
+        """Trial positions relative to the vehicle, (places, 2)."""
         self._samples: deque[tuple[float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
         self._since = 0
         self._rejected_s = 0.0
         self._rejected_m = 0.0
         self.factor: float | None = None
-        """What ranges seem to be multiplied by; None: nothing speaks for any other than 1."""
+        """Factor that the ranges seem to be multiplied by; None: no evidence for another than 1."""
         self.is_wild = False
-        """Whether ranges scatter by more than anything that is flown on may."""
+        """True if ranges scatter by more than guidance may use."""
         self.is_rejected = False
-        """Whether ranges must not be used: either of the two."""
+        """True if ranges must not be used, for either of the two reasons."""
 
     def forget_samples(self) -> None:
-        """Forget what was measured, but not the judgement."""
+        """Forget the measurements, but not the result."""
         self._samples.clear()
         self._since = 0
 
     def add(self, time_s: float, range_m: float, sensor_enu_m: PositionEnu) -> None:
-        """Take in a range as the radio has it, finite and positive, and judge now and then."""
+        """Take in a range as reported, finite and positive, and test periodically."""
         self._samples.append((time_s, range_m, sensor_enu_m))
         self._forget_other_sizes()
         while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - WINDOW_S:
@@ -152,7 +159,7 @@ class UnitCheck:
         self._judge(time_s)
 
     def _forget_other_sizes(self) -> None:
-        """Forget what was of another size: where the unit changed, a mixture explains nothing."""
+        """Forget ranges from before a change of unit: a mixture of units explains nothing."""
         sizes = [range_m for _, range_m, _ in self._samples]
         before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
         if len(before) < NEWEST_COUNT:
@@ -180,7 +187,7 @@ class UnitCheck:
         self.is_rejected = self.factor is not None or self.is_wild
 
     def _reconsider(self, window: _Window, middle_m: float) -> None:
-        """Use ranges again by evidence: metres are likelier, or the numbers of another size."""
+        """Accept ranges again when metres are more probable, or when their size has changed."""
         if self.factor is not None:
             _, log_ratio = self._likeliest(window, (self.factor,), ACCEPT_LOG_RATIO)
             if log_ratio <= ACCEPT_LOG_RATIO:
@@ -191,7 +198,7 @@ class UnitCheck:
     def _likeliest(
         self, window: _Window, factors: tuple[float, ...], limit: float
     ) -> tuple[float, float]:
-        """The likeliest of some factors, and the log of how much more so than 1 it is."""
+        """Return the likeliest of some factors, and the log of its likelihood ratio to 1."""
         places = self._around_m + window.sensor_enu_m[:, :2].mean(axis=0)
         tried = _Moments(window.range_m, self._distances_m(places, window.sensor_enu_m))
         count = tried.independent
@@ -201,7 +208,7 @@ class UnitCheck:
         log_ratio = float(in_metres.min()) - costs[best]
         if log_ratio < limit:
             return factors[best], log_ratio
-        # no place between those tried may be missed for metres; this only lowers the ratio
+        # metres get the benefit of positions between the grid points; this only lowers the ratio
         starts = places[np.argsort(in_metres)[:REFINED]]
         distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
         refined = _Moments(window.range_m, distances_m)
@@ -209,7 +216,7 @@ class UnitCheck:
         return factors[best], min(log_ratio, best_in_metres - costs[best])
 
     def _distances_m(self, places_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
-        """Distances of places from where ranges were made, (places, n)."""
+        """Return the distances of trial positions from the measuring positions, (places, n)."""
         up = sensor_enu_m[:, 2] - self._params.target_height_m
         ground2 = (places_enu_m[:, :1] - sensor_enu_m[:, 0]) ** 2
         ground2 += (places_enu_m[:, 1:] - sensor_enu_m[:, 1]) ** 2
@@ -217,7 +224,7 @@ class UnitCheck:
         return distances
 
     def _refined(self, places_enu_m: Matrix, window: _Window) -> Matrix:
-        """The places after some steps of Gauss-Newton with a free offset, (places, 2)."""
+        """Return the positions after Gauss-Newton steps with a free offset, (places, 2)."""
         refined = np.array(places_enu_m)
         for _ in range(REFINEMENTS):
             distances_m = self._distances_m(refined, window.sensor_enu_m)
@@ -233,7 +240,7 @@ class UnitCheck:
         return refined
 
     def _costs(self, tried: _Moments, factors: tuple[float, ...], count: float) -> Matrix:
-        """Minus the log-likelihood of each factor at each of the places, (factors, places)."""
+        """Return the negative log-likelihood of each factor at each position, (factors, places)."""
         factor = np.array(factors)[:, None]
         residual2 = tried.residual2(factor) / tried.count
         cost: Matrix = 0.5 * count * np.log(residual2 + self._noise2_m2)
@@ -243,7 +250,7 @@ class UnitCheck:
         return cost
 
     def _offset_cost(self, offset_m: Matrix) -> Matrix:
-        """Minus the log-prior of range offsets, reflections included."""
+        """Return the negative log-prior of range offsets, reflections included."""
         p = self._params
         low_m = 0.0 if p.range_offset_min_m is None else min(p.range_offset_min_m, 0.0)
         high_m = p.range_offset_max_m or 0.0
@@ -254,7 +261,7 @@ class UnitCheck:
         return cost
 
     def _is_wild(self, window: _Window) -> bool:
-        """Whether the quartiles of the ranges are farther apart than own motion can explain."""
+        """Return True if the quartiles are farther apart than the vehicle's motion explains."""
         most_m = MAX_SPREAD_M + self._params.range_step_m
         if float(np.ptp(window.range_m)) <= most_m:
             return False

@@ -1,1 +1,1 @@
-"""Bounded-window MAP: the paper's objective over a thinned history, solved now and then."""
+"""Bounded-window MAP: the paper's objective over a thinned history, solved periodically."""

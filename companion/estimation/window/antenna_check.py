@@ -1,27 +1,26 @@
-"""Which antenna measured the bearings, where nobody says: the one that explains them best.
+"""Identification of an antenna that is not configured, by how well each kind explains bearings.
 
-A radio that tells an angle does not say of which direction. An azimuth about the vertical is as
-accurate from above as from afar. That of a planar array is worth nothing right above the emitter,
-and leans with the vehicle. A line of antennas prints an arcsine, which folds behind onto ahead. Far
-off and ahead the three are the same; from above they differ, and so do the errors that each of them
-leaves.
+A radio that reports an angle does not say of what. An azimuth about the vertical is as accurate
+from above as from afar. That of a planar array is worthless right above the emitter, and tilts with
+the vehicle. A line of antennas reports an arcsine, which folds behind onto ahead. Far off and ahead
+the three are the same; from above they differ, and so do the errors that each of them leaves.
 
-Each is solved for its own place. Errors are taken to be Laplacian with a scale that is found along
-with them, so that reflections weigh little and no noise needs to be known:
+Each candidate is solved for its own position. Errors are assumed Laplacian with a scale that is
+estimated as well, so that reflections have little weight and no noise needs to be known:
 
     cost = sum of log(sigma_i scale) + |u_i| / scale,    scale = mean |u_i|
 
-with u the whitened residuals; ranges add their robust loss. An antenna is taken for another when
-the difference of the costs is `DECIDED`, and more than `DECIDED_SIGMAS` of what the noise that was
-drawn makes of it, the repetition of neighbours counted: from each of the others. Until then the
-planar array is believed, which promises the least. An angle beyond a right one refutes a line at
-once. A bearing beside a range that is too long came by reflection or around an edge, and tells of
-no antenna. A planar array is shown only where an azimuth's errors grow with the steepness: those
-around an edge are as large from aside. Bearings that are good right above prove an azimuth for
-good, shadows and reflections only spoil them: so an azimuth is given up when more speaks against it
-than ever did for it.
+with u the whitened residuals; ranges add their robust loss. Another antenna is accepted when the
+difference of the costs to every other candidate is `DECIDED`, and more than `DECIDED_SIGMAS` of its
+scatter by noise, with the correlation of neighbours. Until then the planar array is assumed, which
+claims the least information. An angle beyond a right one rules out a line at once. A bearing beside
+a range that is too long came by reflection or around an edge, and is no evidence. A planar array is
+reported only where an azimuth's errors grow with the steepness: errors around an edge are as large
+from aside. Accurate bearings right above prove an azimuth for good, and shadows and reflections
+only degrade them: so an azimuth is dropped only when the evidence against it exceeds the most that
+there was for it.
 
-Source: Q. H. Vuong, Econometrica 57 (1989), for models that need not be true.
+Source: Q. H. Vuong, Econometrica 57 (1989), for the comparison of models that need not be true.
 """
 
 from __future__ import annotations
@@ -49,38 +48,46 @@ from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
 MIN_BEARINGS = 40
+"""Fewest bearings for a comparison."""
 DECIDED, DECIDED_ALONE = math.log(1000.0), 4.0 * math.log(1000.0)
-"""Odds between two antennas; and without ranges, where bearings find each a place that suits it."""
+"""Log odds between two antennas, and without ranges, where each antenna finds a position that suits
+it."""
 DECIDED_SIGMAS = 3.0
+"""Standard deviations of the cost difference by noise."""
 EVERY = 4
-"""An antenna that was found is looked at again at each of so many solutions."""
+"""Solutions between two checks of an identified antenna."""
 
 LONG_SIGMAS = 2.0
-"""A range too long by so much came by reflection or around an edge, and so did its bearing."""
+"""Excess of a range, in sigma, from which it and its bearing came by reflection or around an
+edge."""
 
 STEEP_RAD = math.radians(45.0)
+"""Angle below the horizon from which a view counts as steep."""
 MIN_STEEP = 8
-"""Bearings from above, and from aside, before errors can be seen to grow."""
+"""Fewest steep and fewest level bearings for the comparison of their errors."""
 WORSE_SHARE = 0.6
-"""Of pairs of both in which the steeper one is farther off."""
+"""Share of pairs whose steep error is larger that shows a growth with steepness; 0.5 by chance."""
 
 CONTRADICTED, CALM = 4.0, 2.0
-"""Standard deviations that half of the directions are off by, at least; and where that is over."""
+"""Median error of directions, in sigma, that contradicts the antenna, and that clears it again."""
 MIN_CONTRADICTING = 40
+"""Fewest directions for that test."""
 CONTRADICTED_FOR_S = 10.0
+"""Time that a contradiction must last: early on, the estimated position itself is wrong."""
 
 Candidate = Literal["azimuth", "planar", "line"]
 CANDIDATES: tuple[Candidate, ...] = ("planar", "azimuth", "line")
+"""Kinds that are compared, the default first."""
 
 
 def with_antenna(params: FilterParams, kind: AntennaKind) -> FilterParams:
-    """The same beliefs about bearings of another antenna."""
+    """Return the same assumptions with another antenna."""
     antenna = msgspec.structs.replace(params.antenna, kind=kind)
     return msgspec.structs.replace(params, antenna=antenna)
 
 
 def rows_as(rows: Matrix, kind: AntennaKind) -> Matrix:
-    """Rows of a planar array, (n, 16), as if another antenna had printed their angles."""
+    """Return rows of a planar array, (n, 16), as if another antenna had reported their angles."""
     if kind not in ("azimuth", "line"):
         return rows
     other = np.array(rows)
@@ -96,7 +103,7 @@ def rows_as(rows: Matrix, kind: AntennaKind) -> Matrix:
 
 
 class AntennaCheck:
-    """Keeps what is believed of the antenna."""
+    """Running comparison of the candidate antennas."""
 
     def __init__(self, params: FilterParams) -> None:
         self._params = {kind: with_antenna(params, kind) for kind in CANDIDATES}
@@ -104,29 +111,29 @@ class AntennaCheck:
         self.clear()
 
     def clear(self) -> None:
-        """Nothing is known of the antenna any more."""
+        """Forget all evidence about the antenna."""
         self.taken: Candidate = "planar"
         self.is_shown = False
-        """Whether the bearings show that they are no azimuth, or an azimuth."""
+        """True if bearings show that they are an azimuth, or that they are none."""
         self._azimuth_gain = 0.0
-        """By how much an azimuth that is taken was better than the next, at the most."""
+        """Largest cost difference by which an accepted azimuth beat the next candidate."""
         self._solutions = 0
 
     @property
     def params(self) -> FilterParams:
-        """What is believed with the antenna that is taken."""
+        """Filter parameters with the accepted antenna."""
         return self._params[self.taken]
 
     @property
     def shown(self) -> str | None:
-        """What the bearings show, in a word; None: nothing yet."""
+        """Kind that the bearings identify; None: none yet."""
         return self.taken if self.is_shown else None
 
     @Stepwise
     def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> Steps[bool]:
-        """Compare the candidates on the rows (n, 16), from `mean` (k,); whether another is taken.
+        """Compare the candidates on rows (n, 16), from `mean` (k,); return True on a change.
 
-        The rows are those of a planar array, each with its printed angle.
+        The rows are those of a planar array, each with its reported angle.
         """
         self._solutions += 1
         before = self.taken
@@ -158,7 +165,7 @@ class AntennaCheck:
         return found
 
     def _judge(self, found: dict[Candidate, Explained], decided: float) -> None:
-        """Take the best, if it is better than each of the others beyond doubt."""
+        """Accept the best candidate if it is significantly better than every other."""
         best = min(found, key=lambda kind: found[kind].cost)
         others = [found[kind] for kind in found if kind != best]
         is_shown = bool(others) and all(is_decided(each, found[best], decided) for each in others)
@@ -181,7 +188,7 @@ class AntennaCheck:
     def _explained(
         self, kind: Candidate, rows: Matrix, mean: Vector, inflation: Inflation
     ) -> Steps[Explained | None]:
-        """The rows as one antenna explains them, at the place where it does best; None: nowhere."""
+        """Return the fit of one antenna to the rows at its best position; None without one."""
         window_map, params = self._maps[kind], self._params[kind]
         window_map.expect(inflation)
         seen = rows_as(rows, kind)
@@ -196,9 +203,9 @@ class AntennaCheck:
         off = np.abs(u[BEARING][is_borne])
         scale = max(float(off.mean()), 1e-3)
         spread_rad = scale * sigmas[BEARING][is_borne]
-        if kind == "line":  # the error of the angle, not of its sine
+        if kind == "line":  # error of the angle, not of its sine
             spread_rad /= np.maximum(np.cos(rows[is_borne, VALUES + BEARING]), 1e-3)
-        # an angle is off by no more than half a turn, however vague
+        # normalised over half a turn: no angle is off by more, however vague
         costs = np.log(spread_rad) + off / scale + np.log(-np.expm1(-math.pi / spread_rad))
         ranging_cost = float(np.sum(psi * (u[RANGE] - 0.5 * psi)))
         away = rows[is_borne, :2] - solution[0][:2]
@@ -209,10 +216,10 @@ class AntennaCheck:
 
 
 class ToldAntennaWatch:
-    """Whether directions contradict the antenna, mount and field of view that are told.
+    """Test of directions against the configured antenna, mount and field of view.
 
-    Most of them, not the noise of all: reflections are gross, but fewer than a half. And for long,
-    because early on the place itself is wrong.
+    It uses their median, because reflections are gross but fewer than a half, and requires that the
+    contradiction lasts, because early on the position itself is wrong.
     """
 
     def __init__(self) -> None:
@@ -220,7 +227,7 @@ class ToldAntennaWatch:
         self._since_s = math.inf
 
     def look(self, scores: Scores, time_s: float) -> None:
-        """Take in the directions as they are seen from the place that is believed in."""
+        """Take in the directions' residuals at the estimated position."""
         directions = [scores.u[row][scores.is_measured[row]] for row in (BEARING, ELEVATION)]
         off = [float(np.median(np.abs(u))) for u in directions if len(u) >= MIN_CONTRADICTING]
         if max(off, default=0.0) > CONTRADICTED:
@@ -231,23 +238,23 @@ class ToldAntennaWatch:
 
 
 class Explained(NamedTuple):
-    """What one antenna makes of the window."""
+    """Fit of one antenna to the window."""
 
     cost: float
     spread_rad: Vector
-    """(m,) how far off each bearing is expected to be."""
+    """(m,) expected error of each bearing."""
     error: Vector
-    """(m,) how far off it is, in that unit."""
+    """(m,) absolute error of each bearing in that unit."""
     rise_rad: Vector
-    """(m,) how steep the emitter lies below."""
+    """(m,) angle of the emitter below the horizon."""
     excess: Vector
-    """(m,) by how much the range beside it is too long, in its standard deviations."""
+    """(m,) residual of the range beside it, in its standard deviations; positive when too long."""
 
 
 def without_long(rows: Matrix, found: Sequence[Explained]) -> Matrix | None:
-    """The rows (n, 16) without bearings beside a range too long for the place of any antenna.
+    """Return the rows (n, 16) without bearings beside a range too long for any candidate.
 
-    None: there are none, or too few others to tell antennas apart.
+    None: there are none, or too few others for a comparison.
     """
     is_long = np.any([each.excess > LONG_SIGMAS for each in found], axis=0)
     if not is_long.any() or np.count_nonzero(~is_long) < MIN_BEARINGS:
@@ -259,21 +266,21 @@ def without_long(rows: Matrix, found: Sequence[Explained]) -> Matrix | None:
 
 
 def is_worse_from_above(azimuth: Explained) -> bool:
-    """Whether an azimuth's errors grow with the steepness, by rank: not so around an edge."""
+    """Return True if an azimuth's errors grow with steepness, by rank; not so around an edge."""
     off_rad = azimuth.error * azimuth.spread_rad
     is_steep = azimuth.rise_rad > STEEP_RAD
     steep, level = off_rad[is_steep], off_rad[~is_steep]
     if min(len(steep), len(level)) < MIN_STEEP:
         return False
-    share = float(np.mean(steep[:, None] > level[None, :]))  # a half by chance (Mann and Whitney)
+    share = float(np.mean(steep[:, None] > level[None, :]))  # 0.5 by chance (Mann and Whitney)
     return share > WORSE_SHARE
 
 
 def is_decided(before: Explained, better: Explained, decided: float) -> bool:
-    """Whether the second is better by these log odds, and not by the very noise that was drawn.
+    """Return True if the second fit is better by these log odds, and significantly so.
 
-    Where it is true, an error that is larger by d raises the difference by (ratio - 1) d, with the
-    ratio of what is expected of both: the rest of the difference is geometry.
+    If it is true, an error that is larger by d raises the difference by (ratio - 1) d, with the
+    ratio of both expected errors: the rest of the difference is geometry.
     """
     gain = before.cost - better.cost
     if gain < decided:

@@ -1,10 +1,10 @@
-"""The MAP problem over many measurements: residuals, cost, and damped re-weighted Gauss-Newton.
+"""MAP problem over many measurements: residuals, cost, damped re-weighted Gauss-Newton.
 
 Rows are [east, north, up, range, bearing, elevation, range sigma, bearing sigma, elevation sigma,
-sequence number], NaN where nothing was measured, and the two axes of an antenna array behind them
-(`measurement_model`). Residuals are whitened and laid out modality by modality, (3, n); what was
-not measured has residual zero and a zero row of partials, so that it neither costs nor pulls. A
-Gaussian prior 1/2 x^T L x - e^T x joins them.
+sequence number], NaN where nothing was measured, followed by the two axes of an antenna array
+(`measurement_model`). Residuals are whitened and laid out modality by modality, (3, n); missing
+measurements have residual zero and a zero row of partials, so that they contribute nothing. A
+Gaussian prior 1/2 x^T L x - e^T x is added.
 
 Paper: eq. (9).
 """
@@ -29,36 +29,40 @@ from companion.estimation.measurement_model import (
 from companion.kernel import Matrix, Vector, kernel
 
 VALUES, SIGMAS, SEQUENCE, AXES = 3, 6, 9, 10
-"""First columns of the values and of their standard deviations, the sequence number's, and the
-first one of an array's axes."""
+"""First columns of the values, their standard deviations, the sequence number, and an array's
+axes."""
 COLUMNS, ARRAY_COLUMNS = 10, 16
-"""Without and with these."""
+"""Number of columns without and with an array's axes."""
 
 MAX_ITERATIONS = 25
+"""Gauss-Newton steps of a solution at most."""
 STEP_TOLERANCE_M = 1e-4
+"""Step of the position at which a solution ends, metres."""
 GAIN_TOLERANCE = 1e-6
-"""Of the cost: what is left after a free step that gains less is within thousandths of a sigma."""
+"""Decrease of the cost by an undamped step at which a solution ends: a thousandth of a sigma."""
 DAMPING_START = 1e-3
+"""Initial damping, relative to the diagonal."""
 DAMPING_MAX = 1e8
+"""Damping at which no step lowers the cost: steps are then as good as zero."""
 MIN_CURVATURE_RATIO = 1e-3
-"""Steps along the axis that says least are damped as if it said this share of the other one."""
+"""Lower limit of the damping scale of one horizontal axis, as a share of the other one's."""
 MIN_DISTANCE_M = 0.05
-"""Views from nearer than this are taken from this far, so that an angle keeps a meaning."""
+"""Lower limit of the distance of a view, so that angles stay defined."""
 
 
 Row = tuple[Pose, Vector, Vector]
-"""Where a measurement was made, its values (3,), NaN where not measured, and their sigmas (3,)."""
+"""Pose of a measurement, its values (3,), NaN where not measured, and their sigmas (3,)."""
 
 
 def row_vector(row: Row, last: float) -> Vector:
-    """A row of `map_kernels`, (10,) or (16,); `last` stands where the sequence number does."""
+    """Return a row, (10,) or (16,), with `last` in place of the sequence number."""
     pose, z, sigma = row
     return np.array([*pose[:FIRST_AXIS], *z, *sigma, last, *pose[FIRST_AXIS:]])
 
 
 @kernel
 def row_cosines(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """What the arrays see of a target at `mean`: cosines along both axes, and the slant, (3, n)."""
+    """Return the predicted cosines along both array axes, and the slant range, (3, n)."""
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
     slant = np.sqrt(np.maximum(de * de + dn * dn + du * du, MIN_DISTANCE_M * MIN_DISTANCE_M))
@@ -73,7 +77,7 @@ def row_cosines(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
 
 @kernel
 def view_distance2(rows: Matrix, mean: Vector, model: RangingModel) -> Vector:
-    """Squared distance over which the first angle or cosine of every row is measured, (n,)."""
+    """Return the squared distance that scales the first angle or cosine of every row, (n,)."""
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     view2 = de * de + dn * dn
     if model.antenna != AZIMUTH:
@@ -87,7 +91,7 @@ def view_distance2(rows: Matrix, mean: Vector, model: RangingModel) -> Vector:
 
 @kernel
 def array_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Standard deviations as `row_sigmas` has them, (3, n), of an antenna array."""
+    """Return the standard deviations as in `row_sigmas`, (3, n), for an antenna array."""
     own2 = model.own_sigma_m * model.own_sigma_m
     seen = row_cosines(rows, mean, model)
     share2 = own2 / model.bearing_inflation / (seen[2] * seen[2])
@@ -104,10 +108,11 @@ def array_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
 
 @kernel
 def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Standard deviations of every measurement at `mean`, (3, n), own position included.
+    """Return the standard deviations of all measurements at `mean`, (3, n).
 
-    They are those of thermal noise. Where bearings are worse than that, the own position is so much
-    smaller a part of them: or else it would excuse any bearing of a target near the vehicle.
+    They are those of thermal noise and of the vehicle position. Where bearings are inflated, the
+    position error is scaled down accordingly: otherwise it would excuse any bearing to a target
+    near the vehicle.
     """
     if model.antenna != AZIMUTH:
         return array_sigmas(rows, mean, model)
@@ -125,21 +130,21 @@ def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
 
 @kernel
 def has_any(rows: Matrix, modality: int) -> bool:
-    """Whether any row has it: most radios do not measure all, and nothing is spent on the rest."""
+    """Return True if any row has it: most radios lack a modality, which then costs no time."""
     return bool(np.isfinite(rows[:, 3 + modality]).any())
 
 
 @kernel
 def modalities_of(rows: Matrix) -> int:
-    """How many modalities there are, up to the last one that any row has."""
+    """Return the number of modalities up to the last one that any row has."""
     return 3 if has_any(rows, 2) else 2 if has_any(rows, 1) else 1
 
 
 @kernel
 def row_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """How far every measurement is off what is expected at `mean`, (3, n); NaN: not measured.
+    """Return measured minus predicted at `mean`, (3, n), not whitened; NaN: not measured.
 
-    Not whitened: m, rad, or of a direction cosine.
+    Units: m, rad, or those of a direction cosine.
     """
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
@@ -159,7 +164,7 @@ def row_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
 
 @kernel
 def fill_array_offs(offs: Matrix, rows: Matrix, mean: Vector, model: RangingModel) -> None:
-    """The last two rows of `row_offs`, (3, n), of an antenna array."""
+    """Fill the last two rows of `row_offs`, (3, n), for an antenna array."""
     seen = row_cosines(rows, mean, model)
     off = rows[:, 4] - seen[0]
     if model.antenna == PLANAR:
@@ -171,25 +176,25 @@ def fill_array_offs(offs: Matrix, rows: Matrix, mean: Vector, model: RangingMode
 
 @kernel
 def measured_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """`row_offs` of the modalities that there are, (m, n)."""
+    """Return `row_offs` of the modalities that exist, (m, n)."""
     return row_offs(rows, mean, model)[: modalities_of(rows)]
 
 
 @kernel
 def whitened(offs: Matrix, sigmas: Matrix) -> Matrix:
-    """Offs, (m, n), in standard deviations (3, n), zero where nothing was measured."""
+    """Return `offs`, (m, n), in standard deviations (3, n), zero where nothing was measured."""
     return np.where(np.isnan(offs), 0.0, offs / sigmas[: offs.shape[0]])
 
 
 @kernel
 def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
-    """Whitened residuals of every measurement, (3, n), zero where nothing was measured."""
+    """Return the whitened residuals of all measurements, (3, n), zero where not measured."""
     return whitened(row_offs(rows, mean, model), sigmas)
 
 
 @kernel
 def fill_array_partials(H: Matrix, rows: Matrix, mean: Vector, model: RangingModel) -> None:
-    """The last two thirds of the partials, (3 n, k), of an antenna array, not whitened."""
+    """Fill the last two thirds of the partials, (3 n, k), for an antenna array, not whitened."""
     n = rows.shape[0]
     seen = row_cosines(rows, mean, model)
     slant = seen[2]
@@ -216,13 +221,13 @@ def fill_array_partials(H: Matrix, rows: Matrix, mean: Vector, model: RangingMod
 
 @kernel
 def whitener(rows: Matrix, sigmas: Matrix, modality: int) -> Vector:
-    """What whitens the partials of a modality, (n,), zero where nothing was measured."""
+    """Return the factors that whiten the partials of a modality, (n,), zero where not measured."""
     return np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
 
 
 @kernel
 def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
-    """Whitened partials of every measurement by the state, (3 n, k), modality by modality."""
+    """Return the whitened partials of all measurements, (3 n, k), modality by modality."""
     n = rows.shape[0]
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
@@ -261,7 +266,7 @@ def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel
 
 @kernel
 def clipped(u: Matrix, thresholds: Matrix) -> Matrix:
-    """Influence of every whitened residual, as many rows: the residual between its thresholds."""
+    """Return the influence of every whitened residual: the residual clipped to its thresholds."""
     psi = np.empty(u.shape)
     for modality in range(u.shape[0]):
         high, low = thresholds[modality, 0], -thresholds[modality, 1]
@@ -271,7 +276,7 @@ def clipped(u: Matrix, thresholds: Matrix) -> Matrix:
 
 @kernel
 def weigh_votes(terms: Matrix, model: RangingModel) -> None:
-    """Count every measurement of terms (2 or 3, n), in place, for its share of a vote."""
+    """Multiply the terms of all measurements, (2 or 3, n), by their shares, in place."""
     if model.range_share != 1.0 or model.direction_share != 1.0:
         terms[0] *= model.range_share
         terms[1:] *= model.direction_share
@@ -287,7 +292,7 @@ def map_cost(
     pull: Vector,
     model: RangingModel,
 ) -> float:
-    """The objective at `mean`, where measurements are off by `offs`, (m, n)."""
+    """Return the objective at `mean`, where the measurements' residuals are `offs`, (m, n)."""
     u = whitened(offs, sigmas)
     psi = clipped(u, thresholds)
     losses = psi * (u - 0.5 * psi)
@@ -298,10 +303,11 @@ def map_cost(
 
 @kernel
 def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
-    """What makes costs of different places comparable: the bearings' standard deviations differ.
+    """Return the log normalisation of the bearings, whose sigmas depend on the position.
 
-    A density that is as wide as the own position's error makes it, is as much lower; with noise
-    that is inflated by c, -c log p = loss + c log sigma. `sigmas` are (3, n) at the place.
+    It makes the costs of different positions comparable: a density widened by the vehicle's
+    position error is lower; with noise inflated by c, -c log p = loss + c log sigma. `sigmas` are
+    (3, n).
     """
     total = 0.0
     if has_any(rows, 1):
@@ -324,15 +330,15 @@ def normal_equations(
     pull: Vector,
     model: RangingModel,
 ) -> tuple[Matrix, Vector, float]:
-    """The re-weighted Gauss-Newton system at `mean`: matrix (k, k), descent (k,), and the cost.
+    """Return the re-weighted Gauss-Newton system at `mean`: (k, k), descent (k,), and cost.
 
-    Measurements are off by `offs` there, (m, n).
+    The residuals at `mean` are `offs`, (m, n).
     """
     measured = offs.shape[0]
     u = whitened(offs, sigmas)
     psi = clipped(u, thresholds)
     H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
-    clear = (u == psi) * 1.0  # a product with it compiles to half of what np.where takes
+    clear = (u == psi) * 1.0  # multiplying by it takes half the time of np.where when compiled
     weight = (psi * (1.0 - clear) + clear) / (u * (1.0 - clear) + clear)
     losses = psi * (u - 0.5 * psi)
     weigh_votes(weight, model)
@@ -346,9 +352,9 @@ def normal_equations(
 
 @kernel
 def hold_at_bounds(A: Matrix, descent: Vector, mean: Vector, bounds: Matrix) -> None:
-    """Take out of a system, in place, what stands at a bound and would go beyond it.
+    """Remove components at a bound that would move beyond it from a system, in place.
 
-    Without it a step would be solved as if that component could move, and cut off afterwards.
+    Otherwise a step would be solved as if that component could move, and clipped afterwards.
     Source: D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20 (1982).
     """
     for index in range(mean.size):
@@ -373,10 +379,11 @@ def map_step(
     pull: Vector,
     model: RangingModel,
 ) -> tuple[Vector, Matrix, float, float, int]:
-    """One damped step that lowers the cost, with the offs there, the next damping, and by how much.
+    """Take one damped step that lowers the cost.
 
-    Last comes how many dampings were tried. The `offs` are those of the modalities that there are,
-    (m, n), at `mean`: `measured_offs`. Where no step lowers the cost, the mean stays as it was.
+    Returns the mean, its residuals, the next damping, the decrease, and the number of dampings
+    tried. The `offs` are those of `measured_offs` at `mean`, (m, n). Where no step lowers the cost,
+    the mean is unchanged.
     """
     sigmas = row_sigmas(rows, mean, model)
     A, descent, cost = normal_equations(
@@ -384,7 +391,8 @@ def map_step(
     )
     hold_at_bounds(A, descent, mean, bounds)
     scale = np.diag(np.diag(A) + 1e-9)
-    floor = MIN_CURVATURE_RATIO * max(A[0, 0], A[1, 1])  # across a straight track there is none
+    # across a straight track the curvature is zero
+    floor = MIN_CURVATURE_RATIO * max(A[0, 0], A[1, 1])
     scale[0, 0], scale[1, 1] = max(scale[0, 0], floor), max(scale[1, 1], floor)
     tries = 0
     while damping < DAMPING_MAX:
@@ -411,11 +419,12 @@ def map_descent(
     pull: Vector,
     model: RangingModel,
 ) -> tuple[Vector, float, int, bool]:
-    """At most `most` steps from `mean` (k,) towards the minimum that it leads to, (k,).
+    """Take at most `most` steps from `mean` (k,) towards its local minimum.
 
-    Then the damping to go on with, how often the measurements were gone through, and True at the
-    minimum. The Gaussian prior has the `information` L (k, k) and the `pull` e (k,), L times its
-    mean. `thresholds` (3, 2) are long and short of each modality, `bounds` (2, k).
+    Returns the state (k,), the damping to continue with, the number of passes over the
+    measurements, and True at the minimum. The Gaussian prior has the `information` L (k, k) and the
+    `pull` e (k,), L times its mean. `thresholds` (3, 2) are long and short of each modality,
+    `bounds` (2, k).
     """
     mean = np.minimum(np.maximum(mean, bounds[0]), bounds[1])
     offs, passes = measured_offs(rows, mean, model), 1

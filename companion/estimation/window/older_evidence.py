@@ -1,6 +1,6 @@
-"""What left the window, as a Gaussian prior of what stays in it.
+"""Measurements that left the window, as a Gaussian prior.
 
-Each measurement is expanded to second order about the estimate of the time when it left.
+Each is expanded to second order about the estimate at the time when it left.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from companion.kernel import Matrix, Vector
 
 @dataclass(frozen=True, slots=True)
 class OlderEvidence:
-    """A Gaussian in canonical form, and how much its pull would vary by chance."""
+    """Gaussian in canonical form, with the sampling variability of its pull."""
 
     information: Matrix
-    """(k, k), L."""
+    """Information L, (k, k)."""
     pull: Vector
-    """(k,), L times the mean."""
+    """L times the mean, (k,)."""
     variability: Matrix
-    """(k, k), the sum of psi^2 H H^T: the sandwich's B."""
+    """Sum of psi^2 H H^T, (k, k): the sandwich's B."""
 
     @classmethod
     def none(cls, size: int) -> OlderEvidence:
-        """Nothing yet, for a state of `size` components."""
+        """Return empty evidence for a state of `size` components."""
         return cls(np.zeros((size, size)), np.zeros(size), np.zeros((size, size)))
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was left out yet."""
+        """True if nothing has left the window yet."""
         return not self.information.any()
 
     def moved(self, step: Vector) -> OlderEvidence:
-        """The same about a state that is farther by `step`, (k,)."""
+        """Return the evidence after the state moved by `step`, (k,)."""
         return replace(self, pull=self.pull + self.information @ step)
 
     def joined(
         self, rows: Matrix, mean: Vector, thresholds: Matrix, model: RangingModel
     ) -> OlderEvidence:
-        """With the measurements `rows` (m, 10), expanded about `mean` (k,)."""
+        """Return the evidence with `rows` (m, 10) added, expanded about `mean` (k,)."""
         at = np.array(mean)  # as in `WindowMap.scores`
         sigmas = row_sigmas(rows, at, model)
         u = row_residuals(rows, at, sigmas, model)

@@ -1,8 +1,8 @@
-"""Checks and corrects the hypotheses by solving a window of measurements now and then.
+"""Periodic check and correction of the hypotheses by solving a window of measurements.
 
-Every optimum replaces the hypotheses near it, because it holds all that they have seen, and is not
-linearised where they stood at the time. A prior of older evidence that the window contradicts was
-expanded about a wrong place, and is forgotten.
+Every optimum replaces the hypotheses near it, because it contains all their measurements, and is
+not linearised at former estimates. A prior of older evidence that contradicts the window was
+expanded about a wrong position, and is discarded.
 """
 
 from __future__ import annotations
@@ -57,38 +57,38 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 SECTORS = 16
-"""Directions that the target is seen from, for thinning."""
+"""Sectors of the direction of view, for thinning."""
 NEAREST_RING_M = 1.0
-"""Views from closer than this are in the innermost ring; each further ring is twice as far."""
+"""Radius of the innermost ring of views; each further ring is twice as far."""
 KEPT_SHARE = 0.95
-"""What a full window is thinned to."""
+"""Share to which a full window is thinned."""
 
 
 class MeasurementWindow:
-    """Up to `size` measurements, spread over views of the target, in the rows of `map_kernels`."""
+    """Up to `size` measurements, spread over views of the target, in rows of `map_kernels`."""
 
     def __init__(self, size: int, columns: int = COLUMNS) -> None:
         self.rows: Matrix = np.empty((0, columns))
-        """The measurements, (n, `columns`), oldest first."""
+        """Measurements, (n, `columns`), oldest first."""
         self._size = size
         self._times_s: list[float] = []
-        """Of all that was taken in, by sequence number; NaN: not told."""
+        """Times of all measurements ever added, by sequence number; NaN: unknown."""
 
     @property
     def has_bearings(self) -> bool:
-        """Whether any measurement held is a bearing."""
+        """True if any measurement in the window is a bearing."""
         return not bool(np.isnan(self.rows[:, VALUES + BEARING]).all())
 
     @property
     def times_s(self) -> Vector:
-        """When each of them was measured, (n,); what nobody told is the latest."""
+        """Time of each measurement, (n,); unknown ones count as the latest."""
         times_s = np.array(self._times_s)[self.rows[:, SEQUENCE].astype(int)]
         known = times_s[~np.isnan(times_s)]
         latest_s = float(known.max()) if known.size else 0.0
         return np.asarray(np.nan_to_num(times_s, nan=latest_s), dtype=np.float64)
 
     def add(self, row: Row, target_enu_m: Point, time_s: float = math.nan) -> Matrix:
-        """Take in a measurement; what a full window, thinned first, lets go, (m, 10), or none."""
+        """Add a measurement; return the rows evicted from a full window by thinning, (m, 10)."""
         dropped = self.rows[:0]
         if len(self.rows) == self._size:
             is_kept = kept_by_thinning(self.rows, int(KEPT_SHARE * self._size), target_enu_m)
@@ -99,7 +99,7 @@ class MeasurementWindow:
 
 
 def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.bool_]:
-    """Which rows stay, (n,), at most `target`: fewer where sector and distance are alike."""
+    """Return which rows stay, (n,), at most `target`: fewer where sector and distance are alike."""
     east, north = rows[:, 0] - centre[0], rows[:, 1] - centre[1]
     sector = np.floor((np.arctan2(north, east) / (2.0 * math.pi) + 0.5) * SECTORS) % SECTORS
     ring = np.floor(np.log2(np.maximum(np.hypot(east, north) / NEAREST_RING_M, 1.0)))
@@ -112,14 +112,14 @@ def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.boo
         members = np.flatnonzero(view == index)
         keep[members[_evenly_in_time(rows[members, SEQUENCE], cap)]] = True
     kept = np.flatnonzero(keep)
-    if len(kept) > target:  # more views than may be kept: every one loses alike
+    if len(kept) > target:  # more views than may be kept: thin all of them evenly
         keep[:] = False
         keep[kept[np.linspace(0, len(kept) - 1, target).astype(int)]] = True
     return keep
 
 
 def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
-    """At most `count` members, evenly over their time: those with near neighbours go first."""
+    """Return at most `count` members, spread evenly in time: close neighbours are dropped first."""
     kept = np.arange(len(sequence))
     while len(kept) > max(count, 2):
         gaps = sequence[kept[2:]] - sequence[kept[:-2]]
@@ -128,24 +128,26 @@ def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
 
 
 MAX_STARTS_KEPT = 4
-"""Hypotheses that start a solution of the window each time."""
+"""Hypotheses that start a solution of the window."""
 UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
-"""Fresh starts per solution, before and after there is one hypothesis and much evidence."""
+"""Fresh starts per solution, before and after the track is settled."""
 SETTLED_COUNT = 300
+"""Measurements from which a single hypothesis is settled: 12 full solutions of 25 measurements."""
 EARLY_SHARE = 0.1
-"""Early on the window is solved whenever it has grown by this share."""
+"""Growth of the window at which it is solved early on."""
 VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
-"""What is believed of a hypothesis while the window finds no place at all."""
+"""Least covariance of a hypothesis while the window has no acceptable optimum."""
 SHARED_PASSES = 8
-"""Over the measurements, measured, for what errors that all of them share make of the place."""
+"""Passes over the measurements, as measured, for the effect of shared errors."""
 CONTRADICTING_SHARE = 0.5
-"""Of a full window, before it may contradict older evidence."""
+"""Share of a full window from which it may contradict older evidence."""
 CONTRADICTED_DISTANCE2 = 16.0
-"""Mahalanobis, squared, between solutions with and without the older evidence: it was wrong."""
+"""Squared Mahalanobis distance of the solution without the prior above which the prior is
+rejected."""
 
 
 class WindowOptimizer:
-    """The window of one target, and when and how it is solved."""
+    """Window of one target, and the schedule and starts of its solutions."""
 
     def __init__(
         self,
@@ -156,62 +158,64 @@ class WindowOptimizer:
         self._filter_params = filter_params
         self._is_antenna_told = kept_as is None
         self.kept_as = kept_as or filter_params
-        """Whose rows the window keeps: where the antenna is yet to be found, a planar array's."""
+        """Parameters of the rows in the window: those of a planar array until the antenna is
+        identified."""
         self._params = params
         self.map = WindowMap(filter_params)
         self.latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
-        """The measurements of late, those included that were no part of the window."""
+        """Latest measurements, also those that did not enter the window."""
         self._turn = 0
         self._fresh_at = MIN_MEASUREMENTS
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything measured."""
+        """Forget all measurements."""
         self.latest.clear()
         self._begin(MIN_MEASUREMENTS)
 
     def _begin(self, due_at: int) -> None:
-        """An empty window, to be solved after so many measurements."""
+        """Start an empty window, to be solved after so many measurements."""
         columns = COLUMNS if self.kept_as.model.antenna == AZIMUTH else ARRAY_COLUMNS
         self.window = MeasurementWindow(self._params.size, columns)
         self.noise: Inflation | None = None
-        """How much worse than thermal the best optimum found each modality; None: not solved."""
+        """Inflation over thermal noise of each modality at the best optimum; None: not solved
+        yet."""
         self._older = OlderEvidence.none(self.map.size)
         self._due_at = due_at
 
     @property
     def rows(self) -> Matrix:
-        """The window as the antenna that is believed in measured it, oldest first."""
+        """Rows of the window as measured by the accepted antenna, oldest first."""
         if self._is_antenna_told:
             return self.window.rows
         return rows_as(self.window.rows, self._filter_params.antenna.kind)
 
     def begin_from(self, hypothesis: Hypothesis) -> None:
-        """Take a hypothesis for what was measured before the first measurement."""
+        """Use a hypothesis as the evidence from before the first measurement."""
         self._older = as_evidence(hypothesis, self._filter_params)
 
     def move(self, shift_en_m: Point, step: Vector) -> None:
-        """Move all evidence along with the vehicle's navigation, which jumped."""
+        """Shift all evidence with a jump of the vehicle's navigation."""
         self.latest.clear()
         self._older = self._older.moved(step)
         window = self.window
         window.rows = shift_rows(window.rows, shift_en_m, step, self.kept_as)
 
     def begin_with_latest(self) -> None:
-        """Forget what led to an estimate that was given up, all but the latest measurements."""
+        """Start again with the latest measurements only, after a track was discarded."""
         self._begin(0)
         self._fresh_at = 0
         for row in self.latest:
             self.window.add(row, (row[0][0], row[0][1]))
 
     def believe(self, filter_params: FilterParams) -> None:
-        """Take what was measured for that of another antenna."""
+        """Reinterpret the measurements as those of another antenna."""
         self._filter_params = filter_params
         self.map = WindowMap(filter_params)
         self._older = OlderEvidence.none(self.map.size)
 
     def retune(self, filter_params: FilterParams) -> None:
-        """Believe in other noise and thresholds, for what was measured already, too."""
+        """Use other noise and thresholds, also for earlier measurements."""
         self._filter_params = self.kept_as = filter_params
         self.map = WindowMap(filter_params)
         rows = self.window.rows
@@ -226,10 +230,10 @@ class WindowOptimizer:
         is_white: bool,
         time_s: float = math.nan,
     ) -> None:
-        """Take in a measurement; what must leave the window becomes older evidence.
+        """Add a measurement; an evicted one becomes older evidence.
 
-        While there are several hypotheses there is no place to expand it about, and where residuals
-        repeat each other its neighbours have said the same: then it is let go.
+        With several hypotheses there is no position to expand it about, and where residuals are
+        correlated its neighbours carry the same information: then it is dropped.
         """
         place: Point = (row[0][0], row[0][1])
         if hypotheses:
@@ -243,7 +247,7 @@ class WindowOptimizer:
             self._older = self._older.joined(dropped, mean, params.thresholds, params.model)
 
     def is_due(self, accepted: int) -> bool:
-        """Whether the window should be solved after this many measurements."""
+        """Return True if the window should be solved after this many measurements."""
         return self._params.enabled and accepted >= self._due_at
 
     @Stepwise
@@ -256,10 +260,10 @@ class WindowOptimizer:
         is_white: bool,
         fresh_starts: int | None,
     ) -> Steps[tuple[Hypothesis, ...]]:
-        """The hypotheses after the window was solved, with the inflation that the run has shown.
+        """Solve the window and return the resulting hypotheses.
 
-        `is_white`: innovations know nothing of each other. Of `fresh_starts` besides the hypotheses
-        there are, if None, as many as the evidence calls for.
+        `inflation` is the measured one, and `is_white` means that innovations are uncorrelated.
+        `fresh_starts` are added to the hypotheses; None leaves their number to the evidence.
         """
         grown = max(1, int(EARLY_SHARE * accepted))
         self._due_at = accepted + min(self._params.every, grown)
@@ -282,14 +286,14 @@ class WindowOptimizer:
         following = []
         for log_weight, optimum in weigh_optima(optima, self.map.fields):
             state = FilterState.of(hypotheses[0].state.time_s, optimum.mean, optimum.covariance)
-            # where residuals repeat each other, so does the filter until the next solution
+            # with correlated residuals the filter must not shrink below the window's covariance
             is_free = is_white and self.map.fields == ALL_WHITE
             least = None if is_free else np.array(optimum.covariance[:2, :2])
             following.append(Hypothesis(log_weight, state, least))
         return tuple(following)
 
     def shared(self, hypothesis: Hypothesis, sigmas: SharedSigmas) -> SharedErrors:
-        """What errors that all measurements share make of a place that the window names."""
+        """Return the effect of errors that all measurements share on the window's estimate."""
         rows, mean = self.rows, hypothesis.state.mean
         heard = self.map.heard(rows)
         if len(rows) < MIN_MEASUREMENTS:
@@ -305,7 +309,7 @@ class WindowOptimizer:
         return errors._replace(heard=heard)
 
     def widths(self, mean: Vector, *, is_white: bool) -> list[tuple[str, Matrix]]:
-        """Return what widens the place at `mean` (k,), as in `WindowMap.widths`; maybe nothing."""
+        """Return the terms that widen the estimate at `mean` (k,), as `WindowMap.widths` does."""
         if len(self.window.rows) < MIN_MEASUREMENTS:
             return []
         try:
@@ -314,14 +318,14 @@ class WindowOptimizer:
             return []
 
     def observability(self, mean: Vector) -> Observability | None:
-        """What the window can tell about a target at `mean`; None before the first measurement."""
+        """Return the observability of a target at `mean`; None before the first measurement."""
         if not len(self.window.rows):
             return None
         rows = self.rows
         return observability_of(rows, self.map.scores(rows, mean))
 
     def _fresh_starts(self, hypotheses: int, accepted: int) -> int:
-        """How many fresh starts are due; early solutions in between have none."""
+        """Return how many fresh starts are due; early solutions in between have none."""
         if accepted < self._fresh_at:
             return 0
         self._fresh_at = accepted + self._params.every
@@ -329,7 +333,7 @@ class WindowOptimizer:
         return SETTLED_STARTS if is_settled else UNSETTLED_STARTS
 
     def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
-        """The hypotheses, the best one's mirror image, and places around the path."""
+        """Return the hypotheses, the best one's mirror image, and positions around the path."""
         rows, directions = self.rows, self._params.starts
         starts = [h.state.mean for h in hypotheses[:MAX_STARTS_KEPT]]
         if fresh or not self.window.has_bearings:
@@ -345,7 +349,7 @@ class WindowOptimizer:
     def _optima(
         self, minima: Minima, starts: Sequence[Vector], *, is_white: bool
     ) -> Steps[list[Optimum]]:
-        """The optima without gross errors, if any: not even a linear loss outvotes many."""
+        """Return the optima without gross errors, which even a linear loss cannot outweigh."""
         kept = self.map.without_gross(self.rows, minima[0][1]) if minima else None
         if kept is not None:
             starts = [*(mean for _, mean in minima), *starts]
@@ -357,7 +361,7 @@ class WindowOptimizer:
 
     @Stepwise
     def _is_contradicted(self, best: Vector) -> Steps[bool]:
-        """Whether the window, if full enough to know, leads elsewhere than with older evidence."""
+        """Return True if the window, once full enough, contradicts the older evidence."""
         if len(self.window.rows) < CONTRADICTING_SHARE * self._params.size:
             return False
         alone = yield from self.map.optima.steps(self.rows, [best])

@@ -1,24 +1,24 @@
-"""Errors that stay with the place: how far they reach, and what a thousand measurements are worth.
+"""Spatially correlated errors: their range, and the effective sample size that they leave.
 
-What reflections add to a range, or bend a bearing by, changes with the vehicle's place and hardly
-with time: a hundred measurements from one spot are one opinion. The influences psi of a fit are
-taken for a field over the places with covariance
+A reflection's effect on a range or bearing changes with the vehicle's position and hardly with
+time: a hundred measurements from one spot are fully correlated. The influences psi of a fit are
+modelled as a random field over positions with covariance
 
     s^2 exp(-d / l) + white noise
 
-of which s and l are not known. Measurements of a cell of places are averaged, and every pair of a
-grid of s and l is weighed by the restricted likelihood of the averages y, in which whatever the fit
-itself explains by its partials X (with the prior P of the state) tells nothing:
+with unknown s and l. Measurements are averaged in cells of positions, and every pair of a grid of s
+and l is weighted by the restricted likelihood of the averages y, which excludes what the fit itself
+explains by its partials X (with the prior P of the state):
 
     -2 log L = log |V| + log |K| + y^T V^-1 y - b^T K^-1 b,  K = X^T V^-1 X + P,  b = X^T V^-1 y
 
-A short walk leaves residuals that look white although the field reached over all of it: the fit has
-swallowed it. Restricted likelihood is flat there, and what is believed of the radio beforehand
-stays. The mean of the field's covariance over the grid is what the sandwich counts, and n
-measurements are as many votes as make the variance of their mean.
+A short track leaves residuals that look white although the field is constant along it: the fit has
+absorbed it. The restricted likelihood is flat there, and the radio's prior remains. The sandwich
+uses the weighted mean of the field's covariance over the grid, and the effective sample size of n
+measurements follows from the variance of their mean.
 
-Source: H. D. Patterson and R. Thompson, Biometrika 58 (1971), for the restricted likelihood;
-T. G. Conley, J. Econometrics 92 (1999), for variances of estimates under errors of places.
+Source: H. D. Patterson and R. Thompson, Biometrika 58 (1971), for the restricted likelihood; T. G.
+Conley, J. Econometrics 92 (1999), for variances of estimates under spatial errors.
 """
 
 from __future__ import annotations
@@ -34,44 +34,48 @@ from companion.kernel import Matrix, Vector
 Indices = NDArray[np.intp]
 
 LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Reaches that are weighed, in units of the one that is believed beforehand."""
+"""Correlation lengths of the grid, in units of the prior one."""
 AMPLITUDES = (0.1, 0.25, 0.5, 0.8, 1.2, 1.8)
-"""The same of the field's deviation."""
+"""Deviations of the grid, in units of the prior one."""
 LENGTH_DOUBT, AMPLITUDE_DOUBT = 1.5, 1.0
-"""How vague that belief is, in factors of two."""
+"""Standard deviations of the priors of length and deviation, in factors of two."""
 MOST_CELLS = 32
+"""Most cells of the track: the cost grows with the third power."""
 CELL_SHARE = 0.125
-"""Length of a stretch as a share of the reach, if that makes few enough."""
+"""Length of a cell as a share of the correlation length, if that leaves few enough."""
 WHITE_COUNT = 4.0
-"""How many measurements the white noise is worth before it is measured."""
+"""Weight of the prior of the white noise, in measurements."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceBelief:
-    """What is believed of a modality's field before anything is measured."""
+    """Prior of a modality's field."""
 
     deviation: float
-    """Of the field, in the unit of the influences."""
+    """Standard deviation of the field, in units of the influences."""
     length_m: float
     is_of_radio: bool = True
-    """Whether that deviation is what the radio is known for; false: it is the most there can be."""
+    """True: the deviation is known from the radio; false: it is an upper limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceNoise:
-    """The field of one modality's influences."""
+    """Field of one modality's influences."""
 
     cell: Indices
-    """(n,) which stretch each of the measurements is on; -1: not measured."""
+    """(n,) cell of each measurement; -1: not measured."""
     field: Matrix
-    """(g, g) covariance of the field between stretches."""
+    """(g, g) covariance of the field between cells."""
     white: float
-    """Variance of what is left to each measurement."""
+    """Variance of the white rest of each measurement."""
     repetition: float
-    """How many measurements are one vote, at least 1."""
+    """Measurements per effective sample, at least 1."""
 
     def variance(self, weights: Matrix) -> Matrix:
-        """Of the sums of influences with weights (n, m), (m, m); rows not measured are zero."""
+        """Return the covariance of weighted sums of influences, (m, m); `weights` (n, m).
+
+        Rows that were not measured are zero.
+        """
         seen = self.cell >= 0
         sums = np.zeros((len(self.field), weights.shape[1]))
         np.add.at(sums, self.cell[seen], weights[seen])
@@ -82,10 +86,10 @@ class PlaceNoise:
 def place_noise(
     places: Matrix, psi: Vector, partials: Matrix, slope: float, prior: Matrix, belief: PlaceBelief
 ) -> PlaceNoise:
-    """The field of the influences psi (n,), NaN where not measured, at `places` (n, 2).
+    """Return the field of the influences psi (n,), NaN where not measured, at `places` (n, 2).
 
-    `partials` (n, k) are the whitened ones, `slope` the share of them on the quadratic part, and
-    `prior` (k, k) is the information of the state's prior.
+    `partials` (n, k) are whitened, `slope` is the share of them on the quadratic part, and `prior`
+    (k, k) is the information of the state's prior.
     """
     seen = ~np.isnan(psi)
     index, way_m = stretches_of(places[seen], CELL_SHARE * belief.length_m)
@@ -117,7 +121,7 @@ def place_noise(
 
 
 def _log_prior(belief: PlaceBelief) -> Vector:
-    """Of every reach and deviation that is weighed, (m,)."""
+    """Return the log prior of every length and deviation of the grid, (m,)."""
     if not belief.is_of_radio:
         return np.zeros(2 * len(LENGTHS) * len(AMPLITUDES))
     doubts = [
@@ -129,10 +133,10 @@ def _log_prior(belief: PlaceBelief) -> Vector:
 
 
 def stretches_of(places: Matrix, least_m: float) -> tuple[Indices, Vector]:
-    """Which stretch of the way each of the places (n, 2) is on, (n,), and how far along each is.
+    """Return the cell of each of the positions (n, 2), and each cell's distance along the track.
 
-    A stretch begins where the vehicle is so far from where the one before it began, so that who
-    hovers gets nowhere; stretches are as long as makes them few enough.
+    A cell begins where the vehicle is far enough from the start of the one before, so that hovering
+    stays within one; cells are as long as needed to be few enough.
     """
     points = places.tolist()
     while True:
@@ -158,7 +162,7 @@ def _means(values: Matrix, index: Indices, count: Vector) -> Matrix:
 
 
 def _log_likelihoods(V: Matrix, y: Vector, X: Matrix, prior: Matrix) -> Vector:
-    """Restricted log-likelihoods of the averages y (g,), (m,), by each of the V (m, g, g)."""
+    """Return the restricted log-likelihoods, (m,), of the averages y (g,) for V (m, g, g)."""
     right = np.column_stack([X, y])
     solved = np.linalg.solve(V, np.broadcast_to(right, (len(V), *right.shape)))
     information = X.T @ solved[:, :, :-1] + prior

@@ -1,34 +1,33 @@
-"""How wrong an M-estimate is (Huber's sandwich), and what the track lets it tell (observability).
+"""Covariance of an M-estimate (Huber's sandwich), observability, and odds of rival optima.
 
-Theory of operation. With partials H and influences psi (all whitened), A = sum psi' H H^T and
-B = the variance of sum psi H, the estimate's covariance is A^-1 B A^-1. The slope psi' and the
-second moment psi^2 are pooled per modality, because 2 numbers are learnt faster than a matrix.
+Theory of operation. With partials H and influences psi (all whitened), A = sum psi' H H^T and B =
+the variance of sum psi H, the estimate's covariance is A^-1 B A^-1. The slope psi' and the second
+moment psi^2 are pooled per modality, because 2 numbers are estimated faster than a matrix.
 
-A measurement that dominates the estimate is not outvoted by others: its error enters as it is,
-not clipped. With its leverage h, the share of the curvature along its own direction, the second
-moment that counts is (1 - h) E[psi^2] + h slope^2 E[u^2].
+A measurement that dominates the estimate is not balanced by others: its error enters unclipped.
+With its leverage h, the share of the curvature along its own direction, the second moment is (1 -
+h) E[psi^2] + h slope^2 E[u^2].
 
-Where residuals repeat each other, as recorded ranges do, B counts that in two ways: by the factor
+Where residuals are correlated, as recorded ranges are, B accounts for it in two ways: by the factor
 (1 + rho) / (1 - rho) of a first-order process, and as the long-run variance (Bartlett weights),
-whose small-sample bias is made up for by the fixed-bandwidth critical value.
+whose small-sample bias is corrected by the fixed-bandwidth critical value.
 
 Observability. The expected robust curvature matrix is C = sum rho''(r) H H^T / sigma^2, where rho''
 is 1 on the quadratic part of the loss and 0 on the saturated ones. Only non-saturated measurements
-from diverse directions make it positive definite; the paper calls that bilateral information. A
-track along a line sees a target and its mirror image alike where only ranges are measured.
+from diverse directions make it positive definite; the paper calls that bilateral information. With
+ranges alone, a target and its mirror image about a straight track are indistinguishable.
 
-Rivals. How much more probable one optimum is than another: the difference of their costs is a
-log-likelihood ratio if the noise is what the loss believes. It is divided by the inflation, because
-inflated noise says that much less. And it depends on the very noise that was drawn: a residual e
-more changes it by (psi_rival - psi_best) e, so that the sum of these products (with its long-run
-variance, because residuals repeat each other) tells how easily the difference came about by chance.
-With z the difference over that deviation, the odds are no better than Phi(z) / Phi(-z). The more
-careful of the two counts.
+Rivals. The difference of the costs of two optima is a log-likelihood ratio if the noise is that of
+the loss. It is divided by the inflation, because inflated noise carries less information. And it
+depends on the realisation of the noise: a change e of a residual changes it by (psi_rival -
+psi_best) e, so that the sum of these products (with its long-run variance, because residuals are
+correlated) shows how easily the difference arises by chance. With z the difference over that
+deviation, the odds are no better than Phi(z) / Phi(-z). The smaller of the two odds is used.
 
 Paper: section IV-D, Lemma B.1, Propositions B.1 and B.2. Sources: P. J. Huber, Robust Statistics
 (1981), chapter 6; for the critical value N. M. Kiefer and T. J. Vogelsang, Econometric Theory 21
 (2005). Q. H. Vuong, Econometrica 57 (1989), tests two models by the scatter of their likelihood
-ratio; here only the part of the scatter that noise makes counts, because the rest is geometry.
+ratio; here only the noise's part of the scatter counts, because the rest is geometry.
 """
 
 from __future__ import annotations
@@ -46,32 +45,35 @@ from companion.estimation.window.place_noise import PlaceNoise
 from companion.kernel import Matrix, Vector
 
 Fields = tuple[PlaceNoise | None, ...]
-"""How each modality's errors stay with the place, (3,); None: they are white."""
+"""Spatial noise of each modality, (3,); None: its errors are white."""
 ALL_WHITE: Fields = (None, None, None)
+"""No spatial correlation in any modality."""
 Shares = tuple[float, ...]
-"""What a measurement of each modality is worth, (3,), as a share of an independent one."""
+"""Weight of a measurement of each modality, (3,), as a share of an independent one."""
 
 BANDWIDTH = 0.2
-"""Lags that count as correlated, as a share of the window."""
+"""Bandwidth of the Bartlett weights, as a share of the window."""
 CRITICAL_RATIO = (1.96 + 2.9694 * BANDWIDTH + 0.416 * BANDWIDTH**2 - 0.5324 * BANDWIDTH**3) / 1.96
+"""Fixed-bandwidth 97.5 % critical value over the normal one (Kiefer and Vogelsang)."""
 MIN_SLOPE = 0.05
-"""Least share of measurements on the quadratic part that curvature is believed to have."""
+"""Lower limit of the share of measurements on the quadratic part."""
 PRIOR_COUNT = 4.0
-"""How many measurements the thermal noise is worth when its second moment is pooled."""
+"""Weight of thermal noise in the pooled second moment, in measurements."""
 MAX_RESIDUAL = 10.0
-"""Residuals count no larger than this where they are not clipped by the loss."""
+"""Limit of residuals, in sigma, where the loss does not clip them."""
 MAX_CORRELATION = 0.98
+"""Upper limit of a lag-1 correlation: a repetition of 99."""
 SIGNIFICANT_SIGMAS = 2.0
-"""A correlation counts from this many standard errors: white residuals reach it once in 44."""
+"""Standard errors from which a correlation is significant: white residuals exceed it once in 44."""
 MIN_CORRELATED = 12
-"""Fewer residuals than this tell nothing of correlation."""
+"""Fewest residuals for an estimate of correlation."""
 DEFINITE_SHARE = 1e-3
-"""Share of the thermal covariance added, so that a covariance is positive definite."""
+"""Share of the thermal covariance that is added to make a covariance positive definite."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """The linearised problem at an estimate, modality by modality."""
+    """Linearised problem at an estimate, modality by modality."""
 
     u: Matrix
     """(3, n) whitened residuals."""
@@ -86,7 +88,7 @@ class Scores:
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
-        """How many measurements there are of each modality, (3,)."""
+        """Number of measurements of each modality, (3,)."""
         counts: list[int] = np.count_nonzero(self.is_measured, axis=1).tolist()
         return tuple(counts)
 
@@ -101,17 +103,17 @@ class Scores:
 
     @cached_property
     def measured(self) -> list[int]:
-        """The modalities of which there is any measurement: the others' rows are zero."""
+        """Modalities with any measurement: the others' rows are zero."""
         return [modality for modality, n in enumerate(self.counts) if n]
 
     def part(self, modality: int) -> Matrix:
-        """(n, k) partials of one modality."""
+        """Return the partials of one modality, (n, k)."""
         n = self.u.shape[1]
         rows: Matrix = self.H[modality * n : (modality + 1) * n]
         return rows
 
     def moment(self, modality: int, parameters: int) -> float:
-        """Pooled second moment of the influence, not below thermal noise by more than chance."""
+        """Return the pooled second moment of the influence, limited below near thermal noise."""
         n = self.counts[modality]
         thermal = self.thermal[modality]
         total = float(np.sum(self.psi[modality] ** 2))
@@ -124,9 +126,9 @@ class Scores:
         return max(pooled, thermal * (1.0 - 2.0 * math.sqrt(2.0 / (n + PRIOR_COUNT))))
 
     def quantile_ratio(self, modality: int) -> float:
-        """How much wider than normal the 95 % interval is, because slope and moment are estimates.
+        """Return the ratio of the 95 % interval to the normal one: slope and moment are estimates.
 
-        Student's t with the degrees of freedom that match the variance of the estimated ratio
+        It is Student's t with the degrees of freedom that match the variance of the estimated ratio
         moment / slope^2 (Satterthwaite), over the normal quantile (Cornish-Fisher).
         """
         n, slope = self.counts[modality], self.slopes[modality]
@@ -136,7 +138,7 @@ class Scores:
         return 1.0 + (z2 + 1.0) / (4.0 * dof) + (5.0 * z2**2 + 16.0 * z2 + 3.0) / (96.0 * dof**2)
 
     def finite_sample_ratio(self, modality: int, parameters: float) -> float:
-        """Huber's K: a fit of so many parameters makes residuals look more quadratic than they are.
+        """Return Huber's K: a fit makes residuals look more quadratic than they are.
 
         K = 1 + p / n Var[psi'] / E[psi']^2, eq. (6.5) of chapter 7 in Huber (1981), with p the
         parameters that this modality determines.
@@ -145,7 +147,7 @@ class Scores:
         return 1.0 + parameters / n * (1.0 - slope) / slope
 
     def inflation(self, modality: int, parameters: int) -> float:
-        """How much less a measurement says than thermal noise would, at its mean weight."""
+        """Return the variance of a measurement at its mean weight over thermal noise."""
         seen = self.is_measured[modality]
         u, psi = self.u[modality][seen], self.psi[modality][seen]
         weights = np.where(u == psi, 1.0, psi / np.where(u == psi, 1.0, u))
@@ -154,13 +156,13 @@ class Scores:
         return mean_weight * moment / self.slopes[modality] ** 2
 
     def unclipped_moment(self, modality: int) -> float:
-        """Pooled second moment of the residuals themselves."""
+        """Return the pooled second moment of the residuals themselves."""
         n = self.counts[modality]
         u = np.clip(self.u[modality], -MAX_RESIDUAL, MAX_RESIDUAL)
         return (float(np.sum(u**2)) + PRIOR_COUNT) / (n + PRIOR_COUNT)
 
     def correlation(self, modality: int) -> float:
-        """Lag-1 correlation of the influences in time order, 0 where it may be chance."""
+        """Return the lag-1 correlation of the influences in time order, 0 if not significant."""
         if self.counts[modality] < MIN_CORRELATED:
             return 0.0
         psi = self.psi[modality][self.is_measured[modality]]
@@ -171,7 +173,7 @@ class Scores:
         rho = float(np.mean(psi[1:] * psi[:-1])) / variance
         if rho <= SIGNIFICANT_SIGMAS / math.sqrt(len(psi)):
             return 0.0
-        fitted = self.H.shape[1] / len(psi)  # the fit took that much of it away
+        fitted = self.H.shape[1] / len(psi)  # share of the correlation that the fit absorbed
         return float(min(rho + fitted * (1.0 + rho), MAX_CORRELATION))
 
     @cached_property
@@ -181,13 +183,13 @@ class Scores:
 
     @cached_property
     def repetition(self) -> Vector:
-        """(1 + rho) / (1 - rho) of each modality, (3,): what a first-order process repeats."""
+        """Factor (1 + rho) / (1 - rho) of each modality, (3,), for a first-order process."""
         rho = np.array(self.correlations)
         return np.asarray((1.0 + rho) / (1.0 - rho))
 
 
 def thermal_moment(k_long: float, k_short: float) -> float:
-    """E[psi^2] of a standard normal residual, clipped at the two thresholds."""
+    """Return E[psi^2] of a standard normal residual, clipped at the two thresholds."""
     return sum(
         0.5
         if math.isinf(k)
@@ -199,7 +201,7 @@ def thermal_moment(k_long: float, k_short: float) -> float:
 
 
 def curvature(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
-    """A = sum psi' H H^T with pooled slopes, (k, k), of each modality times its share of a vote."""
+    """Return A = sum psi' H H^T with pooled slopes, (k, k), each modality times its share."""
     k = scores.H.shape[1]
     A: Matrix = np.zeros((k, k))
     for m in scores.measured:
@@ -209,7 +211,7 @@ def curvature(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
 
 
 def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) -> Matrix:
-    """B with pooled second moments, (k, k), of each modality times its `repetition` (3,)."""
+    """Return B with pooled second moments, (k, k), each modality times its `repetition` (3,)."""
     k = scores.H.shape[1]
     B = np.zeros((k, k))
     for m in scores.measured:
@@ -224,7 +226,7 @@ def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) ->
 
 
 def placed_variability(scores: Scores, fields: Fields, A_inverse: Matrix) -> Matrix:
-    """B where errors stay with the place, (k, k): each modality by its field, or else as white."""
+    """Return B under spatially correlated errors, (k, k); modalities without a field are white."""
     k = scores.H.shape[1]
     white = np.array([1.0 if field is None else 0.0 for field in fields])
     B = pooled_variability(scores, A_inverse, white)
@@ -240,12 +242,12 @@ def placed_variability(scores: Scores, fields: Fields, A_inverse: Matrix) -> Mat
 
 
 def shares_of(fields: Fields) -> Shares:
-    """What the fields leave of a measurement of each modality, (3,)."""
+    """Return the weight of a measurement of each modality that its spatial noise leaves, (3,)."""
     return tuple(1.0 if field is None else 1.0 / field.repetition for field in fields)
 
 
 def correlated_variability(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
-    """B as the long-run variance of the scores in time order, (k, k), critical value included."""
+    """Return B as the long-run variance of the scores, (k, k), critical value included."""
     steps = np.zeros((scores.u.shape[1], scores.H.shape[1]))
     for m in scores.measured:
         steps += shares[m] * scores.part(m) * scores.psi[m][:, None]
@@ -253,7 +255,7 @@ def correlated_variability(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> 
 
 
 def covariance_of(A: Matrix, B: Matrix) -> Matrix:
-    """A^-1 B A^-1, symmetric positive definite; a `LinAlgError` where no place is named by it."""
+    """Return A^-1 B A^-1, positive definite; `LinAlgError` if the position is unobservable."""
     A_inverse = np.linalg.inv(A)
     covariance = A_inverse @ (B + DEFINITE_SHARE * A) @ A_inverse
     covariance = 0.5 * (covariance + covariance.T)
@@ -262,10 +264,10 @@ def covariance_of(A: Matrix, B: Matrix) -> Matrix:
 
 
 def long_run_variance(scores: Vector) -> Matrix:
-    """Sum of the scores' autocovariances with Bartlett weights, (k, k), positive semi-definite."""
+    """Return the Bartlett-weighted sum of the scores' autocovariances, (k, k), semi-definite."""
     n = len(scores)
     width = max(1, int(BANDWIDTH * n)) + 1
-    # these weights are those of the squares of all sums over so many neighbours
+    # squared sums over all runs of `width` neighbours have exactly these weights
     sums = np.concatenate([np.zeros((1, scores.shape[1])), np.cumsum(scores, axis=0)])
     end = np.arange(1, n + width)
     moving = sums[np.minimum(end, n)] - sums[np.maximum(end - width, 0)]
@@ -274,10 +276,11 @@ def long_run_variance(scores: Vector) -> Matrix:
 
 
 EDGE_SIGMAS = 2.45
-"""How far out the 95 % circle ends."""
+"""Radius of the 95 % circle of a 2-D Gaussian, in sigma."""
 MIN_RISE_SHARE = 0.5
-"""Least share of the promised rise that is taken for agreement."""
+"""Least share of the predicted rise of the cost at the edge that confirms the curvature."""
 STRETCHES = tuple(1.5**i for i in range(1, 9))
+"""Stretch factors that are tried: up to 26."""
 
 Cost = Callable[[Vector], float]
 ProfiledCost = Callable[[Vector], Steps[float]]
@@ -292,10 +295,10 @@ def stretch_covariance(
     *,
     worth: int = 0,
 ) -> Steps[Matrix]:
-    """The covariance, wider along its longest axis where the cost is flatter than its curvature.
+    """Return the covariance, stretched along its longest axis where the cost is too flat.
 
-    `profiled` is the cost with the other states solved again, asked only where `cost`, which is
-    never less, rises enough. A step is `worth` so many measurements.
+    `profiled` is the cost with the other states solved again; it is evaluated only where `cost`,
+    which is never less, rises enough. A step is `worth` so many measurements.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
@@ -323,12 +326,12 @@ def stretch_covariance(
 
 
 COLLINEAR_RATIO = 0.05
-"""A track whose spread across is less than this share of the spread along is a line."""
+"""Spread of a track across over its spread along, below which it is a line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observability:
-    """Live values of the degeneracy, about the best hypothesis."""
+    """Live values of the observability at the best hypothesis."""
 
     ercm: tuple[tuple[float, float], tuple[float, float]]
     """East and north part of the curvature, 1/m^2."""
@@ -341,12 +344,12 @@ class Observability:
 
     @property
     def is_collinear(self) -> bool:
-        """Whether the track is a line, so that ranges alone leave a mirror image."""
+        """True if the track is a line, so that ranges alone leave a mirror image."""
         return self.track_ratio < COLLINEAR_RATIO
 
 
 def observability_of(rows: Matrix, scores: Scores) -> Observability:
-    """What the measurements `rows` (n, 10), linearised as `scores`, can tell."""
+    """Return the observability of the measurements `rows` (n, 10), linearised as `scores`."""
     is_quadratic = (scores.u == scores.psi) & (scores.is_measured > 0)
     H = scores.H[:, :2]
     C = H.T @ (is_quadratic.reshape(-1, 1) * H)
@@ -361,10 +364,10 @@ def observability_of(rows: Matrix, scores: Scores) -> Observability:
 
 
 def track_line(places: Matrix) -> tuple[Vector, Vector, float]:
-    """The line that fits a track (n, 2) best: a point on it and its unit direction.
+    """Return the line that fits a track (n, 2) best: a point, unit direction, and spread ratio.
 
-    The third value is the spread across over the spread along: 0 for a line or a single place, 1
-    for a track that is as wide as long.
+    The ratio is the spread across over the spread along: 0 for a line or a single position, 1 for a
+    track that is as wide as long.
     """
     centre = places.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov((places - centre).T) if len(places) > 1 else np.eye(2))
@@ -374,7 +377,7 @@ def track_line(places: Matrix) -> tuple[Vector, Vector, float]:
 
 
 def mirrored(mean: Vector, places: Matrix) -> Vector:
-    """The state (k,) with its position reflected about the line of the track of `places` (n, 2)."""
+    """Return the state (k,) reflected about the line of the track of `places` (n, 2)."""
     centre, direction, _ = track_line(places)
     away = mean[:2] - centre
     image = np.array(mean)
@@ -383,32 +386,32 @@ def mirrored(mean: Vector, places: Matrix) -> Vector:
 
 
 IMPROBABLE_LOG_RATIO = math.log(1e-4)
-"""An optimum this much less probable than the best one is dropped."""
+"""Log odds to the best optimum below which one is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """A local minimum of the objective."""
+    """Local minimum of the objective."""
 
     mean: Vector
     cost: float
     covariance: Matrix
-    """(n, n), with the sandwich in it, and the correlation if asked for."""
+    """Sandwich covariance, (n, n), with correlation if requested."""
     inflation: float
-    """How much less the measurements say than white thermal noise would."""
+    """Variance of the measurements over white thermal noise."""
     psi: Matrix
     """(3, n) influences of the measurements."""
     noise: Inflation
-    """The same for one range, bearing or elevation at its mean weight, without correlation."""
+    """The same inflation of one range, bearing or elevation at its mean weight, uncorrelated."""
 
 
 def weigh_optima(
     optima: Sequence[Optimum], fields: Fields = ALL_WHITE
 ) -> list[tuple[float, Optimum]]:
-    """Log-weights of the optima, best first, without the improbable ones.
+    """Return the optima with log-weights, best first, without the improbable ones.
 
-    Only the inflation of the best one counts: a wrong place makes its residuals systematic. Nor
-    does volume, or the vaguest would win.
+    Only the inflation of the best one is used, because a wrong position makes its residuals
+    systematic. The volume of an optimum is ignored, or the vaguest would win.
     """
     if not optima:
         return []
@@ -418,12 +421,12 @@ def weigh_optima(
 
 
 def log_ratio(rival: Optimum, best: Optimum, fields: Fields = ALL_WHITE) -> float:
-    """Log of how probable `rival` is beside `best`, at most 0."""
+    """Return the log odds of `rival` to `best`, at most 0."""
     return 0.0 if rival is best else log_ratio_of(rival.cost, rival.psi, best, fields)
 
 
 def log_ratio_of(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> float:
-    """The same of a rival that only its cost and its influences (3, n) are known of."""
+    """Return the log odds of a rival of which only cost and influences (3, n) are known."""
     by_noise = (cost - best.cost) / best.inflation
     scatter = scatter_of(psi, best.psi, fields)
     if scatter <= 0.0:
@@ -434,10 +437,10 @@ def log_ratio_of(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> flo
 
 
 def scatter_of(rival: Matrix, best: Matrix, fields: Fields) -> float:
-    """By how much the noise that was drawn moves the difference of two costs, as a variance.
+    """Return the variance of the difference of two costs by the noise.
 
-    From influences (3, n) of the rival and of the best; where errors stay with the place, `fields`
-    tell how much they vary together.
+    It follows from the influences (3, n) of the rival and of the best; spatially correlated errors
+    contribute by the covariance of their `fields`.
     """
     if fields == ALL_WHITE:
         sensitivity = np.sum((rival - best) * best, axis=0)
@@ -453,7 +456,7 @@ def scatter_of(rival: Matrix, best: Matrix, fields: Fields) -> float:
 
 
 def log_erfc(x: float) -> float:
-    """log(erfc(x)) without underflow."""
+    """Return log(erfc(x)) without underflow."""
     if x < 20.0:
         return math.log(math.erfc(x))
     return -x * x - math.log(x * math.sqrt(math.pi))

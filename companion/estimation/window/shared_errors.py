@@ -1,19 +1,18 @@
-"""Errors that a window's measurements share, and that no number of them averages out.
+"""Errors that all measurements of a window share, so that no number of them averages them out.
 
-Theory of operation. A displacement d of what is seen moves a measurement by its partial p times d,
-and so the M-estimate by A^-1 sum s H^T p d, with H the whitened partials, s the slope of each
-modality and A the curvature (a "considered" parameter: S. F. Schmidt, Advances in Control Systems
-3, 1966). To first order this holds for any weights, however wrong.
+Theory of operation. A displacement d of the target as seen moves a measurement by its partial p
+times d, and so the M-estimate by A^-1 sum s H^T p d, with H the whitened partials, s the slope of
+each modality and A the curvature (a "considered" parameter: S. F. Schmidt, Advances in Control
+Systems 3, 1966). To first order this holds for any weights, however wrong.
 
-The own place errs by a first-order Gauss-Markov process b of sigma and time constant tau, so that
-the emitter seems to have been elsewhere, by b(t) - b(now), when it was measured. Where that is all
-that counts, it adds up to
+The vehicle position error is a first-order Gauss-Markov process b of sigma and time constant tau,
+so that the emitter seems displaced by b(t) - b(now) when it was measured. In total this is
 
     W = sum_ij G_i C(t_i, t_j) G_j^T,    C(s, t) = sigma^2 (rho(s - t) - rho(s) - rho(t) + 1)
 
-with G_i = A^-1 H_i^T H_i,place and rho(t) = exp(-|t| / tau), times counted from now. A height that
-is not in the state, and stamps that are late by an unknown time, do show in residuals, as far as
-the views differ: they count by what these leave of them.
+with G_i = A^-1 H_i^T H_i,place and rho(t) = exp(-|t| / tau), times counted from now. An unestimated
+height and an unknown lag of stamps do appear in residuals, as far as the views differ: they are
+reduced by what the residuals reveal about them.
 """
 
 from __future__ import annotations
@@ -36,31 +35,32 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 TIME_CONSTANT_S = 150.0
-"""Of satellites on one frequency: 60 to 1,000 s."""
+"""Correlation time of single-frequency GNSS errors: 60 to 1,000 s."""
 BINS = 48
-"""The window is cut into as many times."""
+"""Time bins of the window, for the covariance of the position error."""
 HEIGHT_STEP_M = 0.5
+"""Step of the numerical partials by the target's height."""
 LEAST_TOLD = 1e-9
-"""Of a variance, so that it can be divided by where nothing is told."""
+"""Regularisation of the covariance where residuals carry no information."""
 LONGEST_GAP_S = 2.0
-"""Between rows farther apart than this no velocity is known."""
+"""Time between neighbouring rows beyond which the velocity is unknown."""
 
 
 class SharedSigmas(NamedTuple):
-    """Standard deviations of what all measurements share."""
+    """Standard deviations of the errors that all measurements share."""
 
     own_m: float = 0.0
-    """Of the own place, per axis."""
+    """Vehicle position, per axis."""
     height_m: float = 0.0
-    """Of the height between vehicle and target, where the state has none."""
+    """Height between vehicle and target, if it is not in the state."""
     lag_s: float = 0.0
-    """Of what the radio's stamps are late."""
+    """Lag of the radio's stamps."""
     jump_m: float = 0.0
-    """Of the own place, per axis, while its fix was another one."""
+    """Vehicle position, per axis, while the fix was of another quality."""
 
 
 class HeardPath(NamedTuple):
-    """The path on which a radio was heard, and how far off its target can be."""
+    """Path on which a radio was received, and the prior of its target that follows."""
 
     centre_enu_m: Point
     sigma_m: float
@@ -68,23 +68,23 @@ class HeardPath(NamedTuple):
 
 
 class SharedErrors(NamedTuple):
-    """What they make of the target's place, (2, 2) each, m^2."""
+    """Effect of shared errors on the target's position, (2, 2) each, m^2."""
 
     lasting: Matrix
-    """Of height and stamps, which another geometry would show."""
+    """Height and stamps, which another geometry would reveal."""
     wander: Matrix
-    """Of the own place, which nothing shows."""
+    """Drift of the vehicle position, which no measurement reveals."""
     own: OwnAccuracy = UNTOLD
-    """How well that is known on the Earth."""
+    """Accuracy of the vehicle position on the Earth."""
     heard: HeardPath | None = None
-    """Where the radio was heard; None: not known."""
+    """Path on which the radio was received; None: unknown."""
 
     def within_reach(self, covariance_m2: Matrix, place_enu_m: Point) -> Matrix:
-        """Return a covariance (2, 2) about a place, in no direction wider than the reach says.
+        """Return a position covariance (2, 2), limited in every direction by the radio's reach.
 
-        That the target lies within reach of where it was heard and what measurements say of it are
-        two statements, each true by itself: the narrower one holds in every direction. First-order
-        theory, by which shared errors are counted, promises nothing where geometry is singular.
+        That the target lies within reach of the path, and what measurements say of it, are two true
+        statements: in every direction the narrower one holds. First-order theory, on which the
+        shared errors rest, has no limit where geometry is singular.
         """
         if self.heard is None or np.trace(covariance_m2) <= self.heard.sigma_m**2:
             return covariance_m2
@@ -95,13 +95,14 @@ class SharedErrors(NamedTuple):
         half = np.linalg.cholesky(reach)
         whitened = np.linalg.solve(half, np.linalg.solve(half, covariance_m2).T)
         values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
-        known = np.maximum(values, np.finfo(float).eps * values[-1])  # less is lost in rounding
+        known = np.maximum(values, np.finfo(float).eps * values[-1])  # smaller ones are rounding
         axes = half @ vectors
         narrower: Matrix = (axes * np.minimum(known, 1.0)) @ axes.T
         return narrower
 
 
 NO_ERRORS = SharedErrors(np.zeros((2, 2)), np.zeros((2, 2)))
+"""No shared errors."""
 
 
 def shared_errors(
@@ -113,9 +114,10 @@ def shared_errors(
     model: RangingModel,
     sigmas: SharedSigmas,
 ) -> SharedErrors:
-    """Of rows (n, 10 or 16) at `times_s` (n,), linearised at `mean` (k,) as `scores`.
+    """Return the effect of shared errors on rows (n, 10 or 16) at `times_s` (n,).
 
-    `prior` is the state's information beside them, (k, k). A `LinAlgError` where no place is named.
+    The rows are linearised at `mean` (k,) as `scores`; `prior` is the information of the state
+    besides them, (k, k). Raises `LinAlgError` if the position is unobservable.
     """
     A_inverse = np.asarray(np.linalg.inv(curvature(scores) + prior), dtype=np.float64)
     place: Matrix = scores.H[:, EAST : NORTH + 1]
@@ -136,10 +138,10 @@ def shared_errors(
 
 
 def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matrix) -> Matrix:
-    """What parameters with these whitened partials (3 n, j), each by its sigma, make of the place.
+    """Return the effect of parameters with whitened partials (3 n, j), each in units of its sigma.
 
-    One Newton step finds them, and the sandwich of both how well: by as much as the residuals then
-    speak about them, each counts by what it comes to and not by what it may be.
+    One Newton step estimates them, and the sandwich of both gives its covariance: as far as the
+    residuals determine a parameter, its estimate replaces its prior sigma.
     """
     k, j = len(prior), partials.shape[1]
     both = replace(scores, H=np.hstack([scores.H, partials]))
@@ -147,7 +149,7 @@ def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matr
     A_wide = np.zeros((k + j, k + j))
     A_wide[:k, :k], A_wide[k:, k:] = A_inverse, np.eye(j)
     shift = A_inverse @ A[:k, k:]
-    alone = np.hstack([-shift.T, np.eye(j)])  # of a score, what the state does not explain
+    alone = np.hstack([-shift.T, np.eye(j)])  # part of a score that the state does not explain
     told = alone @ A[:, k:]
     fixed = alone[:, :k] @ prior @ alone[:, :k].T
     white = pooled_variability(both, A_wide, scores.repetition)
@@ -160,7 +162,7 @@ def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matr
 
 
 def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingModel) -> Vector:
-    """Whitened partials by the target's height, (3 n,), 0 where nothing was measured."""
+    """Return the whitened partials by the target's height, (3 n,), 0 where not measured."""
     at = np.array(mean)  # as in `WindowMap.scores`
     sigmas = row_sigmas(rows, at, model)
     low, high = (
@@ -172,7 +174,7 @@ def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingM
 
 
 def _velocities(rows: Matrix, times_s: Vector) -> Matrix:
-    """Of the vehicle at every row, (n, 2), m/s; 0 where its neighbours are too far off."""
+    """Return the vehicle's velocity at every row, (n, 2), m/s; 0 across long gaps."""
     n = len(rows)
     before = np.maximum(np.arange(n) - 1, 0)
     after = np.minimum(np.arange(n) + 1, n - 1)
@@ -186,7 +188,7 @@ def _velocities(rows: Matrix, times_s: Vector) -> Matrix:
 
 
 def _wander(times_s: Vector, A_inverse: Matrix, scores: Scores, place: Matrix) -> Matrix:
-    """W / sigma^2, (2, 2)."""
+    """Return W / sigma^2, (2, 2)."""
     n, now_s = len(times_s), float(times_s.max())
     span_s = max(now_s - float(times_s.min()), 1e-6)
     which = np.minimum((BINS * (now_s - times_s) / span_s).astype(int), BINS - 1)

@@ -1,30 +1,30 @@
 """Bounded-window MAP: the paper's objective over a thinned history, re-linearised.
 
-A recursive filter linearises every measurement once, where it stood at the time; started from a
-ring of hypotheses it may settle next to the optimum and be sure of it. The window keeps up to N
-measurements that are spread over different views of the target, holds what no longer fits as a
-Gaussian prior (`OlderEvidence`), and solves
+A recursive filter linearises every measurement once, at the estimate of that time; started from a
+ring of hypotheses it may converge next to the optimum with too small a covariance. The window keeps
+up to N measurements that are spread over different views of the target, represents evicted ones as
+a Gaussian prior (`OlderEvidence`), and solves
 
     min over x, offsets of  sum rho(u_i) + range_offset^2 / 2 s_r^2 + bearing_offset^2 / 2 s_b^2
 
 by damped, re-weighted Gauss-Newton from the filter's own hypotheses and from fresh starts, which
-turn around the path from call to call: the cost of a call is bounded by N, and every optimum is
-found in the end. Each optimum carries a sandwich covariance.
+rotate around the path from call to call: the cost of a call is bounded by N, and every optimum is
+found in the end. Each optimum has a sandwich covariance.
 
-A bearing from far away or a range from nearly one place leaves a valley that is steep at the
-optimum and flat beyond it, where the curvature promises too much. So the cost is read along the
-most uncertain direction, out to where the 95 % circle ends. Where it rises by less than half of
-what the curvature promises, the deviation is stretched to where it does.
+A bearing from far away or a range from nearly one position leaves a valley that is steep at the
+optimum and flat beyond it, where the curvature is too optimistic. So the cost is evaluated along
+the most uncertain direction, out to the edge of the 95 % circle. Where it rises by less than half
+of what the curvature predicts, the deviation is stretched to where it does.
 
-What leaves the window is expanded to second order about the estimate of that time, and summed up:
+Evicted measurements are expanded to second order about the estimate of that time, and summed:
 
     rho(u(x)) ~ const - psi H^T (x - x0) + 1/2 (x - x0)^T psi' H H^T (x - x0)
 
-Where residuals repeat each other, what was left out says little that its neighbours do not.
+Where residuals are correlated, an evicted one adds little to its neighbours.
 
-Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle lingered longest
+Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle stayed longest
 instead of dropping the oldest, because old measurements often hold the only view from the other
-side, and a thousand from one place say little more than a hundred.
+side, and a thousand from one position add little to a hundred.
 """
 
 from __future__ import annotations
@@ -89,37 +89,39 @@ from companion.estimation.window.shared_errors import HeardPath
 from companion.kernel import Matrix, Vector
 
 MIN_MEASUREMENTS = 12
+"""Fewest measurements for a solution: three times the basic state."""
 MAX_POSITION_SIGMA_M = 200.0
-"""An optimum vaguer than this is no place."""
+"""Optima with a larger position sigma are rejected."""
 FARTHEST_M = 1e6
-"""Where bearings run parallel a solution may go on for ever: beyond this it leads nowhere."""
+"""Distance at which a solution has diverged, as with parallel bearings."""
 GROSS_SIGMAS = 6.0
-"""A range shorter by more than this, or a bearing off by more, is no noise."""
+"""Short ranges and bearings that are off by more are gross errors."""
 MAX_BEARING_NOISE = 4.0
-"""Reflections widen bearings by no more than this (in variance) before they count as gross."""
+"""Limit of the bearing inflation (a variance) in that test: reflections widen bearings by no
+more."""
 BEND_PASSES = 4
-"""Over the measurements in one covariance of an optimum: scores, curvature and variabilities."""
+"""Passes over the measurements for one covariance: scores, curvature and variabilities."""
 MAX_BENDS, BENT_RATIO = 6, 1.1
-"""At most so many passes in which near bearings lose what they do not say of a vague place; the
-last one is that in which its variance grows by no more than this factor."""
+"""Most iterations that discount bearings near a vague position, and the growth of its variance at
+which they end."""
 STEP_ITERATIONS = 4
-"""Between two of so many the search for a minimum may be interrupted."""
+"""Iterations of a solution between two interruptions."""
 STIFFNESS = 1e6
-"""Of the prior that holds a place in one direction, 1/m^2."""
+"""Information of the prior that fixes a position in one direction, 1/m^2."""
 NEWS = 0.2
-"""Votes that changed by less than this share lead to the same place."""
+"""Change of a weight, as a log ratio, above which the window is solved again."""
 SAME_PLACE_M = 0.3
-"""Optima nearer than this are one."""
+"""Distance below which two optima are the same."""
 
 Minima = list[tuple[float, Vector]]
-"""Costs and states (k,) of places, the least first."""
+"""Costs and states (k,) of local minima, the least first."""
 
 
 class WindowParams(Params, frozen=True):
-    """The window and how often it is solved."""
+    """Size of the window and schedule of its solutions."""
 
     enabled: bool = True
-    """Whether the filter is checked and corrected at all."""
+    """True: the filter is checked and corrected by the window."""
     size: Annotated[int, msgspec.Meta(ge=32, le=4096)] = 512
     every: Annotated[int, msgspec.Meta(ge=1)] = 25
     starts: Annotated[int, msgspec.Meta(ge=1, le=64)] = 12
@@ -127,7 +129,7 @@ class WindowParams(Params, frozen=True):
 
 
 class WindowMap:
-    """Solves the window."""
+    """Solver of the window."""
 
     def __init__(self, filter_params: FilterParams) -> None:
         self._p = filter_params
@@ -135,7 +137,7 @@ class WindowMap:
         self._thresholds = filter_params.thresholds
         both = (BEARING, ELEVATION)
         self._directions = both if self._model.antenna == COSINES else (BEARING,)
-        """Rows that stand or fall together as one direction."""
+        """Rows that are accepted or rejected together as one direction."""
         self.bounds = filter_params.bounds
         """Lower and upper bounds of the state, (2, k)."""
         self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
@@ -149,20 +151,20 @@ class WindowMap:
         """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
         self.size = len(weights)
         self._is_placed = any(filter_params.place_sigmas)
-        """Whether the radio is known for errors that stay with the place."""
+        """True if the radio is known for spatially correlated errors."""
         self._heard: tuple[Matrix, HeardPath] | None = None
-        """Rows, and where the radio was heard along them."""
+        """Cached reception path of the latest rows."""
         self._linearised: tuple[Matrix, Vector, RangingModel, Scores] | None = None
-        """Rows, the mean and the model of the last scores without a spread, kept as they were."""
+        """Rows, mean and model of the latest scores without a spread, and the scores."""
         self.fields: Fields = ALL_WHITE
-        """What the last solution found of errors that stay with the place."""
+        """Spatially correlated errors found by the latest solution."""
 
     def expect(self, inflation: Inflation) -> None:
-        """Hold the own position's error against bearings that are so much worse than thermal."""
+        """Set the inflation of bearings, against which the vehicle's position error is weighed."""
         self._model = self._model._replace(bearing_inflation=inflation[BEARING])
 
     def _count(self, fields: Fields) -> bool:
-        """Let measurements be worth what these fields leave of them; whether that is news."""
+        """Set the weights of measurements from their spatial noise; return True if they changed."""
         shares = shares_of(fields)
         before = (self._model.range_share, self._model.direction_share)
         self.fields = fields
@@ -174,10 +176,15 @@ class WindowMap:
         )
 
     def _fields_of(self, rows: Matrix, mean: Vector) -> Fields:
-        """How far errors stay with the place, as the residuals at `mean` and the preset say."""
+        """Return the spatial noise by the residuals at `mean` and the radio's parameters."""
         p = self._p
         found: list[PlaceNoise | None] = [None, None, None]
         scores = self.scores(rows, mean)
+        """Return the problem linearised at `mean` (k,), for curvature and covariance.
+
+        `spread_m2` is the trace of the position covariance: nearer to the target than its root, a
+        bearing is no linear function of the position, and loses information accordingly.
+        """
         for m in scores.measured:
             sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
             told = p.place_sigmas[min(m, BEARING)] / sigma
@@ -190,9 +197,9 @@ class WindowMap:
             H, slope = scores.part(m), scores.slopes[m]
             prior = self.prior_with(rows, None)[0]
             noise = place_noise(rows[:, :2], psi, H, slope, prior, belief)
-            # what looks like it may be a target that is elsewhere now: its votes must count
+            # what looks like spatial noise may be a target that moved: keep the full weight
             found[m] = noise if told > 0.0 else replace(noise, repetition=1.0)
-        # two components are one direction, with one share
+        # two components are one direction with one weight
         worst = max((f.repetition for f in found[BEARING:] if f is not None), default=1.0)
         directions = (None if f is None else replace(f, repetition=worst) for f in found[BEARING:])
         return (found[RANGE], *directions)
@@ -206,17 +213,19 @@ class WindowMap:
         *,
         is_white: bool = False,
     ) -> Steps[list[Optimum]]:
-        """What `judged` makes of the minima reached from states (k,)."""
+        """Return the optima of `judged` from the minima reached from these states (k,)."""
         minima = yield from self.minima.steps(rows, starts, older)
+        """Return the distinct minima reached from states (k,), best first, with `older`
+        evidence."""
         return (yield from self.judged.steps(rows, minima, older, is_white=is_white))
 
     @Stepwise
     def judged(
         self, rows: Matrix, minima: Minima, older: OlderEvidence | None, *, is_white: bool
     ) -> Steps[list[Optimum]]:
-        """The minima that name a place, best first, without those improbable beside the best one.
+        """Return the acceptable minima as optima, best first, without the improbable ones.
 
-        Solved again where errors are seen to stay with the place otherwise than was believed.
+        The window is solved again if the spatial noise differs from what was assumed.
         """
         if minima and self._count(self._fields_of(rows, minima[0][1])):
             minima = yield from self.minima.steps(rows, [mean for _, mean in minima], older)
@@ -250,7 +259,7 @@ class WindowMap:
     def solve(
         self, rows: Matrix, start: Vector, older: OlderEvidence | None = None
     ) -> Steps[tuple[Vector, float] | None]:
-        """The minimum that a start leads to, with its cost; None if it leads nowhere."""
+        """Return the minimum that a start leads to, with its cost; None if it diverges."""
         information, pull = self.prior_with(rows, older)
         prior = (self._thresholds, self.bounds, information, pull, self._model)
         mean, damping = np.array(start, dtype=np.float64), DAMPING_START
@@ -279,7 +288,7 @@ class WindowMap:
         if last is not None and last[0] is rows and last[1] is mean and last[2] == self._model:
             return last[3]
         with np.errstate(all="ignore"):
-            at = np.array(mean)  # a copy that may be written to: kernels are compiled for these
+            at = np.array(mean)  # a writable copy, for which the kernels are compiled
             sigmas = row_sigmas(rows, at, self._model)
             if spread_m2 > 0.0:
                 bend = spread_m2 / view_distance2(rows, at, self._model)
@@ -296,7 +305,7 @@ class WindowMap:
         return scores
 
     def without_gross(self, rows: Matrix, mean: Vector) -> Matrix | None:
-        """The rows, NaN for errors that are gross for a target at `mean` (k,).
+        """Return the rows with NaN for gross errors about a target at `mean` (k,).
 
         None: there are none, or they are more than a half.
         """
@@ -317,7 +326,7 @@ class WindowMap:
         return kept
 
     def start_around(self, rows: Matrix, direction_rad: float, spread: int) -> Vector:
-        """A fresh start: off the middle of the path, as far as the ranges say, or by `spread`."""
+        """Return a start off the middle of the path, at the median range or by `spread`."""
         east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
         ranges = rows[:, VALUES + RANGE]
         ranges = ranges[~np.isnan(ranges)]
@@ -334,10 +343,10 @@ class WindowMap:
     def _profiled_cost(
         self, rows: Matrix, optimum: Vector, at: Vector, older: OlderEvidence | None
     ) -> Steps[float]:
-        """The least cost where the place is as far from an optimum as `at`, in that direction.
+        """Return the least cost at the distance of `at` from an optimum, in that direction.
 
-        What lies across, and the other states, are solved again: a place held by a stiff prior in
-        one direction alone.
+        The other states, and the position across, are solved again, with a stiff prior along the
+        direction.
         """
         away = at[:2] - optimum[:2]
         axis = np.zeros(self.size)
@@ -359,7 +368,7 @@ class WindowMap:
             return float(cost) + normaliser(rows, sigmas, self._model)
 
     def prior_with(self, rows: Matrix, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
-        """Information and pull of all that is believed besides the rows, the radio's reach too."""
+        """Return information and pull of all but the rows, the radio's reach included."""
         information, pull = self.prior
         if older is not None:
             information, pull = information + older.information, pull + older.pull
@@ -370,6 +379,8 @@ class WindowMap:
             np.zeros((self.size, self.size)),
             np.zeros(self.size),
         )
+        """Return the path of the rows (n, >= 2), and the spread of targets within the radio's
+        reach."""
         weight = heard.sigma_m**-2
         near[[0, 1], [0, 1]], towards[:2] = weight, weight * np.array(heard.centre_enu_m)
         return information + near, pull + towards
@@ -394,11 +405,10 @@ class WindowMap:
         older: OlderEvidence | None,
         is_white: bool,
     ) -> Steps[Optimum | None]:
-        """The optimum with its covariance, or None where the measurements name no place.
+        """Return the optimum with its covariance, or None if the position is unobservable.
 
-        Of the white and the correlated covariance the one is taken that leaves the position less
-        certain, unless residuals are known to be white: where a short window seems to say that
-        correlation makes an estimate better, it is chance.
+        The larger of the white and the correlated covariance is used, unless residuals are known to
+        be white: where correlation in a short window seems to improve an estimate, it is chance.
         """
         try:
             covariance, A, B = self._sandwich(rows, scores, older, is_white)
@@ -431,9 +441,9 @@ class WindowMap:
     def widths(
         self, rows: Matrix, mean: Vector, older: OlderEvidence | None, *, is_white: bool
     ) -> list[tuple[str, Matrix]]:
-        """Return what widens the place at `mean` (k,), each term with the covariance (2, 2) so far.
+        """Return the terms that widen the position at `mean` (k,), with covariances (2, 2) so far.
 
-        A `LinAlgError` where no place is named.
+        Raises `LinAlgError` if the position is unobservable.
         """
         scores = self.scores(rows, mean)
         A = curvature(scores) + self.prior_with(rows, older)[0]
@@ -454,7 +464,7 @@ class WindowMap:
     def _sandwich(
         self, rows: Matrix, scores: Scores, older: OlderEvidence | None, is_white: bool
     ) -> tuple[Matrix, Matrix, Matrix]:
-        """Covariance, curvature and variability of an optimum, each (k, k)."""
+        """Return covariance, curvature and variability of an optimum, each (k, k)."""
         A = curvature(scores, shares_of(self.fields)) + self.prior_with(rows, older)[0]
         fixed = self.prior_with(rows, None)[0] + (0.0 if older is None else older.variability)
         A_inverse = np.asarray(np.linalg.inv(A))
