@@ -67,13 +67,17 @@ class SetpointMonitor:
         self.received = 0
         """Setpoint messages addressed to us, the refused ones included."""
         self.refused = 0
+        self.longest_gap_s = 0.0
+        """Longest time between two valid ones while they were flown."""
 
-    def take(self, setpoint: Setpoint | None, now_s: float) -> None:
+    def take(self, setpoint: Setpoint | None, now_s: float, *, is_flown: bool) -> None:
         """Count a message and keep its setpoint; None means that it was refused."""
         self.received += 1
         if setpoint is None:
             self.refused += 1
             return
+        if is_flown and self.arrived_s is not None:
+            self.longest_gap_s = max(self.longest_gap_s, now_s - self.arrived_s)
         self.setpoint = setpoint
         self.arrived_s = now_s
 

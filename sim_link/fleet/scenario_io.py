@@ -53,6 +53,7 @@ def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, obje
         "is_armed": vehicle.is_armed,
         "setpoints_received": vehicle.setpoints.received,
         "setpoints_refused": vehicle.setpoints.refused,
+        "longest_setpoint_gap_s": vehicle.setpoints.longest_gap_s,
         "mode_changes": [
             {"time_s": change.time_s, "mode": change.mode.value, "text": change.text}
             for change in recorder.mode_changes

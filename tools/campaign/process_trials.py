@@ -10,8 +10,9 @@ import json
 import signal
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -157,7 +158,7 @@ def signal_process(trial: Trial) -> TrialOutcome:
     span_s = trial.size * (SIGNAL_LATEST_S - SIGNAL_EARLIEST_S)
     instant_s = dice.number(SIGNAL_EARLIEST_S, SIGNAL_EARLIEST_S + span_s)
     with tempfile.TemporaryDirectory(prefix="signal-") as folder:
-        flight = _ProcessFlight(Path(folder), flavour)
+        flight = ProcessFlight(Path(folder), flavour, SPEED)
         try:
             companion = flight.start_companion()
             time.sleep(instant_s / SPEED)
@@ -168,24 +169,39 @@ def signal_process(trial: Trial) -> TrialOutcome:
             flight.close()
 
 
-class _ProcessFlight:
-    """A simulator and companions in a folder; both end with this process."""
+class ProcessFlight:
+    """A simulator and companions in a folder; both end with this process.
 
-    def __init__(self, folder: Path, flavour: str) -> None:
-        self._folder = folder
-        self._port, listen = free_udp_ports(2)
+    Args:
+        values: What the companion's configuration and the scenario have beside their defaults.
+        options: For the simulator, after those that every flight has.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        flavour: str,
+        speed: float,
+        values: Mapping[str, object] = MappingProxyType({}),
+        scenario: Mapping[str, object] = MappingProxyType({}),
+        options: Sequence[str] = (),
+    ) -> None:
+        self._folder, self._speed = folder, speed
+        self.port, listen = free_udp_ports(2)
         self._config = folder / "companion.yaml"
-        values = {
-            "mission": {"engage": "auto", "stop_confirm_s": 1e6},
+        own = {
+            "mission": {"engage": "auto", "stop_confirm_s": 3600.0, "settle_s": None},
             "log": {"directory": str(folder / "flights")},
             "process": {"state_directory": str(folder / "state")},
         }
-        self._config.write_text(yaml.safe_dump(values))
+        self._config.write_text(yaml.safe_dump(own | dict(values)))
+        (folder / "scenario.yaml").write_text(yaml.safe_dump(dict(scenario)))
         self.events = EventTail(folder / "flights")
         self._companions: list[ChildProcess] = []
         arguments = ["sim_link", "--stop-on-eof", "--quiet", "--autopilot", flavour]
-        arguments += ["--speed", f"{SPEED:g}", "--report", str(folder / "truth.json")]
-        arguments += ["--listen", f"{HOST}:{listen}", "--send-to", f"{HOST}:{self._port}"]
+        arguments += ["--speed", f"{speed:g}", "--report", str(folder / "truth.json")]
+        arguments += ["--scenario", str(folder / "scenario.yaml"), *options]
+        arguments += ["--listen", f"{HOST}:{listen}", "--send-to", f"{HOST}:{self.port}"]
         self._simulator = self._start("sim-link", arguments)
 
     def _start(self, name: str, arguments: list[str]) -> ChildProcess:
@@ -197,7 +213,7 @@ class _ProcessFlight:
     def start_companion(self) -> ChildProcess:
         """Start one; back when its flight has begun, or with a CompanionError when it does not."""
         arguments = ["sim_link.lab.supervised_companion", "--config", str(self._config)]
-        arguments += ["--connect", f"udp:{HOST}:{self._port}", "--speed", f"{SPEED:g}"]
+        arguments += ["--connect", f"udp:{HOST}:{self.port}", "--speed", f"{self._speed:g}"]
         child = self._start(f"companion{len(self._companions)}", arguments)
         self._companions.append(child)
         deadline_s = time.monotonic() + START_S
@@ -207,11 +223,11 @@ class _ProcessFlight:
             time.sleep(0.01)
         return child
 
-    def land(self) -> list[str]:
-        """End the simulator; the modes that the vehicle was in."""
+    def land(self) -> dict[str, Any]:
+        """End the simulator and return its report."""
         self._simulator.stop(START_S)
-        truth = json.loads((self._folder / "truth.json").read_text())
-        return [change["mode"] for change in truth["mode_changes"]]
+        report: dict[str, Any] = json.loads((self._folder / "truth.json").read_text())
+        return report
 
     def close(self) -> None:
         """End everything that still runs."""
@@ -228,9 +244,9 @@ def _end(child: ChildProcess) -> tuple[int | None, float, list[str]]:
     return code, took_s, [] if took_s <= EXIT_S else [f"gone {took_s:.2f} s after SIGTERM"]
 
 
-def _stop(trial: Trial, flight: _ProcessFlight, companion: ChildProcess) -> TrialOutcome:
+def _stop(trial: Trial, flight: ProcessFlight, companion: ChildProcess) -> TrialOutcome:
     code, took_s, findings = _end(companion)
-    events, modes = flight.events.take(), flight.land()
+    events, modes = flight.events.take(), [each["mode"] for each in flight.land()["mode_changes"]]
     if code != 0:
         findings.append(f"exit code {code} after SIGTERM")
     asked_s = _asked_s(events)
@@ -247,12 +263,12 @@ def _stop(trial: Trial, flight: _ProcessFlight, companion: ChildProcess) -> Tria
         tuple(findings),
         sums={"signals": 1.0, "signals_in_control": float(asked_s is not None)},
         most={"signal_exit_s": took_s, "signal_hold_s": hold_s},
-        story=_story(events),
+        story=story_of(events),
     )
 
 
 def _kill(
-    trial: Trial, flight: _ProcessFlight, companion: ChildProcess, down_s: float
+    trial: Trial, flight: ProcessFlight, companion: ChildProcess, down_s: float
 ) -> TrialOutcome:
     companion.signal(signal.SIGKILL)
     companion.stop()
@@ -273,7 +289,7 @@ def _kill(
         tuple(findings),
         sums={"signals": 1.0, "signals_in_control": float(had_begun)},
         most={"signal_exit_s": took_s, "signal_start_s": started_s},
-        story=(*_story(before), "SIGKILL", *_story(after)),
+        story=(*story_of(before), "SIGKILL", *story_of(after)),
     )
 
 
@@ -294,7 +310,8 @@ def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
     return _time_of(events, "phase", new="handback") if is_asked else None
 
 
-def _story(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+def story_of(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """Return the texts to the operator, with their times."""
     return tuple(f"{e['t_s']:8.2f} s  {e['text']}" for e in events if e["kind"] == "text")
 
 

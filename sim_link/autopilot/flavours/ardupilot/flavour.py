@@ -229,8 +229,9 @@ class ArduPilotFlavour(AutopilotFlavour):
         if is_deaf or isinstance(message, AttitudeTarget):
             return
         target = target_from(message, self.aircraft)
-        self.setpoints.take(None if target is None else target.setpoint, now_s)
-        if target is None or self.copter_mode is not GUIDED or not self.is_armed:
+        is_flown = self.copter_mode is GUIDED and self.is_armed
+        self.setpoints.take(None if target is None else target.setpoint, now_s, is_flown=is_flown)
+        if target is None or not is_flown:
             return
         if target.text:
             self.aircraft.say(WARNING, target.text)

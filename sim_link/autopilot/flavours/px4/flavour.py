@@ -213,7 +213,8 @@ class Px4Flavour(AutopilotFlavour):
 
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
         """Kept if it is valid, whatever the mode."""
-        self.setpoints.take(setpoint_from(message, self.aircraft), now_s)
+        is_flown = self.is_armed and self.mode is FlightMode.OFFBOARD
+        self.setpoints.take(setpoint_from(message, self.aircraft), now_s, is_flown=is_flown)
 
     @property
     def flown_setpoint(self) -> Setpoint:

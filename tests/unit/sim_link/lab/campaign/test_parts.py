@@ -13,6 +13,7 @@ from sim_link.lab.lockstep.flight_harness import MemoryStore
 from sim_link.lab.lockstep.observer import Frame, Lane
 from tools.campaign.endurance import FrameMaker, Usage, slope_after
 from tools.campaign.link_trials import Gaps, pauses_of
+from tools.campaign.load_trials import LOADS
 from tools.campaign.process_trials import damages
 from tools.campaign.random_missions import MOST_FAULTS, mission_case
 from tools.campaign.runner import PARTS, run_one
@@ -40,7 +41,8 @@ def test_a_short_trial_of_every_part_finds_nothing(name: str) -> None:
 
 
 def test_every_part_is_tried() -> None:
-    assert {*MEASURES, "signal"} == set(PARTS)  # that one is tests/e2e/test_signal_trial.py
+    of_processes = {"signal", *LOADS}  # tests/e2e/test_process_trials.py
+    assert {*MEASURES, *of_processes} == set(PARTS)
 
 
 NOT_DRAWN = {

@@ -1,4 +1,4 @@
-"""A trial of signals starts real processes and times them, so it has the machine to itself."""
+"""Trials that start real processes and time them, so each has the machine to itself."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import pytest
 
 from sim_link.lab.campaign.flights import Trial
 from tools.campaign import process_trials
+from tools.campaign.load_trials import FLIGHT_S, LOADS
 from tools.campaign.runner import run_one
 
 KILLED, STOPPED = 4, 5
@@ -22,3 +23,15 @@ def test_a_signalled_companion_leaves_nothing_amiss(
     outcome = run_one(Trial("signal", seed, 0.2))
     assert outcome.findings == (), outcome.story
     assert outcome.sums["signals"] == 1.0
+
+
+LOADED_S = 24.0
+"""In control from some 14 s on, on a machine that other tests keep busy as well."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LOADS)
+def test_setpoints_keep_flowing_under_a_load(name: str) -> None:
+    outcome = run_one(Trial(name, 1, LOADED_S / FLIGHT_S))
+    assert outcome.sums[f"{name}_kept"] == 1.0, outcome.story
+    assert 0.05 <= outcome.most[f"{name}_gap_s"] < 0.5, outcome.story
