@@ -16,7 +16,7 @@ from collections import Counter, deque
 from pathlib import PurePath
 from typing import Any
 
-from companion.domain import FlightMode, TargetEstimate
+from companion.domain import FlightMode, LandedState, TargetEstimate
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance.authority.control_authority import Authority
@@ -185,6 +185,17 @@ class SessionContext:
         if self._is_stopping and self.phase in OUT_OF_CONTROL:
             self.enter(Trigger.STOP, now_s)
         return True
+
+    @property
+    def is_airborne(self) -> bool:
+        """True if the vehicle may be in the air: armed, and not on the ground by report and height.
+
+        A report alone may be false in flight, or old.
+        """
+        height_m, floor_m = self.vehicle.height_m, self.guard.limits.envelope.altitude_min_m
+        is_high = height_m is not None and height_m >= floor_m
+        is_down = self.vehicle.landed is LandedState.ON_GROUND and not is_high
+        return self.vehicle.is_armed and not is_down
 
     @property
     def is_launch_wanted(self) -> bool:

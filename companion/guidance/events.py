@@ -31,7 +31,8 @@ from companion.guidance.session_params import Tuning
 class SessionMemory:
     """State of a session at one moment, as kept for a restart."""
 
-    phase: Phase
+    phase: Phase | None
+    """None: another mission is flown now, and only the fences of the flight count."""
     origin: LocalOrigin | None
     """Of the frame in which the rest is given."""
     belief: Belief | None
@@ -47,6 +48,12 @@ class SessionMemory:
     """The autopilot's fences of the flight, the newest first."""
     fence_limits: FenceLimits | None = None
     """The strictest of its fence parameters in the flight."""
+
+    @property
+    def fences_alone(self) -> SessionMemory:
+        """What counts of it for another mission in the same flight."""
+        fences, limits = self.flown_fences, self.fence_limits
+        return SessionMemory(None, None, None, None, flown_fences=fences, fence_limits=limits)
 
     @property
     def problem(self) -> str | None:
@@ -388,7 +395,7 @@ class EarlierRunFound(Event):
 
 @dataclass(frozen=True, slots=True)
 class MemoryRecalled(Event):
-    """State kept by the earlier process about this very vehicle, fence and mission."""
+    """State kept by the earlier process about this very vehicle."""
 
     memory: SessionMemory
     age_s: float

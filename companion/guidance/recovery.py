@@ -7,12 +7,12 @@ steps. The phase at once: a session that had yielded stays silent until a grant,
 control until another mode was chosen, because PX4 may return to OFFBOARD by itself, and one that
 had reported does not search again. The estimate only when the autopilot's origin confirms that
 local coordinates still mean the same places, because an estimate in another frame is wrong without
-looking wrong. No step takes control: the operator hands it over, as always.
+looking wrong. The autopilot's fences of a flight are restored in the air even if the mission is
+another one. No step takes control: the operator hands it over, as always.
 """
 
 from __future__ import annotations
 
-from companion.domain import LandedState
 from companion.estimation.belief import Belief
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
@@ -66,9 +66,10 @@ class Recollection:
         context.forbid_launch()
         if memory.fence_anchor is not None:
             context.fencing.recall(memory.fence_anchor)
-        vehicle = context.vehicle
-        if vehicle.is_armed and vehicle.landed is not LandedState.ON_GROUND:
+        if context.is_airborne and context.fencing.is_followed:
             context.fencing.recall_flown(memory.flown_fences, memory.fence_limits)
+        if memory.phase is None:
+            return
         was = f"resumed after {age_s:.0f} s in {memory.phase.value}"
         context.announce(Severity.NOTICE, f"{was}: give the mode again to fly")
         if memory.phase in HAS_VEHICLE:

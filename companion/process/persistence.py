@@ -4,8 +4,10 @@ Theory of operation. Files of an earlier run that did not end in order, readable
 a vehicle may be in the air: then nothing engages by itself, whatever the configuration says. A
 valid checkpoint is given to the session when the autopilot is heard (and has reported its fence, if
 that is the one to keep), and only if vehicle, limits, fence, mission and age match; otherwise the
-flight starts without it, with a line that says why. An orderly end deletes the files, unless the
-vehicle was left armed in mid-mission.
+flight starts without it, with a line that says why. In the air another fence of the autopilot is no
+mismatch, and its fences of the flight are restored even for another mission, as the guard's fence
+is widened on the ground only. An orderly end deletes the files, unless the vehicle was left armed
+in mid-mission.
 
 Parameters that a ground station changed are kept beside them, and are restored at the next start as
 far as the configuration's rules allow.
@@ -26,6 +28,7 @@ from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
 from companion.guidance.commands import Severity
 from companion.guidance.events import EarlierRunFound, MemoryRecalled, ProcessNoted
+from companion.guidance.flight.fencing import FencePolicy
 from companion.io.background_files import BackgroundReplacer
 from companion.io.state.checkpoints import (
     Checkpoint,
@@ -160,30 +163,42 @@ class RestartKeeper:
             self._sequence = checkpoint.sequence + 1
 
     def _recall(self, checkpoint: Checkpoint, now_s: float) -> None:
-        difference = self._difference(checkpoint.key)
+        then, memory = checkpoint.key, checkpoint.memory
+        difference = self._difference(then)
         if difference is not None:
             text = (
                 f"restarted, with {difference}: starting a new mission, without engaging by itself"
             )
             self._endpoint.tell(ProcessNoted(now_s, Severity.WARNING, text))
-            return
+            if not self._is_of(then):
+                return
+            memory = memory.fences_alone
         age = self._age_s + now_s - self._began_s
-        self._endpoint.tell(MemoryRecalled(now_s, checkpoint.memory, age))
+        self._endpoint.tell(MemoryRecalled(now_s, memory, age))
+
+    def _is_of(self, then: MissionKey) -> bool:
+        """Return True if a key is of the bound vehicle."""
+        now = self._key()
+        return (then.system_id, then.autopilot) == (now.system_id, now.autopilot)
 
     def _difference(self, then: MissionKey) -> str | None:
         now = self._key()
-        if (then.system_id, then.autopilot) != (now.system_id, now.autopilot):
+        if not self._is_of(then):
             return f"another vehicle (it was {then.autopilot.value}, system {then.system_id})"
-        if then.fence != now.fence:
+        is_same_fence = then.autopilot_fence == now.autopilot_fence
+        if then.fence != now.fence or not (
+            is_same_fence or self._endpoint.session.context.is_airborne
+        ):
             return "other limits or another fence"
         return "another mission or estimator" if then.mission != now.mission else None
 
     def _key(self) -> MissionKey:
-        binding, fence = self._endpoint.binding, self._limits
-        site = self._endpoint.session.fencing.site
-        if site is not None:
+        binding, fencing = self._endpoint.binding, self._endpoint.session.fencing
+        is_theirs, site, fence = fencing.plan.policy is FencePolicy.USE, fencing.site, self._limits
+        if site is not None and not is_theirs:
             fence = _digest((fence, site))
-        return MissionKey(binding.system_id or 1, binding.autopilot, fence, self._mission)
+        theirs = _digest(site) if is_theirs else ""
+        return MissionKey(binding.system_id or 1, binding.autopilot, fence, self._mission, theirs)
 
     def _save(self) -> None:
         memory = self._endpoint.session.memory

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
@@ -270,3 +271,66 @@ def test_the_fences_of_a_flight_outlive_a_restart_of_the_companion(
     assert after is not None
     assert max(max(map(abs, corner)) for corner in after.polygon_enu_m) < 41.0
     assert len(after.also_inside_enu_m) == 1
+
+
+def reach_m(loop: Loop) -> float:
+    """How far east the guard lets a setpoint be; 0 without a fence."""
+    fence = loop.companion.session.fencing.guard.limits.fence
+    places = [(0.5 * step, 0.0) for step in range(600)]
+    return max((place[0] for place in places if fence and fence.allows(place)), default=0.0)
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("half_m", [25.0, 150.0, None], ids=["smaller", "wider", "none"])
+@pytest.mark.parametrize("policy", ["use", "compare"])
+def test_a_fence_that_is_uploaded_while_the_companion_is_down_widens_nothing(
+    flavour: Flavour, policy: Literal["compare", "use"], half_m: float | None
+) -> None:
+    loop = started(flavour, policy, half_m=45.0)
+    Checkpointing(loop.flight)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    loop.run(3.0)
+    before_m = reach_m(loop)
+    loop.flight.kill_companion()
+    loop.run(2.0)
+    change(loop, StationFence(half_side_m=half_m))
+    loop.run(3.0)
+    loop.choose(FlightMode.HOLD)
+    loop.flight.start_companion()
+    loop.run_until(lambda: loop.said("resumed after"), 20.0)
+    loop.run(REACTION_S)
+    limit_m = before_m if half_m is None else min(before_m, half_m - MARGIN_M)
+    assert reach_m(loop) <= limit_m
+    since = len(loop.true_positions)
+    loop.choose(FlightMode.OFFBOARD)
+    loop.run(30.0)
+    assert farthest_out_m(loop, square(45.0), since) < 0.0
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_another_mission_after_a_restart_in_flight_keeps_its_fences(flavour: Flavour) -> None:
+    loop = started(flavour, half_m=45.0)
+    Checkpointing(loop.flight)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    loop.run(3.0)
+    before_m = reach_m(loop)
+    loop.flight.kill_companion()
+    change(loop, StationFence(half_side_m=150.0))
+    limits = LimitsConfig(autopilot_fence="use", speed_mps=2.0)
+    loop.flight.config = msgspec.structs.replace(loop.flight.config, limits=limits)
+    loop.run(2.0)
+    loop.flight.start_companion()
+    loop.run(REACTION_S)
+    assert loop.said("starting a new mission")
+    assert not loop.said("resumed after")
+    assert 0.0 < reach_m(loop) <= before_m
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_false_landing_in_the_hands_of_the_pilot_widens_nothing(flavour: Flavour) -> None:
+    loop = hovering(flavour, half_m=45.0)
+    before_m = reach_m(loop)
+    loop.flight.apply_incident(incidents.FalseLanding(duration_s=3.0))
+    change(loop, StationFence(half_side_m=150.0))
+    loop.run(REACTION_S)
+    assert 0.0 < reach_m(loop) <= before_m

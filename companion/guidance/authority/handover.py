@@ -383,7 +383,7 @@ class Handover:
 
     def _begin_anew(self, event: events.AutopilotRestarted) -> None:
         context, now_s = self._context, event.time_s
-        context.fencing.forget()
+        context.fencing.forget(is_other=event.is_other)
         context.vehicle.forget()
         context.forget_target()
         context.authority.forget_autopilot()

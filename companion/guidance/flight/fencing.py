@@ -7,8 +7,8 @@ whenever a check fails, the guard has no fence: control cannot begin, and a vehi
 
 A fence is fixed to the Earth, in whatever way it is given. A fence in local metres refers to the
 first origin that was received, its anchor; when the origin moves, the fence is shifted into the new
-frame by the step between both. The anchor outlives restarts of the autopilot, and of the companion
-in mid-mission; the autopilot's fences of a flight outlive those of the companion.
+frame by the step between both. The anchor and the autopilot's fences of a flight outlive restarts
+of the autopilot, and of the companion in mid-mission.
 
 Two fences that differ are worse than one: each forbids what the other allows. So the autopilot's
 fence is compared, and a difference is refused.
@@ -16,7 +16,8 @@ fence is compared, and a difference is refused.
 Another station may upload another fence at any time. Until it is downloaded control cannot begin,
 and a vehicle in flight holds inside the known fence. In the air the guard's fence only ever
 shrinks: it is the intersection of all fences that the autopilot has had in this flight, in control
-even where `compare` would refuse a difference. It is widened on the ground.
+even where `compare` would refuse a difference. It is widened on the ground. A circle about home
+counts as one of these fences when home moves.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from enum import Enum
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import (
     DISTORTION,
+    GeoArea,
     GeoFence,
     LocalFence,
     circle_about,
@@ -93,6 +95,8 @@ class Fencing:
         one."""
         self._limits = FenceLimits()
         """The autopilot's fence by parameters; in the air the strictest of this flight."""
+        self._reported_limits = FenceLimits()
+        """The same as it was reported last."""
         self._home_enu_m: Point | None = None
         """Centre of the autopilot's circular fence, east and north."""
         self.is_urgent = False
@@ -178,8 +182,8 @@ class Fencing:
 
     @property
     def flown(self) -> tuple[GeoFence, ...]:
-        """The autopilot's fences of this flight, the newest first."""
-        return self._flown
+        """The autopilot's fences of this flight, the newest first, and the circle about home."""
+        return self._flown + self._circle
 
     @property
     def flown_limits(self) -> FenceLimits:
@@ -210,14 +214,19 @@ class Fencing:
     def take_limits(self, limits: FenceLimits) -> None:
         """Set the limits by the autopilot's parameters; in the air no limit gets wider."""
         if self.is_followed:
+            self._reported_limits = limits
             self._limits = self._limits.strictest(limits) if self._is_airborne else limits
             self._settle()
 
     def set_home(self, home_enu_m: Point) -> None:
-        """Set the autopilot's home, east and north."""
-        before, self._home_enu_m = self._home_enu_m, home_enu_m
-        if self._limits.radius_m is not None and before != home_enu_m:
-            self._settle()
+        """Set the autopilot's home, east and north; in the air a circle about the old one stays."""
+        before, circle = self._home_enu_m, self._circle
+        self._home_enu_m = home_enu_m
+        if self._limits.radius_m is None or before == home_enu_m:
+            return
+        if self._is_airborne and before and math.dist(before, home_enu_m) > TOLERANCE_M:
+            self._flown += circle
+        self._settle()
 
     def doubt(self) -> None:
         """Note that the autopilot's fence changed; it must be downloaded before further use."""
@@ -236,6 +245,7 @@ class Fencing:
         self._is_airborne, self._is_in_control = is_airborne, is_in_control
         if not is_airborne:
             self._flown = () if self.autopilots is None else (self.autopilots,)
+            self._limits = self._reported_limits
         self._settle()
 
     def use_limits(self, limits: GuardLimits) -> None:
@@ -243,11 +253,27 @@ class Fencing:
         self.plan = replace(self.plan, limits=limits)
         self._settle()
 
-    def forget(self) -> None:
-        """Drop the autopilot's origin and fence, because it restarted; the anchor stays."""
+    def forget(self, *, is_other: bool = False) -> None:
+        """Drop the autopilot's origin and fence, because it restarted; the anchor stays.
+
+        So do the fences of this flight, as it may restart in the air, unless it is another vehicle.
+        """
+        if is_other:
+            self._flown, self._limits, self._is_airborne = (), FenceLimits(), False
+        elif self._is_airborne:
+            self._flown = self.flown
         self._origin = self._read = self._home_enu_m = None
-        self._flown, self.is_doubted, self._limits = (), False, FenceLimits()
+        self._reported_limits, self.is_doubted = FenceLimits(), False
         self._settle()
+
+    @property
+    def _circle(self) -> tuple[GeoFence, ...]:
+        """The circle about home as a fence in the world, if there is one and its place is known."""
+        radius_m, home, origin = self._limits.radius_m, self._home_enu_m, self._origin
+        if radius_m is None or home is None or origin is None:
+            return ()
+        middle_deg = origin.geodetic_from_enu((*home, 0.0))[:2]
+        return (GeoFence(GeoArea((middle_deg,), radius_m)),)
 
     @property
     def _needs_origin(self) -> bool:
@@ -343,9 +369,21 @@ class Fencing:
 
     def _is_another(self, theirs: GeoFence) -> bool:
         """Return True if a fence of the autopilot limits the flight beside the guard's own."""
+        if self._is_circle(theirs):
+            return False
         if self.plan.policy is FencePolicy.USE:
             return theirs is not self._flown[0]
         return self._is_in_control and self._difference(theirs) is not None
+
+    def _is_circle(self, theirs: GeoFence) -> bool:
+        """Return True if a fence of this flight is the circle about home that holds now."""
+        if self._origin is None or theirs.inclusion.radius_m is None:
+            return False
+        other = theirs.local(self._origin)
+        return any(
+            difference(each.local(self._origin), other, TOLERANCE_M) is None
+            for each in self._circle
+        )
 
     def _local_fence(self, fence: Fence | None) -> Fence | None:
         """Return the configured fence in the present frame."""

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from companion.domain import LandedState
 from companion.guidance import events
 from companion.guidance.authority.state_machine import IN_CONTROL
 from companion.guidance.context import SessionContext
@@ -43,10 +42,9 @@ class FenceWatch(Watch):
             fencing.set_home(vehicle.reported_home_enu_m[:2])
             if fencing.note is not None and fencing.note != before:
                 context.warn(fencing.note)
-        fencing.follow(
-            is_airborne=vehicle.is_armed and vehicle.landed is not LandedState.ON_GROUND,
-            is_in_control=context.phase in IN_CONTROL,
-        )
+        if vehicle.heartbeat is not None:  # after a restart of the autopilot it may still fly
+            is_in_control = context.phase in IN_CONTROL
+            fencing.follow(is_airborne=context.is_airborne, is_in_control=is_in_control)
         if fencing.refusal is None and not fencing.is_doubted:
             self._wrong_since_s = None
         elif self._wrong_since_s is None:

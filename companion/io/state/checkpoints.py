@@ -62,6 +62,8 @@ class MissionKey:
     """Digest of the limits."""
     mission: str
     """Digest of everything else that gives the memory its meaning."""
+    autopilot_fence: str = ""
+    """Digest of the autopilot's fence, where that is the one to keep."""
 
 
 @dataclass(frozen=True, slots=True)

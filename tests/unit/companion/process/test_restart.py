@@ -11,8 +11,9 @@ import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, LogConfig
+from companion.domain import LandedState
 from companion.geometry.geofence import GeoArea, GeoFence
-from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.events import AutopilotFenceRead, LandedStateChanged
 from companion.guidance.session_params import SessionParams
 from companion.io.state.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
@@ -274,9 +275,17 @@ def test_a_memory_is_taken_up_only_with_the_same_fence_in_its_file(
     assert process.said("other limits or another fence") is not is_resumed
 
 
-@pytest.mark.parametrize(("corners", "is_resumed"), [(FIELD, True), (WIDER, False)])
-def test_a_memory_waits_for_the_autopilots_fence_where_that_is_kept(
-    corners: tuple[tuple[float, float], ...], is_resumed: bool
+@pytest.mark.parametrize(
+    ("corners", "landed", "is_resumed"),
+    [
+        (FIELD, LandedState.ON_GROUND, True),
+        (WIDER, LandedState.ON_GROUND, False),
+        (WIDER, LandedState.IN_AIR, True),
+        (WIDER, LandedState.UNKNOWN, True),
+    ],
+)
+def test_a_memory_waits_for_the_autopilots_fence_which_may_be_another_one_in_the_air(
+    corners: tuple[tuple[float, float], ...], landed: LandedState, is_resumed: bool
 ) -> None:
     config = CompanionConfig(limits=LimitsConfig(autopilot_fence="use"))
     process = Process()
@@ -293,6 +302,8 @@ def test_a_memory_waits_for_the_autopilots_fence_where_that_is_kept(
     process.fly(keeper)
     assert process.store.slots == kept
     assert not process.said("resumed after")
+    assert process.endpoint is not None
+    process.endpoint.session.handle(LandedStateChanged(0.0, landed))
     tell(corners)
     process.fly(keeper)
     assert process.said("resumed after") is is_resumed

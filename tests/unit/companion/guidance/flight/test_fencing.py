@@ -7,7 +7,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import DISTORTION, GeoArea, GeoFence
 from companion.geometry.polygons import Point
 from companion.guard.gate import Guard
-from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.events import AutopilotFenceRead, FenceLimits
 from companion.guidance.flight.fencing import FencePlan, FencePolicy, Fencing
 
 ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
@@ -359,6 +359,47 @@ class TestAFenceThatChanges:
         fencing.take(SILENT)
         assert fencing.is_doubted
         assert guards_fence(fencing) == before
+
+    def test_a_restart_of_the_autopilot_in_the_air_keeps_the_fences_of_the_flight(self) -> None:
+        fencing = flown(FencePolicy.USE, SMALL)
+        fencing.take_limits(FenceLimits(altitude_max_m=40.0))
+        fencing.forget()
+        fencing.set_origin(ORIGIN)
+        fencing.take(read(SQUARE))
+        fencing.take_limits(FenceLimits(altitude_max_m=60.0))
+        assert allowed(fencing, (20.0, 0.0), (50.0, 0.0)) == [True, False]
+        assert fencing.guard.limits.envelope.altitude_max_m == 40.0
+
+    def test_a_home_that_moves_in_the_air_takes_no_circle_with_it(self) -> None:
+        fencing = flown(FencePolicy.USE, SQUARE)
+        fencing.set_home((0.0, 0.0))
+        fencing.take_limits(FenceLimits(radius_m=40.0))
+        places = (-30.0, 0.0), (20.0, 0.0), (50.0, 0.0)
+        assert allowed(fencing, *places) == [True, True, False]
+        fencing.set_home((25.0, 0.0))
+        assert allowed(fencing, *places) == [False, True, False]
+        fencing.follow(is_airborne=False, is_in_control=False)
+        assert allowed(fencing, *places) == [False, True, True]
+
+    @pytest.mark.parametrize("moved_m", [0.0, 25.0])
+    def test_the_circle_of_a_flight_outlives_a_restart_of_ours(self, moved_m: float) -> None:
+        before = flown(FencePolicy.USE, SQUARE)
+        before.set_home((0.0, 0.0))
+        before.take_limits(FenceLimits(radius_m=40.0))
+        after = flown(FencePolicy.USE, SQUARE)
+        after.take_limits(FenceLimits(radius_m=60.0))
+        after.set_home((moved_m, 0.0))
+        after.recall_flown(before.flown, before.flown_limits)
+        assert allowed(after, (moved_m - 20.0, 0.0), (50.0, 0.0)) == [True, False]
+        assert f"inside {1 if moved_m == 0.0 else 2} more" in after.words
+
+    def test_on_the_ground_the_newest_parameters_count(self) -> None:
+        fencing = flown(FencePolicy.USE, SQUARE)
+        fencing.take_limits(FenceLimits(altitude_max_m=20.0))
+        fencing.take_limits(FenceLimits(altitude_max_m=40.0))
+        assert fencing.guard.limits.envelope.altitude_max_m == 20.0
+        fencing.follow(is_airborne=False, is_in_control=False)
+        assert fencing.guard.limits.envelope.altitude_max_m == 40.0
 
     def test_on_the_ground_only_the_newest_counts(self) -> None:
         fencing = flown(FencePolicy.USE, SMALL)
