@@ -1,4 +1,4 @@
-"""ENU, NED and geodetic coordinates.
+"""Conversions between ENU, NED and geodetic coordinates.
 
 The core works in local east-north-up metres about an origin; NED and degrees exist only at the
 wire. Converters read target-from-source.
@@ -16,35 +16,35 @@ Triple = tuple[float, float, float]
 
 
 def ned_from_enu(enu: Triple) -> Triple:
-    """North-east-down from east-north-up; the exchange is its own inverse."""
+    """Return north-east-down from east-north-up; the exchange is its own inverse."""
     east, north, up = enu
     return (north, east, -up)
 
 
 def enu_from_ned(ned: Triple) -> Triple:
-    """East-north-up from north-east-down."""
+    """Return east-north-up from north-east-down."""
     north, east, down = ned
     return (east, north, -down)
 
 
 def wrap_pi(radians: float) -> float:
-    """The same direction in (-pi, pi]."""
+    """Return the same direction in (-pi, pi]."""
     wrapped = math.remainder(radians, 2.0 * math.pi)
     return math.pi if wrapped == -math.pi else wrapped
 
 
 def bearing_enu_from_ned(bearing_ned_rad: float) -> float:
-    """Counter-clockwise from east, from clockwise from north; its own inverse."""
+    """Return the angle counter-clockwise from east, from clockwise from north; its own inverse."""
     return wrap_pi(math.pi / 2.0 - bearing_ned_rad)
 
 
 def bearing_ned_from_enu(bearing_enu_rad: float) -> float:
-    """Clockwise from north, from counter-clockwise from east."""
+    """Return the angle clockwise from north, from one counter-clockwise from east."""
     return wrap_pi(math.pi / 2.0 - bearing_enu_rad)
 
 
 def body_axes_ned(attitude_rad: Triple) -> tuple[Triple, Triple, Triple]:
-    """Forward, right and down axes of a body, north-east-down, by its roll, pitch and yaw.
+    """Return the body's forward, right and down axes in north-east-down, by roll, pitch and yaw.
 
     Source: MAVLink common, ATTITUDE (Tait-Bryan angles, turned in the order yaw, pitch, roll).
     """
@@ -59,17 +59,17 @@ def body_axes_ned(attitude_rad: Triple) -> tuple[Triple, Triple, Triple]:
 
 
 def combined(axes: tuple[Triple, Triple, Triple], components: Triple) -> Triple:
-    """The vector with these components along three axes."""
+    """Return the vector with these components along three axes."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = axes
     a, b, c = components
     return (a * ax + b * bx + c * cx, a * ay + b * by + c * cy, a * az + b * bz + c * cz)
 
 
 class Projection(Enum):
-    """How an autopilot lays its flat local frame on the Earth: each has a way of its own."""
+    """Projection of an autopilot's flat local frame onto the Earth; each has its own."""
 
     ELLIPSOID = "tangential plane of the WGS84 ellipsoid"
-    """Of nobody we know; what is right as long as nothing else is known."""
+    """Used by no known autopilot; exact, and the default while the autopilot is unknown."""
     SPHERE = "azimuthal equidistant on a sphere"
     """PX4: `lib/geo`, MapProjection. 0.3 % from the ellipsoid: 0.36 m at 124 m."""
     FLAT = "degrees scaled by the middle latitude"
@@ -78,10 +78,10 @@ class Projection(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LocalOrigin:
-    """Where local east, north and up are zero: the autopilot's EKF origin (not its home).
+    """Zero of local east, north and up: the autopilot's EKF origin (not its home).
 
-    It turns places as the autopilot does, by its projection, and height is height: a local frame of
-    an autopilot does not curve down with the Earth.
+    It converts positions with the autopilot's own projection, and up is the difference of
+    altitudes: an autopilot's local frame follows the curvature of the Earth.
     """
 
     latitude_deg: float
@@ -90,17 +90,17 @@ class LocalOrigin:
     """Above mean sea level, as MAVLink reports it."""
     projection: Projection = Projection.ELLIPSOID
     offset_enu_m: Triple = (0.0, 0.0, 0.0)
+    """Fitted offset and scale of the autopilot's pairs of local and global positions: local is
+    scale times projected, plus the offset."""
     scale_en: tuple[float, float] = (1.0, 1.0)
-    """What its own pairs of local and global positions show beyond that: local is scale times
-    projected, plus the offset."""
 
     def zero_of(self, other: LocalOrigin) -> Triple:
-        """Where another origin was told to be, about where this one was: fits move no frame."""
+        """Return another reported origin in this one's frame; a fit does not move a frame."""
         plain = replace(self, offset_enu_m=(0.0, 0.0, 0.0), scale_en=(1.0, 1.0))
         return plain.enu_from_geodetic(other.latitude_deg, other.longitude_deg, other.altitude_m)
 
     def geodetic_from_enu(self, enu_m: Triple) -> Triple:
-        """Latitude and longitude in degrees and altitude in metres of a local point."""
+        """Return latitude and longitude in degrees and altitude in metres of a local point."""
         (east, north, up), (de, dn, du) = enu_m, self.offset_enu_m
         place = ((east - de) / self.scale_en[0], (north - dn) / self.scale_en[1], up - du)
         match self.projection:
@@ -116,7 +116,7 @@ class LocalOrigin:
     def enu_from_geodetic(
         self, latitude_deg: float, longitude_deg: float, altitude_m: float
     ) -> Triple:
-        """Local east, north and up in metres of a geodetic point."""
+        """Return local east, north and up in metres of a geodetic point."""
         place = (latitude_deg, longitude_deg, altitude_m)
         match self.projection:
             case Projection.SPHERE:
@@ -139,13 +139,14 @@ SPHERE_M = 6_371_000.0
 METRES_PER_DEGREE = 0.011131884502145034 * 1e7
 """ArduPilot: LOCATION_SCALING_FACTOR, of 1e-7 degrees."""
 LEAST_COSINE = 0.01
+"""Lower limit of the cosine of latitude, as in ArduPilot's `longitude_scale`."""
 
 
 def _sphere_enu(origin: LocalOrigin, place: Triple) -> Triple:
     lat0, lat = math.radians(origin.latitude_deg), math.radians(place[0])
     east_rad = math.radians(place[1] - origin.longitude_deg)
     cosine = math.sin(lat0) * math.sin(lat) + math.cos(lat0) * math.cos(lat) * math.cos(east_rad)
-    # Near the origin the arc cosine is blunt; the haversine is the same angle and sharp.
+    # near the origin the arc cosine is ill-conditioned; the haversine gives the same angle
     half = math.sin((lat - lat0) / 2.0) ** 2
     half += math.cos(lat0) * math.cos(lat) * math.sin(east_rad / 2.0) ** 2
     angle = 2.0 * math.asin(min(1.0, math.sqrt(half))) if half < 0.5 else math.acos(cosine)
@@ -189,7 +190,7 @@ def _cosine(latitude_deg: float) -> float:
 
 
 def _wrapped_deg(origin: LocalOrigin, east_deg: float) -> float:
-    """Longitude so far east of the origin; as the origin's own where nothing wraps."""
+    """Return the longitude `east_deg` from the origin, in the origin's range unless it wraps."""
     longitude_deg = origin.longitude_deg + east_deg
     is_inside = -180.0 <= longitude_deg <= 180.0
     return longitude_deg if is_inside else math.remainder(longitude_deg, 360.0)

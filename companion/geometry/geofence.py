@@ -1,18 +1,18 @@
-"""A fence on the globe: polygons and circles in degrees, and how they become local metres.
+"""Geofence in degrees: polygons and circles, and their conversion to local metres.
 
-Theory of operation. A file or an autopilot gives areas with the place where each was found. One
+Theory of operation. A file or an autopilot gives areas, each with its path in that source. The one
 inclusion is the fence, every exclusion a keep-out. Circles become polygons on the safe side: the
-fence's lies inside its circle, a keep-out's around it. Positions go through geocentric coordinates
-(pymap3d), so the antimeridian is nothing special; near the poles east and north mean little, and
-0/0 is what senders write who do not know, so both are refused.
+fence's inside its circle, a keep-out's around it. Positions are converted through geocentric
+coordinates (pymap3d), so the antimeridian needs no special case; near the poles east and north are
+ill-defined, and 0/0 is a common placeholder for an unknown position, so both are rejected.
 
 An autopilot's own local frame is simpler than that: PX4 projects from a sphere of 6371.0 km,
-ArduPilot scales degrees by 111.319 km, while the ellipsoid's radii of curvature are 6335 to
-6400 km. A local fence may therefore be off by 0.7 % of its distance from the origin; `distortion_m`
-says by how many metres, for the margin.
+ArduPilot scales degrees by 111.319 km, while the ellipsoid's radii of curvature are 6335 to 6400
+km. A local fence may therefore be off by 0.7 % of its distance from the origin; `distortion_m` is
+that distance in metres, for the margin.
 
-Several inclusions are refused: MAVLink, PX4 and ArduPilot do not agree on whether a vehicle must be
-inside one or inside all of them.
+Several inclusions are rejected: MAVLink, PX4 and ArduPilot do not agree on whether a vehicle must
+be inside one or inside all of them.
 """
 
 from __future__ import annotations
@@ -35,21 +35,26 @@ from companion.geometry.polygons import (
 LatLon = tuple[float, float]
 
 MAX_LATITUDE_DEG = 85.0
+"""Latitude beyond which east and north are ill-defined."""
 MAX_REACH_M = 20_000.0
-"""Farther from the origin a flat local frame is no place for a fence."""
+"""Largest distance of a fence from the origin of a flat local frame."""
 MIN_RADIUS_M = 1.0
+"""Smallest circle, metres, and smallest polygon, square metres, that a vehicle can use."""
 MIN_AREA_M2 = 1.0
+"""Smallest area of a polygon."""
 CIRCLE_CORNERS = 36
-"""An inscribed polygon is at most 0.4 % of the radius inside its circle."""
+"""Corners of a circle's polygon, which is at most 0.4 % of the radius inside its circle."""
 DISTORTION = 0.007
+"""Largest relative error of an autopilot's local frame, from the radii above."""
 COMPARED_EVERY_M = 5.0
+"""Distance between compared points along a border."""
 COMPARED_POINTS = 400
-"""Of a longer border only about so many places are compared."""
+"""Approximate limit of compared points on a long border."""
 
 
 @dataclass(frozen=True, slots=True)
 class GeoArea:
-    """A polygon, or a circle about its only corner."""
+    """Polygon, or circle about its only corner."""
 
     corners_deg: tuple[LatLon, ...]
     radius_m: float | None = None
@@ -58,7 +63,7 @@ class GeoArea:
 
 @dataclass(frozen=True, slots=True)
 class NamedArea:
-    """An area, and where it was found."""
+    """Area with its path in the file or plan."""
 
     path: str
     is_inclusion: bool
@@ -67,23 +72,23 @@ class NamedArea:
 
 @dataclass(frozen=True, slots=True)
 class LocalFence:
-    """The same in local east and north."""
+    """Fence in local east and north."""
 
     polygon_enu_m: Corners
     keep_out_enu_m: tuple[Corners, ...] = ()
     distortion_m: float = 0.0
-    """How far an autopilot's own frame may put it elsewhere."""
+    """Largest distance between this fence and the one in the autopilot's own frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class GeoFence:
-    """Where to stay inside of, and where to stay out of."""
+    """Inclusion that a vehicle stays inside, and exclusions that it stays outside."""
 
     inclusion: GeoArea
     exclusions: tuple[GeoArea, ...] = ()
 
     def local(self, origin: LocalOrigin) -> LocalFence:
-        """In the local frame of an origin; a `ValueError` if it is too far from there."""
+        """Return the fence in the local frame of an origin; `ValueError` if it is too far away."""
         polygon = _local_area(self.inclusion, origin, is_inside=True)
         keep_outs = tuple(_local_area(area, origin, is_inside=False) for area in self.exclusions)
         reach_m = max(math.hypot(*corner) for corner in polygon)
@@ -96,12 +101,12 @@ class GeoFence:
 
     @property
     def centre(self) -> LocalOrigin:
-        """An origin that is surely near: its first corner."""
+        """Nearby origin: the first corner."""
         return LocalOrigin(*self.inclusion.corners_deg[0], 0.0)
 
 
 def place_problem(latitude_deg: float, longitude_deg: float) -> str | None:
-    """Why latitude and longitude are no place for a corner, or None."""
+    """Return why latitude and longitude are not valid for a corner, or None."""
     if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
         return "is not a finite number"
     if latitude_deg == 0.0 and longitude_deg == 0.0:
@@ -114,7 +119,7 @@ def place_problem(latitude_deg: float, longitude_deg: float) -> str | None:
 
 
 def area_problem(area: GeoArea) -> str | None:
-    """Why an area encloses nothing that can be flown in, or None; its places are checked."""
+    """Return why an area encloses no usable space, or None; its corners are already checked."""
     if area.radius_m is not None:
         if MIN_RADIUS_M <= area.radius_m <= MAX_REACH_M:
             return None
@@ -134,7 +139,7 @@ def area_problem(area: GeoArea) -> str | None:
 
 
 def fence_of(areas: Sequence[NamedArea]) -> GeoFence:
-    """The fence that areas make together; a `ValueError` begins with the place of a wrong one."""
+    """Return the fence that areas form; a `ValueError` begins with the path of a wrong one."""
     for named in areas:
         for index, (latitude_deg, longitude_deg) in enumerate(named.area.corners_deg):
             problem = place_problem(latitude_deg, longitude_deg)
@@ -167,10 +172,10 @@ def difference(
     tolerance_m: float,
     more_keep_out_enu_m: Sequence[Corners] = (),
 ) -> str | None:
-    """What two fences differ in by more than a tolerance, in words, or None.
+    """Return the difference of two fences beyond a tolerance, in words, or None.
 
-    Borders are compared both ways, at every corner and every 5 m between (of long ones, at about
-    400 places). `more_keep_out_enu_m` are keep-outs of ours that the autopilot need not have.
+    Borders are compared both ways, at every corner and every 5 m between (on long ones, at about
+    400 points). `more_keep_out_enu_m` are keep-outs of ours that the autopilot need not have.
     """
     apart_m, place = _apart(own.polygon_enu_m, other.polygon_enu_m)
     if apart_m > tolerance_m:
@@ -193,7 +198,7 @@ def _named(place: Point) -> str:
 
 
 def _apart(one: Corners, other: Corners) -> tuple[float, Point]:
-    """The greatest distance of either border from the other, and where (Hausdorff)."""
+    """Return the greatest distance of either border from the other, and where (Hausdorff)."""
     return max(_reach(one, other), _reach(other, one))
 
 
@@ -201,7 +206,7 @@ def _reach(one: Corners, other: Corners) -> tuple[float, Point]:
     sides = tuple(edges(other))
 
     def off_m(point: Point) -> float:
-        """How far a point is from the nearest side."""
+        """Return the distance of a point from the nearest side."""
         return min(math.dist(point, nearest_on_segment(a, b, point)) for a, b in sides)
 
     return max((off_m(point), point) for point in _along(one))
@@ -230,7 +235,7 @@ def _local_area(area: GeoArea, origin: LocalOrigin, *, is_inside: bool) -> Corne
 
 
 def circle_about(middle: Point, radius_m: float) -> Corners:
-    """A polygon whose corners lie on a circle."""
+    """Return a polygon whose corners lie on a circle."""
     east, north = middle
     turns = [2.0 * (math.pi / CIRCLE_CORNERS) * index for index in range(CIRCLE_CORNERS)]
     return tuple(

@@ -1,13 +1,13 @@
 """Free space: inside a fence, outside keep-out polygons, and a margin away from every border.
 
-Theory of operation. What is closer to an edge than the margin is a capsule: the edge, widened to
-both sides and rounded at its ends. A capsule is convex, so a straight leg meets it in one interval,
-and what is free of a leg follows exactly, without sampling. The way back into free space ends on an
-edge moved by the margin or on the circle about a corner, as far as these are not too close to
-another edge. That is the shore of free space; it is found once, and then the way back is a look at
-each of its parts.
+Theory of operation. The points closer to an edge than the margin form a capsule: the edge, widened
+to both sides and rounded at its ends. A capsule is convex, so a straight leg intersects it in one
+interval, and the free parts of a leg follow exactly, without sampling. The nearest free point lies
+on an edge shifted by the margin or on the circle about a corner, where these are not too close to
+another edge. Together these form the boundary of free space; it is computed once, and the nearest
+free point is then searched among its parts.
 
-Standard library only, because the guard stands on it. Points are (east, north) in metres.
+Standard library only, because the guard is built on it. Points are (east, north) in metres.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from companion.geometry.polygons import (
 )
 
 MAX_CORNERS = 200
-"""Of a fence and its keep-outs together: the guard looks at every edge in every tick."""
+"""Limit for a fence and its keep-outs together: the guard checks every edge in every tick."""
 ROUNDING_M = 1e-6
-"""How much farther in than the margin a point is put, so that rounding cannot undo it."""
+"""Distance that a point is moved beyond the margin, so that rounding cannot undo it."""
 GRAZE_M = 1e-9
-"""A leg that keeps the margin up to this much keeps it: rounding of a leg along a border."""
+"""Tolerance of the margin for a leg along a border: rounding."""
 
 Segment = tuple[Point, Point]
 
 
 class FreeSpace:
-    """Places open to a vehicle: inside a fence, if any, `margin_m` away from every border.
+    """Free space of a vehicle: inside a fence, if any, `margin_m` away from every border.
 
     `also_inside_enu_m` are further polygons that it must be inside of at the same time.
     """
@@ -59,21 +59,21 @@ class FreeSpace:
         first = () if self.fence_enu_m is None else (self.fence_enu_m,)
         self._fences = (*first, *(_with_free_left(each, 1.0) for each in also_inside_enu_m))
         self.borders: tuple[tuple[Point, ...], ...] = self._fences + self.keep_out_enu_m
-        """Every polygon, without repeated corners, with free space to the left of its edges."""
+        """All polygons without repeated corners, oriented so that free space is to the left."""
         self._edges: tuple[Segment, ...] = tuple(
             e for border in self.borders for e in edges(border)
         )
         self._boxed = tuple((edge, _box(edge)) for edge in self._edges)
 
     def allows(self, point: Point) -> bool:
-        """Whether a point is on the allowed side of every border, by the margin; never on one."""
+        """Return True if a point is free of every border by the margin; never on a border."""
         least_m = max(self.margin_m, GRAZE_M)
         if not all(depth_m(fence, point) >= least_m for fence in self._fences):
             return False
         return all(-depth_m(polygon, point) >= least_m for polygon in self.keep_out_enu_m)
 
     def is_clear(self, start: Point, end: Point) -> bool:
-        """Whether the whole straight leg keeps the margin, its ends included."""
+        """Return True if the whole straight leg keeps the margin, its ends included."""
         if not all(contains(fence, start) for fence in self._fences):
             return False
         if any(contains(polygon, start) for polygon in self.keep_out_enu_m):
@@ -84,7 +84,7 @@ class FreeSpace:
         )
 
     def _near(self, start: Point, end: Point, reach_m: float) -> list[Segment]:
-        """Edges whose box is not farther from a leg's than that: few, in all that is flown."""
+        """Return the edges whose bounding box is within reach of a leg's: in practice few."""
         west, east = min(start[0], end[0]) - reach_m, max(start[0], end[0]) + reach_m
         south, north = min(start[1], end[1]) - reach_m, max(start[1], end[1]) + reach_m
         return [
@@ -94,7 +94,7 @@ class FreeSpace:
         ]
 
     def pieces(self, start: Point, end: Point) -> Iterator[Segment]:
-        """What is free of a straight leg, as legs in its direction, the first one first."""
+        """Yield the free parts of a straight leg, in its direction and order."""
         cuts = {0.0, 1.0}
         for share in self._shares(start, end, self.margin_m + GRAZE_M):
             cuts.update(min(max(t, 0.0), 1.0) for t in share)
@@ -102,7 +102,7 @@ class FreeSpace:
             yield between(start, end, low), between(start, end, high)
 
     def nearest_allowed(self, point: Point) -> Point | None:
-        """`point` if it is allowed, otherwise the nearest allowed one; None if there is none."""
+        """Return `point` if it is free, otherwise the nearest free one; None if there is none."""
         if self.allows(point):
             return point
         legs, arcs = self.shore
@@ -113,11 +113,11 @@ class FreeSpace:
 
     @cached_property
     def shore(self) -> tuple[tuple[Segment, ...], tuple[Arc, ...]]:
-        """Where free space ends, a little farther in than the margin; empty if nothing is free."""
+        """Boundary of free space, slightly inside the margin; empty if nothing is free."""
         return tuple(self._moved_edges()), tuple(self._arcs())
 
     def _moved_edges(self) -> Iterator[Segment]:
-        """Of every edge, moved by the margin, what is not too close to another one."""
+        """Yield the parts of the edges, shifted by the margin, that are clear of other edges."""
         keep_m = self.margin_m + 0.5 * ROUNDING_M
         for edge in self._edges:
             start, end = moved_left(*edge, self.margin_m + ROUNDING_M)
@@ -129,7 +129,7 @@ class FreeSpace:
                 clear = max(clear, high)
 
     def _arcs(self) -> Iterator[Arc]:
-        """Of the circles about corners that stick out, what is not too close to another edge."""
+        """Yield the parts of circles about protruding corners that are clear of the other edges."""
         for border in self.borders:
             for index, corner in enumerate(border):
                 before, after = border[index - 1], border[(index + 1) % len(border)]
@@ -143,7 +143,7 @@ class FreeSpace:
             yield Arc(arc.centre, arc.radius_m, arc.first_rad + low, high - low)
 
     def _is_ashore(self, place: Point) -> bool:
-        """As `allows`, but soon known where most are not: a single edge that is near will do."""
+        """Return the result of `allows`, sooner where most points fail: at a single near edge."""
         is_near = (
             math.dist(nearest_on_segment(*edge, place), place) < self.margin_m
             for edge in self._edges
@@ -151,7 +151,7 @@ class FreeSpace:
         return not any(is_near) and self.allows(place)
 
     def _cuts(self, arc: Arc) -> Iterator[float]:
-        """Where an arc comes too close to an edge, or leaves it, in turns along the arc."""
+        """Yield the turns along an arc where it may enter or leave the margin of an edge."""
         keep_m = self.margin_m + 0.5 * ROUNDING_M
         for edge in self._edges:
             away_m = math.dist(nearest_on_segment(*edge, arc.centre), arc.centre)
@@ -162,7 +162,7 @@ class FreeSpace:
                         yield turn_rad
 
     def _shares(self, start: Point, end: Point, radius_m: float) -> Iterator[tuple[float, float]]:
-        """The parts of a leg that are closer to an edge than a radius, as `share_in_capsule`."""
+        """Yield the parts of a leg within a radius of an edge, as from `share_in_capsule`."""
         for edge in self._edges:
             if not are_apart(radius_m, start, end, *edge):
                 share = share_in_capsule(start, end, edge, radius_m)
@@ -172,17 +172,17 @@ class FreeSpace:
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """A part of a circle, counter-clockwise."""
+    """Part of a circle, counter-clockwise."""
 
     centre: Point
     radius_m: float
     first_rad: float
-    """Where it begins, counter-clockwise from east."""
+    """Direction of its beginning, counter-clockwise from east."""
     turn_rad: float
-    """How far it goes from there, less than a whole turn."""
+    """Angle from there to its end, less than a whole turn."""
 
     def at(self, turn_rad: float) -> Point:
-        """The point that a turn from the beginning leads to."""
+        """Return the point at an angle from the beginning."""
         direction_rad = self.first_rad + turn_rad
         return (
             self.centre[0] + self.radius_m * math.cos(direction_rad),
@@ -190,7 +190,7 @@ class Arc:
         )
 
     def nearest(self, point: Point) -> Point:
-        """The point of the arc that is nearest to `point`."""
+        """Return the point of the arc that is nearest to `point`."""
         direction_rad = math.atan2(point[1] - self.centre[1], point[0] - self.centre[0])
         turn_rad = (direction_rad - self.first_rad) % math.tau
         if turn_rad <= self.turn_rad:
@@ -200,7 +200,7 @@ class Arc:
 
 
 def check_corners(polygons: Iterable[Polygon]) -> None:
-    """Refuse, by a `ValueError`, polygons that are too much to look at in every tick."""
+    """Raise `ValueError` for polygons with more corners than can be checked in every tick."""
     count = sum(map(len, polygons))
     if count > MAX_CORNERS:
         raise ValueError(
@@ -210,20 +210,20 @@ def check_corners(polygons: Iterable[Polygon]) -> None:
 
 
 def between(a: Point, b: Point, share: float) -> Point:
-    """The point that lies by a share of the way from `a` to `b`; at 0 and 1 exactly these."""
+    """Return the point at a share of the way from `a` to `b`; at 0 and 1 exactly these."""
     if share == 1.0:
         return b
     return (a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
 
 
 def _box(edge: Segment) -> tuple[float, float, float, float]:
-    """West, east, south and north of an edge."""
+    """Return west, east, south and north of an edge."""
     (e0, n0), (e1, n1) = edge
     return min(e0, e1), max(e0, e1), min(n0, n1), max(n0, n1)
 
 
 def moved_left(start: Point, end: Point, by_m: float) -> Segment:
-    """A segment moved sideways, to the left of its direction."""
+    """Return a segment shifted sideways, to the left of its direction."""
     share = by_m / math.dist(start, end)
     east, north = share * (start[1] - end[1]), share * (end[0] - start[0])
     return (start[0] + east, start[1] + north), (end[0] + east, end[1] + north)
@@ -232,7 +232,7 @@ def moved_left(start: Point, end: Point, by_m: float) -> Segment:
 def share_in_capsule(
     start: Point, end: Point, edge: Segment, radius_m: float
 ) -> tuple[float, float] | None:
-    """The part of a leg that is closer to an edge than a radius, as shares of the leg's line."""
+    """Return the part of a leg within a radius of an edge, as shares of the leg's line, or None."""
     (ae, an), (be, bn) = edge
     length = math.hypot(be - ae, bn - an)
     ue, un = (be - ae) / length, (bn - an) / length
@@ -256,7 +256,7 @@ def share_in_capsule(
 def _share_in_band(
     value: float, slope: float, low: float, high: float
 ) -> tuple[float, float] | None:
-    """Where low <= value + t slope <= high."""
+    """Return the t with low <= value + t slope <= high."""
     if slope == 0.0:
         return (-math.inf, math.inf) if low <= value <= high else None
     first, second = (low - value) / slope, (high - value) / slope
@@ -275,7 +275,7 @@ def _both(
 def _share_in_circle(
     se: float, sn: float, de: float, dn: float, radius_m: float
 ) -> tuple[float, float] | None:
-    """Where (s + t d) is within a radius of zero."""
+    """Return the t with |s + t d| within a radius."""
     a, b, c = de * de + dn * dn, se * de + sn * dn, se * se + sn * sn - radius_m * radius_m
     if a == 0.0:
         return (-math.inf, math.inf) if c <= 0.0 else None
@@ -287,13 +287,13 @@ def _share_in_circle(
 
 
 def _with_free_left(polygon: Polygon, side: float) -> tuple[Point, ...]:
-    """A polygon counter-clockwise (side 1) or clockwise (-1), without repeated corners."""
+    """Return a polygon counter-clockwise (side 1) or clockwise (-1), without repeated corners."""
     corners = tuple(a for a, b in edges(polygon) if a != b)
     return corners if side * signed_area_m2(corners) >= 0.0 else corners[::-1]
 
 
 def _runs(cuts: Sequence[float], is_free: Callable[[float], bool]) -> Iterator[tuple[float, float]]:
-    """Where something is free that changes at cuts only: asked between any two of them."""
+    """Yield the free intervals of a function that changes only at cuts, by testing between them."""
     begun: float | None = None
     for low, high in pairwise(cuts):
         if not is_free(0.5 * (low + high)):
@@ -307,17 +307,17 @@ def _runs(cuts: Sequence[float], is_free: Callable[[float], bool]) -> Iterator[t
 
 
 def _around(before: Point, corner: Point, after: Point, radius_m: float) -> Arc:
-    """The arc about a corner between its edges, on their left; none where that is convex."""
+    """Return the arc about a corner between its edges, on their left; empty where it is convex."""
     incoming = (corner[0] - before[0], corner[1] - before[1])
     outgoing = (after[0] - corner[0], after[1] - corner[1])
     cross = incoming[0] * outgoing[1] - incoming[1] * outgoing[0]
     dot = incoming[0] * outgoing[0] + incoming[1] * outgoing[1]
-    turn_rad = max(0.0, -math.atan2(cross or -0.0, dot))  # a tip without width is a half turn
+    turn_rad = max(0.0, -math.atan2(cross or -0.0, dot))  # a spike of zero width turns by pi
     return Arc(corner, radius_m, math.atan2(outgoing[0], -outgoing[1]), turn_rad)
 
 
 def _directions(arc: Arc, edge: Segment, keep_m: float) -> Iterator[float]:
-    """In which directions from its centre a circle may enter or leave the capsule of an edge."""
+    """Yield the directions from its centre where a circle may cross the capsule of an edge."""
     (ae, an), (be, bn) = edge
     for corner in edge:
         east, north = corner[0] - arc.centre[0], corner[1] - arc.centre[1]
@@ -336,12 +336,12 @@ def _directions(arc: Arc, edge: Segment, keep_m: float) -> Iterator[float]:
 
 
 def leashed(start: Point, goal: Point, home: Point, reach_m: float) -> Point:
-    """The farthest point of a straight way within reach of home, or nearer to it than the start."""
+    """Return the farthest point towards a goal within reach of home, or nearer than the start."""
     radius_m = max(reach_m, math.dist(start, home))
     de, dn = goal[0] - start[0], goal[1] - start[1]
     he, hn = start[0] - home[0], start[1] - home[1]
     a, b = de * de + dn * dn, de * he + dn * hn
-    if a == 0.0 or math.dist(goal, home) <= radius_m:  # a: less than a square can tell
+    if a == 0.0 or math.dist(goal, home) <= radius_m:  # a: below the resolution of squares
         return goal
     left_m2 = radius_m * radius_m - he * he - hn * hn
     return between(start, goal, (math.sqrt(b * b + a * max(0.0, left_m2)) - b) / a)

@@ -1,6 +1,6 @@
 """Simple polygons and confidence ellipses in the horizontal plane.
 
-Standard library only, because the guard stands on it. Points are (east, north) in metres; a
+Standard library only, because the guard is built on it. Points are (east, north) in metres; a
 polygon is a sequence of at least three corners, not closed, in either direction, convex or not.
 """
 
@@ -16,19 +16,19 @@ Polygon = Sequence[Point]
 Corners = tuple[Point, ...]
 
 FARTHEST_M = 1e6
-"""Farther from the origin a local frame means nothing."""
+"""Largest coordinate of a local frame."""
 TOUCH_M = 1e-3
-"""Edges of one polygon that come closer touch: no file and no autopilot tells places as finely."""
+"""Distance below which edges of one polygon touch: no file or autopilot resolves less."""
 
 
 def edges(polygon: Polygon) -> Iterator[tuple[Point, Point]]:
-    """Every edge as (start, end), the closing one included."""
+    """Yield every edge as (start, end), the closing one included."""
     for index, start in enumerate(polygon):
         yield start, polygon[(index + 1) % len(polygon)]
 
 
 def contains(polygon: Polygon, point: Point) -> bool:
-    """Whether `point` is inside, by the crossing number; the border itself may be either."""
+    """Return True if `point` is inside, by the crossing number; either on the border itself."""
     east, north = point
     inside = False
     e0, n0 = polygon[-1]
@@ -40,7 +40,7 @@ def contains(polygon: Polygon, point: Point) -> bool:
 
 
 def nearest_on_segment(start: Point, end: Point, point: Point) -> Point:
-    """The point of the segment that is nearest to `point`."""
+    """Return the point of the segment that is nearest to `point`."""
     de, dn = end[0] - start[0], end[1] - start[1]
     length2 = de * de + dn * dn
     if length2 == 0.0:
@@ -54,7 +54,7 @@ def nearest_on_segment(start: Point, end: Point, point: Point) -> Point:
 
 
 def distance_to_border_m(polygon: Polygon, point: Point) -> float:
-    """Distance to the nearest edge, metres, whether inside or outside."""
+    """Return the distance to the nearest edge, metres, from inside or outside."""
     least_m = math.inf
     start = polygon[-1]
     for end in polygon:
@@ -66,23 +66,23 @@ def distance_to_border_m(polygon: Polygon, point: Point) -> float:
 
 
 def depth_m(polygon: Polygon, point: Point) -> float:
-    """Distance to the border, positive inside and negative outside."""
+    """Return the distance to the border, positive inside and negative outside."""
     distance = distance_to_border_m(polygon, point)
     return distance if contains(polygon, point) else -distance
 
 
 def segments_cross(a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
-    """Whether two segments share a point in the inside of both (touching ends do not count)."""
+    """Return True if two segments intersect in the interior of both (touching ends do not)."""
 
     def side(p: Point, q: Point, r: Point) -> float:
-        """On which side of p q the point r is: positive on the left."""
+        """Return a number that is positive if r is to the left of p q, negative to the right."""
         return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
 
     return side(a0, a1, b0) * side(a0, a1, b1) < 0.0 and side(b0, b1, a0) * side(b0, b1, a1) < 0.0
 
 
 def are_apart(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
-    """Whether two segments are surely not closer than a distance: their boxes are not."""
+    """Return True if the bounding boxes of two segments are farther apart than a distance."""
     return (
         min(a0[0], a1[0]) - reach_m > max(b0[0], b1[0])
         or max(a0[0], a1[0]) + reach_m < min(b0[0], b1[0])
@@ -92,7 +92,7 @@ def are_apart(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> boo
 
 
 def are_within(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bool:
-    """Whether two segments come closer to each other than a distance."""
+    """Return True if two segments come closer to each other than a distance."""
     if are_apart(reach_m, a0, a1, b0, b1):
         return False
     if segments_cross(a0, a1, b0, b1):
@@ -106,26 +106,26 @@ def are_within(reach_m: float, a0: Point, a1: Point, b0: Point, b1: Point) -> bo
 
 
 def is_simple(polygon: Polygon) -> bool:
-    """Whether no edge crosses or touches another one, but the next one at their corner.
+    """Return True if no edge crosses or touches another one except its neighbour at their corner.
 
-    A corner that is given again at once is none. Where edges touch otherwise, crossings and turns
-    no longer tell the inside: a ring that is given twice has none.
+    Repeated corners count once. Where edges touch otherwise, crossing number and orientation no
+    longer define the inside: a ring that is traversed twice has none.
     """
     corners = [a for a, b in edges(polygon) if math.dist(a, b) > TOUCH_M]
     if len(corners) <= 3:
-        return True  # whether they enclose anything is told by their area
+        return True  # their area decides whether they enclose anything
     sides = list(edges(corners))
     last = len(sides) - 1
     return not any(
         are_within(TOUCH_M, *sides[i], *sides[j])
         for i in range(last)
         for j in range(i + 2, last + 1)
-        if (i, j) != (0, last)  # neighbours; one that folds back meets the one after the next
+        if (i, j) != (0, last)  # neighbours at the closing corner
     )
 
 
 def polygon_problem(polygon: Polygon, least_m2: float) -> str | None:
-    """Why a polygon does not enclose at least an area, or None; what follows its name."""
+    """Return why a polygon does not enclose at least an area, to follow its name, or None."""
     if len(polygon) < 3:
         return "needs at least 3 corners"
     if not all(math.isfinite(value) for corner in polygon for value in corner):
@@ -138,24 +138,24 @@ def polygon_problem(polygon: Polygon, least_m2: float) -> str | None:
 
 
 def check_polygon(name: str, polygon: Polygon, least_m2: float) -> None:
-    """Refuse, by a `ValueError`, a polygon with a `polygon_problem`; the text calls it `name`."""
+    """Raise `ValueError` for a polygon with a `polygon_problem`; the text calls it `name`."""
     problem = polygon_problem(polygon, least_m2)
     if problem is not None:
         raise ValueError(f"a {name} {problem}")
 
 
 def signed_area_m2(polygon: Polygon) -> float:
-    """Enclosed area, square metres, positive if counter-clockwise (shoelace formula)."""
+    """Return the enclosed area, square metres, positive if counter-clockwise (shoelace formula)."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in edges(polygon)) / 2.0
 
 
 def area_m2(polygon: Polygon) -> float:
-    """Enclosed area, square metres, never negative."""
+    """Return the enclosed area, square metres, never negative."""
     return abs(signed_area_m2(polygon))
 
 
 def deepest_point(polygon: Polygon, cells: int = 24) -> Point:
-    """A point about as far inside as the polygon allows, found on a grid of its bounding box."""
+    """Return a point about as far inside as possible, from a grid of the bounding box."""
     easts, norths = [p[0] for p in polygon], [p[1] for p in polygon]
     candidates = (
         (
@@ -176,7 +176,7 @@ CHI2_95_TWO = 5.991464547107979
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """An ellipse about a point in local east and north."""
+    """Ellipse about a point in local east and north."""
 
     centre_enu_m: Point
     semi_major_m: float
@@ -185,7 +185,7 @@ class Ellipse:
     """Direction of the major axis, counter-clockwise from east, in (-pi/2, pi/2]."""
 
     def corners_enu_m(self, count: int = 48) -> tuple[Point, ...]:
-        """Points along the ellipse, 3 at least, counter-clockwise, the first one not repeated."""
+        """Return points along the ellipse, 3 at least, counter-clockwise, without repetition."""
         along, across = math.cos(self.major_enu_rad), math.sin(self.major_enu_rad)
         corners = []
         for index in range(max(3, count)):
@@ -199,7 +199,7 @@ class Ellipse:
 
 
 def ellipse_95(centre_enu_m: Point, covariance_m2: Covariance) -> Ellipse:
-    """The ellipse that holds 95 % of a plane normal; an axis below zero by rounding is zero."""
+    """Return the ellipse that holds 95 % of a plane normal; negative variances count as zero."""
     (east, cross), (_, north) = covariance_m2
     middle, half = 0.5 * (east + north), 0.5 * (east - north)
     reach = math.hypot(half, cross)

@@ -1,13 +1,13 @@
-"""The shortest way through free space, as straight legs.
+"""Shortest paths through free space, as straight legs.
 
-Theory of operation. A shortest way among polygons turns only where free space is not convex: at
+Theory of operation. A shortest path among polygons turns only where free space is not convex: at
 the corners of keep-outs and at the inward corners of a fence. With a margin such a corner is an
 arc; legs go around it along the polygon about that arc, so a corner gives one or more nodes. The
-legs that are clear between nodes make the graph, found when first needed and then kept, and A*
-with the straight distance searches it. A clear straight leg needs no graph at all.
+clear legs between nodes form the graph, computed on demand and cached, and A* with the straight
+distance searches it. A clear straight leg needs no graph at all.
 
-Going about an arc instead of along it gives away at most 8 % of the margin, so a gap narrower than
-that beyond twice the margin may count as closed.
+Going about an arc instead of along it costs at most 8 % of the margin, so a gap narrower than that
+beyond twice the margin may count as closed.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from companion.geometry.obstacles import FreeSpace
 from companion.geometry.polygons import Point
 
 ARC_STEP_RAD = math.pi / 4.0
-"""How much of an arc one node may go around: 1 / cos(22.5 deg) is the 8 % above."""
+"""Largest part of an arc around one node: 1 / cos(22.5 deg) is the 8 % above."""
 NODE_SLACK_M = 1e-6
-"""How much farther out than the margin nodes are, so that rounding does not block their legs."""
+"""Distance of nodes beyond the margin, so that rounding does not block their legs."""
 START, GOAL = -1, -2
+"""Indices of the start and the goal in the graph."""
 
 
 class WayFinder:
-    """Finds ways through one free space."""
+    """Path finder through one free space."""
 
     def __init__(self, space: FreeSpace) -> None:
         self.space = space
@@ -40,7 +41,7 @@ class WayFinder:
         self._legs: dict[int, tuple[tuple[int, float], ...]] = {}
 
     def way(self, start: Point, goal: Point) -> tuple[Point, ...] | None:
-        """The corners of the shortest way and its goal, or None if there is no way."""
+        """Return the corners of the shortest path and its goal, or None if there is no path."""
         if self.space.is_clear(start, goal):
             return (goal,)
         arrived: dict[int, int] = {}
@@ -83,7 +84,7 @@ class WayFinder:
 
 
 def _corner_nodes(border: tuple[Point, ...], radius_m: float) -> Iterator[Point]:
-    """Nodes about corners that stick out to the left; legs between them do not cut the arcs."""
+    """Yield nodes about corners that protrude to the left; legs between them avoid the arcs."""
     for index, corner in enumerate(border):
         before, after = border[index - 1], border[(index + 1) % len(border)]
         incoming = (corner[0] - before[0], corner[1] - before[1])

@@ -1,4 +1,4 @@
-"""The tiles of the usual web map: spherical Mercator, `z/x/y` counted from the north-west.
+"""Tiles of the usual web map: spherical Mercator, `z/x/y` counted from the north-west.
 
 Source: OpenStreetMap wiki, "Slippy map tilenames".
 """
@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 
 LATITUDES_DEG = 85.0
-"""A little less than where the square map ends."""
+"""Largest latitude used, slightly inside the edge of the square map."""
 Degrees = tuple[float, float]
 """Latitude and longitude."""
 
 
 def tile_at(place: Degrees, zoom: int) -> tuple[int, int]:
-    """Return x and y of the tile that has a place in it."""
+    """Return x and y of the tile that contains a position."""
     count = 2**zoom
     latitude_rad = math.radians(max(-LATITUDES_DEG, min(LATITUDES_DEG, place[0])))
     x = (place[1] + 180.0) / 360.0 * count

@@ -1,8 +1,8 @@
-"""For whom a frame is, read from its bytes, which a router need not decode or believe.
+"""Target ids of a frame, read from its bytes: a router need neither decode nor trust it.
 
-And TIMESYNC with the two target fields, MISSION_CURRENT with the plans' ids, which pymavlink's
-dialects do not have: they are extensions behind the other fields, so a receiver that does not know
-them reads the same message.
+Also TIMESYNC with the two target fields and MISSION_CURRENT with the plans' ids, which pymavlink's
+dialects lack: they are extensions behind the other fields, so a receiver that does not know them
+reads the same message.
 
 Source: MAVLink common, TIMESYNC and MISSION_CURRENT; MAVLink developer guide, "Routing" and
 "Serialization".
@@ -18,11 +18,11 @@ from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, SIGNATURE_LENGTH, m
 from companion.mav.signing import is_signed
 
 TARGETS_AT = 16
-"""Where the target fields are in the payload."""
+"""Offset of TIMESYNC's target fields in the payload."""
 
 
 class TargetedTimesync(mavlink.MAVLink_timesync_message):
-    """A TIMESYNC for one component."""
+    """TIMESYNC for one component."""
 
     def __init__(self, tc1: int, ts1: int, target_system: int, target_component: int) -> None:
         super().__init__(tc1, ts1)
@@ -30,7 +30,7 @@ class TargetedTimesync(mavlink.MAVLink_timesync_message):
         self.target_component = target_component
 
     def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """The frame's bytes; MAVLink 1 has no room for the targets and leaves them out."""
+        """Return the frame's bytes; MAVLink 1 has no extensions and omits the targets."""
         payload = self.unpacker.pack(self.tc1, self.ts1)
         if not force_mavlink1:
             payload += bytes((self.target_system, self.target_component))
@@ -38,9 +38,9 @@ class TargetedTimesync(mavlink.MAVLink_timesync_message):
 
 
 class IdentifiedMissionCurrent(mavlink.MAVLink_mission_current_message):
-    """A MISSION_CURRENT with the ids of mission, fence and rally points, which are extensions too.
+    """MISSION_CURRENT with the extension fields for the ids of mission, fence and rally points.
 
-    An id of 0 is that of no plan, or of an autopilot that gives none.
+    An id of 0 means no plan, or an autopilot that does not support ids.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class IdentifiedMissionCurrent(mavlink.MAVLink_mission_current_message):
         self.plan_ids = plan_ids
 
     def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """The frame's bytes; MAVLink 1 has no room for the ids and leaves them out."""
+        """Return the frame's bytes; MAVLink 1 has no extensions and omits the ids."""
         fields = [getattr(self, name) for name in self.ordered_fieldnames]
         payload = self.unpacker.pack(*fields)
         if not force_mavlink1:
@@ -60,18 +60,18 @@ class IdentifiedMissionCurrent(mavlink.MAVLink_mission_current_message):
 
 _PLAN_IDS = struct.Struct("<III")
 PLAN_IDS_AT = 6
-"""Where they are in the payload of a MISSION_CURRENT."""
+"""Offset of the plan ids in the payload of MISSION_CURRENT."""
 
 
 def fence_id_of(frame: bytes) -> int:
-    """MISSION_CURRENT.fence_id of a whole frame; 0: no fence, or an autopilot that gives no ids."""
+    """Return MISSION_CURRENT.fence_id of a whole frame; 0: no fence, or ids are not supported."""
     payload = payload_of(frame).ljust(PLAN_IDS_AT + _PLAN_IDS.size, b"\0")
     fence_id: int = _PLAN_IDS.unpack_from(payload, PLAN_IDS_AT)[1]
     return fence_id
 
 
 def payload_of(frame: bytes) -> bytes:
-    """The payload of one whole frame as it was on the wire, cut zeros and all."""
+    """Return the payload of one whole frame as on the wire, trailing zeros truncated."""
     end = len(frame) - CRC_LENGTH - (SIGNATURE_LENGTH if is_signed(frame) else 0)
     return frame[HEADER_LENGTH[frame[0]] : end]
 
@@ -80,19 +80,19 @@ EVERYONE = (0, 0)
 
 
 class Targeted(Protocol):
-    """A message that names whom it is for."""
+    """Message with target fields."""
 
     target_system: int
     target_component: int
 
 
 def is_for(message: Targeted, own: tuple[int, int]) -> bool:
-    """Whether a message is for a system and component, or for all of them."""
+    """Return True if a message is for a system and component, or broadcast to them."""
     return message.target_system in (0, own[0]) and message.target_component in (0, own[1])
 
 
 def _offsets() -> dict[int, tuple[int, int | None]]:
-    """Where target system and component are in the payload of each message that has them."""
+    """Return the offsets of target system and component in the payload, by message id."""
     offsets: dict[int, tuple[int, int | None]] = {}
     for number, kind in mavlink.mavlink_map.items():
         places: dict[str, int] = {}
@@ -116,22 +116,22 @@ _OFFSETS = _offsets()
 
 
 def targets_of_frame(frame: bytes) -> tuple[int, int]:
-    """Target system and component of a whole frame; 0 where it names none, or is unknown."""
+    """Return target system and component of a whole frame; 0 without a target, or unknown."""
     offsets = _OFFSETS.get(message_id(frame))
     if offsets is None:
         return EVERYONE
     start, length = HEADER_LENGTH[frame[0]], frame[1]
 
     def byte(offset: int | None) -> int:
-        """A byte of the payload; 0 where it was cut or is not there."""
-        # zeros at the end of a payload are cut in MAVLink 2
+        """Return a byte of the payload; 0 where it was truncated or does not exist."""
+        # MAVLink 2 truncates zeros at the end of a payload
         return 0 if offset is None or offset >= length else frame[start + offset]
 
     return byte(offsets[0]), byte(offsets[1])
 
 
 def boot_ms_of(frame: bytes) -> int | None:
-    """SYSTEM_TIME.time_boot_ms of a whole frame; None of any other message."""
+    """Return SYSTEM_TIME.time_boot_ms of a whole frame; None for any other message."""
     if message_id(frame) != mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
         return None
     return int.from_bytes(payload_of(frame).ljust(12, b"\0")[8:12], "little")

@@ -1,13 +1,13 @@
-"""Bytes to messages and back: one codec per link.
+"""Codec of one link: bytes to messages and back.
 
-Framing, the CRC check and the sequence number are ours (`pack` does not advance it, and pymavlink's
-own parser loses the good frame behind a truncated one), and so are signatures: a frame is verified
-before pymavlink sees it. Nothing that a peer sends raises out of here.
+Framing, the CRC check and the sequence number are done here (`pack` does not advance it, and
+pymavlink's own parser loses the good frame behind a truncated one), and so are signatures: a frame
+is verified before pymavlink sees it. No input from a peer raises an exception.
 
-Plain messages, those without arrays and texts, which is what streams are made of, are packed and
-unpacked here, too: by a precompiled layout and one attribute getter, because pymavlink's general
-way takes most of the time of a link. The others are left to pymavlink, and a test compares both
-for every message of the dialect.
+Plain messages, those without arrays and texts, which streams consist of, are also packed and
+unpacked here: by a precompiled layout and one attribute getter, because pymavlink's general path
+takes most of the time of a link. The others are left to pymavlink, and a test compares both for
+every message of the dialect.
 
 Source: MAVLink developer guide, "Packet Serialization".
 """
@@ -33,20 +33,20 @@ _HEADER_SIZE = HEADER_LENGTH[MAGIC_V2]
 
 
 class _Layout(NamedTuple):
-    """How a plain message lies on the wire."""
+    """Layout of a plain message on the wire."""
 
     message_class: type[Message]
     fields: struct.Struct
     values_of: Callable[[Any], tuple[float, ...]]
-    """The fields' values in the order of the wire."""
+    """Getter of the fields' values in wire order."""
     order: tuple[int, ...] | None
-    """Places on the wire in the constructor's order; None: the same."""
+    """Wire indices of the constructor's arguments; None: the same order."""
     crc_extra: bytes
 
 
 @lru_cache(maxsize=1024)
 def _layout_of(number: int) -> _Layout | None:
-    """The layout of a message id; None if it is unknown or not plain."""
+    """Return the layout of a message id; None if it is unknown or not plain."""
     kind = mavlink.mavlink_map.get(number)
     if kind is None or any(kind.array_lengths) or len(kind.ordered_fieldnames) < 2:
         return None
@@ -61,11 +61,11 @@ def _layout_of(number: int) -> _Layout | None:
 
 
 def pack_plain(message: Message, sequence: int, system_id: int, component_id: int) -> bytes | None:
-    """The unsigned MAVLink 2 frame of a plain message whose fields fit; None if it is not plain."""
-    number = message.get_msgId()  # not `id`, which is a field of some
+    """Return the unsigned MAVLink 2 frame of a plain message whose fields fit; None: not plain."""
+    number = message.get_msgId()  # not `id`, which is a field of some messages
     layout = _layout_of(number)
     if layout is None or type(message) is not layout.message_class:
-        return None  # a class of somebody's own may pack itself differently
+        return None  # a derived class may pack itself differently
     payload = layout.fields.pack(*layout.values_of(message))
     payload = payload.rstrip(b"\0") or payload[:1]
     identity = (sequence, system_id, component_id)
@@ -75,7 +75,7 @@ def pack_plain(message: Message, sequence: int, system_id: int, component_id: in
 
 
 def unpack_plain(frame: bytes) -> Message | None:
-    """The message of an unsigned MAVLink 2 frame; None if it is not plain, or not all right."""
+    """Return the message of an unsigned MAVLink 2 frame; None if it is not plain, or invalid."""
     if len(frame) < _HEADER_SIZE + CRC_LENGTH or frame[0] != MAGIC_V2 or frame[2]:
         return None
     _, length, _, compat_flags, sequence, system_id, component_id, low, high = _HEADER.unpack_from(
@@ -95,9 +95,9 @@ def unpack_plain(frame: bytes) -> Message | None:
     order = layout.order
     message = layout.message_class(*(values if order is None else [values[n] for n in order]))
     message._msgbuf = bytearray(frame)
-    message._payload = message._msgbuf[6:-CRC_LENGTH]  # as pymavlink has it
+    message._payload = message._msgbuf[6:-CRC_LENGTH]  # as in pymavlink
     message._crc = crc
-    header = message._header  # the constructor made it, with the number in it
+    header = message._header  # created by the constructor with the message id
     header.mlen, header.compat_flags, header.seq = length, compat_flags, sequence
     header.srcSystem, header.srcComponent = system_id, component_id
     return message
@@ -111,7 +111,7 @@ MAX_MAVLINK1_ID = 255
 
 
 class MavCodec:
-    """Encodes with one identity (ids 1 to 255) and decodes one link, both with `signing` if any."""
+    """Codec with one identity (ids 1 to 255) for one link, with `signing` if any."""
 
     def __init__(
         self, system_id: int, component_id: int, signing: LinkSigning | None = None
@@ -119,26 +119,27 @@ class MavCodec:
         self.system_id = system_id
         self.component_id = component_id
         self.signing = signing
-        """May be replaced, when a key is set up or taken away."""
+        """May be replaced when a key is set up or removed."""
         self.splitter = FrameSplitter(CRC_EXTRA_BY_ID)
         self.counters = self.splitter.counters
         self.undecodable = 0
-        """Frames with a good CRC whose payload pymavlink refused."""
+        """Frames with a good CRC whose payload pymavlink rejected."""
         self.unproved = 0
-        """Frames with a good CRC that signing refused."""
+        """Frames with a good CRC that signing rejected."""
         self._mav = mavlink.MAVLink(None)
 
     def unsigned_copy(self) -> MavCodec:
-        """A codec of the same identity that goes on from the same sequence number, unsigned."""
+        """Return an unsigned codec of the same identity and sequence number."""
         other = MavCodec(self.system_id, self.component_id)
         other._mav.seq = self._mav.seq
         return other
 
     def encode(self, message: Message, *, is_mavlink1: bool = False) -> bytes:
-        """The frame of `message`, with the link's next sequence number, signed if signing is on.
+        """Return the frame of `message`, with the next sequence number, signed if configured.
 
-        MAVLink 1 is for peers without MAVLink 2. A `LocalProtocolError` if a field does not fit its
-        type on the wire, or the frame has no form in MAVLink 1 (an id over 255, or a signature).
+        MAVLink 1 is for peers without MAVLink 2. Raises `LocalProtocolError` if a field does not
+        fit its type on the wire, or the frame has no form in MAVLink 1 (an id over 255, or a
+        signature).
         """
         if is_mavlink1 and (message.get_msgId() > MAX_MAVLINK1_ID or self.signing is not None):
             raise LocalProtocolError(f"{message.get_type()} cannot be sent in MAVLink 1")
@@ -148,35 +149,37 @@ class MavCodec:
             frame = None if is_mavlink1 else pack_plain(message, mav.seq, *own)
             if frame is None:
                 frame = bytes(message.pack(mav, force_mavlink1=is_mavlink1))
-        except Exception as error:  # struct.error, TypeError, OverflowError: always our mistake
+        except (
+            Exception
+        ) as error:  # struct.error, TypeError, OverflowError: always the caller's mistake
             raise LocalProtocolError(f"{message.get_type()} cannot be packed: {error}") from error
         mav.seq = (mav.seq + 1) % 256
         return frame if self.signing is None else self.signing.sign(frame, CRC_EXTRA_BY_ID)
 
     def decode(self, data: bytes, *, is_datagram: bool = True) -> list[Message]:
-        """The messages completed by `data`; bad bytes are counted, never raised."""
+        """Return the messages completed by `data`; bad bytes are counted, never raised."""
         frames = self.splitter.split(data, is_datagram=is_datagram)
         messages = [self.decode_frame(frame) for frame in frames]
         return [message for message in messages if message is not None]
 
     def decode_frame(self, frame: bytes) -> Message | None:
-        """The message of one whole frame; None, and counted, if it is refused."""
+        """Return the message of one whole frame; None, and counted, if it is rejected."""
         return self.decode_proved(frame) if self.proves(frame) else None
 
     def proves(self, frame: bytes) -> bool:
-        """Whether signing, if it is on, lets one whole frame in; refusals are counted."""
+        """Return True if signing, if configured, accepts one whole frame; count rejections."""
         if self.signing is None or self.signing.accepts(frame):
             return True
         self.unproved += 1
         return False
 
     def decode_proved(self, frame: bytes) -> Message | None:
-        """The message of a frame that was let in; None, and counted, if it cannot be decoded."""
+        """Return the message of an accepted frame; None, and counted, if it cannot be decoded."""
         message = unpack_plain(frame)
         if message is not None:
             return message
         try:
             return self._mav.decode(bytearray(frame))
-        except Exception:  # MAVError, UnicodeDecodeError: whatever a payload provokes
+        except Exception:  # MAVError, UnicodeDecodeError and others, by payload
             self.undecodable += 1
             return None

@@ -1,11 +1,11 @@
-"""The only import of pymavlink: the generated dialect, with more messages registered in it.
+"""Dialect: the only import of pymavlink, with more messages registered in it.
 
-Everyone else takes message classes and enum values from here. `development` is the dialect that
-holds RANGING_BEACON (513) beside all of `common`. Added are RADIO_RANGING and TARGET_ESTIMATE,
-which are ours (`radio_ranging.xml`: change the XML and this file together), ArduPilot's
-EKF_STATUS_REPORT, and COMMAND_CANCEL, which pymavlink 2.4.50 does not have. They follow the
-protocol of pymavlink's generated classes, so that the generated codec packs and decodes them; tests
-compare them with what mavgen makes.
+All other modules take message classes and enum values from here. `development` is the dialect that
+holds RANGING_BEACON (513) beside all of `common`. Added are our RADIO_RANGING and TARGET_ESTIMATE
+(`radio_ranging.xml`: change the XML and this file together), ArduPilot's EKF_STATUS_REPORT, and
+COMMAND_CANCEL, which pymavlink 2.4.50 lacks. They follow the protocol of pymavlink's generated
+classes, so that the generated codec packs and decodes them; tests compare them with mavgen's
+output.
 
 Source: MAVLink developer guide, "Serialization" (order of fields); MAVLink common,
 POSITION_TARGET_TYPEMASK and COMMAND_CANCEL; ArduPilot dialect, EKF_STATUS_REPORT.
@@ -36,7 +36,7 @@ _NONE: Mapping[str, str] = MappingProxyType({})
 
 @dataclass_transform()
 class DeclaredMessage(mavlink.MAVLink_message):
-    """A message class made from the fields that its body declares, in the order of the XML."""
+    """Message class generated from the fields that its body declares, in the order of the XML."""
 
     def __init_subclass__(
         cls,
@@ -82,7 +82,7 @@ class DeclaredMessage(mavlink.MAVLink_message):
         self.__dict__.update(zip(self.fieldnames, values, strict=False), **named)
 
     def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """The frame's bytes, with `mav`'s ids and sequence number (which it does not advance)."""
+        """Return the frame's bytes, with `mav`'s ids and sequence number (not advanced)."""
         payload = self.unpacker.pack(*(getattr(self, name) for name in self.ordered_fieldnames))
         return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
 
@@ -90,7 +90,7 @@ class DeclaredMessage(mavlink.MAVLink_message):
 class MAVLink_command_cancel_message(
     DeclaredMessage, number=80, crc_extra=14, enums={"command": "MAV_CMD"}
 ):
-    """Ends a long-running command; its ACK, with CANCELLED, is the original command's."""
+    """Request to end a long-running command; its ACK, with CANCELLED, is the original command's."""
 
     target_system: Uint8
     target_component: Uint8
@@ -123,7 +123,7 @@ class RangingFlag(IntFlag):
     LINE_OF_SIGHT = 2
     NON_LINE_OF_SIGHT = 4
     ARRAY_ANGLE = 8
-    """Arcsines of components, as a line or two-axis array prints them; no azimuth."""
+    """Angles are arcsines of components, as from a line or two-axis array; no azimuth."""
 
 
 class MAVLink_radio_ranging_message(
@@ -138,7 +138,7 @@ class MAVLink_radio_ranging_message(
         "quality": "%",
     },
 ):
-    """One answer of a radio emitter: slant range, bearing, or both; NaN means not measured."""
+    """Response of a radio emitter: slant range, bearing, or both; NaN: not measured."""
 
     time_usec: Uint64
     range: Float
@@ -156,7 +156,7 @@ INT32_UNKNOWN = 0x7FFFFFFF
 
 
 class TargetState(IntEnum):
-    """TARGET_ESTIMATE.state."""
+    """Values of TARGET_ESTIMATE.state."""
 
     SEARCHING = 0
     AMBIGUOUS = 1
@@ -179,7 +179,7 @@ class MAVLink_target_estimate_message(
         "bearing_offset": "rad",
     },
 ):
-    """Where an emitter is believed to be, with the whole covariance; NaN means not known.
+    """Estimated position of an emitter with its covariance; NaN: unknown.
 
     The last three are extensions: 0 from a sender that does not have them.
     """
@@ -208,7 +208,7 @@ class MAVLink_target_estimate_message(
 
 
 def result_words(enum: str, value: int, prefix: str) -> str:
-    """A result in words, without the prefix of its enum's names: `temporarily rejected`."""
+    """Return a result in words, without the prefix of its enum: `temporarily rejected`."""
     entry = mavlink.enums[enum].get(value)
     name = f"result {value}" if entry is None else str(entry.name)
     return name.removeprefix(prefix).lower().replace("_", " ")

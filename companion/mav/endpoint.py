@@ -1,7 +1,7 @@
-"""The sans-IO interface between a MAVLink participant and the shell that owns its sockets.
+"""Sans-IO interface between a MAVLink participant and the shell that owns its sockets.
 
-A shell stamps the time once per wake-up and passes it in; an endpoint never asks for it. The
-companion and the simulator are both endpoints, so one shell drives either, and a test joins them
+A shell reads the time once per wake-up and passes it in; an endpoint never reads a clock. The
+companion and the simulator are both endpoints, so one shell drives either, and a test connects them
 in memory without any.
 """
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 TICK_S = 0.05
+"""Period of a control tick, seconds: setpoints are sent at 20 Hz."""
 Address = tuple[str, int]
 """Host and port of a UDP peer."""
 
@@ -20,49 +21,49 @@ class Chunk:
     """Bytes to or from a link."""
 
     link: int
-    """Index of the link, in the order the shell was given them."""
+    """Index of the link, in the shell's order."""
     data: bytes
-    """Without any, from one of several clients of a TCP port: that one has gone."""
+    """Empty from one of several clients of a TCP port: that client has disconnected."""
     peer: Address | None = None
-    """Who sent it; on the way out, None means whomever the link talks to by default."""
+    """Sender; on the way out, None means the link's default peers."""
     except_peers: frozenset[Address] = frozenset()
-    """On the way out, without a peer: everyone but these."""
+    """Peers that are left out, on the way out without a peer."""
     is_datagram: bool = True
     """False on serial and TCP links, where a chunk may hold any part of a frame."""
     is_droppable: bool = False
-    """On the way out: given up first where a line is too slow for all of it."""
+    """True: on the way out, dropped first where a line is too slow."""
 
     def readdressed(self, link: int, peer: Address | None) -> Chunk:
-        """The same bytes on another link, to another peer."""
+        """Return the same bytes on another link, to another peer."""
         but = self.except_peers
         return Chunk(link, self.data, peer, but, self.is_datagram, self.is_droppable)
 
 
 class Endpoint(Protocol):
-    """One MAVLink participant, without sockets or clocks."""
+    """MAVLink participant without sockets or clocks."""
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived on a link."""
+        """Take in bytes that arrived on a link."""
 
     def handle_timer(self, now_s: float) -> None:
-        """Do what is due; called at `next_timer_s` or later."""
+        """Run what is due; called at `next_timer_s` or later."""
 
     def next_timer_s(self) -> float:
-        """When `handle_timer` wants to be called next."""
+        """Return the time of the next call of `handle_timer`."""
 
     def take_output(self) -> list[Chunk]:
-        """What is to be sent, in order; taken once."""
+        """Return the chunks to be sent, in order; each is returned once."""
 
     def request_stop(self, now_s: float) -> None:
-        """Begin an orderly end (SIGTERM, SIGINT)."""
+        """Begin an orderly shutdown (SIGTERM, SIGINT)."""
 
     @property
     def is_finished(self) -> bool:
-        """Whether the shell may close the links."""
+        """True if the shell may close the links."""
 
 
 class OneShotEndpoint:
-    """An `Endpoint` that looks again every tick, until its time is over or it is asked to end."""
+    """`Endpoint` that runs every tick until its time is over or it is stopped."""
 
     def __init__(self, duration_s: float | None, tick_s: float = TICK_S) -> None:
         self.now_s = 0.0
@@ -73,30 +74,30 @@ class OneShotEndpoint:
         self._output: list[Chunk] = []
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived."""
+        """Take in bytes that arrived."""
         del chunk
         self.now_s = now_s
 
     def handle_timer(self, now_s: float) -> None:
-        """Do what is due."""
+        """Run what is due."""
         self.now_s, self._next_s = now_s, now_s + self._tick_s
 
     def next_timer_s(self) -> float:
-        """When to look again."""
+        """Return the time of the next tick."""
         return self._next_s
 
     def take_output(self) -> list[Chunk]:
-        """What is to be sent; taken once."""
+        """Return the chunks to be sent; each is returned once."""
         output, self._output = self._output, []
         return output
 
     def request_stop(self, now_s: float) -> None:
-        """End at once, with what is known."""
+        """Stop at once with the results so far."""
         del now_s
         self._is_stopped = True
 
     @property
     def is_finished(self) -> bool:
-        """Whether it was asked to end, or the time is over."""
+        """True if it was stopped, or its time is over."""
         is_over = self._duration_s is not None and self.now_s >= self._duration_s
         return self._is_stopped or is_over

@@ -1,10 +1,10 @@
-"""Flight modes on the wire by autopilot and class of vehicle, and which HEARTBEAT is a vehicle's.
+"""Flight modes on the wire by autopilot and vehicle class, and the HEARTBEATs of vehicles.
 
 PX4 packs `main << 16 | sub << 24` into HEARTBEAT.custom_mode, the same for every class (PX4
-`px4_custom_mode.h`). ArduPilot sends a number that each of its firmwares counts for itself: 4 is
+`px4_custom_mode.h`). ArduPilot sends a number that each of its firmwares defines for itself: 4 is
 GUIDED on Copter and ACRO on Plane, where 17, Copter's BRAKE, is QSTABILIZE (ArduPilot `mode.h` of
-each vehicle; the names are those of the ardupilotmega dialect). So a number means a mode only
-together with HEARTBEAT.type, and of a class that is not flown no mode is known as ours.
+each vehicle; the names are those of the ardupilotmega dialect). So a number identifies a mode only
+together with HEARTBEAT.type, and for a class that is not supported every mode is unknown.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ PX4_MAIN_AND_SUB: dict[FlightMode, tuple[int, int]] = {
 }
 
 OFFBOARD_NUMBER = 30
-"""The number that all ArduPilot vehicles reserve for an external controller's mode; Copter has none
-by itself, a script may register one, which flies as GUIDED does (ArduPilot #28939, #28110)."""
+"""Number that all ArduPilot vehicles reserve for an external controller's mode; Copter has none
+itself, but a script may register one, which flies as GUIDED does (ArduPilot #28939, #28110)."""
 
 
 def _numbered(names: str) -> dict[int, str]:
-    """A table from `number:NAME` words."""
+    """Return a table from `number:NAME` words."""
     pairs = (word.split(":") for word in names.split())
     return {int(number): name for number, name in pairs}
 
@@ -43,7 +43,7 @@ ARDUCOPTER_NAMES = _numbered(
     "13:SPORT 14:FLIP 15:AUTOTUNE 16:POSHOLD 17:BRAKE 18:THROW 19:AVOID_ADSB 20:GUIDED_NOGPS "
     "21:SMART_RTL 22:FLOWHOLD 23:FOLLOW 24:ZIGZAG 25:SYSTEMID 26:AUTOROTATE 27:AUTO_RTL 28:TURTLE"
 )
-"""By number, also of modes that are no `FlightMode`."""
+"""Names by number, also of modes without a `FlightMode`."""
 ARDUPLANE_NAMES = _numbered(
     "0:MANUAL 1:CIRCLE 2:STABILIZE 3:TRAINING 4:ACRO 5:FLY_BY_WIRE_A 6:FLY_BY_WIRE_B 7:CRUISE "
     "8:AUTOTUNE 10:AUTO 11:RTL 12:LOITER 13:TAKEOFF 14:AVOID_ADSB 15:GUIDED 16:INITIALIZING "
@@ -98,7 +98,7 @@ CLASS_OF_TYPE: dict[int, VehicleClass] = {
     for vehicle_class, names in _CLASSES.items()
     for name in names.split()
 }
-"""Of every MAV_TYPE that an autopilot may be of; the others are stations and components."""
+"""Vehicle class by MAV_TYPE; types without a class are stations and components."""
 
 _PX4_MODE = {packed: mode for mode, packed in PX4_MAIN_AND_SUB.items()}
 _ARDUCOPTER_MODE = {number: mode for mode, number in ARDUCOPTER_NUMBER.items()}
@@ -106,29 +106,30 @@ CUSTOM_MODE_ENABLED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
 def px4_custom_mode(mode: FlightMode) -> int:
-    """HEARTBEAT.custom_mode of a PX4 mode."""
+    """Return HEARTBEAT.custom_mode of a PX4 mode."""
     main, sub = PX4_MAIN_AND_SUB[mode]
     return main << 16 | sub << 24
 
 
 def px4_mode(main: int, sub: int) -> FlightMode | None:
-    """The PX4 mode of a main and sub number, or None if PX4 has no such mode."""
+    """Return the PX4 mode of a main and sub number, or None if PX4 has no such mode."""
     if main != 4:
         sub = 0
     return _PX4_MODE.get((main, sub))
 
 
 def class_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> VehicleClass:
-    """Class of the vehicle whose autopilot sent a HEARTBEAT."""
+    """Return the class of the vehicle whose autopilot sent a HEARTBEAT."""
     return CLASS_OF_TYPE.get(heartbeat.type, VehicleClass.OTHER)
 
 
 def autopilot_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> Autopilot | None:
-    """Which autopilot sent a HEARTBEAT; None if its sender flies nothing.
+    """Return the autopilot that sent a HEARTBEAT; None if its sender flies nothing.
 
-    By type stations, gimbals, cameras, onboard computers, ADS-B receivers and the like are none,
-    whatever their `autopilot` says. MAV_AUTOPILOT_INVALID is "no autopilot", and GENERIC is what
-    many components send in its place. An antenna tracker runs ArduPilot, but moves only itself.
+    By type, stations, gimbals, cameras, onboard computers, ADS-B receivers and the like are
+    excluded, whatever their `autopilot` field. MAV_AUTOPILOT_INVALID is "no autopilot", and GENERIC
+    is sent by many components in its place. An antenna tracker runs ArduPilot, but moves only
+    itself.
     """
     vehicle_class = CLASS_OF_TYPE.get(heartbeat.type)
     if vehicle_class in (None, VehicleClass.TRACKER):
@@ -149,9 +150,9 @@ def mode_of(
     *,
     offers_offboard: bool = False,
 ) -> FlightMode:
-    """The mode that an autopilot's HEARTBEAT shows; unknown of a class that is not flown.
+    """Return the mode in an autopilot's HEARTBEAT; unknown for a class that is not supported.
 
-    Mode 30 of an ArduPilot is known only where the vehicle `offers_offboard`.
+    Mode 30 of an ArduPilot is known only if the vehicle `offers_offboard`.
     """
     custom_mode = heartbeat.custom_mode
     if not class_of(heartbeat).is_flown:
@@ -166,7 +167,7 @@ def mode_of(
 
 
 def other_mode_name(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Autopilot) -> str:
-    """Name by which an operator knows the mode of a HEARTBEAT that is no `FlightMode`."""
+    """Return the operator's name for the mode of a HEARTBEAT without a `FlightMode`."""
     number = heartbeat.custom_mode
     if autopilot is Autopilot.ARDUPILOT:
         names = ARDUPILOT_MODE_NAMES.get(class_of(heartbeat), {})
@@ -179,7 +180,7 @@ def other_mode_name(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Aut
 def set_mode_params(
     mode: FlightMode, autopilot: Autopilot, *, is_armed: bool
 ) -> tuple[float, float, float]:
-    """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE for a vehicle of a class that is flown.
+    """Return parameters 1 to 3 of MAV_CMD_DO_SET_MODE for a supported vehicle.
 
     Raises:
         KeyError: The autopilot has no such mode.

@@ -1,15 +1,15 @@
-"""Bytes to MAVLink frames: length, magic and CRC, before any message class sees them.
+"""Frame splitter: length, magic and CRC of MAVLink frames, before any message class sees them.
 
-Theory of operation. A link delivers chunks of bytes: whole frames and junk in a datagram, any
-cut of them in a stream. A candidate starts at a magic byte (0xFD for MAVLink 2, 0xFE for 1). It is
-a frame only if its CRC-16/MCRF4XX over everything between the magic and the CRC, plus the message's
-CRC_EXTRA, agrees; otherwise exactly one byte is given up and the search goes on, so a lying
-length byte never swallows the good frame behind it. A MAVLink 2 frame with an unknown
-incompatibility flag is dropped whole, as the protocol asks, once its CRC has proved it a frame.
+Theory of operation. A link delivers chunks of bytes: whole frames and junk in a datagram, arbitrary
+pieces of them in a stream. A candidate starts at a magic byte (0xFD for MAVLink 2, 0xFE for 1). It
+is a frame only if its CRC-16/MCRF4XX over everything between the magic and the CRC, plus the
+message's CRC_EXTRA, matches; otherwise exactly one byte is discarded and the search continues, so a
+wrong length byte never swallows the good frame behind it. A MAVLink 2 frame with an unknown
+incompatibility flag is dropped whole, as the protocol requires, once its CRC has verified it.
 
-A message that is not in the dialect cannot be proved a frame. For a router it is taken for one, but
-kept apart, if it ends where the data ends or a frame begins and no good frame lies in it. The end
-of a datagram ends every candidate; a stream keeps at most one unfinished frame (280 bytes).
+A message that is not in the dialect cannot be verified. For a router it is assumed a frame, but
+kept apart, if it ends where the data ends or a frame begins and no good frame lies within it. The
+end of a datagram ends every candidate; a stream keeps at most one unfinished frame (280 bytes).
 
 Source: MAVLink developer guide, "Packet Serialization".
 """
@@ -33,20 +33,20 @@ MAGIC = re.compile(bytes((ord("["), MAGIC_V2, MAGIC_V1, ord("]"))))
 
 @dataclass(slots=True)
 class FrameCounters:
-    """What the splitter has seen since it was made."""
+    """Counters since the splitter was created."""
 
     good: int = 0
     bad_crc: int = 0
-    """Candidates of a known message whose CRC was wrong, junk that looks like one included."""
+    """Candidates of a known message with a wrong CRC, including junk that resembles one."""
     unknown: int = 0
-    """Candidates with a message id that the dialect does not have."""
+    """Candidates with a message id that is not in the dialect."""
     incompatible: int = 0
-    """Frames with an incompatibility flag that we do not understand."""
+    """Frames with an unknown incompatibility flag."""
     junk_bytes: int = 0
 
 
 class FrameSplitter:
-    """Cuts a stream or datagrams into CRC-checked frames; may keep what looks like unknown ones."""
+    """Splitter of a stream or datagrams into CRC-checked frames; may keep unknown messages."""
 
     def __init__(self, crc_extra_by_id: Mapping[int, int], *, keeps_unknown: bool = False) -> None:
         self.counters = FrameCounters()
@@ -56,7 +56,7 @@ class FrameSplitter:
         self._unknown: list[bytes] = []
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
-        """The frames completed by `data`; at the end of a datagram an unfinished one is junk."""
+        """Return the frames completed by `data`; an unfinished one at a datagram's end is junk."""
         buffer = self._pending + data
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
@@ -87,19 +87,19 @@ class FrameSplitter:
             start += 1
         if guesses:
             start = max(start, self._keep_unknown(buffer, guesses, taken))
-        self._pending = buffer[start:]  # of a datagram nothing is left
+        self._pending = buffer[start:]  # empty after a datagram
         self.counters.good += len(frames)
         return frames
 
     def take_unknown(self) -> list[bytes]:
-        """What looked like frames of unknown messages since the last call, unproved."""
+        """Return unverified frames of unknown messages since the last call."""
         unknown, self._unknown = self._unknown, []
         return unknown
 
     def _keep_unknown(
         self, buffer: bytes, guesses: list[tuple[int, int]], taken: list[tuple[int, int]]
     ) -> int:
-        """Keep those of one or more guesses that are likely frames; where the last one ends."""
+        """Keep those candidates that are likely frames; return the end of the last one."""
         free_from = guesses[0][0]
         good_ends = [end for _, end in taken]
         for start, end in guesses:
@@ -127,7 +127,7 @@ class FrameSplitter:
 
 
 def frame_end(buffer: bytes, start: int) -> int:
-    """Where the frame at the magic byte `start` ends, by its header, or beyond `buffer`."""
+    """Return the end of the frame at the magic byte `start`, by its header; may exceed `buffer`."""
     magic = buffer[start]
     header_end = start + HEADER_LENGTH[magic]
     if header_end > len(buffer):
@@ -139,39 +139,40 @@ def frame_end(buffer: bytes, start: int) -> int:
 
 
 def message_id(frame: bytes) -> int:
-    """The message id in a frame's header."""
+    """Return the message id in a frame's header."""
     if frame[0] == MAGIC_V1:
         return frame[5]
     return frame[7] | frame[8] << 8 | frame[9] << 16
 
 
 def sender_of(frame: bytes) -> tuple[int, int]:
-    """System and component id of the sender in a frame's header."""
+    """Return the sender's system and component id in a frame's header."""
     at = 3 if frame[0] == MAGIC_V1 else 5
     return (frame[at], frame[at + 1])
 
 
 def sequence_of(frame: bytes) -> int:
-    """The sequence number in a frame's header."""
+    """Return the sequence number in a frame's header."""
     return frame[2 if frame[0] == MAGIC_V1 else 4]
 
 
 def frame_crc(frame: bytes, crc_extra: int) -> int:
-    """The CRC that a frame must carry, from its header and payload."""
+    """Return the CRC that a frame must have, from its header and payload."""
     end = HEADER_LENGTH[frame[0]] + frame[1]
     return crc16.mcrf4xx(frame[1:end] + bytes((crc_extra,)))
 
 
 def has_good_crc(frame: bytes, crc_extra: int) -> bool:
-    """Whether a whole frame carries the CRC that it must."""
+    """Return True if a whole frame has the right CRC."""
     end = HEADER_LENGTH[frame[0]] + frame[1]
     return frame_crc(frame, crc_extra) == frame[end] | frame[end + 1] << 8
 
 
 def without_signature(frame: bytes, crc_extra: int | None) -> bytes:
-    """The same frame unsigned, for logs: a signature must not be stored (developer guide).
+    """Return the frame unsigned, for logs: a signature must not be stored (developer guide).
 
-    Without a CRC_EXTRA its length and flag stay, which the CRC covers, and the signature is blank.
+    Without a CRC_EXTRA its length and flag stay, which the CRC covers, and the signature is
+    blanked.
     """
     if frame[0] != MAGIC_V2 or not frame[2] & INCOMPAT_SIGNED:
         return frame

@@ -1,9 +1,9 @@
-"""Parameter values on the wire: four bytes that mean an integer in one of two ways.
+"""Parameter values on the wire: four bytes that encode an integer in one of two ways.
 
-PX4 puts the integer's own bytes into PARAM_VALUE's float field (bytewise), ArduPilot the float
-nearest to it (C cast); AUTOPILOT_VERSION.capabilities says which. The bytes are taken from and put
-into the payload directly: as Python floats those of small negative integers are NaNs, which a
-conversion may change.
+PX4 puts the integer's own bytes into PARAM_VALUE's float field (bytewise), ArduPilot the nearest
+float (C cast); AUTOPILOT_VERSION.capabilities identifies the encoding. The bytes are read from and
+written to the payload directly: as Python floats, those of small negative integers are NaNs, which
+a conversion may change.
 
 Source: MAVLink developer guide, "Parameter Protocol".
 """
@@ -18,14 +18,15 @@ from companion.mav.addressing import payload_of
 from companion.mav.dialect import Message, mavlink
 
 NAME_LENGTH = 16
-"""Characters of a parameter's name; a NUL follows only if it is shorter."""
+"""Characters of a parameter's name; a NUL follows only a shorter one."""
 VALUE_LENGTH = 4
+"""Bytes of a value."""
 CAST_ALLOWANCE = 0.01
-"""ArduPilot adds this, away from zero, before it cuts a float to an integer."""
+"""Offset, away from zero, that ArduPilot adds before it truncates a float to an integer."""
 
 
 class ParamType(IntEnum):
-    """The MAV_PARAM_TYPEs that fit four bytes."""
+    """MAV_PARAM_TYPEs that fit four bytes."""
 
     UINT8 = mavlink.MAV_PARAM_TYPE_UINT8
     INT8 = mavlink.MAV_PARAM_TYPE_INT8
@@ -37,12 +38,12 @@ class ParamType(IntEnum):
 
     @property
     def is_integer(self) -> bool:
-        """Whether values are whole numbers."""
+        """True if values are whole numbers."""
         return self is not ParamType.REAL32
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the greatest value of the type."""
+        """Least and greatest value of the type."""
         if self is ParamType.REAL32:
             return -MAX_REAL32, MAX_REAL32
         bits = 8 * _FORMATS[self].size
@@ -51,7 +52,7 @@ class ParamType(IntEnum):
 
 
 class ParamEncoding(Enum):
-    """How an integer becomes four bytes."""
+    """Encoding of an integer in four bytes."""
 
     BYTEWISE = "bytewise"
     C_CAST = "C cast"
@@ -63,14 +64,14 @@ MAX_REAL32 = float(_REAL32.unpack(b"\xff\xff\x7f\x7f")[0])
 
 
 def raw_value(value: float, kind: ParamType, encoding: ParamEncoding) -> bytes:
-    """The four bytes of a value that is within the bounds of its type."""
+    """Return the four bytes of a value that is within the bounds of its type."""
     if not kind.is_integer or encoding is ParamEncoding.C_CAST:
         return _REAL32.pack(value)
     return _FORMATS[kind].pack(int(value)).ljust(VALUE_LENGTH, b"\0")
 
 
 def value_from_raw(raw: bytes, kind: ParamType, encoding: ParamEncoding) -> float:
-    """The value of four bytes, an `int` of integer types; NaN and infinity come out as they are."""
+    """Return the value of four bytes, an `int` for integer types; NaN and infinity are kept."""
     if not kind.is_integer:
         return float(_REAL32.unpack(raw)[0])
     if encoding is ParamEncoding.BYTEWISE:
@@ -80,31 +81,31 @@ def value_from_raw(raw: bytes, kind: ParamType, encoding: ParamEncoding) -> floa
 
 
 def nearest_real32(value: float) -> float:
-    """The single-precision number nearest to a finite value within its bounds."""
+    """Return the single-precision number nearest to a finite value within its bounds."""
     return float(_REAL32.unpack(_REAL32.pack(value))[0])
 
 
 def raw_of(message: Message) -> bytes:
-    """The four value bytes of a received PARAM_SET or PARAM_VALUE."""
+    """Return the four value bytes of a received PARAM_SET or PARAM_VALUE."""
     return payload_of(bytes(message.get_msgbuf()))[:VALUE_LENGTH].ljust(VALUE_LENGTH, b"\0")
 
 
 def name_of(message: mavlink.MAVLink_param_value_message) -> str:
-    """The parameter that a received PARAM_VALUE is about."""
+    """Return the parameter name in a received PARAM_VALUE."""
     name: bytes | str = message.param_id  # annotated as str, decoded as bytes
     text = name if isinstance(name, str) else name.decode("ascii", errors="replace")
     return text.rstrip("\0")
 
 
 class RawParamValue(mavlink.MAVLink_param_value_message):
-    """A PARAM_VALUE whose value never was a float; an index of 65535 is not told."""
+    """PARAM_VALUE whose value was never converted to a float; index 65535: unknown."""
 
     def __init__(self, name: str, raw: bytes, kind: int, count: int, index: int) -> None:
         super().__init__(name.encode("ascii"), _REAL32.unpack(raw)[0], kind, count, index)
         self.raw = raw
 
     def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """The frame's bytes."""
+        """Return the frame's bytes."""
         rest = self.unpacker.pack(
             0.0, self.param_count, self.param_index, self.param_id.encode("ascii"), self.param_type
         )

@@ -1,10 +1,10 @@
-"""RADIO_RANGING of a measurement, and how TARGET_ESTIMATE passes an autopilot.
+"""RADIO_RANGING from a measurement, and TARGET_ESTIMATE in a TUNNEL past an autopilot.
 
-`companion.link.ranging_sources` reads a ranging back. Degrees, NED and the sentinels (NaN,
-UINT8_MAX) begin here.
+`companion.link.ranging_sources` is the inverse for a ranging. Conversion to degrees, NED and the
+sentinels (NaN, UINT8_MAX) happens here.
 
-ArduPilot passes on only messages that it knows (observed on ArduCopter 4.5.7), so it gets an
-estimate inside of a TUNNEL, whose type is the number of the message that it carries.
+ArduPilot forwards only messages that it knows (observed on ArduCopter 4.5.7), so it gets an
+estimate inside a TUNNEL, whose type is the id of the message that it carries.
 
 Source: MAVLink common, TUNNEL: types above 32767 are free to use.
 """
@@ -26,11 +26,11 @@ from companion.mav.dialect import (
 UINT8_MAX = 0xFF
 TUNNEL_LENGTH = 128
 CORE_LENGTH = 67
-"""Of a TARGET_ESTIMATE without its extensions."""
+"""Payload length of TARGET_ESTIMATE without its extensions."""
 
 
 def message_from_ranging(measurement: RangingMeasurement, time_usec: int) -> Message:
-    """RADIO_RANGING of a measurement; `time_usec` is the sender's clock at its time."""
+    """Return the RADIO_RANGING of a measurement; `time_usec` is the sender's clock at its time."""
     flags = RangingFlag(0)
     bearing_rad = measurement.bearing_body_rad
     if bearing_rad is not None:
@@ -65,10 +65,10 @@ def _or_nan(value: float | None) -> float:
 
 
 def tunnelled(estimate: MAVLink_target_estimate_message) -> Message:
-    """TUNNEL to everybody, with the payload of a TARGET_ESTIMATE.
+    """Return a broadcast TUNNEL with the payload of a TARGET_ESTIMATE.
 
-    The length is that without extensions, which readers from before them insist on; the extensions
-    lie behind it, where such a sender has zeros, which is how extensions say that they are missing.
+    The length is that without extensions, which older readers require; the extensions lie behind
+    it, where an older sender has zeros, by which MAVLink marks missing extensions.
     """
     fields = (getattr(estimate, name) for name in estimate.ordered_fieldnames)
     payload = estimate.unpacker.pack(*fields)
@@ -77,7 +77,7 @@ def tunnelled(estimate: MAVLink_target_estimate_message) -> Message:
 
 
 def estimate_in(message: Message) -> MAVLink_target_estimate_message | None:
-    """The TARGET_ESTIMATE that a message is or, as a TUNNEL, carries; None of any other."""
+    """Return the TARGET_ESTIMATE that a message is or, as a TUNNEL, contains; None otherwise."""
     if isinstance(message, MAVLink_target_estimate_message):
         return message
     if not isinstance(message, mavlink.MAVLink_tunnel_message):

@@ -1,23 +1,24 @@
-"""MAVLink 2 message signing: frames proved or refused before any message class sees them.
+"""MAVLink 2 message signing: frames are accepted or rejected before any message class sees them.
 
 Theory of operation. One `Signing` belongs to one system and all its links: it holds the key, the
-timestamp that only rises, and the last timestamp of every stream heard, a stream being system,
-component and link id. A frame is believed only if, in this order, its signature is right, its
-timestamp is newer than its stream's last one, and, for a stream not heard before, at most a
-minute behind ours. Nothing that a frame says is remembered before its signature was found right: a
-forger can then neither lock out the real sender with a timestamp from the future nor fill the
-table of streams. (pymavlink, which stores the timestamp first, could not promise that.)
+monotonic timestamp, and the last timestamp of every received stream, a stream being system,
+component and link id. A frame is accepted only if, in this order, its signature is right, its
+timestamp is newer than its stream's last one, and, for a new stream, at most a minute behind ours.
+Nothing from a frame is stored before its signature was verified: a forger can then neither lock out
+the real sender with a timestamp from the future nor fill the table of streams. (pymavlink, which
+stores the timestamp first, could not guarantee that.)
 
-`SigningPolicy` may be stricter than the guide, for who hears each component over one link only. A
-frame recorded on another link of a component is not let in as the first of a stream of its own, but
-is a replay. A sender with the key whose clock is far ahead is refused, for it would push ours ahead
-for good. And a new stream is compared with our own clock, not with the newest timestamp, by which
-one sender almost a minute ahead would make another, whose clock is right, too old.
+`SigningPolicy` may be stricter than the guide, for a receiver that gets each component over one
+link only. A frame recorded on another link of a component is then not accepted as the first of a
+new stream, but is a replay. A sender with the key whose clock is far ahead is rejected, because it
+would advance our timestamp permanently. And a new stream is compared with our own clock, not with
+the newest timestamp, by which one sender almost a minute ahead would make another, whose clock is
+right, too old.
 
-An unsigned frame, MAVLink 1 among them, is a downgrade: with a key it is refused unless its
+An unsigned frame, MAVLink 1 among them, is a downgrade: with a key it is rejected unless its
 message is on the short list of those that cannot be signed (RADIO_STATUS, which radios inject), or
-on the longer list that its link has, or the link is trusted by configuration, as a simulated
-autopilot's own port may be. A bad signature is refused on every link.
+on the longer list of its link, or the link is trusted by configuration, as a simulated autopilot's
+own port may be. A bad signature is rejected on every link.
 
 Source: MAVLink developer guide, "Message Signing".
 """
@@ -47,45 +48,45 @@ KEY_LENGTH = 32
 HASH_LENGTH = 6
 TIMESTAMP_LENGTH = 6
 EPOCH_UNIX_S = 1_420_070_400
-"""1 January 2015, the zero of signing timestamps."""
+"""1 January 2015, the epoch of signing timestamps."""
 TICKS_PER_S = 100_000
 MAX_BEHIND = 6_000_000
-"""How far behind ours, in units of 10 us, the first timestamp of a new stream may be."""
+"""Largest lag behind ours of a new stream's first timestamp, in units of 10 us: one minute."""
 MAX_TIMESTAMP = 2**48 - 1
 MAX_HEARD = MAX_TIMESTAMP - 2**40
-"""127 days before the format ends: a peer's clock may not push ours to where nothing is left."""
+"""Largest accepted timestamp, 127 days before the format ends: a peer must not exhaust ours."""
 MAX_STREAMS = 16
-"""Streams are never forgotten, which would let their old frames in again; so they are limited."""
+"""Limit of streams: forgetting one would allow replays of its old frames."""
 UNSIGNED_ALLOWED = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
 
 
 class SignatureVerdict(Enum):
-    """What is thought of a received frame."""
+    """Result of verifying a received frame."""
 
     SIGNED = "signed"
-    """Proved: the sender has the key and has not said this before."""
+    """Authentic: the sender has the key, and the frame is no replay."""
     UNSIGNED_ALLOWED = "unsigned, allowed"
     UNSIGNED = "unsigned"
     BAD_SIGNATURE = "bad signature"
     REPLAYED = "replayed"
     """Not newer than its stream's last frame."""
     TOO_OLD = "too old"
-    """The first of its stream, and more than a minute behind."""
+    """First of its stream, and more than a minute behind."""
     TOO_FAR_AHEAD = "too far ahead"
-    """Rightly signed, but by a clock that is far ahead of ours."""
+    """Signed correctly, but by a clock that is far ahead of ours."""
     TIMESTAMP_OVERFLOW = "timestamp too late"
-    """Rightly signed, but beyond what leaves room for our own frames."""
+    """Signed correctly, but beyond what leaves room for our own frames."""
     TOO_MANY_STREAMS = "too many streams"
 
     @property
     def is_accepted(self) -> bool:
-        """Whether the frame may be decoded and acted on."""
+        """True if the frame may be decoded and used."""
         return self in (SignatureVerdict.SIGNED, SignatureVerdict.UNSIGNED_ALLOWED)
 
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """The shared secret of 32 bytes, not all zero; neither its repr nor its str shows it."""
+    """Shared secret of 32 bytes, not all zero; neither its repr nor its str shows it."""
 
     secret: bytes = field(repr=False)
 
@@ -96,12 +97,12 @@ class SigningKey:
             raise ConfigError("a signing key of zeros means no signing; leave it out instead")
 
     def signature_of(self, signed_part: bytes) -> bytes:
-        """The six bytes that end a frame, for all of it from its magic to its timestamp."""
+        """Return the six bytes that end a frame, from all of it up to its timestamp."""
         return hashlib.sha256(self.secret + signed_part).digest()[:HASH_LENGTH]
 
 
 def timestamp_at(unix_s: float) -> int:
-    """The signing timestamp of a time, in units of 10 us since 2015; 0 before."""
+    """Return the signing timestamp of a time, in units of 10 us since 2015; 0 before."""
     if not math.isfinite(unix_s):
         return 0
     return min(max(0, round((unix_s - EPOCH_UNIX_S) * TICKS_PER_S)), MAX_HEARD)
@@ -113,24 +114,24 @@ Stream = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class SigningPolicy:
-    """What a receiver may be stricter about than the guide."""
+    """Rules of a receiver that may be stricter than the guide."""
 
     max_ahead: int | None = None
-    """How far ahead of our clock, in units of 10 us, a timestamp may be; None: as far as it is."""
+    """Largest lead of a timestamp over our clock, in units of 10 us; None: unlimited."""
     joins_links: bool = False
-    """One stream per component, whatever link its frames were signed for."""
+    """True: one stream per component, whatever link its frames were signed for."""
 
 
 AS_THE_GUIDE = SigningPolicy()
 ONE_LINK_EACH = SigningPolicy(max_ahead=6_000_000, joins_links=True)
-"""For a companion: clocks agree to a minute, and every component is heard over one link."""
+"""Policy of a companion: clocks agree to a minute, and every component uses one link."""
 
 
 class Signing:
-    """Signs and verifies the frames of one system.
+    """Signer and verifier of the frames of one system.
 
-    It goes on from what an earlier run stored: the newest timestamp, that of each stream, and its
-    `clock`, where more than the timestamp is known.
+    It continues from the state that an earlier run stored: the newest timestamp, that of each
+    stream, and its `clock`, where it differs from the timestamp.
     """
 
     def __init__(
@@ -145,15 +146,15 @@ class Signing:
         self._key = key
         self._rules = rules
         self.timestamp = min(max(0, stored_timestamp), MAX_HEARD)
-        """The newest timestamp used or believed; to be stored at least once a minute."""
+        """Newest timestamp used or accepted; to be stored at least once a minute."""
         self.clock = self.timestamp if stored_clock is None else max(0, stored_clock)
-        """Our own idea of the time, which no peer moves; to be stored with `timestamp`."""
+        """Our own time, which no peer changes; to be stored with `timestamp`."""
         self.streams: dict[Stream, int] = dict(streams or {})
-        """The last timestamp of each; to be stored with `timestamp`."""
+        """Last timestamp of each stream; to be stored with `timestamp`."""
         self.verdicts: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
 
     def advance(self, unix_s: float) -> None:
-        """Follow the clock; a clock that is behind, or goes back, changes nothing."""
+        """Follow the clock; a clock that is behind, or goes back, has no effect."""
         self.clock = max(self.clock, timestamp_at(unix_s))
         self.timestamp = max(self.timestamp, self.clock)
 
@@ -164,7 +165,7 @@ class Signing:
         is_trusted_link: bool = False,
         unsigned_ids: frozenset[int] = UNSIGNED_ALLOWED,
     ) -> SignatureVerdict:
-        """Judge one whole frame whose CRC is right.
+        """Verify one whole frame whose CRC is right.
 
         Messages of `unsigned_ids` may come unsigned, and on a trusted link all may.
         """
@@ -204,7 +205,7 @@ class Signing:
         return SignatureVerdict.TIMESTAMP_OVERFLOW if timestamp > MAX_HEARD else None
 
     def sign(self, frame: bytes, link_id: int, crc_extra: int) -> bytes:
-        """Our unsigned MAVLink 2 frame, signed with a new timestamp; each link has its own id."""
+        """Return our unsigned MAVLink 2 frame, signed with a new timestamp and the link's id."""
         if frame[0] != MAGIC_V2 or is_signed(frame):
             raise LocalProtocolError("only an unsigned MAVLink 2 frame can be signed")
         self.timestamp += 1
@@ -217,13 +218,13 @@ class Signing:
 
 @dataclass(frozen=True, slots=True)
 class LinkSigning:
-    """What one link's codec needs of its system's signing."""
+    """Signing of one link's codec."""
 
     signing: Signing
     link_id: int
-    """0 to 255; part of the name of the streams that we send."""
+    """0 to 255; part of the identity of our streams."""
     is_trusted: bool = False
-    """Unsigned frames are welcome on this link."""
+    """True: unsigned frames are accepted on this link."""
     unsigned_ids: frozenset[int] = UNSIGNED_ALLOWED
     """Messages that may come unsigned on a link that is not trusted."""
 
@@ -234,27 +235,27 @@ class LinkSigning:
         ).is_accepted
 
     def sign(self, frame: bytes, crc_extra_by_id: Mapping[int, int]) -> bytes:
-        """The frame as it is to be sent on this link."""
+        """Return the frame as it is sent on this link."""
         return self.signing.sign(frame, self.link_id, crc_extra_by_id[message_id(frame)])
 
 
 @dataclass(frozen=True, slots=True)
 class SigningSetup:
-    """What a SETUP_SIGNING that may be obeyed asks for."""
+    """Request of a SETUP_SIGNING that may be obeyed."""
 
     key: SigningKey | None
-    """None ends signing."""
+    """None: end signing."""
     initial_timestamp: int
 
 
 def setup_from(
     message: Message, system_id: int, component_id: int, *, is_trusted_link: bool
 ) -> SigningSetup | None:
-    """What a SETUP_SIGNING, accepted by `Signing.verify`, asks of us; None: it must be ignored.
+    """Return the request of a SETUP_SIGNING that `Signing.verify` accepted; None: ignore it.
 
-    A key is taken only over a link that nobody else can hear (a wire, or loopback), and only when
-    it is addressed to this very component: broadcast, it would have been told to everyone. The
-    message is never forwarded and never logged, see `is_secret`.
+    A key is accepted only over a link that others cannot receive (a wire, or loopback), and only
+    when it is addressed to this very component: a broadcast would have disclosed it. The message is
+    never forwarded and never logged, see `is_secret`.
     """
     if not isinstance(message, mavlink.MAVLink_setup_signing_message) or not is_trusted_link:
         return None
@@ -271,10 +272,10 @@ _SETUP_SIGNING = int(mavlink.MAVLINK_MSG_ID_SETUP_SIGNING).to_bytes(3, "little")
 
 
 def is_signed(frame: bytes) -> bool:
-    """Whether a frame carries a signature, right or wrong."""
+    """Return True if a frame carries a signature, right or wrong."""
     return frame[0] == MAGIC_V2 and bool(frame[2] & INCOMPAT_SIGNED)
 
 
 def is_secret(frame: bytes) -> bool:
-    """Whether a frame carries a key: never broadcast, forwarded or written to a log."""
-    return frame[7:10] == _SETUP_SIGNING and frame[0] == MAGIC_V2  # no id of version 1 is as high
+    """Return True if a frame carries a key: never broadcast, forwarded or written to a log."""
+    return frame[7:10] == _SETUP_SIGNING and frame[0] == MAGIC_V2  # MAVLink 1 has no such id

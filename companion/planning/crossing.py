@@ -1,13 +1,13 @@
 """Crossing planners: latched crossing, and reactive crossing exactly as printed.
 
 Latched crossing flies over the estimate to a point on its far side, and only then turns. Bilateral
-information needs views from both sides, so the far point must really be flown to: it is *latched*
+information needs views from both sides, so the far point must really be reached: it is *latched*
 until it is reached, until the estimate lies behind by as much as is still needed, or until the
-estimate has moved by more than the latch can mean. Its distance beyond the estimate (the overshoot)
-is clip(3 sqrt(lambda_max(P)), 2 m, 20 m), and without bearings no shorter than the base line that
-ranges need. Each new crossing turns by the golden angle, so that any number of crossings covers all
-directions evenly, without planning and at O(1) cost. With an altitude swing the crossings are flown
-above and below the search altitude by turns, so that elevations differ, too; it takes longer.
+estimate has moved too far. Its distance beyond the estimate (the overshoot) is clip(3
+sqrt(lambda_max(P)), 2 m, 20 m), and without bearings no shorter than the baseline that ranges need.
+Each new crossing turns by the golden angle, so that any number of crossings covers all directions
+evenly, without planning and at O(1) cost. With an altitude swing the crossings are flown
+alternately above and below the search altitude, so that elevations differ, too; it takes longer.
 
 Reactive crossing, for comparison, with s the vehicle, x the estimate, step eta and distance l:
 
@@ -17,24 +17,24 @@ Reactive crossing, for comparison, with s the vehicle, x the estimate, step eta 
 c lies on the line from s through x, so v = d for every l > 0: the printed crossing distance has no
 effect, and crossing only happens by overshooting by less than one step.
 
-With an antenna array, or with ranges alone to a target whose height is told, `views` says what a
-leg tells, and by that are chosen: the overshoot, of the greatest rate of information, though never
-shorter than the standard deviations above, because only what is seen from both sides parts the
-offset of bearings from the place; the turn, which begins where braking would, at most a quarter of
-the overshoot early; and, where `descend` lets it, the height, the lowest that the altitude band
-leaves, once the target is known to within the largest overshoot and if a pass there tells half as
-much again by the way. An azimuth about the vertical is as good at any height: it is the paper's,
-and crosses as above.
+With an antenna array, or with ranges alone to a target of configured height, `views` gives the
+information of a leg, which decides three things. The overshoot has the greatest rate of
+information, though it is never shorter than the standard deviations above, because only views from
+both sides separate the bearing offset from the position. The turn begins where braking would, at
+most a quarter of the overshoot early. And with `descend` the altitude is the lowest of the altitude
+band, once the target is known to within the largest overshoot and if a pass there has at least half
+as much again of information per metre. An azimuth about the vertical is equally accurate at any
+height: it is the paper's, and crosses as above.
 
-On the straight way to a target from afar a range says nothing across it, and an array's directions
-no more than their offsets let them. Where there are ranges and an array, the approach is a
-logarithmic spiral: always `BEND_RAD` to the side, as far as the antenna sees, until the place is as
-well known as the shortest overshoot asks for, or near. It turns the line of sight by tan(bend) per
-halving of the distance times log 2, and is 1 / cos(bend) as long as the straight way.
+On a straight approach from afar a range has no information across it, and an array's directions are
+limited by their offsets. With ranges and an array, the approach is a logarithmic spiral: always
+`BEND_RAD` to the side, as far as the field of view allows, until the position is known as well as
+the shortest overshoot requires, or near. It turns the line of sight by tan(bend) log 2 per halving
+of the distance, and is 1 / cos(bend) as long as the straight path.
 
-Paper: section V-A and Appendix C, with the crossing distance made real; "Limitations and Scope" for
-the separation plane in 3-D; Algorithm 1 for reactive crossing. Deviation from that: the next point
-and the leg to it are kept in free space.
+Paper: section V-A and Appendix C, with the crossing distance made effective; "Limitations and
+Scope" for the separation plane in 3-D; Algorithm 1 for reactive crossing. Deviation from that: the
+next point and the leg to it are kept in free space.
 """
 
 from __future__ import annotations
@@ -79,26 +79,27 @@ from companion.planning.views import Antenna, LegView, best_reach_m, leg_over, r
 DIRECTIONS_TRIED = 5
 """Directions tried before a crossing cut short by the fence is accepted."""
 HEIGHT_SHARE = 0.5
-"""A crossing is at its height within this share of the swing."""
+"""Tolerance of a crossing's height, as a share of the swing."""
 LONG_ENOUGH_SHARE = 0.9
-"""A crossing with this much of its overshoot is not cut short."""
+"""Share of its overshoot from which a crossing is not cut short."""
 TURN_SHARE = 0.25
-"""A turn begins this much of the overshoot before its end at the earliest."""
+"""Earliest begin of a turn before the end, as a share of the overshoot."""
 DESCENT_GAIN = 1.5
-"""A lower pass must tell this much more by the way: it takes time, and time to climb again."""
+"""Ratio of information rates from which a lower pass is flown: descent and climb take time."""
 LEAST_DESCENT_M = 1.0
+"""Smallest descent that is commanded."""
 BEND_RAD = math.radians(55.0)
-"""Between the approach and the line of sight."""
+"""Angle between the approach and the line of sight."""
 VIEW_MARGIN_RAD = math.radians(5.0)
-"""A vehicle in wind does not look quite where it flies."""
+"""Margin of the field of view: in wind the heading differs from the course."""
 BENT_BEYOND = 1.5
-"""The approach is bent while the target is farther than so many overshoots."""
+"""Distance, in overshoots, beyond which the approach is bent."""
 HEIGHT_SIGMAS = 2.0
-"""A target whose height is estimated may be higher by this much."""
+"""Safety margin of an estimated target height."""
 
 
 class LatchedCrossingParams(Params, frozen=True):
-    """Overshoot and when a crossing counts as flown."""
+    """Overshoot, and when a crossing counts as flown."""
 
     overshoot_sigmas: Annotated[float, msgspec.Meta(ge=0.1, le=10.0)] = 3.0
     """Overshoot in standard deviations of the worst direction."""
@@ -107,46 +108,47 @@ class LatchedCrossingParams(Params, frozen=True):
     arrival_radius_m: Positive = 1.5
     """The crossing point counts as reached within this distance."""
     reaim_distance_m: Positive = 3.0
-    """A move of the estimate by more than this, or half the overshoot, aims anew."""
+    """A move of the estimate by more than this, or half the overshoot, re-aims the crossing."""
     altitude_swing_m: NonNegative = 0.0
-    """Crossings are flown this much above and below the search altitude by turns; 0: level."""
+    """Crossings are flown alternately this much above and below the search altitude; 0: level."""
     descend: bool = False
-    """Whether crossings are flown lower where that tells more; see `companion.planning.views`."""
+    """True: crossings are flown lower where that gives more information; see `views`."""
 
     def __post_init__(self) -> None:
-        """Refuse an empty band for the overshoot, and two wishes for one height."""
+        """Reject an empty band for the overshoot, and two settings of one height."""
         if self.descend and self.altitude_swing_m > 0.0:
             raise ValueError("descend and altitude_swing_m exclude each other")
         if self.overshoot_min_m > self.overshoot_max_m:
             raise ValueError("overshoot_min_m must not exceed overshoot_max_m")
 
     def rule(self) -> LatchRule:
-        """The same parameters as the kernels take them."""
+        """Return the same parameters for the kernels."""
         return LatchRule(*(getattr(self, name) for name in LatchRule._fields))
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What crossings are chosen by where they are chosen by what they tell."""
+    """Antenna, dynamics and heights by which the information of a leg is computed."""
 
     antenna: Antenna
     speed_mps: float
     acceleration_mps2: float
     lowest_m: float
-    """The lowest height that may be flown: above home, and above the target."""
+    """Lowest height that may be flown: above home, and above the target."""
     room_m: float
-    """How much lower than the search altitude that is."""
+    """Search altitude less that height."""
     is_height_told: bool
-    """Whether the target is told at another height than the origin, which makes ranges oblique."""
+    """True if the target's configured height differs from the origin's, which makes ranges
+    oblique."""
 
     @property
     def turn_m(self) -> float:
-        """What a turn by the golden angle costs by half a crossing, as way: nearly v^2 / a."""
+        """Cost of a turn by the golden angle per half crossing, as a distance: nearly v^2 / a."""
         return self.speed_mps**2 / self.acceleration_mps2
 
 
 class LatchedCrossing:
-    """The default planner; without a `Sight` it knows neither heights nor antennas."""
+    """Default planner; without a `Sight` it ignores heights and antennas."""
 
     search_after_s: float | None = None
 
@@ -156,7 +158,7 @@ class LatchedCrossing:
         self._rule = params.rule()
 
     def plan(self, request: PlanRequest, memory: Latch | None) -> Plan[Latch | None]:
-        """The crossing in flight, or the next one."""
+        """Return the crossing in flight, or the next one."""
         if request.estimate is None:
             return Plan(hold_position(request, "no estimate yet"), None)
         vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
@@ -189,7 +191,7 @@ class LatchedCrossing:
         return Plan(self._waypoint(request, latch), latch)
 
     def _sight_for(self, request: PlanRequest) -> Sight | None:
-        """What to choose by what a leg tells; None: as the paper."""
+        """Return the geometry for choosing by information; None: cross as in the paper."""
         sight = self._sight
         if sight is None or request.sigmas is None:
             return None
@@ -198,16 +200,16 @@ class LatchedCrossing:
         return sight if is_array or (is_oblique and not has_directions) else None
 
     def _reach_m(self, request: PlanRequest, sight: Sight, latch: Latch, sigmas_m: float) -> float:
-        """The overshoot of a latch by what its leg tells, but to both sides of the target."""
+        """Return the overshoot of greatest rate, not less than the position's sigmas."""
         most_m = self.params.overshoot_max_m
         leg = _leg(request, sight, latch.direction, latch.descent_m)
         return max(best_reach_m(leg, self.params.overshoot_min_m, most_m), min(sigmas_m, most_m))
 
     def _bent_approach(self, request: PlanRequest, sight: Sight, over_m: float) -> Waypoint | None:
-        """To the side of a far target; None: it is near, or told by no ranges, or no leg is clear.
+        """Return an approach to the side of a far target, or None.
 
-        The point is where the line of sight would be at right angles to the leg, so that it is
-        never reached.
+        None: it is near, or there are no ranges with an array, or no leg is clear. The point is
+        where the line of sight would be at right angles to the leg, so that it is never reached.
         """
         assert request.estimate is not None
         assert request.sigmas is not None
@@ -228,9 +230,9 @@ class LatchedCrossing:
     def _descent_m(
         self, request: PlanRequest, sight: Sight, before: Latch, over_m: float, sigmas_m: float
     ) -> float:
-        """How much lower to fly, down to the lowest: where it pays at the present overshoot.
+        """Return the descent to the lowest height, if it pays at the present overshoot, else 0.
 
-        Not while the target is in doubt.
+        It is 0 while the target's position is too uncertain.
         """
         is_low = before.descent_m > 0.0
         known_m = self.params.overshoot_max_m * (2.0 if is_low else 1.0)
@@ -247,7 +249,7 @@ class LatchedCrossing:
         return descent_m if pays else 0.0
 
     def _is_at_height(self, request: PlanRequest, memory: Latch | None) -> bool:
-        """Whether a crossing may end: a point in space is reached in height as well."""
+        """Return True if the vehicle is at the crossing's height, so that it may end."""
         swing_m, offset_m = self.params.altitude_swing_m, request.altitude_offset_m
         if swing_m == 0.0 or offset_m is None or memory is None:
             return True
@@ -257,11 +259,11 @@ class LatchedCrossing:
     def _best_point(
         self, request: PlanRequest, target: Point, heading: Point, over_m: float
     ) -> tuple[Point, Point] | None:
-        """The crossing point and its direction; None if no direction can be flown.
+        """Return the crossing point and its direction; None if no direction can be flown.
 
-        Directions that the fence cuts short, or that end where there is no way to, are turned on.
-        A point in a keep-out, perhaps the one about the target, is pushed beyond it: nearest to it
-        may be the near side, and the views would all be from there.
+        Directions that the fence cuts short, or that end at an unreachable point, are turned on. A
+        point in a keep-out, perhaps the one about the target, is pushed beyond it: the nearest free
+        point may be on the near side, and all views would be from there.
         """
         if way_finder(request) is None:
             return _far_point(target, heading, over_m), heading
@@ -294,7 +296,7 @@ class LatchedCrossing:
 
 
 def _leg(request: PlanRequest, sight: Sight, along: Point, descent_m: float) -> LegView:
-    """A leg along a direction at the height of a descent; before the first one, along the way."""
+    """Return a leg in a direction at the height of a descent; the first one along the way."""
     assert request.estimate is not None
     assert request.sigmas is not None
     if along == NO_LATCH.direction:
@@ -316,14 +318,15 @@ class ReactiveCrossingParams(Params, frozen=True):
     step_m: Positive = 5.0
     crossing_distance_m: Positive = 20.0
     stop_distance_m: NonNegative = 0.0
-    """eps_stop; above zero the vehicle parks on its estimate and stops learning."""
+    """Threshold eps_stop; above zero the vehicle stops over its estimate and gains no
+    information."""
 
 
 @kernel
 def reactive_step(
     vehicle: Point, target: Point, step_m: float, crossing_distance_m: float, stop_distance_m: float
 ) -> Point:
-    """The next place; the vehicle's own within the stop distance. Paper: Algorithm 1."""
+    """Return the next position; the vehicle's own within the stop distance. Paper: Algorithm 1."""
     (east_m, north_m), (target_east_m, target_north_m) = vehicle, target
     if math.hypot(target_east_m - east_m, target_north_m - north_m) < stop_distance_m:
         return vehicle
@@ -343,7 +346,7 @@ class ReactiveCrossing:
         self.params = params
 
     def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
-        """One step of the printed algorithm."""
+        """Return one step of the printed algorithm."""
         if request.estimate is None:
             return Plan(hold_position(request, "no estimate yet"), memory)
         p, vehicle = self.params, request.vehicle_enu_m

@@ -1,8 +1,8 @@
-"""The arithmetic of crossing planners, as kernels.
+"""Arithmetic of the crossing planners, as kernels.
 
-Points and unit vectors are east and north, metres. A latch is what `LatchedCrossing` remembers
-of the crossing being flown. `latched_step` is the whole planner where no fence limits it; with a
-fence the class chooses among directions, by the same kernels. Source: see `crossing`.
+Points and unit vectors are east and north, metres. A latch is the memory of `LatchedCrossing` of
+the current crossing. `latched_step` is the whole planner without a fence; with a fence the class
+chooses among directions, by the same kernels. Source: see `crossing`.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from companion.geometry.polygons import Point
 from companion.kernel import kernel
 
 MIN_DISTANCE_M = 1e-9
-"""Closer than this there is no direction from one point to another."""
+"""Distance below which the direction from one point to another is undefined."""
 PUSHED_M = 0.01
-"""Farther beyond the estimate than its overshoot by this, a crossing point was pushed there."""
+"""Excess of a point's distance over its overshoot that shows that a keep-out pushed it."""
 
 
 @kernel
 def direction(start: Point, end: Point) -> Point:
-    """Unit vector from one point to another; east where they coincide."""
+    """Return the unit vector from one point to another; east where they coincide."""
     east, north = end[0] - start[0], end[1] - start[1]
     distance = math.hypot(east, north)
     if distance < MIN_DISTANCE_M:
@@ -31,34 +31,35 @@ def direction(start: Point, end: Point) -> Point:
 
 @kernel
 def turned(vector: Point, angle_rad: float) -> Point:
-    """A vector turned counter-clockwise."""
+    """Return a vector turned counter-clockwise."""
     (east, north), c, s = vector, math.cos(angle_rad), math.sin(angle_rad)
     return c * east - s * north, s * east + c * north
 
 
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
+"""Turn between crossings: any number of them covers all directions evenly."""
 
 
 class Latch(NamedTuple):
-    """The crossing being flown."""
+    """Crossing that is being flown."""
 
     point_enu_m: Point
-    """Where it ends."""
+    """End of the crossing."""
     estimate_enu_m: Point
-    """The estimate when it was chosen."""
+    """Estimate when the crossing was chosen."""
     direction: Point
     """Unit vector from the estimate to the far side."""
     start_enu_m: Point
-    """Where the vehicle was when it was chosen."""
+    """Vehicle position when the crossing was chosen."""
     overshoot_m: float
     crossings: int
-    """Flown to their end so far."""
+    """Number of completed crossings."""
     descent_m: float
-    """How much lower than the search altitude."""
+    """Search altitude less the height of the crossing."""
 
     @property
     def pushed_m(self) -> float:
-        """How far beyond the estimate the point is if a keep-out pushed it there, otherwise 0."""
+        """Distance of the point beyond the estimate if a keep-out pushed it there, otherwise 0."""
         (point_east, point_north), (east, north) = self.point_enu_m, self.estimate_enu_m
         beyond_m = (point_east - east) * self.direction[0]
         beyond_m += (point_north - north) * self.direction[1]
@@ -66,13 +67,14 @@ class Latch(NamedTuple):
 
 
 NO_LATCH = Latch((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 0.0, -1, 0.0)
+"""Placeholder before the first crossing."""
 
 FIRST, KEPT, FLOWN, MOVED = 0, 1, 2, 3
-"""Verdicts: no latch yet, fly on, choose the next crossing, aim the same one anew."""
+"""Verdicts: no latch yet, continue, choose the next crossing, re-aim the same one."""
 
 
 class LatchRule(NamedTuple):
-    """The parameters of latched crossing, as the kernels take them."""
+    """Parameters of latched crossing for the kernels."""
 
     overshoot_sigmas: float
     overshoot_min_m: float
@@ -83,7 +85,7 @@ class LatchRule(NamedTuple):
 
 @kernel
 def worst_sigma_m(variance_east_m2: float, covariance_m2: float, variance_north_m2: float) -> float:
-    """Standard deviation in the worst direction."""
+    """Return the standard deviation in the worst direction."""
     half_trace = 0.5 * (variance_east_m2 + variance_north_m2)
     half_gap = 0.5 * (variance_east_m2 - variance_north_m2)
     largest_m2 = half_trace + math.hypot(half_gap, covariance_m2)
@@ -98,7 +100,7 @@ def overshoot_m(
     baseline_m: float,
     rule: LatchRule,
 ) -> float:
-    """How far beyond the estimate: the worst direction's sigmas or the base line, within limits."""
+    """Return the overshoot: sigmas of the worst direction or the baseline, within limits."""
     sigma_m = worst_sigma_m(variance_east_m2, covariance_m2, variance_north_m2)
     wanted_m = rule.overshoot_sigmas * sigma_m
     least_m = max(rule.overshoot_min_m, min(baseline_m, rule.overshoot_max_m))
@@ -109,10 +111,10 @@ def overshoot_m(
 def latch_verdict(
     latch: Latch, vehicle: Point, target: Point, over_m: float, is_at_height: bool, rule: LatchRule
 ) -> int:
-    """What is to become of a latch.
+    """Return the verdict on a latch.
 
-    The latch was chosen when less was known; once a shorter overshoot will do, the rest of a long
-    one would only cost time, so a crossing is also flown once the estimate lies behind by the
+    The latch was chosen when less was known; once a shorter overshoot suffices, the rest of a long
+    one would only cost time, so a crossing is also complete once the estimate lies behind by the
     present overshoot. Neither counts before the vehicle is at the height of the crossing.
     """
     if latch.crossings < 0:
@@ -134,7 +136,7 @@ def latch_verdict(
 
 @kernel
 def next_direction(latch: Latch, verdict: int, vehicle: Point, target: Point) -> Point:
-    """The direction of the crossing that follows a verdict: at the estimate, turned, or kept."""
+    """Return the direction of the crossing after a verdict: at the estimate, turned, or kept."""
     if verdict == FIRST:
         return direction(vehicle, target)
     if verdict == FLOWN:
@@ -153,7 +155,7 @@ def new_latch(
     over_m: float,
     rule: LatchRule,
 ) -> Latch:
-    """The latch on a point; one that is reached already turns on with the next crossing."""
+    """Return the latch on a point; if it is reached already, the next direction is turned."""
     if math.hypot(point[0] - vehicle[0], point[1] - vehicle[1]) <= rule.arrival_radius_m:
         heading = turned(heading, GOLDEN_ANGLE_RAD)
     flown = max(latch.crossings, 0) + (1 if verdict == FLOWN else 0)
@@ -164,7 +166,7 @@ def new_latch(
 def latched_step(
     latch: Latch, vehicle: Point, target: Point, over_m: float, is_at_height: bool, rule: LatchRule
 ) -> Latch:
-    """The latch to fly next where no fence limits it; in the plane it always `is_at_height`."""
+    """Return the next latch without a fence; in the plane `is_at_height` is always true."""
     verdict = latch_verdict(latch, vehicle, target, over_m, is_at_height, rule)
     if verdict == KEPT:
         return latch
@@ -175,5 +177,5 @@ def latched_step(
 
 @kernel
 def altitude_offset_m(crossings: int, swing_m: float) -> float:
-    """Height of a crossing against the search altitude: above and below it by turns."""
+    """Return the height of a crossing over the search altitude: alternately above and below."""
     return swing_m if crossings % 2 == 0 else 0.0 - swing_m

@@ -1,8 +1,8 @@
-"""E-optimality: fly where one more measurement is expected to leave the least worst-case error.
+"""E-optimal planner: the next measurement with the least expected worst-case error.
 
-Candidates are the ends of steps in even directions about the vehicle, and staying. With the
-joint information J = P^-1 before and the expected measurement's H^T R^-1 H, the criterion is the
-smallest eigenvalue of the *marginal* information about the position, the offsets being nuisance:
+Candidates are the ends of steps in even directions about the vehicle, and staying. With the joint
+information J = P^-1 before and the expected measurement's H^T R^-1 H, the criterion is the smallest
+eigenvalue of the *marginal* information about the position, the offsets being nuisance:
 
     J' = J + H^T R^-1 H,    I(s) = J'_pp - J'_po J'_oo^-1 J'_op,    s* = argmax lambda_min(I(s))
 
@@ -11,14 +11,14 @@ instead, P_pp - G S^-1 G^T with G = (P H^T)_p and S = H P H^T + R: the same s*, 
 algebra only, and it needs no inverse of P, which may be singular.
 
 Paper: section V-B, eq. (FIM objective). Deviations: the paper leaves the candidates, the prior
-information and the offsets open (with them known, any new place looks equally good); ranges are
-slant, as the radio measures them; and `near_target_terms` adds the second-order variances that the
-filter has too, without which the bearing of a place on top of the estimate is believed to be
-perfect. Off, the criterion is the linearised one.
+information and the offsets open (with them known, any new position looks equally good); ranges are
+slant, as the radio measures them; and `near_target_terms` adds the second-order variances of the
+filter, without which the bearing from a position above the estimate counts as perfect. Without them
+the criterion is the linearised one.
 
 With an antenna array the rows are those of its own measurement model, about a level vehicle that
-keeps its heading: of an azimuth in the array's plane, sigma_0 over the sine off its normal, or of
-direction cosines, sigma_0 each; and what is out of the field of view is no row.
+keeps its heading: for an azimuth in the array's plane, sigma_0 over the sine off its normal, or for
+direction cosines, sigma_0 each; outside the field of view there is no row.
 """
 
 from __future__ import annotations
@@ -38,27 +38,28 @@ from companion.planning.planner import Plan, PlanRequest, hold_position, route_t
 from companion.planning.views import Antenna, Triple
 
 HEADINGS = 16
-"""Directions of the candidates, where nothing else is said."""
+"""Default number of candidate directions."""
 STAY = -1
 """Index of the candidate that stays."""
 MIN_DISTANCE_M = 1e-3
-"""Closer than this the direction to the target has no meaning."""
+"""Distance below which the direction to the target is undefined."""
 NO_BEARINGS_RAD2 = math.inf
+"""Bearing variance where bearings are not measured."""
 
 
 class FimParams(Params, frozen=True):
-    """Candidates and prior knowledge of the E-optimal planner."""
+    """Candidates and prior of the E-optimal planner."""
 
     step_m: Positive = 5.0
-    """How far from the vehicle the candidates are."""
+    """Distance of the candidates from the vehicle."""
     headings: Annotated[int, msgspec.Meta(ge=3, le=360)] = HEADINGS
-    """In how many directions they are."""
+    """Number of candidate directions."""
     range_offset_sigma_m: Positive = 5.0
-    """Prior of the range offset where the filter tells no joint covariance."""
+    """Prior of the range offset where the filter has no joint covariance."""
     bearing_offset_sigma_deg: Positive = 5.0
-    """The same of the bearing offset."""
+    """Prior of the bearing offset, in the same way."""
     near_target_terms: bool = True
-    """Whether variances contain the second-order terms; false: as the paper prints it."""
+    """True: variances contain the second-order terms; false: as the paper prints it."""
 
 
 @kernel
@@ -71,10 +72,10 @@ def worst_variance_m2(
     bearing_variance_rad2: float,
     near_target_terms: bool,
 ) -> float:
-    """Largest eigenvalue of the position covariance after one expected measurement.
+    """Return the largest eigenvalue of the position covariance after one expected measurement.
 
     Its inverse is the smallest eigenvalue of the marginal information. P is (4, 4), of [east,
-    north, range offset, bearing offset]; `de_m` and `dn_m` lead from the measurement's place to the
+    north, range offset, bearing offset]; `de_m` and `dn_m` lead from the measuring position to the
     estimate. A bearing variance is thermal noise; infinite: bearings are not measured.
     """
     ground2 = max(de_m * de_m + dn_m * dn_m, MIN_DISTANCE_M * MIN_DISTANCE_M)
@@ -82,7 +83,7 @@ def worst_variance_m2(
     slant = math.sqrt(slant2)
     trace = P[0, 0] + P[1, 1] if near_target_terms else 0.0
     ue, un = de_m / slant, dn_m / slant
-    # Columns of P H^T: of the range, (ue, un, 1, 0), and of the bearing, (ve, vn, 0, 1).
+    # columns of P H^T: of the range, (ue, un, 1, 0), and of the bearing, (ve, vn, 0, 1)
     ge = P[0, 0] * ue + P[0, 1] * un + P[0, 2]
     gn = P[1, 0] * ue + P[1, 1] * un + P[1, 2]
     go = P[2, 0] * ue + P[2, 1] * un + P[2, 2]
@@ -106,19 +107,19 @@ def worst_variance_m2(
 
 
 class View(NamedTuple):
-    """An antenna array as a level vehicle carries it, and its noise."""
+    """Antenna array on a level vehicle, and its noise."""
 
     antenna: Antenna
     yaw_enu_rad: float
     sigmas: tuple[float, float]
-    """Of a range, m, infinite where none is measured, and of a direction cosine, rad."""
+    """Standard deviations of a range, m (infinite: not measured), and of a direction cosine."""
 
 
 @kernel
 def array_worst_variance_m2(
     P: Matrix, to_target_m: Triple, view: View, near_target_terms: bool
 ) -> float:
-    """The same of an antenna array, row by row."""
+    """Return `worst_variance_m2` for an antenna array, updated row by row."""
     de, dn, du = to_target_m
     slant = max(math.sqrt(de * de + dn * dn + du * du), MIN_DISTANCE_M)
     u, antenna, cosine2 = (de / slant, dn / slant, du / slant), view.antenna, view.sigmas[1] ** 2
@@ -146,7 +147,7 @@ def array_worst_variance_m2(
 
 @kernel
 def cosine_row(axis: Triple, u: Triple, slant_m: float, yaw_rad: float) -> tuple[Vector, float]:
-    """Partials (4,) of the cosine along an axis of the level body, and the cosine itself."""
+    """Return the partials (4,) of the cosine along an axis of the level body, and the cosine."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     east, north = c * axis[0] - s * axis[1], s * axis[0] + c * axis[1]
     cosine = east * u[0] + north * u[1] + axis[2] * u[2]
@@ -156,7 +157,7 @@ def cosine_row(axis: Triple, u: Triple, slant_m: float, yaw_rad: float) -> tuple
 
 @kernel
 def take_in(P: Matrix, h: Vector, variance: float) -> None:
-    """Update a covariance (4, 4) in place by one row (4,), as a Kalman filter does."""
+    """Update a covariance (4, 4) in place with one row (4,), as a Kalman filter does."""
     Ph = (P * h).sum(axis=1)
     P -= np.outer(Ph, Ph) / ((Ph * h).sum() + variance)
 
@@ -170,7 +171,7 @@ def best_array_candidate(
     view: View,
     near: bool,
 ) -> int:
-    """`best_candidate` with an antenna array."""
+    """Return the result of `best_candidate` for an antenna array."""
     de, dn, du = to_target_m
     best, least = STAY, array_worst_variance_m2(P, to_target_m, view, near)
     for index in range(ring_m.shape[0]):
@@ -194,7 +195,7 @@ def best_candidate(
     bearing_variance_rad2: float,
     near_target_terms: bool,
 ) -> int:
-    """Index of the E-optimal row of `ring_m` (k, 2) that `may_fly` (k,), or, `STAY`."""
+    """Return the index of the E-optimal row of `ring_m` (k, 2) that `may_fly` (k,), or `STAY`."""
     best = STAY
     least = worst_variance_m2(
         P, de_m, dn_m, du_m, range_variance_m2, bearing_variance_rad2, near_target_terms
@@ -216,13 +217,13 @@ def best_candidate(
 
 
 def candidate_ring_m(step_m: float, headings: int = HEADINGS) -> Matrix:
-    """Steps of the candidates, (headings, 2) east and north, counter-clockwise from east."""
+    """Return the steps of the candidates, (headings, 2) ENU, counter-clockwise from east."""
     bearings_rad = 2.0 * np.pi * np.arange(headings) / headings
     return frozen(step_m * np.column_stack([np.cos(bearings_rad), np.sin(bearings_rad)]))
 
 
 class FimPlanner:
-    """The information-theoretic benchmark; it needs no memory."""
+    """Information-theoretic benchmark; it needs no memory."""
 
     search_after_s: float | None = None
 
@@ -233,7 +234,7 @@ class FimPlanner:
         bearing_sigma_rad: float = math.radians(2.0),
         antenna: Antenna | None = None,
     ) -> None:
-        """Without an antenna bearings are azimuths about the vertical, as the paper has them."""
+        """Without an antenna bearings are azimuths about the vertical, as in the paper."""
         self.params = params
         self._antenna = antenna
         self._sigmas = (range_sigma_m, bearing_sigma_rad)
@@ -246,7 +247,7 @@ class FimPlanner:
         )
 
     def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
-        """The best candidate about the vehicle."""
+        """Return the best candidate about the vehicle."""
         if request.estimate is None:
             return Plan(hold_position(request, "no estimate yet"), memory)
         vehicle = request.vehicle_enu_m
@@ -261,7 +262,7 @@ class FimPlanner:
         return Plan(route_to(request, waypoint), memory)
 
     def _best(self, request: PlanRequest, estimate: TargetEstimate) -> int:
-        """The index of the best candidate, by what bearings are."""
+        """Return the index of the best candidate, by the kind of bearings."""
         vehicle, target = request.vehicle_enu_m, estimate.position_enu_m
         de_m, dn_m, du_m = target[0] - vehicle[0], target[1] - vehicle[1], -request.height_m
         P, near = self._covariance(request, estimate), self.params.near_target_terms
@@ -276,7 +277,7 @@ class FimPlanner:
         return best_candidate(P, de_m, dn_m, du_m, ring_m, may_fly, range2, bearing2, near)
 
     def _covariance(self, request: PlanRequest, estimate: TargetEstimate) -> Matrix:
-        """Of position and offsets, as the filter tells it or as it is known before the flight."""
+        """Return the joint covariance of position and offsets, the filter's or the prior."""
         if request.joint_covariance is not None:
             return request.joint_covariance
         covariance = np.zeros((4, 4))

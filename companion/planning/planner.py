@@ -1,9 +1,9 @@
-"""The planner protocol: from what is known to the next waypoint, as a pure step in free space.
+"""Planner protocol: the next waypoint from the present state, as a pure step in free space.
 
-Planners choose where they would like to be and end with `route_to`, which turns that into a
-waypoint whose leg is clear: the place itself, the first corner of the shortest way around what is
-in between, the shortest way back into free space, or staying where there is no way at all. The goal
-is not remembered: the same place asked for again at the corner gives the next corner.
+Planners choose a goal and end with `route_to`, which turns it into a waypoint whose leg is clear:
+the goal itself, the first corner of the shortest path around obstacles, the shortest way back into
+free space, or staying where there is no path at all. The goal is not remembered: the same goal
+requested again at the corner gives the next corner.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Memory = TypeVar("Memory")
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """What a planner may know."""
+    """Inputs of a planner."""
 
     vehicle_enu_m: Point
     estimate: TargetEstimate | None = None
@@ -33,66 +33,68 @@ class PlanRequest:
     fence_margin_m: float = 0.0
     """Distance to keep from the fence and from every keep-out."""
     baseline_m: float = 0.0
-    """How far to the side of the target a view must be to say much; 0 where bearings are measured.
+    """Least horizontal distance of an informative view of the target; 0 where bearings are
+    measured.
 
-    Straight above it a slant range hardly depends on where the target is.
+    Straight above it a slant range hardly depends on the target's position.
     """
     keep_out_enu_m: tuple[Polygon, ...] = ()
     """Polygons that waypoints and the straight legs to them stay out of."""
     also_inside_enu_m: tuple[Polygon, ...] = ()
-    """Polygons that they stay inside of as well, by the same margin."""
+    """Further polygons that they stay inside of, by the same margin."""
     leg_from_enu_m: Point | None = None
-    """Where the leg to the waypoint begins, if not at the vehicle: the setpoint moves ahead."""
+    """Start of the leg to the waypoint, if not the vehicle: the setpoint moves ahead."""
     time_s: float = 0.0
     contact_s: float | None = None
-    """When the last usable measurement came; None: unknown, and an estimate counts as fresh."""
+    """Time of the last usable measurement; None: unknown, and an estimate counts as fresh."""
     height_m: float = 0.0
-    """Of the vehicle above the target, for slant ranges."""
+    """Height of the vehicle above the target, for slant ranges."""
     altitude_offset_m: float | None = None
-    """Of the vehicle above the search altitude; None: heights are not waited for."""
+    """Height of the vehicle above the search altitude; None: plans do not wait for heights."""
     yaw_enu_rad: float | None = None
-    """The vehicle's heading, counter-clockwise from east; None: unknown."""
+    """Heading of the vehicle, counter-clockwise from east; None: unknown."""
     sigmas: tuple[float, float] | None = None
-    """Of a range, m, and of a direction cosine, rad, as they are measured: infinite where they are
-    not. None: nobody asks, as there is no antenna array."""
+    """Standard deviations of a range, m, and of a direction cosine, as measured: infinite where
+    there are none. None: not needed, as there is no antenna array."""
     joint_covariance: Matrix | None = field(default=None, compare=False)
-    """(4, 4) of [east, north, range offset, bearing offset]; metres and radians.
+    """Covariance (4, 4) of [east, north, range offset, bearing offset]; metres and radians.
 
-    None: that of the estimate, and offsets known as little as before the flight.
+    None: that of the estimate, and the prior of the offsets.
     """
 
     @property
     def begin_enu_m(self) -> Point:
-        """Where the leg to the waypoint begins."""
+        """Start of the leg to the waypoint."""
         return self.vehicle_enu_m if self.leg_from_enu_m is None else self.leg_from_enu_m
 
 
 @dataclass(frozen=True, slots=True)
 class Plan(Generic[Memory]):
-    """A waypoint, and what the planner wants to remember until the next request."""
+    """Waypoint, and the planner's memory until the next request."""
 
     waypoint: Waypoint
     memory: Memory
 
 
 class Planner(Protocol[Memory]):
-    """Chooses where to fly; pure, the caller keeps the memory."""
+    """Protocol of planners; pure, the caller keeps the memory."""
 
     @property
     def search_after_s(self) -> float | None:
-        """How long without contact until it searches; None: never, 0: it needs no contact."""
+        """Time without contact until it searches; None: never, 0: it needs no contact."""
 
     def plan(self, request: PlanRequest, memory: Memory | None) -> Plan[Memory]:
-        """The next waypoint, reached in the free space of the request; at first without memory."""
+        """Return the next waypoint in the free space of the request; memory is None at first."""
 
 
 SLACK_M = 1e-6
-"""Legs keep this much more than the margin, so that a guard that keeps it never stops one."""
+"""Excess of a leg's margin, so that a guard with the same margin never stops it."""
 START_TOLERANCE_M = 0.01
-"""A leg may begin outside free space by this much: rounding, and a guard without the slack."""
+"""Distance outside free space from which a leg may begin: rounding, and a guard without slack."""
 FARTHEST_BEYOND_M = 100.0
-"""A keep-out about the target that is wider than this is not flown around for one crossing."""
+"""Largest distance that a point is pushed beyond a keep-out about the target."""
 NO_ROOM = "the fence, the keep-outs and the margin leave no room"
+"""Detail of a waypoint where free space is empty."""
 
 
 @lru_cache(maxsize=8)
@@ -102,13 +104,13 @@ def _way_finder(
     margin_m: float,
     also_inside_enu_m: tuple[tuple[Point, ...], ...],
 ) -> WayFinder:
-    """The way finder of a free space; its graph is the same for every plan of a flight."""
+    """Return the cached path finder of a free space; every plan of a flight shares its graph."""
     space = FreeSpace(fence_enu_m, keep_out_enu_m, margin_m + SLACK_M, also_inside_enu_m)
     return WayFinder(space)
 
 
 def way_finder(request: PlanRequest) -> WayFinder | None:
-    """What knows the free space of a request, or None where nothing limits it."""
+    """Return the path finder for a request, or None without a fence or keep-out."""
     if request.fence_enu_m is None and not request.keep_out_enu_m:
         return None
     fence = None if request.fence_enu_m is None else tuple(request.fence_enu_m)
@@ -118,7 +120,7 @@ def way_finder(request: PlanRequest) -> WayFinder | None:
 
 
 def kept_inside(point: Point, anchor: Point, request: PlanRequest) -> Point:
-    """`point`, or the allowed point that stands for it.
+    """Return `point`, or the free point that replaces it.
 
     Beyond the fence that is the farthest one on the way to it from `anchor`, usually the estimate
     or the vehicle; in a keep-out it is the nearest one.
@@ -132,7 +134,7 @@ def kept_inside(point: Point, anchor: Point, request: PlanRequest) -> Point:
 
 
 def cut_by_fence(point: Point, anchor: Point, request: PlanRequest) -> Point:
-    """`point`, or the farthest point on the way to it from `anchor` that is inside the fence."""
+    """Return `point`, or the farthest point towards it from `anchor` that is inside the fence."""
     fence_enu_m, margin_m = request.fence_enu_m, request.fence_margin_m + SLACK_M
     if fence_enu_m is None or depth_m(fence_enu_m, point) >= margin_m:
         return point
@@ -151,7 +153,7 @@ def cut_by_fence(point: Point, anchor: Point, request: PlanRequest) -> Point:
 
 
 def pushed_beyond(point: Point, heading: Point, request: PlanRequest) -> Point:
-    """`point`, or the first allowed one beyond it, if there is one within `FARTHEST_BEYOND_M`."""
+    """Return `point`, or the first free one beyond it, if any within `FARTHEST_BEYOND_M`."""
     finder = way_finder(request)
     if finder is None or finder.space.allows(point):
         return point
@@ -160,7 +162,7 @@ def pushed_beyond(point: Point, heading: Point, request: PlanRequest) -> Point:
 
 
 def is_reachable(point: Point, request: PlanRequest) -> bool:
-    """Whether there is a way to an allowed point."""
+    """Return True if there is a path to a free point."""
     finder = way_finder(request)
     if finder is None:
         return True
@@ -169,7 +171,7 @@ def is_reachable(point: Point, request: PlanRequest) -> bool:
 
 
 def route_to(request: PlanRequest, wanted: Waypoint) -> Waypoint:
-    """A waypoint whose straight leg is clear, on the way to the wanted one."""
+    """Return a waypoint whose straight leg is clear, on the path to the wanted one."""
     finder = way_finder(request)
     if finder is None:
         return wanted
@@ -191,7 +193,7 @@ def route_to(request: PlanRequest, wanted: Waypoint) -> Waypoint:
 
 
 def hold_position(request: PlanRequest, why: str) -> Waypoint:
-    """Staying where the last leg ended, or where the vehicle is."""
+    """Return a waypoint at the end of the last leg, or at the vehicle."""
     return route_to(request, Waypoint(request.begin_enu_m, WaypointReason.HOLD, why))
 
 

@@ -1,17 +1,17 @@
 """Search patterns, flown leg by leg with interruptions, and handed over to crossing on contact.
 
-Theory of operation. A pattern lays out a track, legs in their order (`search_tracks`); this flies
-it. The memory holds the track, the leg and how far along it the vehicle has come, so that after an
-interruption (a contact that came to nothing, a detour, a stronger wind) the search goes on where it
-was left, and nothing is skipped. A leg that there is no way to is passed over.
+Theory of operation. A pattern lays out a track, legs in their order (`search_tracks`), which this
+module flies. The memory holds the track, the leg and the progress along it, so that after an
+interruption (a brief contact, a detour, strong wind) the search resumes where it was left, and no
+part is skipped. A leg that cannot be reached is passed over.
 
-At the end of the track the search starts over with turned legs, as the IAMSAR manual has it for a
-second search of the same area: what the first one missed by its direction, the next may hear. Lanes
-turn by 90 degrees, the square by 45, the sectors by 30.
+At the end of the track the search starts over with turned legs, as the IAMSAR manual prescribes for
+a second search of the same area: what the first one missed because of its direction, the next may
+detect. Lanes turn by 90 degrees, the square by 45, the sectors by 30.
 
 Contact is a usable measurement that is not older than `lost_after_s`, with an estimate that does
 not contradict its measurements. It hands over to the crossing planner at once; without it the
-search goes on, because what was heard there may be heard again.
+search resumes from there, because the emitter may be received there again.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from companion.planning.search_tracks import (
 )
 
 TRANSITIONS_AT_ONCE = 4
-"""Leg ends that one request may pass; more are not reached at one place by any real track."""
+"""Most leg ends passed in one request; no real track has more within one arrival radius."""
 
 
 Spacing = Annotated[float, msgspec.Meta(ge=1.0, le=1e4)]
@@ -51,45 +51,45 @@ Spacing = Annotated[float, msgspec.Meta(ge=1.0, le=1e4)]
 
 
 class SearchParams(Params, frozen=True):
-    """A way to lay out a search, and what every one of them has."""
+    """Layout of a search, and the parameters that all patterns share."""
 
     name: ClassVar[str]
     spacing_m: Spacing = 20.0
-    """Distance between neighbouring legs: not more than twice what the radio surely hears."""
+    """Distance between neighbouring legs: at most twice the reliable range of the radio."""
     arrival_radius_m: Positive = 1.5
     """The end of a leg counts as reached within this distance."""
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The legs of a sweep (0: the first), if any; the datum is where the search began."""
+        """Return the legs of a sweep (0: the first), if any; the search began at the datum."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
 class SearchMemory:
-    """How far a search has come."""
+    """Progress of a search."""
 
     track: Track
     datum_enu_m: Point
-    """Where the vehicle was when the search began."""
+    """Vehicle position when the search began."""
     sweep: int = 0
-    """How often the track has been flown to its end before."""
+    """Number of completed sweeps."""
     index: int = 0
-    """Of the leg being flown, or flown to."""
+    """Index of the leg being flown, or flown to."""
     is_on_leg: bool = False
-    """Whether the start of the leg was reached."""
+    """True if the start of the leg was reached."""
     is_left: bool = False
-    """Whether the leg was interrupted, and begins where it was."""
+    """True if the leg was interrupted, and begins where it was left."""
     so_far_m: float = 0.0
-    """How far along the leg the vehicle has come."""
+    """Progress along the leg."""
 
     @property
     def leg(self) -> Leg:
-        """The leg being flown, or flown to."""
+        """Leg being flown, or flown to."""
         return self.track[self.index]
 
 
 class SearchPlanner:
-    """Flies a pattern again and again, whatever the estimate."""
+    """Planner that repeats a pattern, whatever the estimate."""
 
     search_after_s: float | None = 0.0
 
@@ -98,7 +98,7 @@ class SearchPlanner:
         self._arrival_m = pattern.arrival_radius_m
 
     def plan(self, request: PlanRequest, memory: SearchMemory | None) -> Plan[SearchMemory | None]:
-        """The end of the leg, or the way to its start."""
+        """Return the end of the leg, or the path to its start."""
         if memory is None:
             datum = request.vehicle_enu_m
             memory = SearchMemory(self.pattern.track(request, datum, 0), datum)
@@ -113,13 +113,13 @@ class SearchPlanner:
         return Plan(hold_position(request, f"{self.pattern.name}: no way to any leg"), memory)
 
     def interrupted(self, memory: SearchMemory | None) -> SearchMemory | None:
-        """The memory after something else was flown: the leg goes on from where it was left."""
+        """Return the memory after something else was flown: the leg resumes where it was left."""
         if memory is None or not memory.is_on_leg:
             return memory
         return replace(memory, is_on_leg=False, is_left=True)
 
     def _advanced(self, request: PlanRequest, memory: SearchMemory) -> SearchMemory:
-        """The memory with what the vehicle has reached by now."""
+        """Return the memory with the progress of the vehicle."""
         vehicle = request.vehicle_enu_m
         for _ in range(TRANSITIONS_AT_ONCE):
             leg = memory.leg
@@ -156,7 +156,7 @@ class SearchPlanner:
 
 
 def _begin(memory: SearchMemory) -> Point:
-    """Where to get on the leg: its start, or where it was left."""
+    """Return where to join the leg: its start, or where it was left."""
     leg, length_m = memory.leg, memory.leg.length_m
     share = 0.0 if length_m == 0.0 else min(1.0, memory.so_far_m / length_m)
     (e0, n0), (e1, n1) = leg.start_enu_m, leg.end_enu_m
@@ -164,8 +164,9 @@ def _begin(memory: SearchMemory) -> Point:
 
 
 LEAST_AREA_M2 = 1.0
+"""Smallest area to search."""
 MOST_LEGS = 2000
-"""More cannot be flown, and planning them would cost the flight its ticks."""
+"""Limit of legs: more cannot be flown, and planning them would delay control ticks."""
 HeadingDeg = Annotated[float, msgspec.Meta(ge=0.0, le=360.0)]
 Corner = Literal["nearest", "south_west", "south_east", "north_west", "north_east"]
 
@@ -175,14 +176,14 @@ class LawnmowerParams(SearchParams, frozen=True):
 
     name: ClassVar[str] = "lawnmower"
     area_enu_m: tuple[Point, ...] | None = None
-    """Corners of the area to search; null: all that the fence leaves."""
+    """Corners of the area to search; null: the whole fence."""
     lane_heading_deg: HeadingDeg | None = None
-    """Of the lanes, clockwise from north; null: along the longer side."""
+    """Heading of the lanes, clockwise from north; null: along the longer side."""
     start_corner: Corner = "nearest"
-    """Where the first sweep begins; nearest: to the vehicle."""
+    """Start of the first sweep; nearest: to the vehicle."""
 
     def __post_init__(self) -> None:
-        """Refuse an area that is none."""
+        """Reject an invalid area."""
         area = self.area_enu_m
         if area is None:
             return
@@ -193,7 +194,7 @@ class LawnmowerParams(SearchParams, frozen=True):
             raise ValueError(f"area_enu_m would take more than {MOST_LEGS} lanes at this spacing_m")
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The lanes; crossed by those of the sweep before. Empty without an area and a fence."""
+        """Return the lanes, across those of the sweep before; none without area and fence."""
         del datum_enu_m
         spaces = _spaces(request)
         if self.area_enu_m is not None:
@@ -216,39 +217,39 @@ class LawnmowerParams(SearchParams, frozen=True):
 
 
 def _extent(area: Polygon) -> tuple[Point, Point]:
-    """The south-western and the north-eastern corner of the box around an area."""
+    """Return the south-western and the north-eastern corner of an area's bounding box."""
     east, north = zip(*area, strict=True)
     return (min(east), min(north)), (max(east), max(north))
 
 
 class DatumSearchParams(SearchParams, frozen=True):
-    """What the patterns about a datum share."""
+    """Common parameters of the patterns about a datum."""
 
     datum_enu_m: Point | None = None
-    """Where the target most likely is; null: where the vehicle is when the search begins."""
+    """Most likely position of the target; null: the vehicle position when the search begins."""
     heading_deg: HeadingDeg = 0.0
-    """Of the first leg, clockwise from north."""
+    """Heading of the first leg, clockwise from north."""
 
     def _datum(self, began_enu_m: Point) -> Point:
         return began_enu_m if self.datum_enu_m is None else self.datum_enu_m
 
 
 class ExpandingSquareParams(DatumSearchParams, frozen=True):
-    """A square spiral (IAMSAR: SS), for a target that is probably close to the datum."""
+    """Square spiral (IAMSAR: SS), for a target that is probably close to the datum."""
 
     name: ClassVar[str] = "expanding square"
     radius_m: Positive = 100.0
     """Half the width of the whole square."""
 
     def __post_init__(self) -> None:
-        """Refuse a square without a ring."""
+        """Reject a square without a ring."""
         if self.radius_m < self.spacing_m:
             raise ValueError("radius_m must not be less than spacing_m")
         if 4.0 * self.radius_m > MOST_LEGS * self.spacing_m:
             raise ValueError(f"radius_m would take more than {MOST_LEGS} legs at this spacing_m")
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The spiral, turned by 45 degrees against the sweep before."""
+        """Return the spiral, turned by 45 degrees against the sweep before."""
         datum, spaces = self._datum(datum_enu_m), _spaces(request)
         heading_rad = math.radians(self.heading_deg + 45.0 * sweep)
         return expanding_square(datum, self.spacing_m, self.radius_m, heading_rad, spaces)
@@ -259,10 +260,10 @@ class SectorParams(DatumSearchParams, frozen=True):
 
     name: ClassVar[str] = "sector search"
     radius_m: Positive = 60.0
-    """Of the circle, and length of every leg."""
+    """Radius of the circle, and length of every leg."""
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """The triangles, turned by 30 degrees against the sweep before."""
+        """Return the triangles, turned by 30 degrees against the sweep before."""
         heading_rad = math.radians(self.heading_deg + 30.0 * sweep)
         datum = self._datum(datum_enu_m)
         return sector_search(datum, self.radius_m, heading_rad, _spaces(request))
@@ -285,7 +286,7 @@ Crossing = TypeVar("Crossing")
 
 @dataclass(frozen=True, slots=True)
 class SearchThenCrossMemory(Generic[Crossing]):
-    """What both planners remember, and which of them flies."""
+    """Memories of both planners, and which of them flies."""
 
     search: SearchMemory | None = None
     crossing: Crossing | None = None
@@ -293,7 +294,7 @@ class SearchThenCrossMemory(Generic[Crossing]):
 
 
 class SearchThenCross(Generic[Crossing]):
-    """Two planners: one crosses while there is contact, one searches `lost_after_s` after it."""
+    """Pair of planners: one crosses during contact, one searches `lost_after_s` after it."""
 
     def __init__(
         self, search: SearchPlanner, crossing: Planner[Crossing], lost_after_s: float
@@ -306,7 +307,7 @@ class SearchThenCross(Generic[Crossing]):
     def plan(
         self, request: PlanRequest, memory: SearchThenCrossMemory[Crossing] | None
     ) -> Plan[SearchThenCrossMemory[Crossing]]:
-        """The waypoint of the planner whose turn it is."""
+        """Return the waypoint of the active planner."""
         memory = memory or SearchThenCrossMemory()
         if self._has_contact(request, memory):
             crossed = self._crossing.plan(request, memory.crossing)

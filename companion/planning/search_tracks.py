@@ -1,4 +1,4 @@
-"""The tracks of search patterns: legs to fly in their order, cut to what may be flown.
+"""Tracks of search patterns: legs to fly in their order, clipped to free space.
 
 The patterns are those of the IAMSAR manual for one search unit:
 
@@ -8,7 +8,7 @@ The patterns are those of the IAMSAR manual for one search unit:
                        through the datum between them
 
 An area need not be convex: it is flown cell by cell, a cell being lanes that neighbour each other
-one to one. Headings are clockwise from north, as search teams give them.
+one to one. Headings are clockwise from north, as is usual in search and rescue.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from companion.geometry.obstacles import FreeSpace
 from companion.geometry.polygons import Point, Polygon, edges
 
 LEAST_LEG_M = 0.5
-"""What is left of a leg and is shorter than this is not worth flying to."""
+"""Length below which the rest of a leg is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One straight piece of a track."""
+    """Straight piece of a track."""
 
     start_enu_m: Point
     end_enu_m: Point
 
     @property
     def length_m(self) -> float:
-        """From start to end."""
+        """Length from start to end."""
         return math.dist(self.start_enu_m, self.end_enu_m)
 
     def reversed(self) -> Leg:
-        """The same leg, flown the other way."""
+        """Return the same leg in the opposite direction."""
         return Leg(self.end_enu_m, self.start_enu_m)
 
 
@@ -47,7 +47,7 @@ _Cell = list[Leg]
 
 
 def clipped(legs: Sequence[Leg], spaces: Sequence[FreeSpace]) -> Track:
-    """What is free of the legs in every one of some spaces."""
+    """Return the parts of the legs that are free in every space."""
     for space in spaces:
         pieces = (space.pieces(leg.start_enu_m, leg.end_enu_m) for leg in legs)
         legs = [Leg(*piece) for found in pieces for piece in found]
@@ -55,7 +55,7 @@ def clipped(legs: Sequence[Leg], spaces: Sequence[FreeSpace]) -> Track:
 
 
 def heading_of_fewest_lanes_rad(area_enu_m: Polygon) -> float:
-    """The heading of the edge along which the area needs the fewest lanes; the longer side."""
+    """Return the heading of the edge along which the area needs the fewest lanes."""
     headings = [math.atan2(b[0] - a[0], b[1] - a[1]) for a, b in edges(area_enu_m) if a != b]
     return min(headings, key=lambda heading_rad: round(_width_m(area_enu_m, heading_rad), 6))
 
@@ -68,7 +68,7 @@ def parallel_track(
     spaces: Sequence[FreeSpace],
     entry_enu_m: Point,
 ) -> Track:
-    """Lanes over an area, a simple polygon whose border has already lost `inset_m` to a margin.
+    """Return lanes over an area, a simple polygon whose border already lost `inset_m` to a margin.
 
     They are no farther apart than a spacing, and the track begins at the end of a lane that is
     nearest to the entry.
@@ -97,7 +97,7 @@ def expanding_square(
     heading_rad: float,
     spaces: Sequence[FreeSpace],
 ) -> Track:
-    """A square spiral, evenly spaced; `radius_m`, half its width, is rounded down to spacings."""
+    """Return a square spiral; `radius_m`, half its width, is rounded down to whole spacings."""
     legs, place = [], datum_enu_m
     rings = math.floor(radius_m / spacing_m + 1e-9)
     for index in range(4 * rings + 1):
@@ -112,27 +112,27 @@ def expanding_square(
 def sector_search(
     datum_enu_m: Point, radius_m: float, heading_rad: float, spaces: Sequence[FreeSpace]
 ) -> Track:
-    """Three triangles, nine legs of the same length, about the datum, the centre of the search."""
+    """Return three triangles, nine legs of the same length, about the datum."""
     legs, place, course_rad = [], datum_enu_m, heading_rad
     for _ in range(3):
         for turn in range(3):
             end = datum_enu_m if turn == 2 else _moved(place, course_rad, radius_m)
             legs.append(Leg(place, end))
             place = end
-            if turn < 2:  # at the datum it flies straight on
+            if turn < 2:  # it passes straight through the datum
                 course_rad += math.radians(120.0)
     return clipped(legs, spaces)
 
 
 def _width_m(area_enu_m: Polygon, heading_rad: float) -> float:
-    """Extent of an area to the side of a heading."""
+    """Return the extent of an area across a heading."""
     east, north = _unit(heading_rad)
     across = [_dot((-north, east), corner) for corner in area_enu_m]
     return max(across) - min(across)
 
 
 def _cells(rows: Sequence[Track], along: Point) -> list[_Cell]:
-    """Join the lanes of neighbouring rows that see each other one to one."""
+    """Join the lanes of neighbouring rows that overlap one to one."""
     cells: list[_Cell] = []
     open_cells: list[_Cell] = []
     for row in rows:
@@ -156,7 +156,7 @@ def _overlap(one: Leg, other: Leg, along: Point) -> bool:
 
 
 def _joined(cells: Sequence[_Cell], entry_enu_m: Point) -> Track:
-    """The cells one after the other, each time the one whose entrance is nearest."""
+    """Return the cells in order, each time the one with the nearest entrance."""
     remaining, track, place = list(cells), list[Leg](), entry_enu_m
     while remaining:
         entrances = [(i, e) for i, cell in enumerate(remaining) for e in _entrances(cell)]
@@ -170,7 +170,7 @@ def _joined(cells: Sequence[_Cell], entry_enu_m: Point) -> Track:
 
 
 def _entrances(cell: _Cell) -> Iterator[_Cell]:
-    """A cell, flown to and fro, from each of its four corners."""
+    """Yield a cell, flown back and forth, from each of its four corners."""
     for lanes in (cell, cell[::-1]):
         for first in (0, 1):
             yield [leg.reversed() if (i + first) % 2 else leg for i, leg in enumerate(lanes)]

@@ -1,29 +1,31 @@
-"""What a straight leg over the target tells, by the antenna: closed forms, and the best overshoot.
+"""Information of a straight leg over the target, by antenna: closed forms, best overshoot.
 
 A vehicle h above the target flies over it, from L before to L behind. At ground distance d, with
-s^2 = d^2 + h^2 and theta = atan(d / h), the angle from the nadir, a metre of the way tells
+s^2 = d^2 + h^2 and theta = atan(d / h), the angle from the nadir, the information per metre is
 
     of ranges      along the leg    d^2 / (s^2 sigma_r^2)
     of a cosine    across the leg   c^2 / (s^2 sigma_0^2)
                    along the leg    (a cos theta + b sin theta)^2 cos^4 theta / (h^2 sigma_0^2)
 
 for an axis of the antenna with components a ahead, c to the left and b upwards: the gradients of
-slant and of axis . u, u being the unit vector to the target. A planar array's azimuth tells c = 1
-and no more, so that coming closer than the height gains nothing. From 0 to L these are
+slant and of axis . u, u being the unit vector to the target. A planar array's azimuth has c = 1 and
+nothing else, so that coming closer than the height gains nothing. From 0 to L these are
 
     (L - h theta) / sigma_r^2      theta c^2 / (h sigma_0^2)
     [a^2 (3/8 theta + 1/4 sin 2 theta + 1/32 sin 4 theta) + b^2 (theta / 8 - 1/32 sin 4 theta)
      - a b cos^4 theta / 2] / (h sigma_0^2)
 
-and a field of view cuts the angles that are outside. Crossings come from all directions in turn, so
-that every axis gets its share of the sum. Divided by the way with what turning costs, L + turn, it
-is the rate of information; where it is greatest, one more metre tells as much as the mean one.
+and a field of view excludes the angles outside of it. Crossings come from all directions in turn,
+so that every axis gets its share of the sum. Divided by the path length plus the cost of turning, L
++ turn, it is the rate of information; at its maximum, one more metre has as much information as the
+mean one.
 
-The offset of bearings is odd in d and the place across is even, that of ranges the reverse: legs
-over the target, and only those, keep them apart, so that neither offset changes the sum.
+The offset of bearings is odd in d and the position across is even, that of ranges the reverse: legs
+over the target, and only those, separate them, so that neither offset changes the sum.
 
-Deviations: legs go straight over the estimate, which a turn by the golden angle only nearly does;
-the vehicle is level; a planar array is taken for a level one; path loss is left out.
+Deviations: legs go straight over the estimate, which is only approximately true after a turn by the
+golden angle; the vehicle is level; a planar array is assumed level; path loss is left out.
+
 Source of the derivatives: those of `companion/estimation/measurement_model.py`, for a level body.
 """
 
@@ -36,45 +38,47 @@ from companion.kernel import kernel
 
 Triple = tuple[float, float, float]
 LEAST_HEIGHT_M = 1.0
-"""Nearer than this no angle is better: place and antenna are known no better themselves."""
+"""Least height above the target: below it, errors of position and antenna dominate."""
 BISECTIONS = 8
+"""Bisections of the overshoot: its bounds are 20 m apart, so that 0.1 m remain."""
 WHOLE_RAD = 0.5 * math.pi
-"""From the nadir to the horizon."""
+"""Angle from the nadir to the horizon."""
 
 
 class Antenna(NamedTuple):
-    """What measures directions; unit vectors are forward, left and up of the level body."""
+    """Antenna that measures directions; unit vectors are forward, left and up of the level body."""
 
     boresight: Triple
     first: Triple
     second: Triple
     rows: int
-    """1: the first axis alone, as a line has it, or a planar array's azimuth; 2: both."""
+    """1: the first axis alone (a line), or a planar array's azimuth; 2: both axes."""
     is_planar: bool
     half_view_rad: float
-    """About the boresight, or with a line or two axes behind as well, mirrored."""
+    """Half angle about the boresight; a line or two axes see the mirrored cone behind as well."""
 
 
 class LegView(NamedTuple):
-    """What a leg over the target may see."""
+    """Geometry and information weights of a leg over the target."""
 
     height_m: float
-    """Above the target."""
+    """Height above the target."""
     turn_m: float
-    """What the turn at an end costs, as way."""
+    """Cost of the turn at an end, as a distance."""
     per_range_m2: float
-    """1 / sigma_r^2; 0: there are no ranges."""
+    """Information of a range, 1 / sigma_r^2; 0: there are no ranges."""
     per_cosine: float
-    """1 / sigma_0^2, rad^-2; 0: there are no directions."""
+    """Information of a cosine, 1 / sigma_0^2, rad^-2; 0: there are no directions."""
     across2: float
     """Sum over the axes of c^2."""
     ahead2: float
     ahead_up: float
     up2: float
-    """The same of a^2, a b and b^2."""
+    """Sums over the axes of a^2, a b and b^2."""
     middle_rad: float
     half_rad: float
-    """Angles from the nadir, ahead positive, that are seen, and the same half a turn on."""
+    """Middle and half width of the visible angles from the nadir, ahead positive; the opposite
+    angles are visible as well."""
 
 
 @kernel
@@ -85,9 +89,9 @@ def leg_over(
     antenna: Antenna,
     yaw_rad: float,
 ) -> LegView:
-    """The leg of a vehicle whose heading is `yaw_rad` counter-clockwise of the leg's.
+    """Return the leg of a vehicle whose heading is `yaw_rad` counter-clockwise of the leg's.
 
-    `sigmas` are those of a range, m, and of a direction cosine, rad; infinite: none are measured.
+    `sigmas` are those of a range, m, and of a direction cosine, rad; infinite: not measured.
     """
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     range_m, cosine_rad = max(sigmas[0], 1e-6), max(sigmas[1], 1e-6)
@@ -96,7 +100,7 @@ def leg_over(
     across2, ahead2, ahead_up, up2 = 1.0, 0.0, 0.0, 0.0
     if antenna.is_planar:
         middle, half = 0.0, WHOLE_RAD
-        if antenna.half_view_rad < math.pi:  # by azimuth: a target on the leg is ahead or behind
+        if antenna.half_view_rad < math.pi:  # by azimuth, a target on the leg is ahead or behind
             level = math.cos(antenna.half_view_rad) * math.hypot(forward, left)
             if ahead < level or -ahead < level:
                 half = 0.25 * math.pi if abs(ahead) >= level else 0.0
@@ -108,7 +112,7 @@ def leg_over(
             a = c * axis[0] - s * axis[1]
             across2 += (s * axis[0] + c * axis[1]) ** 2
             ahead2, ahead_up, up2 = ahead2 + a * a, ahead_up + a * axis[2], up2 + axis[2] * axis[2]
-        # u is (sin, 0, -cos) of theta; its component along the boresight is a cosine of theta, too
+        # u is (sin, 0, -cos) of theta; its component along the boresight is a cosine in theta
         middle, size = math.atan2(ahead, -up), math.hypot(ahead, up)
         least = max(math.cos(antenna.half_view_rad), 0.0)
         half = math.acos(least / size) if size > least else 0.0
@@ -130,7 +134,7 @@ def leg_over(
 
 @kernel
 def _directions_to(angle_rad: float, leg: LegView) -> float:
-    """Antiderivative of what directions tell, by the angle from the nadir; times h sigma_0^2."""
+    """Return the antiderivative of the information of directions, times h sigma_0^2."""
     s, c = math.sin(angle_rad), math.cos(angle_rad)
     double, c2 = 2.0 * s * c, c * c
     fourfold = 2.0 * double * (c2 - s * s)
@@ -141,7 +145,7 @@ def _directions_to(angle_rad: float, leg: LegView) -> float:
 
 @kernel
 def information(reach_m: float, leg: LegView) -> float:
-    """What a leg from `reach_m` before the target to as far behind it tells in all, 1/m^2 by m."""
+    """Return the information of a leg of `reach_m` to either side of the target, m / m^2."""
     most = math.atan2(reach_m, leg.height_m)
     told = 2.0 * leg.per_range_m2 * (reach_m - leg.height_m * most)
     if leg.per_cosine > 0.0:
@@ -156,7 +160,7 @@ def information(reach_m: float, leg: LegView) -> float:
 
 @kernel
 def marginal(reach_m: float, leg: LegView) -> float:
-    """What one more metre at both ends tells: the derivative of `information`."""
+    """Return the information of one more metre at both ends: the derivative of `information`."""
     angle, slant_m = math.atan2(reach_m, leg.height_m), math.hypot(reach_m, leg.height_m)
     s, c = reach_m / slant_m, leg.height_m / slant_m
     told = 2.0 * leg.per_range_m2 * s * s
@@ -171,16 +175,16 @@ def marginal(reach_m: float, leg: LegView) -> float:
 
 @kernel
 def rate(reach_m: float, leg: LegView) -> float:
-    """Information by the way that it takes, turns included, 1/m^2."""
+    """Return the information per metre of path, turns included, 1/m^2."""
     return information(reach_m, leg) / (2.0 * max(reach_m + leg.turn_m, 1e-9))
 
 
 @kernel
 def best_reach_m(leg: LegView, least_m: float, most_m: float) -> float:
-    """The overshoot of the greatest rate between two bounds; a metre more tells the mean.
+    """Return the overshoot of the greatest rate between two bounds.
 
-    Bisection for that, and, because a field of view and tilted axes make more than one such place,
-    its result beside both bounds and the edges of the field of view.
+    It is found by bisection, and, because a field of view and tilted axes make more than one
+    maximum, compared with both bounds and the edges of the field of view.
     """
     low, high = least_m, most_m
     for _ in range(BISECTIONS):
@@ -192,7 +196,7 @@ def best_reach_m(leg: LegView, least_m: float, most_m: float) -> float:
     best, greatest = high, rate(high, leg)
     for index in range(4):
         reach_m = most_m if index == 0 else least_m
-        if index > 1:  # the edges of what is seen
+        if index > 1:  # the edges of the field of view
             edge = leg.middle_rad + (leg.half_rad if index == 2 else -leg.half_rad)
             reach_m = leg.height_m * abs(math.tan(edge))
         told = rate(min(max(reach_m, least_m), most_m), leg)
