@@ -202,7 +202,7 @@ class Guard:
         if trouble is GuardReason.OUTSIDE or trouble is GuardReason.MARGIN:
             return self._walked_in(trouble, step, fence)
         if trouble is not None:
-            return self._begun_anew(trouble, step)
+            return self._begun_anew(trouble, step, fence)
         up_m, climb_mps = self._climbed(step)
         goal = self._permitted(step, fence)
         velocity = self._velocity(step, goal, fence)
@@ -227,13 +227,20 @@ class Guard:
             return GuardReason.TOO_FAST
         return None if fence.allows(step.start) else GuardReason.MARGIN
 
-    def _begun_anew(self, why: GuardReason, step: _Step) -> Guarded:
-        """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it."""
+    def _begun_anew(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
+        """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it.
+
+        In the margin that is walked in meanwhile: a wind keeps a vehicle beside its setpoint.
+        """
         ve, vn = _level(step.motion.velocity_enu_mps)
         passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn
-        if why is GuardReason.TOO_FAST and passed >= 0.0:
+        if why is not GuardReason.TOO_FAST or passed < 0.0:
+            return Guarded(self.here(step.motion).position_enu_m, (why,))
+        if fence.allows(step.start):
             return Guarded(step.previous.position_enu_m, (why,))
-        return Guarded(self.here(step.motion).position_enu_m, (why,))
+        goal = fence.nearest_allowed(step.start)
+        step = replace(step, goal_enu_m=step.previous.position_enu_m, speed_cap_mps=math.inf)
+        return self._walked((why, GuardReason.MARGIN), step, goal, fence)
 
     def _walked_in(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the next setpoint on the shortest way back, from the vehicle if off that way."""
@@ -244,14 +251,23 @@ class Guard:
         if gained_m < 0.0 or lead_m > gained_m + ASIDE_M:  # from rest a wind would keep it there
             last = replace(step.previous, position_enu_m=(*step.vehicle, step.goal_enu_m[2]))
             step, goal, left_m = replace(step, previous=last), inside, left_m + gained_m
+        if lead_m > JUMP_STEPS * self.limits.envelope.step_m:
+            return Guarded(self.here(step.motion).position_enu_m, (why,))
+        return self._walked((why,), step, goal, fence)
+
+    def _walked(
+        self, why: tuple[GuardReason, ...], step: _Step, goal: Point, fence: Fence
+    ) -> Guarded:
+        """Return the next setpoint on the straight way to `goal`; the vehicle if it went astray."""
+        left_m = math.dist(step.start, goal)
         velocity = self._velocity(step, goal, fence)
         place = ahead(step.start, velocity, step.dt_s)
         if math.dist(step.start, place) >= left_m:
             place, velocity = goal, (0.0, 0.0)
-        if lead_m > JUMP_STEPS * self.limits.envelope.step_m or math.dist(place, goal) > left_m:
-            return Guarded(self.here(step.motion).position_enu_m, (why,))
+        if math.dist(place, goal) > left_m:
+            return Guarded(self.here(step.motion).position_enu_m, why)
         up_m, climb_mps = self._climbed(step)
-        return Guarded((*place, up_m), (why,), (*velocity, climb_mps))
+        return Guarded((*place, up_m), why, (*velocity, climb_mps))
 
     # The next setpoint
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from companion.geometry.polygons import Point
-from companion.guard.gate import Guarded, GuardReason
-from tests.unit.companion.guard.gate_helpers import GUARD, START, motion
+from companion.geometry.polygons import Point, depth_m
+from companion.guard.fence import Fence
+from companion.guard.gate import Guard, Guarded, GuardReason
+from sim_link.world.point_mass import MulticopterParams, PointMass, WindParams, approach_velocity
+from tests.unit.companion.guard.gate_helpers import GUARD, LIMITS, START, motion
 
 
 class TestAVehicleInTrouble:
@@ -50,6 +54,39 @@ class TestAVehicleInTrouble:
         ahead = Guarded((*turned((90.0, 7.1)), 30.0))
         anew = GUARD.towards((0.0, 0.0, 30.0), ahead, fast, 0.1)
         assert anew == Guarded(fast.position_enu_m, (GuardReason.TOO_FAST,))
+
+    def test_a_setpoint_in_the_margin_comes_in_while_a_fast_vehicle_brakes(self) -> None:
+        """A wind keeps the vehicle beside it, nearer to the border than it stands."""
+        fast = motion((96.0, 2.0, 30.0), (1.0, 8.0, 0.0))
+        last = Guarded((96.0, -1.0, 30.0))
+        for tick in (1, 2, 3):
+            last = GUARD.towards((0.0, 0.0, 30.0), last, fast, 0.1)
+            assert last.reasons == (GuardReason.TOO_FAST, GuardReason.MARGIN)
+            assert last.velocity_enu_mps == pytest.approx((-0.2 * tick, 0.0, 0.0))
+        assert last.position_enu_m == pytest.approx((95.88, -1.0, 30.0))
+
+    @pytest.mark.parametrize("slope", [0.08, 0.1, 0.12, 0.15])
+    def test_too_fast_along_a_slanting_border_a_wind_does_not_take_it_out(
+        self, slope: float
+    ) -> None:
+        """The autopilot lets it stand 1.6 m down the wind of every setpoint."""
+        corners = ((-100.0, 0.0), (100.0, 200.0 * slope), (100.0, 150.0), (-100.0, 150.0))
+        stopping = replace(LIMITS.stopping, navigation_sigma_m=0.3)
+        guard = Guard(replace(LIMITS, fence=Fence(corners, 3.0), stopping=stopping))
+        params = MulticopterParams()
+        east_m, north_m = -3.0, 97.0 * slope + 1.2
+        body = PointMass(params, WindParams(north_mps=-15.0), (east_m, north_m, 30.0))
+        body.velocity_enu_mps = (5.0, 0.0, 0.0)
+        last, least_m = Guarded((east_m + 5.0, north_m + 5.0 * slope + 2.0, 30.0)), north_m
+        for tick in range(400):
+            body.step(
+                approach_velocity(body.position_enu_m, last.position_enu_m, params), 0.0, 0.02
+            )
+            least_m = min(least_m, depth_m(corners, body.position_enu_m[:2]))
+            if tick % 5 == 0:
+                known = motion(body.position_enu_m, body.velocity_enu_mps)
+                last = guard.towards((60.0, 60.0, 30.0), last, known, 0.1)
+        assert least_m > 0.1
 
     def test_only_a_vehicle_that_is_too_fast_leaves_its_setpoint_behind(self) -> None:
         """A jump forwards is still a jump."""
