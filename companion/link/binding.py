@@ -97,6 +97,8 @@ class AutopilotBinding:
     _exchange: IdentityCourse = field(default_factory=IdentityCourse)
     hardware: HardwareId = field(default_factory=HardwareId)
     _doubted_s: float = 0.0
+    _ticked_s: float | None = None
+    """Time of the last control tick, before which all that waited in the links was read."""
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
     """Courses of the same ids at other addresses."""
     _unproved: dict[Address | None, float] = field(default_factory=dict)
@@ -183,6 +185,7 @@ class AutopilotBinding:
 
     def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
         """A control tick: whether the companion has the vehicle, and whether it is armed."""
+        self._ticked_s = now_s
         self.is_in_control = is_in_control
         self.is_committed = is_in_control or (self.is_committed and is_armed)
         self._choose(now_s)
@@ -232,12 +235,16 @@ class AutopilotBinding:
 
     def _drop_vanished(self, now_s: float) -> None:
         for ids, each in list(self._candidates.items()):
-            if now_s - each.heard_s > VANISHED_S and each is not self.bound:
+            if self._has_vanished(each.heard_s, now_s) and each is not self.bound:
                 del self._candidates[ids]
 
     def _choose(self, now_s: float) -> None:
         """Bind, wait or bind again, by the candidates that are there."""
-        here = [each for each in self._candidates.values() if now_s - each.heard_s <= VANISHED_S]
+        here = [
+            each
+            for each in self._candidates.values()
+            if not self._has_vanished(each.heard_s, now_s)
+        ]
         systems = sorted({each.ids[0] for each in here})
         if self.is_committed:
             return
@@ -273,8 +280,15 @@ class AutopilotBinding:
 
     # The course of what is bound
 
+    def _listened_s(self, heard_s: float, now_s: float) -> float:
+        """Seconds since a frame was heard; without a stall after it, whose frames still wait."""
+        return (now_s if self._ticked_s is None else self._ticked_s) - heard_s
+
+    def _has_vanished(self, heard_s: float, now_s: float) -> bool:
+        return self._listened_s(heard_s, now_s) > VANISHED_S
+
     def _is_silent(self, now_s: float) -> bool:
-        return self.heard_s is None or now_s - self.heard_s >= self.silence_s
+        return self.heard_s is None or self._listened_s(self.heard_s, now_s) >= self.silence_s
 
     def _doubt(self, problem: str, now_s: float) -> None:
         self._doubted_s = now_s
@@ -370,7 +384,7 @@ class AutopilotBinding:
         elif course.is_steady:
             how = self._course.describe(sign, now_s)
             self._doubt(f"{self._name} at {_words(peer)} is another vehicle: {how}", now_s)
-            is_gone = self.heard_s is not None and now_s - self.heard_s > VANISHED_S
+            is_gone = self.heard_s is not None and self._has_vanished(self.heard_s, now_s)
             if is_gone and not self.is_committed and self.bound is not None:
                 self.bound.peer = peer
                 self._bind(self.bound)

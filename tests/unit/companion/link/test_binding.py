@@ -30,6 +30,10 @@ def component(kind: int, autopilot: int) -> Message:
 ATTITUDE = from_system(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
 
 
+def stamped(boot_s: float) -> Message:
+    return from_system(mavlink.MAVLink_attitude_message(round(1e3 * boot_s), *[0.0] * 6))
+
+
 class Heard:
     """A binding and the heartbeats that it hears every second."""
 
@@ -186,3 +190,31 @@ def test_a_stranger_does_not_keep_the_link_alive() -> None:
     binding = bound()
     binding.recognise(ATTITUDE, STRANGER, 12.0)
     assert binding.heard_s == 10.0
+
+
+@pytest.mark.parametrize("stall_s", [4.0, 30.0])
+def test_a_stall_of_the_companion_is_no_silence_of_its_autopilot(stall_s: float) -> None:
+    """What another address sent meanwhile, with an old stamp, is read first."""
+    heard = Heard().hear((1, 1), seconds=5)
+    heard.is_in_control = True
+    for _ in range(4):
+        heard.hear((1, 1))
+        heard.binding.recognise(stamped(100.0 + heard.now_s), PEER, heard.now_s)
+        heard.binding.recognise(stamped(50.0 + heard.now_s), STRANGER, heard.now_s)
+    binding, resumed_s = heard.binding, heard.now_s + stall_s
+    assert not binding.recognise(stamped(50.0 + heard.now_s), STRANGER, resumed_s)
+    assert binding.recognise(stamped(100.0 + resumed_s), PEER, resumed_s)
+    binding.note_control(resumed_s, is_in_control=True, is_armed=True)
+    assert binding.problem is None
+    assert binding.peer == PEER
+
+
+@pytest.mark.parametrize("stall_s", [11.0, 30.0])
+def test_after_a_stall_on_the_ground_the_autopilot_is_still_there(stall_s: float) -> None:
+    heard = Heard().hear((1, 1), seconds=5)
+    heard.hear((1, 1), (2, 1))
+    assert heard.ids == (1, 1)
+    heard.now_s += stall_s
+    heard.binding.recognise(from_system(heartbeat(), 2, 1), PEER, heard.now_s)
+    assert heard.ids == (1, 1)
+    assert heard.binding.problem is not None

@@ -193,7 +193,7 @@ def test_whoever_asked_for_a_system_is_told_of_no_other() -> None:
 def test_a_restarted_router_is_followed_after_silence_and_told() -> None:
     wire = Wire().ready()
     wire.say(wire.position(), peer=PEER)
-    wire.wait(3.0)
+    wire.wait(3.05)  # the tick after 3 s of silence
     moved = ("127.0.0.1", 40_001)
     wire.say(heartbeat(custom_mode=HOLD), peer=moved)
     assert wire.endpoint.binding.peer == PEER  # ids alone prove nothing
@@ -208,7 +208,7 @@ def test_a_restarted_router_is_followed_after_silence_and_told() -> None:
 def test_with_a_key_the_address_is_followed_at_once() -> None:
     wire = keyed_wire().ready()
     wire.say(wire.position())
-    wire.wait(0.5)
+    wire.wait(0.55)
     wire.say(wire.position(), peer=STRANGER)
     assert wire.endpoint.binding.peer == STRANGER
 
