@@ -292,6 +292,20 @@ class BelievesAnybody(Planted):
         super().receive(replace(chunk, peer=self.binding.peer or chunk.peer), now_s)
 
 
+class FollowsTheNextPeer(Planted):
+    """After a silence it follows the first address with the vehicle's ids, whatever that shows."""
+
+    invariant = "I10"
+
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Move to the address at once."""
+        binding = self.binding
+        is_silent = binding.heard_s is not None and now_s - binding.heard_s >= binding.silence_s
+        if is_silent and chunk.peer != binding.peer:
+            binding._move(chunk.peer, now_s)
+        super().receive(chunk, now_s)
+
+
 class Chatters(Planted):
     """It tells the operator everything, many times."""
 

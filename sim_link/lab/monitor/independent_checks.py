@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from companion.mav.dialect import mavlink
 from companion.mav.signing import SigningKey
@@ -151,27 +152,105 @@ class Proof:
 
 FOLLOWED = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 SILENCE_S = 3.0
-"""Silence of one address after which the other one is accepted, s."""
+"""Silence of one address after which the other one may be accepted, s."""
+EARLY_S, LATE_S = 3.0, 10.0
+"""A stamp that is ahead of the vehicle's clock by more, or behind it, is of another clock."""
+YOUNG_S = 5.0
+"""A restarted clock shows at most so much more than the time since the vehicle was heard last."""
+REACH_M, REACH_MPS = 10.0, 25.0
+"""How far a vehicle may be from where it was reported last: at once, and for each second since."""
+STAMPED = (
+    mavlink.MAVLink_local_position_ned_message
+    | mavlink.MAVLink_attitude_message
+    | mavlink.MAVLink_global_position_int_message
+    | mavlink.MAVLink_system_time_message
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """Clock and place of the sender that is followed, as its accepted frames show them."""
+
+    is_genuine: bool
+    heard_s: float
+    clock_s: float | None = None
+    """Our time minus its stamps, by the promptest frame; None: none had a stamp yet."""
+    stamped_s: float = 0.0
+    place_ned_m: tuple[float, float, float] | None = None
+    place_s: float = 0.0
+
+    def goes_on(self, frame: Frame) -> bool:
+        """True if a frame's stamp and place are such as the followed vehicle may have by now."""
+        if self.clock_s is None:
+            return True
+        stamp_s, place = _sign_of(frame)
+        if stamp_s is None:
+            return False
+        is_of_clock = -EARLY_S <= frame.time_s - stamp_s - self.clock_s <= LATE_S
+        return is_of_clock and (
+            place is None
+            or self.place_ned_m is None
+            or math.dist(place, self.place_ned_m)
+            <= REACH_M + REACH_MPS * (frame.time_s - self.place_s)
+        )
+
+    def is_restart(self, frame: Frame) -> bool:
+        """True if a frame may be of the followed vehicle after a restart."""
+        stamp_s, _ = _sign_of(frame)
+        return stamp_s is not None and stamp_s <= frame.time_s - self.stamped_s + YOUNG_S
+
+    def with_frame(self, frame: Frame) -> Followed:
+        """Take in an accepted frame; a stranger's that contradicts the course is left out."""
+        now_s = frame.time_s
+        stamp_s, place = _sign_of(frame)
+        heard = replace(self, is_genuine=frame.is_genuine, heard_s=now_s)
+        if stamp_s is None:
+            return heard
+        clock_s = now_s - stamp_s
+        if not self.goes_on(frame):
+            if not frame.is_genuine:
+                return heard
+            return Followed(True, now_s, clock_s, now_s, place, now_s)
+        if self.clock_s is not None:
+            drift_s = 0.1 * (now_s - self.stamped_s)
+            clock_s = min(clock_s, self.clock_s + drift_s)
+        heard = replace(heard, clock_s=clock_s, stamped_s=now_s)
+        return heard if place is None else replace(heard, place_ned_m=place, place_s=now_s)
+
+
+def _sign_of(frame: Frame) -> tuple[float | None, tuple[float, float, float] | None]:
+    """Stamp and place in a frame, as far as it has them."""
+    message, place = frame.message, None
+    if not isinstance(message, STAMPED) or not message.time_boot_ms:
+        return None, None
+    if isinstance(message, mavlink.MAVLink_local_position_ned_message):
+        place = (message.x, message.y, message.z)
+        place = place if all(map(math.isfinite, place)) else None
+    return message.time_boot_ms / 1e3, place
 
 
 class SenderTrust:
     """Follows one of several senders: the vehicle itself, another with its ids, or a stranger.
 
-    Only the configured system id, if there is one, is followed.
+    Only the configured system id, if there is one, is followed. Another address with the same ids
+    is accepted after a silence, from the first frame on whose stamp and place go on from there. The
+    silence lasts to the control tick before the frame: in a stall the vehicle's frames wait, too.
     """
 
     def __init__(self, wanted_system_id: int | None = None) -> None:
         self._wanted_system_id = wanted_system_id
         self._ids: tuple[int, int] | None = None
         """Of the autopilot that is followed; None: none yet."""
-        self._is_genuine: bool | None = None
-        """Whether the vehicle itself is followed."""
-        self._heard_s = 0.0
+        self._followed: Followed | None = None
+        self._before: Followed | None = None
+        """What was followed before the last frame."""
+        self.ticked_s: float | None = None
+        """Time of the companion's last control tick; None: not known."""
 
     @property
     def follows_unknown_peer(self) -> bool:
         """True if a sender other than the vehicle is followed."""
-        return self._is_genuine is False
+        return self._followed is not None and not self._followed.is_genuine
 
     def is_beside_unknown_peer(self, frame: Frame) -> bool:
         """True if a frame is of a payload of the unknown peer that is followed, by its ids."""
@@ -187,19 +266,27 @@ class SenderTrust:
 
     def restart(self) -> None:
         """A restarted companion follows the first autopilot that it hears."""
-        self._ids = self._is_genuine = None
+        self._ids = self._followed = self._before = self.ticked_s = None
 
     def accepts(self, frame: Frame) -> bool:
         """True if a readable frame of an autopilot had to be accepted."""
-        is_new = self._ids is None
-        if is_new and not self._may_follow(frame):
-            return frame.is_genuine
-        self._ids = self._ids or frame.sender
+        followed = self._before = self._followed
+        if self._ids is None or followed is None:
+            if not self._may_follow(frame):
+                return frame.is_genuine
+            self._ids = frame.sender
+            followed = Followed(frame.is_genuine, frame.time_s)
         if frame.sender != self._ids:
             return False
-        if is_new or frame.time_s - self._heard_s >= SILENCE_S:
-            self._is_genuine = frame.is_genuine
-        if frame.is_genuine is not self._is_genuine:
-            return False
-        self._heard_s = frame.time_s
+        if frame.is_genuine is not followed.is_genuine:
+            until_s = frame.time_s if self.ticked_s is None else self.ticked_s
+            is_silent = until_s - followed.heard_s >= SILENCE_S
+            if not is_silent or not (followed.goes_on(frame) or followed.is_restart(frame)):
+                return False
+        self._followed = followed.with_frame(frame)
         return True
+
+    def dropped(self) -> None:
+        """The frame that came last was not read."""
+        if self._before is not None:
+            self._followed = self._before

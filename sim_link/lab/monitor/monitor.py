@@ -252,8 +252,8 @@ class Monitor(FrameMonitor):
 
     def read(self, frame: Frame) -> None:
         """The companion has read it, or dropped it."""
-        if self._proof is not None and self._dropped() > self._dropped_before:
-            self._proof.dropped()
+        if self._dropped() > self._dropped_before:
+            (self._proof or self._whose).dropped()
         if self._proved is not None:
             self._proved.read(frame)
 
@@ -289,5 +289,5 @@ class Monitor(FrameMonitor):
 
     def ticked(self, now_s: float) -> None:
         """The control tick is over."""
-        self.scene.now_s = self.scene.tick_s = now_s
+        self.scene.now_s = self.scene.tick_s = self._whose.ticked_s = now_s
         self._show("ticked")

@@ -13,18 +13,23 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import Monitored, monitored_flight, rules_of
 from sim_link.lab.faults.fault_models import (
+    CompanionStalled,
     Disarm,
+    Fault,
     ForgedFrames,
     LinkBlackout,
     Schedule,
     SecondSender,
     UnsignedFrames,
 )
+from sim_link.lab.lockstep.flight import MakeCompanion
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.independent_checks import SILENCE_S, SenderTrust, depth_m
 from tests.loop.loop_helpers import said
+from tests.planted_companions import FollowsTheNextPeer
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
+COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 81, 0, 4, 3)
 ATTITUDE = mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -158,6 +163,79 @@ def test_a_stranger_is_followed_after_a_silence_and_the_vehicle_after_another() 
     assert whose.accepts(frame(SILENCE_S, is_genuine=False))
     assert not whose.accepts(frame(SILENCE_S + 0.1))
     assert whose.accepts(frame(2.0 * SILENCE_S + 0.1))
+
+
+def attitude(stamp_s: float) -> Message:
+    return mavlink.MAVLink_attitude_message(round(1e3 * stamp_s), *[0.0] * 6)
+
+
+def position(stamp_s: float, east_m: float) -> Message:
+    stamp_ms = round(1e3 * stamp_s)
+    return mavlink.MAVLink_local_position_ned_message(stamp_ms, 0.0, east_m, *[0.0] * 4)
+
+
+@pytest.mark.parametrize(
+    ("message", "is_followed"),
+    [
+        (attitude(108.0), True),
+        (position(108.0, 100.0), True),
+        (attitude(3.0), True),  # of a clock that restarted
+        (HEARTBEAT, False),
+        (attitude(96.0), False),
+        (attitude(112.0), False),
+        (position(108.0, 400.0), False),
+    ],
+)
+def test_a_stranger_is_followed_only_if_its_clock_and_place_go_on(
+    message: Message, *, is_followed: bool
+) -> None:
+    whose = followed()
+    assert whose.accepts(frame(100.0, position(100.0, 0.0)))
+    assert whose.accepts(frame(108.0, message, is_genuine=False)) is is_followed
+    assert whose.follows_unknown_peer is is_followed
+    assert whose.accepts(frame(108.1, HEARTBEAT)) is not is_followed
+
+
+def test_in_a_stall_the_vehicle_is_not_silent() -> None:
+    whose = followed()
+    whose.ticked_s = 1.0
+    assert not whose.accepts(frame(9.0, is_genuine=False))
+    whose.ticked_s = SILENCE_S
+    assert whose.accepts(frame(9.0, is_genuine=False))
+
+
+def test_a_stranger_whose_frame_was_dropped_unread_is_not_followed() -> None:
+    whose = followed()
+    assert whose.accepts(frame(SILENCE_S, is_genuine=False))
+    whose.dropped()
+    assert not whose.follows_unknown_peer
+    assert whose.accepts(frame(SILENCE_S + 0.1))
+
+
+def quiet_beside_a_stranger(make: MakeCompanion | None, quiet: Fault) -> set[str]:
+    """What is broken where the vehicle falls silent and a stranger with its ids does not."""
+    around = monitored_flight(AUTO, COPTER, 1, make_companion=make)
+    around.flight.run(18.0)
+    flood = UnsignedFrames(start_s=0.9, duration_s=8.0, rate_hz=70.0)
+    around.injector.inject(Schedule(faults=(flood, quiet)))
+    around.flight.run(13.0)
+    return {violation.invariant for violation in around.monitor.violations}
+
+
+STALL = CompanionStalled(start_s=1.008, duration_s=9.0)
+"""Frames of both wait in the socket, a stranger's first."""
+BLACKOUT = LinkBlackout(start_s=1.0, duration_s=6.0, direction="to_companion")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quiet", [STALL, BLACKOUT])
+def test_who_asks_a_new_address_for_proof_breaks_nothing(quiet: Fault) -> None:
+    assert quiet_beside_a_stranger(None, quiet) == set()
+
+
+@pytest.mark.slow
+def test_who_moves_to_a_new_address_without_proof_is_found() -> None:
+    assert FollowsTheNextPeer.invariant in quiet_beside_a_stranger(FollowsTheNextPeer, BLACKOUT)
 
 
 def test_before_a_heartbeat_and_after_a_restart_nobody_is_followed_yet() -> None:
