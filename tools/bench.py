@@ -1,7 +1,7 @@
-"""Times what must be fast, beside a library that does the same on the same measurements.
+"""Benchmarks of filters, planners and control tick, beside libraries on the same measurements.
 
-Exit code 0 whether or not the limits are met: the figures are the machine's as much as ours.
-2: bad input, or a file that cannot be written.
+Exit code 0 whether or not the limits are met, because the figures depend on the machine as well. 2:
+bad input, or a file that cannot be written.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tools.console import OneLineParser, positive
 
 
 def main() -> int:
-    """Measure, print, and write the figures; the exit code."""
+    """Measure, print, and write the figures; return the exit code."""
     arguments = parsed()
     bench: FilterBench | PlannerBench
     try:
@@ -64,7 +64,7 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
-    """What the command line says."""
+    """Return the parsed command line."""
     parser = OneLineParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     subjects = {
@@ -88,7 +88,7 @@ def parsed() -> argparse.Namespace:
 
 
 def tick_costs(arguments: argparse.Namespace) -> list[TickCost]:
-    """Measure and print every case as soon as it is over; those of another checkout behind it."""
+    """Measure every case and print it as soon as it is over; then those of another checkout."""
     kinds = tuple(LIMIT_MS) if arguments.only is None else (arguments.only,)
     print("worst tick, 99 % of the ticks, longest wait of a setpoint; milliseconds of the thread")
     costs = []
@@ -105,7 +105,7 @@ def tick_costs(arguments: argparse.Namespace) -> list[TickCost]:
 
 
 def tick_figures(cost: TickCost) -> str:
-    """The three figures of a case."""
+    """Return the three figures of a case."""
     return f"{cost.tick_worst_ms:7.2f}{cost.tick_p99_ms:7.2f}{cost.stretch_worst_ms:8.2f}"
 
 
@@ -120,7 +120,7 @@ def area_line(cost: AreaCost) -> str:
 
 
 def filter_table(bench: FilterBench) -> str:
-    """All times of the filters, and what each must be."""
+    """Return all times of the filters with their limits."""
     lines = [
         versions(bench),
         f"medians over {bench.rounds} rounds of {bench.updates} updates, microseconds",
@@ -135,7 +135,7 @@ def filter_table(bench: FilterBench) -> str:
 
 
 def line(ratio: Ratio) -> str:
-    """A cost beside its peer's, and the limit."""
+    """Return a cost beside its peer's, and the limit."""
     verdict = "met" if ratio.is_met else "NOT MET"
     return (
         f"{ratio.name}: {ratio.cost_us:.2f} us, {ratio.ratio:.3f} x {ratio.reference} "
@@ -144,7 +144,7 @@ def line(ratio: Ratio) -> str:
 
 
 def planner_table(bench: PlannerBench) -> str:
-    """All times of the planners, and what each must be."""
+    """Return all times of the planners with their limits."""
     ratio = bench.fim_over_reactive
     return "\n".join(
         [
@@ -163,7 +163,7 @@ def planner_table(bench: PlannerBench) -> str:
 
 
 def cost_line(cost: StepCost) -> str:
-    """What a system's step costs."""
+    """Return the cost of a system's step."""
     decision = "-" if cost.decision_ms is None else f"{cost.decision_ms:.5f}"
     paper = "-" if cost.paper_ms is None else f"{cost.paper_ms:.3f}"
     return (
@@ -173,13 +173,13 @@ def cost_line(cost: StepCost) -> str:
 
 
 def limit_line(cost: StepCost) -> str:
-    """What a system's step may cost."""
+    """Return the limit of a system's step."""
     verdict = "met" if cost.is_met else "NOT MET"
     return f"{cost.system} step: {cost.step_ms:.5f} ms; limit {cost.limit_ms:g} ms: {verdict}"
 
 
 def versions(bench: FilterBench | PlannerBench) -> str:
-    """What was measured with."""
+    """Return the versions of the measured software."""
     numba = "no numba: plain Python only" if bench.numba is None else f"numba {bench.numba}"
     return f"Python {bench.python}, numpy {bench.numpy}, {numba}"
 

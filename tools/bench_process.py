@@ -4,7 +4,7 @@
 
 Each client gets a simulated PX4 of its own, with the streams of PX4's onboard link, at real time.
 The companion flies the canonical search on it; MAVSDK-Python (its position, attitude and health)
-and pymavlink (`recv_match`) idle. FOLDER is where tools/release/build_kernels.py wrote to. Figures
+and pymavlink (`recv_match`) idle. FOLDER is the output of tools/release/build_kernels.py. Figures
 are of the process after it has settled, while it flies: resident memory and processor time as /proc
 reports them. Flights alternate, one at a time.
 """
@@ -50,7 +50,7 @@ TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True, slots=True)
 class Use:
-    """What a client took."""
+    """Resources that a client used."""
 
     client: str
     resident_mb: float
@@ -85,7 +85,7 @@ def main() -> int:
 
 
 def measure(client: str, seconds: int, kernels: Path | None) -> Use:
-    """Run the client on a simulator, and look at it twice."""
+    """Run the client on a simulator, and sample it twice."""
     port = free_udp_port()
     with tempfile.TemporaryDirectory() as folder, simulator(port):
         environment = environment_of(client, kernels)
@@ -98,12 +98,12 @@ def measure(client: str, seconds: int, kernels: Path | None) -> Use:
 
 
 def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
-    """How it is started."""
+    """Return the command that starts it."""
     if client in LISTENERS:
         return sys.executable, __file__, "--listen", f"{client}@{port}"
     config = folder / "fly.yaml"
     lines = (
-        "mission: {engage: auto, stop_confirm_s: 1000.0}",  # flies on for as long as it is watched
+        "mission: {engage: auto, stop_confirm_s: 1000.0}",  # flies until it is stopped
         f"log: {{directory: {folder / 'flights'}}}",
         f"process: {{state_directory: {folder / 'state'}}}",
         f"link: {{stop_unread_streams: {str(client == 'quiet').lower()}}}",
@@ -119,14 +119,14 @@ def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
 
 
 def environment_of(client: str, kernels: Path | None) -> dict[str, str]:
-    """Where it finds which kernels."""
+    """Return the environment with the kernels for a client."""
     path = f"{kernels.resolve()}:{ROOT}" if client in AHEAD and kernels else str(ROOT)
     return {**os.environ, "PYTHONPATH": path}
 
 
 @contextmanager
 def simulator(port: int) -> Iterator[None]:
-    """A PX4 that sends to this port, on ports of its own."""
+    """Run a PX4 that sends to this port, on ports of its own."""
     program = Path(sys.executable).with_name("sim-link")
     addresses = ("--send-to", f"127.0.0.1:{port}", "--listen", f"127.0.0.1:{free_udp_port()}")
     with running((str(program), "--quiet", "--seed", "7", *addresses), dict(os.environ)):
@@ -137,7 +137,7 @@ def simulator(port: int) -> Iterator[None]:
 def running(
     command: Sequence[str], environment: dict[str, str]
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that is asked to end, and then made to."""
+    """Run a process; in the end ask it to stop, then kill it."""
     process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
     try:
         yield process
@@ -152,18 +152,18 @@ def running(
 
 
 def processor_s(pid: int) -> float:
-    """User and system time of all its threads."""
+    """Return the user and system time of all its threads, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
 
 
 def resident_mb(pid: int) -> float:
-    """Memory in RAM now."""
+    """Return the resident memory, MB."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def listen(library: str, port: str) -> None:
-    """Take in what comes, and do nothing with it."""
+    """Receive everything and do nothing with it."""
     if library == "mavsdk":
         asyncio.run(listen_by_mavsdk(port))
     mavutil: Any = importlib.import_module("pymavlink.mavutil")
@@ -173,7 +173,7 @@ def listen(library: str, port: str) -> None:
 
 
 async def listen_by_mavsdk(port: str) -> None:
-    """What a small app subscribes to."""
+    """Subscribe to the messages of a small app."""
     from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
     from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
@@ -190,7 +190,7 @@ async def listen_by_mavsdk(port: str) -> None:
 
 
 async def exhaust(stream: AsyncIterator[object]) -> None:
-    """Take what comes, for ever."""
+    """Read a stream for ever."""
     async for _ in stream:
         pass
 

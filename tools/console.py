@@ -1,8 +1,6 @@
-"""Console helpers of the command-line tools: argument types, one-line complaints, progress.
+"""Console helpers of the command-line tools: argument types, one-line errors, progress.
 
-Arguments that the tools share: a parser that complains in one line, and whole numbers.
-
-How far a long run is: a bar with the time left on a terminal, lines now and then elsewhere.
+A long run shows a bar with the remaining time on a terminal, and a line now and then elsewhere.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ EXIT_BAD_INPUT = 2
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """Complains in one line, without the usage in front of it."""
+    """Parser that reports errors in one line, without the usage in front of it."""
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
@@ -36,19 +34,19 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def positive(text: str) -> int:
-    """A whole number of at least 1.
+    """Return a whole number of at least 1.
 
     Raises:
-        argparse.ArgumentTypeError: It is less, or none.
+        argparse.ArgumentTypeError: It is less, or no number.
     """
     return _at_least(1, text)
 
 
 def non_negative(text: str) -> int:
-    """A whole number of at least 0.
+    """Return a whole number of at least 0.
 
     Raises:
-        argparse.ArgumentTypeError: It is less, or none.
+        argparse.ArgumentTypeError: It is less, or no number.
     """
     return _at_least(0, text)
 
@@ -96,7 +94,7 @@ class Lines:
     """Progress in lines of text, the first after some time.
 
     Args:
-        clock: Seconds since whenever.
+        clock: Monotonic seconds.
     """
 
     def __init__(self, total: float, stream: TextIO, clock: Callable[[], float]) -> None:
@@ -107,7 +105,7 @@ class Lines:
         self._begun_s = self._said_s = clock()
 
     def done(self, share: float) -> None:
-        """So much more of the work is done."""
+        """Add a share of finished work."""
         self._done += share
         now_s = self._clock()
         if now_s - self._said_s < LINE_EVERY_S:
@@ -122,6 +120,6 @@ class Lines:
 
 
 def span_text(seconds: float) -> str:
-    """A span of time for people."""
+    """Return a span of time in words."""
     whole = round(seconds)
     return f"{whole} s" if whole < 100 else f"{whole // 60} min {whole % 60:02d} s"

@@ -1,7 +1,7 @@
 """Fault campaigns: random missions with faults, take-overs, bad links; every invariant watched.
 
-Exit code 0 when nothing was found, 1 when something was (each with the command that shows it
-again), 2 for bad arguments, 130 after Ctrl-C, with what was found until then.
+Exit code 0 without findings, 1 with some (each with the command that repeats it), 2 for bad
+arguments, 130 after Ctrl-C, with the findings until then.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, and no minute of compiling
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, without a minute of compiling
 
 from companion import __version__
 from companion.entry import outlive_readers
@@ -41,7 +41,7 @@ INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a campaign, or one of its trials again; the exit code."""
+    """Run a campaign, or one of its trials again; return the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0], epilog=_epilog())
     parser.add_argument("--campaign", choices=list(AMOUNTS), default="ci", help="how much of it")
     parser.add_argument("--only", action="append", default=[], metavar="PART", help="this part")
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
     parser.add_argument("--replay", metavar="PART:SEED", help="one trial, with its story")
     arguments = parser.parse_args(argv)
-    logging.disable(logging.CRITICAL)  # what flights say is in their stories
+    logging.disable(logging.CRITICAL)  # the texts of flights are in their stories
     try:
         if arguments.replay is not None:
             return replay(trial_named(arguments.replay))
@@ -71,7 +71,7 @@ def _epilog() -> str:
 
 
 def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str, object]) -> int:
-    """Run all trials, print and write the figures; the exit code."""
+    """Run all trials, print and write the figures; return the exit code."""
     costs = {trial: PARTS[trial.part].cost(trial) for trial in trials}
     started_s = time.monotonic()
     code = 0
@@ -103,7 +103,7 @@ def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str
 
 
 def replay(trial: Trial) -> int:
-    """Run one trial again, tell its story and what it measured; the exit code."""
+    """Run one trial again, print its story and its figures; return the exit code."""
     outcome = run_one(trial)
     print(*outcome.story, sep="\n")
     for name, value in sorted({**outcome.most, **outcome.least}.items()):

@@ -53,7 +53,7 @@ def docstrings() -> Iterator[Docstring]:
 
 
 def _docstrings_of(path: Path) -> Iterator[Docstring]:
-    """Functions inside functions count only if they have a docstring."""
+    """Yield the docstrings of a file; functions inside functions count only with a docstring."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inner = {
         id(nested)

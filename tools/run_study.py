@@ -1,6 +1,6 @@
-"""Runs a study and writes its tables, figures and report; killed or stopped, it can go on.
+"""Runs a study and writes its tables, figures and report; killed or stopped, it can be resumed.
 
-Exit code 1: stopped, a backend gave out, or a built-in check failed. 2: bad input.
+Exit code 1: stopped, a backend failed, or a built-in check failed. 2: bad input.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 
 
 def main() -> int:
-    """Run a study, or go on with it, and write its folder; the exit code."""
+    """Run or resume a study, and write its folder; return the exit code."""
     arguments = parsed()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -86,7 +86,7 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
-    """What the command line says."""
+    """Return the parsed command line."""
     parser = OneLineParser(description=__doc__)
     parser.add_argument(
         "study", metavar="STUDY", help="a name in configs/studies, a YAML file, or area"
@@ -107,7 +107,7 @@ def parsed() -> argparse.Namespace:
 
 
 def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -> int:
-    """Everything after the arguments: nothing is made before the backend is there."""
+    """Run after the arguments are checked: nothing is made before the backend is there."""
     work = work_of(studies, arguments.seed)
     with open_pool(arguments.backend, arguments.jobs) as pool:
         make_folder(out)
@@ -123,7 +123,7 @@ def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -
 
 
 def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, out: Path) -> int:
-    """Tables, checks and the report of finished work."""
+    """Write tables, checks and the report of finished work."""
     results = results_of(studies, seed, store)
     rows = [row for result in results for row in rows_of(result)]
     costs, checks = costs_of(results), checks_of(work, store)
@@ -139,7 +139,7 @@ def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, ou
 
 
 def run_flights(study: Study, arguments: argparse.Namespace, out: Path) -> int:
-    """The same of a study of flights; what is done by an interruption is written, too."""
+    """Run a study of flights; after an interruption the finished flights are written, too."""
     assert study.flights is not None
     runs = arguments.runs or study.runs
     flights = flights_of(study.flights, STUDIES.parent, runs, arguments.seed, arguments.only)
@@ -158,7 +158,7 @@ def run_flights(study: Study, arguments: argparse.Namespace, out: Path) -> int:
 
 
 def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path) -> None:
-    """Tables and the report of flights."""
+    """Write tables and the report of flights."""
     rows = summary_of(flown)
     write_text_atomic(out / "flights.csv", csv_text(flown, FlightRow.__struct_fields__))
     write_json_atomic(out / "flights.json", msgspec.to_builtins(flown))
@@ -195,7 +195,7 @@ ROW_NAMES = tuple(field.name for field in fields(ResultRow))
 
 
 def csv_text(rows: Sequence[object], names: Sequence[str] = ROW_NAMES) -> str:
-    """Rows as a CSV file has them, with their header."""
+    """Return rows as a CSV file with their header."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
@@ -204,7 +204,7 @@ def csv_text(rows: Sequence[object], names: Sequence[str] = ROW_NAMES) -> str:
 
 
 def checks_of(work: Mapping[str, RunSeries], store: Store) -> dict[str, dict[str, object]]:
-    """What the built-in check of the EKF came to, for checks.json; empty without an EKF."""
+    """Return the built-in check of the EKF for checks.json; empty without an EKF."""
     checks = {key: task for key, task in work.items() if isinstance(task, EkfCheck)}
     if not checks:
         return {}
@@ -232,7 +232,7 @@ def _difference(text: bytes) -> float:
 
 
 def check_folder(path: Path) -> None:
-    """Make sure that a folder can be written into, or be made; nothing is made yet.
+    """Check that a folder can be created or written into; nothing is created yet.
 
     Raises:
         ConfigError: It cannot.
@@ -247,10 +247,10 @@ def check_folder(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder with all above it, if it is not there.
+    """Make a folder with its parents, if it is not there.
 
     Raises:
-        ConfigError: It cannot be made, or not be written into.
+        ConfigError: It cannot be created, or not be written into.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -262,7 +262,7 @@ def make_folder(path: Path) -> None:
 
 
 def say(text: str) -> None:
-    """A line of progress."""
+    """Print a line of progress."""
     print(text, file=sys.stderr, flush=True)
 
 

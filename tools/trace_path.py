@@ -1,12 +1,12 @@
-"""How many functions a ranging datagram passes before it has moved the estimate.
+"""Number of functions that a ranging datagram passes before it has moved the estimate.
 
     .venv/bin/python tools/trace_path.py [--list]
 
-Flies the canonical search in lockstep, one process and no sockets, and traces with
-`sys.setprofile` every datagram with a ranging measurement that arrives while the estimate is being
-made: from `CompanionEndpoint.receive` until the tracker of its emitter has taken it in. Prints the
-median and the worst of a window of flight: distinct functions of `companion`, the files they are
-in, calls. Comprehensions, generator expressions and lambdas are part of the function they stand in.
+Flies the canonical search in lockstep, one process and no sockets, and traces with `sys.setprofile`
+every datagram with a ranging measurement that arrives while the estimate is being made: from
+`CompanionEndpoint.receive` until the tracker of its emitter has fused it. Prints the median and the
+worst of a window of flight: distinct functions of `companion`, their files, calls. Comprehensions,
+generator expressions and lambdas are part of their function.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FROM_S, DURATION_S = 22.0, 5.0
 
 @dataclass
 class DatagramPath:
-    """What one datagram passed."""
+    """Functions that one datagram passed."""
 
     calls: Counter[tuple[str, str]] = field(default_factory=Counter)
     """By file and qualified name, in the order of the first call."""
@@ -53,7 +53,7 @@ class DatagramPath:
 
     @property
     def files(self) -> set[str]:
-        """The files of the functions."""
+        """Return the files of the functions."""
         return {name for name, _ in self.calls}
 
     def profile(self, frame: FrameType, event: str, argument: object) -> None:
@@ -69,9 +69,9 @@ class DatagramPath:
 
 
 def traced_paths() -> tuple[list[DatagramPath], int]:
-    """The paths of ranging datagrams that were fused at once in a window of flight.
+    """Return the paths of ranging datagrams that were fused at once in a window of flight.
 
-    And how many more there were, which waited for a position or whose solution took longer.
+    And the number of others, which waited for a position or whose solution took longer.
     """
     config = CompanionConfig(mission=SessionParams(engage="auto"))
     flight = Flight(config, Scenario(), 1, MemoryJournal())

@@ -1,11 +1,11 @@
-"""Renews what the golden flights come to, after a change that is meant to change it.
+"""Renews the digests of the golden flights, after a change that is meant to change them.
 
     .venv/bin/python -m tools.update_golden [--fly] [NAME ...]
 
-Runs the recorded flights again and writes digests of their estimates and setpoints. A companion
-that flies elsewhere than the recorded vehicle did soon holds or yields, so after a larger change
---fly flies them anew first, which costs the repository two megabytes. Each flight that changes says
-so: commit `tests/data/golden` with the change that it shows.
+Replays the recorded flights and writes digests of their estimates and setpoints. A companion that
+flies elsewhere than the recorded vehicle did soon holds or yields, so after a larger change --fly
+flies them again first, which costs the repository two megabytes. Each flight that changes is
+listed: commit `tests/data/golden` with the change that it shows.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from tests.loop.golden_flights import (
 
 
 def main() -> None:
-    """Run the flights again, or fly them anew, and write their digests."""
+    """Replay or fly the flights again, and write their digests."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", metavar="NAME", nargs="*", choices=[*PLANS, []], help="only these")
     parser.add_argument("--fly", action="store_true", help="fly anew instead of running again")

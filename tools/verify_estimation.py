@@ -7,16 +7,16 @@
     bound       the tracker with its window on tracks of FIM and latched crossing: RMSE beside the
                 Cramer-Rao bound of those tracks
     walks       only if asked for: recorded walks in --walks FOLDER (rtt*, uwb*, plaza* and wsr*
-                .csv), and --placed invented ones of each kind, whose errors stay with the place:
-                error of the final and of the better stated place, states and what of them holds, at
-                the end and at each tenth of the way, and what a measurement costs
+                .csv), and --placed invented ones of each kind with spatially correlated errors:
+                error of the final and of the better stated position, states and share that holds,
+                at the end and at each tenth of the way, and the cost of a measurement
     honesty     NEES of the position and coverage of the R95 circle, with the noise that the filter
-                believes (no NLOS; offsets of the paper, or drawn from the priors), and coverage
+                assumes (no NLOS; offsets of the paper, or drawn from the priors), and coverage
                 with the paper's NLOS, on lanes and on latched crossings
 
-A share of runs is itself uncertain: with 200 runs an honest 95 % circle contains the target in
+A share of runs is itself uncertain: with 200 runs a consistent 95 % circle contains the target in
 92 to 98 % of them at one step, and among 480 steps it leaves 93 to 97 % at some. Beside the
-extremes over steps stands therefore the mean over them, which tells a bias from chance; for the
+extremes over steps stands therefore the mean over them, which separates a bias from chance; for the
 extremes to mean something it takes some 2000 runs.
 """
 
@@ -79,7 +79,7 @@ OnBlock = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One number, and what it must be."""
+    """One number, and its requirement."""
 
     part: Part
     name: str
@@ -93,7 +93,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A part's campaigns, and what their tallies say."""
+    """A part's campaigns, and the figures of their tallies."""
 
     campaigns: list[RunSeries]
     figures: Callable[[Sequence[RunTally]], list[Figure]]
@@ -143,7 +143,7 @@ def tallies_of(
 
 
 def lawnmower_plan(runs: int, seed: int) -> Plan:
-    """Every filter on fixed lanes."""
+    """Plan every filter on fixed lanes."""
     filters: tuple[FilterName, ...] = (
         "asymmetric_huber",
         "huber",
@@ -155,7 +155,7 @@ def lawnmower_plan(runs: int, seed: int) -> Plan:
     campaigns = [RunSeries(Case(), System(name, "passive"), seed, runs) for name in filters]
 
     def figures(tallies: Sequence[RunTally]) -> list[Figure]:
-        """What the tallies come to."""
+        """Return the figures of the tallies."""
         ours_m, huber_m = (float(tally.rmse_m[-1]) for tally in tallies[:2])
         offset_m = float(tallies[0].range_offset_m[-1] / runs)
         found = [rmse_figure(c, tally) for c, tally in zip(campaigns, tallies, strict=True)]
@@ -185,7 +185,7 @@ def lawnmower_plan(runs: int, seed: int) -> Plan:
 
 
 def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
-    """Final RMSE of a system, with what is worth knowing of it."""
+    """Return the final RMSE of a system, with its remarks."""
     errors_m = tally.final_errors_m
     low_m, high_m = rmse_interval_m(errors_m) or (math.nan, math.nan)
     steps = steps_to_settle(tally.rmse_m)
@@ -200,13 +200,13 @@ def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
 
 
 def noise_case(range_sigma_m: float) -> Case:
-    """The canonical scenario with other noise of the ranges, which the filter knows."""
+    """Return the canonical scenario with other noise of the ranges, which the filter knows."""
     belief = msgspec.structs.replace(PAPER_BELIEF, range_sigma_m=range_sigma_m)
     return Case(channel=ChannelParams(range_sigma_m=range_sigma_m), belief=belief)
 
 
 def bound_plan(runs: int, seed: int) -> Plan:
-    """The tracker beside the Cramer-Rao bound, in the three noise regimes of the paper."""
+    """Plan the tracker beside the Cramer-Rao bound, in the three noise regimes of the paper."""
     planners: tuple[PlannerName, ...] = ("fim", "latched")
     campaigns = [
         RunSeries(noise_case(sigma_m), System("tracker", planner), seed, runs)
@@ -215,14 +215,14 @@ def bound_plan(runs: int, seed: int) -> Plan:
     ]
 
     def figures(tallies: Sequence[RunTally]) -> list[Figure]:
-        """What the tallies come to."""
+        """Return the figures of the tallies."""
         return [bound_figure(c, tally) for c, tally in zip(campaigns, tallies, strict=True)]
 
     return Plan(campaigns, figures)
 
 
 def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
-    """Final RMSE of a system by the bound on its own tracks."""
+    """Return the final RMSE of a system by the bound on its own tracks."""
     rmse_m, bound_m = float(tally.rmse_m[-1]), float(tally.rmse_bound_m[-1])
     ratio = rmse_m / bound_m
     worst_m = float(tally.final_errors_m.max())
@@ -238,7 +238,7 @@ def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
 
 
 def honesty_plan(runs: int, seed: int) -> Plan:
-    """Filter and tracker on lanes and on crossings, in noise that they know and in the paper's."""
+    """Plan filter and tracker on lanes and on crossings, in known noise and in the paper's."""
     campaigns = [
         RunSeries(honesty_case(p_nlos, offsets), System(name, planner), seed, runs)
         for p_nlos, offsets in HONESTY_CASES
@@ -246,7 +246,7 @@ def honesty_plan(runs: int, seed: int) -> Plan:
     ]
 
     def figures(tallies: Sequence[RunTally]) -> list[Figure]:
-        """What the tallies come to."""
+        """Return the figures of the tallies."""
         found: list[Figure] = []
         for campaign, tally in zip(campaigns, tallies, strict=True):
             found += honesty_figures(campaign, tally)
@@ -256,12 +256,12 @@ def honesty_plan(runs: int, seed: int) -> Plan:
 
 
 def honesty_case(p_nlos: float, offsets: Offsets) -> Case:
-    """The canonical scenario with another share of NLOS, or with offsets drawn for each run."""
+    """Return the canonical scenario with another share of NLOS, or with drawn offsets."""
     return Case(channel=ChannelParams(p_nlos=p_nlos), offsets=offsets)
 
 
 def honesty_figures(campaign: RunSeries, tally: RunTally) -> list[Figure]:
-    """NEES where the noise is as believed, and coverage; only the tracker must be honest."""
+    """Return NEES if the noise is as assumed, and coverage; only the tracker must be consistent."""
     case, label = campaign.case, campaign.system.label
     is_believed = case.channel.p_nlos == 0.0
     must = campaign.system.filter == "tracker"
@@ -286,7 +286,7 @@ def honesty_figures(campaign: RunSeries, tally: RunTally) -> list[Figure]:
 
 
 def nees_figure(name: str, tally: RunTally, *, must: bool) -> Figure:
-    """Mean NEES after the last step."""
+    """Return the mean NEES after the last step."""
     low, high = nees_band(tally.runs)
     means = tally.mean_nees[SETTLED_STEP:]
     last = float(means[-1])
@@ -302,7 +302,7 @@ def nees_figure(name: str, tally: RunTally, *, must: bool) -> Figure:
 
 
 def main() -> int:
-    """Take all figures, print and write them; the exit code."""
+    """Take all figures, print and write them; return the exit code."""
     arguments = parsed()
     try:
         if arguments.json is not None:
@@ -332,7 +332,7 @@ def main() -> int:
 
 
 def parsed() -> argparse.Namespace:
-    """What the command line says."""
+    """Return the parsed command line."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
     parts = (*PARTS, "walks")
     parser.add_argument("--only", choices=parts, action="append", help="may be given twice")
@@ -352,14 +352,14 @@ def parsed() -> argparse.Namespace:
 
 
 def show_progress(done: int, total: int) -> None:
-    """Progress, where somebody looks."""
+    """Show progress on a terminal."""
     if sys.stderr.isatty():
         end = "\n" if done == total else ""
         print(f"\r{done} of {total} pieces of work", end=end, file=sys.stderr, flush=True)
 
 
 def line(figure: Figure) -> str:
-    """A figure and what it must be."""
+    """Return a figure and its requirement."""
     verdict = {True: "met", False: "MISSED", None: ""}[figure.is_met]
     limit = f"  (must be {figure.limit}: {verdict})" if figure.limit else ""
     note = f"  [{figure.note}]" if figure.note else ""

@@ -1,11 +1,11 @@
-"""How many vehicles one `sim-link` process flies at real time over UDP, on one core.
+"""Number of vehicles that one `sim-link` process flies at real time over UDP, on one core.
 
 Starts `sim-link --vehicles N`, arms all of them, lets them take off and streams setpoints at 10 Hz
-to each, which has rates of its own; their default streams go to a port where nobody is. Then it
-counts for a while what comes back. Printed are the processor time of the process, how long it
-waited for a core (Linux only), what the vehicles' clocks and streams lag behind, and whether that
-is real time. If not, fewer are tried until it is; on a machine that is too busy to tell, none.
-Exit code 0 when N held real time, 1 when not, 2 for bad arguments.
+to each, which has rates of its own; their default streams go to an unused port. Then it counts the
+messages that return. It prints the processor time of the process, its waiting time for a core
+(Linux only), the lag of the vehicles' clocks and streams, and whether that is real time. If not, it
+tries fewer vehicles until it is; on a machine that is too busy for a verdict, none. Exit code 0
+when N held real time, 1 when not, 2 for bad arguments.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ MAX_WAITING = 0.1
 
 @dataclass(slots=True)
 class Track:
-    """The positions of one vehicle."""
+    """Positions received from one vehicle."""
 
     count: int = 0
     first_ms: int = 0
     last_ms: int = 0
 
     def take(self, boot_ms: int) -> None:
-        """A LOCAL_POSITION_NED came."""
+        """Count a LOCAL_POSITION_NED."""
         if self.count == 0:
             self.first_ms = boot_ms
         self.count += 1
@@ -59,13 +59,13 @@ class Track:
 
     @property
     def simulated_s(self) -> float:
-        """Time that passed for it."""
+        """Simulated time that passed for the vehicle, s."""
         return (self.last_ms - self.first_ms) / 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a number of vehicles did."""
+    """Result for a number of vehicles."""
 
     count: int
     flying: int
@@ -77,19 +77,22 @@ class Outcome:
 
     @property
     def holds(self) -> bool:
-        """Whether that is real time for every vehicle."""
+        """Return True if every vehicle held real time."""
         slow = self.worst_rate_hz < (1.0 - TOLERANCE) * ASKED_HZ
         return self.flying == self.count and self.lag_s <= MAX_LAG_S and not slow
 
     @property
     def verdict(self) -> str:
-        """Real time or not; if so, how many a core that has nothing else to do has room for."""
+        """Return the verdict.
+
+        At real time with the number of vehicles that an idle core has room for.
+        """
         if not self.holds:
             return "NOT real time"
         return f"real time; by this a core has room for {self.count * FULL / self.core_share:.0f}"
 
     def line(self, flavour: str) -> str:
-        """For people."""
+        """Return the result as a line of text."""
         return (
             f"{flavour}: {self.count} vehicles ({self.flying} flying), {self.frames_hz:.0f} "
             f"frames/s heard: {self.core_share:.2f} of one core, {self.waiting_share:.2f} waiting; "
@@ -99,11 +102,11 @@ class Outcome:
 
 
 class Crowd:
-    """One socket that speaks to each vehicle, and hears all of them.
+    """One socket that sends to each vehicle, and receives from all of them.
 
     Args:
-        first_port: Where the first of them listens; the others' ports count up.
-        count: How many.
+        first_port: Port of the first vehicle; the others count up.
+        count: Number of vehicles.
         is_px4: Their flavour.
     """
 
@@ -126,12 +129,12 @@ class Crowd:
         self._socket.close()
 
     def tell_all(self, number: int, *params: float) -> None:
-        """COMMAND_LONG to every vehicle."""
+        """Send a COMMAND_LONG to every vehicle."""
         for n in range(self._count):
             self._tell(n, command(n + 1, number, *params))
 
     def take_off(self) -> None:
-        """Get all of them into the air and into the mode that obeys setpoints."""
+        """Bring all of them into the air and into the mode that follows setpoints."""
         time.sleep(BOOT_S)
         if not self._is_px4:
             self.tell_all(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0)
@@ -147,7 +150,7 @@ class Crowd:
         self.listen(SETTLE_S)
 
     def listen(self, seconds: float) -> None:
-        """Take in what comes, and send the setpoints that are due, for a while."""
+        """Receive for a while, and send the setpoints that are due."""
         until_s = time.monotonic() + seconds
         while (now_s := time.monotonic()) < until_s:
             if self._next_setpoint_s is not None and now_s >= self._next_setpoint_s:
@@ -160,7 +163,7 @@ class Crowd:
                 continue
 
     def begin_anew(self) -> None:
-        """Forget what was counted."""
+        """Reset the counts."""
         self.tracks.clear()
         self.armed.clear()
         self.frames = 0
@@ -183,7 +186,7 @@ class Crowd:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fly the fleets, print what they cost; the exit code."""
+    """Fly the fleets and print their cost; return the exit code."""
     parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--vehicles", metavar="N", type=positive, default=50, help="(default 50)")
     parser.add_argument("--seconds", metavar="S", type=positive, default=15, help="(default 15)")
@@ -236,7 +239,7 @@ def measure(flavour: str, count: int, seconds: int, port: int) -> Outcome:
 
 @contextmanager
 def running(flavour: str, count: int, port: int) -> Iterator[int]:
-    """The process under test; its id."""
+    """Run the process under test; yield its id."""
     arguments = [sys.executable, "-m", "sim_link", "--autopilot", flavour, "--quiet"]
     arguments += ["--vehicles", str(count), "--listen", f"127.0.0.1:{port}"]
     arguments += ["--send-to", f"127.0.0.1:{port + count}", "--stop-on-eof"]
@@ -250,7 +253,7 @@ def running(flavour: str, count: int, port: int) -> Iterator[int]:
 
 
 def used_and_waited_s(pid: int) -> tuple[float, float]:
-    """Seconds that a process was on a core, and ready without one."""
+    """Return the seconds that a process was on a core, and ready without one."""
     used_ns, waited_ns, _ = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()
     return int(used_ns) / 1e9, int(waited_ns) / 1e9
 

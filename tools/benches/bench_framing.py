@@ -1,4 +1,4 @@
-"""How many frames a second one core cuts, proves, refuses and decodes, beside pymavlink's parser.
+"""Frames per second that one core splits, verifies, refuses and decodes, beside pymavlink's parser.
 
 .venv/bin/python tools/benches/bench_framing.py
 """
@@ -26,12 +26,12 @@ Take = Callable[[bytes], object]
 
 
 def frames_of(codec: MavCodec) -> list[bytes]:
-    """The messages as bytes."""
+    """Return the messages as bytes."""
     return [codec.encode(message) for message in MESSAGES]
 
 
 def rate(make: Callable[[], Take], frames: list[bytes]) -> float:
-    """The best of a few runs, frames per second of processor time."""
+    """Return the best of a few runs, frames per second of processor time."""
     best = 0.0
     for _ in range(REPEATS):
         take = make()
@@ -43,19 +43,19 @@ def rate(make: Callable[[], Take], frames: list[bytes]) -> float:
 
 
 def splitting() -> Take:
-    """Our splitter alone: length, checksum."""
+    """Return the splitter alone: length, checksum."""
     splitter = FrameSplitter(CRC_EXTRA_BY_ID)
     return lambda data: splitter.split(data, is_datagram=True)
 
 
 def decoding(key: SigningKey | None) -> Take:
-    """Our codec, with or without a key."""
+    """Return the project's codec, with or without a key."""
     signing = None if key is None else LinkSigning(Signing(key, NOW), 0)
     return MavCodec(1, 191, signing).decode
 
 
 def pymavlink(key: SigningKey | None) -> Take:
-    """The parser of pymavlink, with or without a key."""
+    """Return pymavlink's parser, with or without a key."""
     mav = mavlink.MAVLink(None)
     mav.robust_parsing = True
     if key is not None:

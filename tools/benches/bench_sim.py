@@ -1,4 +1,4 @@
-"""How many simulated vehicles hold real time on one core: `python tools/benches/bench_sim.py [N]`.
+"""Simulated vehicles at real time on one core: `python tools/benches/bench_sim.py [N]`.
 
 Every vehicle flies a velocity setpoint streamed at 10 Hz, with its default streams; the frames are
 built and handed out, and a shell would only send them. Printed is the processor time per simulated
@@ -25,7 +25,7 @@ SETPOINT_EVERY = 5
 
 
 def command(system_id: int, number: int, *params: float) -> Message:
-    """COMMAND_LONG, unused parameters 0."""
+    """Return a COMMAND_LONG, unused parameters 0."""
     padded = [*params, *[0.0] * (7 - len(params))]
     return mavlink.MAVLink_command_long_message(system_id, 1, number, 0, *padded)
 
@@ -34,8 +34,8 @@ class Flight:
     """Vehicles in the air that follow setpoints.
 
     Args:
-        count: How many.
-        flavour: Which autopilot.
+        count: Number of vehicles.
+        flavour: Autopilot of all of them.
     """
 
     def __init__(self, count: int, flavour: FlavourName) -> None:
@@ -55,7 +55,7 @@ class Flight:
         self.fleet.receive(Chunk(vehicle, data, ("127.0.0.1", 1)), self._step * STEP_S)
 
     def take_off(self) -> None:
-        """Get all of them into the air and into the mode that obeys setpoints."""
+        """Bring all of them into the air and into the mode that follows setpoints."""
         self.run(3, streams=False)
         for n in range(self.count):
             if not self.is_px4:
@@ -85,7 +85,7 @@ class Flight:
 
 
 def setpoint(system_id: int) -> Message:
-    """A slow climb to the north."""
+    """Return a setpoint that climbs slowly to the north."""
     fields = [0.0] * 3 + [1.0, 0.0, -0.1] + [0.0] * 5
     return mavlink.MAVLink_set_position_target_local_ned_message(
         0, system_id, 1, mavlink.MAV_FRAME_LOCAL_NED, 0x0DC7, *fields

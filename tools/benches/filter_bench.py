@@ -1,15 +1,16 @@
-"""What an update costs, beside filterpy's extended Kalman filter on the same measurements.
+"""Cost of a filter update, beside filterpy's extended Kalman filter on the same measurements.
 
-The measurements are range and bearing of one run of the canonical lawnmower. Every contender goes
-through them from the same first fix; one after the other, again and again, so that whatever else
-the machine does hits all of them; a figure is the median over the rounds, per update.
+The measurements are range and bearing of one run of the canonical lawnmower. All filters process
+them from the same first fix, one after the other in many rounds, so that other load on the machine
+hits all of them; a figure is the median over the rounds, per update.
 
-filterpy is used as its documentation has it: one filter object, range and bearing at once, model
-and Jacobian written in plain Python, prediction and update timed apart. The target lies still, so
-that our prediction has nothing to compute; filterpy's multiplies its matrices all the same.
+filterpy is used as in its documentation: one filter object, range and bearing at once, model and
+Jacobian written in plain Python, prediction and update timed separately. The target lies still, so
+that the companion's prediction has nothing to compute; filterpy's multiplies its matrices all the
+same.
 
 Compiled and plain kernels cannot live in one process. The plain ones are timed in a second one,
-with numba told not to compile, against filterpy timed there; both belong to the same run.
+with numba's compilation disabled, against filterpy timed there; both belong to the same run.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ Contender = Callable[[], Seconds]
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """What every contender is fed."""
+    """Input of every filter."""
 
     case: Case
     track_enu_m: Matrix
@@ -86,14 +87,14 @@ class Walk:
     belief: WalkFilter
 
     def first_fix(self) -> tuple[Vector, Matrix]:
-        """Mean and covariance that everyone starts from."""
+        """Return the mean and covariance at which all filters start."""
         (east_m, north_m), (range_m, bearing_rad, _) = self.track_enu_m[0], self.z[0]
         return first_fix(east_m, north_m, range_m, bearing_rad, self.belief)
 
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A cost beside what it must not exceed."""
+    """A cost beside its limit."""
 
     name: str
     cost_us: float
@@ -120,7 +121,7 @@ class FilterBench:
 
 
 def bench_filters(rounds: int = ROUNDS) -> FilterBench:
-    """Time the filters, compiled where numba is installed, and plain."""
+    """Time the filters, compiled if numba is installed, and plain."""
     walk = canonical_walk()
     has_numba = importlib.util.find_spec("numba") is not None
     compiled = timed(contenders(walk), rounds) if has_numba else None
@@ -138,7 +139,7 @@ def bench_filters(rounds: int = ROUNDS) -> FilterBench:
 
 
 def ratios_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]) -> list[Ratio]:
-    """What is required of the costs, microseconds each."""
+    """Return the ratios with limits, from costs in microseconds."""
     ratios = []
     if compiled_us is not None:
         both = [FILTERPY_PREDICT, FILTERPY_UPDATE]
@@ -149,7 +150,7 @@ def ratios_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]) 
 
 
 def canonical_walk() -> Walk:
-    """The canonical lawnmower, measured once."""
+    """Return the canonical lawnmower, measured once."""
     case = Case()
     track = track_of(case)
     truth = truth_of(case, stream(SEED, TRUTH))
@@ -162,7 +163,7 @@ def canonical_walk() -> Walk:
 
 
 def contenders(walk: Walk) -> list[Contender]:
-    """Everything that is timed, with the kernels as they are in this process."""
+    """Return everything that is timed, with the kernels as they are in this process."""
     return [
         lambda: filterpy_seconds(walk),
         lambda: loop_seconds(walk),
@@ -178,7 +179,10 @@ def print_times(rounds: int) -> None:
 
 
 def timed(timers: Sequence[Contender], rounds: int) -> dict[str, float]:
-    """Medians over interleaved rounds, microseconds; the round that compiles does not count."""
+    """Return medians over interleaved rounds, microseconds.
+
+    The round that compiles does not count.
+    """
     for timer in timers:
         timer()
     found: dict[str, list[float]] = {}
@@ -190,7 +194,7 @@ def timed(timers: Sequence[Contender], rounds: int) -> dict[str, float]:
 
 
 def filterpy_seconds(walk: Walk) -> Seconds:
-    """One pass of filterpy's filter, prediction and update apart."""
+    """Run filterpy's filter once, prediction and update timed separately."""
     mean, covariance = walk.first_fix()
     ekf = ExtendedKalmanFilter(dim_x=4, dim_z=2)
     ekf.x, ekf.P, ekf.F, ekf.Q = mean, covariance, np.eye(4), np.zeros((4, 4))
@@ -210,7 +214,7 @@ def filterpy_seconds(walk: Walk) -> Seconds:
 
 @kernel
 def filtered(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Vector:
-    """The mean after a walk, (n,); the target lies still, so a prediction changes nothing.
+    """Return the mean after a walk, (n,); the target lies still, so a prediction changes nothing.
 
     Args:
         track_enu_m: (n, 2).
@@ -225,14 +229,14 @@ def filtered(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Vector:
 
 
 def loop_seconds(walk: Walk) -> Seconds:
-    """One pass as a loop inside a kernel, as the studies do it."""
+    """Run once as a loop inside a kernel, as the studies do it."""
     begun = perf_counter()
     filtered(walk.track_enu_m, walk.z, walk.belief)
     return {LOOP: (perf_counter() - begun) / (len(walk.z) - 1)}
 
 
 def call_seconds(walk: Walk) -> Seconds:
-    """One pass with the update kernel called from Python each time."""
+    """Run once with the update kernel called from Python each time."""
     (mean, covariance), belief = walk.first_fix(), walk.belief
     sensors = np.column_stack([walk.track_enu_m, np.zeros(len(walk.z))])
     begun = perf_counter()
@@ -253,7 +257,7 @@ def call_seconds(walk: Walk) -> Seconds:
 
 
 def object_seconds(walk: Walk) -> Seconds:
-    """One pass of the filter class that flies, its report included."""
+    """Run the filter class that flies once, its report included."""
     target_filter = recursive_filter_of(walk.case, SYSTEM)
     state = FilterState.of(0.0, *walk.first_fix())
     seen = [
@@ -270,7 +274,7 @@ def object_seconds(walk: Walk) -> Seconds:
 def stepped_often(
     rows: Matrix, start: Vector, belief: WalkFilter, information: Matrix, pull: Vector, steps: int
 ) -> float:
-    """The sum of the easts that so many first steps of the window end at."""
+    """Return the sum of the eastings that so many first steps of the window end at."""
     total = 0.0
     for _ in range(steps):
         moved, *_ = map_step(
@@ -289,7 +293,7 @@ def stepped_often(
 
 
 def window_seconds(walk: Walk) -> Seconds:
-    """The first step of a window's solution, and the whole solution from the same start."""
+    """Time the first step of a window's solution, and the whole solution from the same start."""
     rows, belief = window_rows(walk), walk.belief
     start = belief.prior_mean.copy()
     start[:2] = np.array(walk.case.target_enu_m) + START_OFF_M
@@ -306,7 +310,7 @@ def window_seconds(walk: Walk) -> Seconds:
 
 
 def window_rows(walk: Walk) -> Matrix:
-    """The first measurements as a window holds them, (WINDOW, COLUMNS)."""
+    """Return the first measurements as a window holds them, (WINDOW, COLUMNS)."""
     rows = np.zeros((WINDOW, COLUMNS))
     rows[:, :2] = walk.track_enu_m[:WINDOW]
     rows[:, 3:6] = walk.z[:WINDOW]
@@ -332,7 +336,7 @@ def _ratio(
 
 
 def _plain_in_a_process(rounds: int) -> dict[str, float]:
-    """The same with numba told not to compile, which makes kernels the plain functions."""
+    """Return the medians with numba's compilation disabled, which makes kernels plain functions."""
     code = f"from {__name__} import print_times; print_times({rounds})"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(

@@ -1,17 +1,17 @@
-"""How much ten browsers on the live map, one stalled, disturb the control tick and fill the memory.
+"""Effect of ten browsers on the live map, one stalled, on the control tick and the memory.
 
     .venv/bin/python tools/benches/measure_live_map.py [--rounds 6] [--seconds 10] [--browsers 10]
                                                [--minutes 60] [--json FILE]
 
-First the simulator flies in real time and the map takes turns: a while without, a while with it and
-all browsers, many times over, so that what else the machine does falls on both. What counts is the
-median over the rounds of how p99 of the ticks' lateness changes from one turn to the other. Then a
-flight of an hour, on invented time and as fast as it goes, is watched by the same browsers, and the
-memory of the flight's and of the page's process is fitted by a line after the first quarter.
+First the simulator flies in real time, alternately without the map and with it and all browsers, in
+many rounds, so that other load on the machine falls on both. The figure is the median over the
+rounds of the change in the 99th percentile of the ticks' lateness. Then a flight of an hour, on
+invented time and as fast as it goes, is watched by the same browsers, and the memory of the
+flight's and of the page's process is fitted by a line after the first quarter.
 
-A browser here is what one is to the server: it loads the page and takes every update over its
-socket; the stalled one stops reading. Exit code 1 if p99 changes by 5 ms or more, or if memory
-grows by more than 5 MB an hour.
+A browser here does what the server sees of one: it loads the page and receives every update over
+its socket; the stalled one stops reading. Exit code 1 if the percentile changes by 5 ms or more, or
+if memory grows by more than 5 MB an hour.
 """
 
 from __future__ import annotations
@@ -74,20 +74,20 @@ ENDLESS = Scenario(battery=BatteryParams(endurance_s=1e6))
 
 
 class Lateness(TimerStatistics):
-    """Keeps how late every tick was."""
+    """Records the lateness of every tick."""
 
     def __init__(self) -> None:
         super().__init__()
         self.late_s: list[float] = []
 
     def note(self, late_s: float) -> None:
-        """Take in how late it is now."""
+        """Record the lateness of a tick."""
         super().note(late_s)
         self.late_s.append(late_s)
 
 
 class MeasuredFlight:
-    """A flight whose map can be switched on and off."""
+    """Flight whose map can be switched on and off."""
 
     def __init__(self, port: int, directory: Path, web_port: int) -> None:
         self.settings = web_settings(str(web_port))
@@ -119,13 +119,13 @@ class MeasuredFlight:
 
 
 def resident_mb(process: int) -> float:
-    """What a process has in memory (Linux)."""
+    """Return the resident memory of a process in MB (Linux)."""
     pages = Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1]
     return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 async def browse(url: str, *, is_stalled: bool) -> None:
-    """One browser, until it is cancelled."""
+    """Simulate one browser until it is cancelled."""
     html = await asyncio.to_thread(lambda: urllib.request.urlopen(url).read().decode())
     found = re.search(r"client_id\\?[\"']: ?\\?[\"']([0-9a-f-]+)", html)
     if found is None:
@@ -157,25 +157,25 @@ async def browse(url: str, *, is_stalled: bool) -> None:
 
 
 async def browse_all(url: str, count: int) -> None:
-    """All browsers; the last one stalls."""
+    """Simulate all browsers; the last one stalls."""
     async with asyncio.TaskGroup() as group:
         for number in range(count):
             group.create_task(_browse(url, is_stalled=number == count - 1))
 
 
 async def _browse(url: str, *, is_stalled: bool) -> None:
-    with suppress(ConnectionClosed):  # the server gave up the one that stalled
+    with suppress(ConnectionClosed):  # the server closed the stalled one
         await browse(url, is_stalled=is_stalled)
 
 
 @contextmanager
 def browsers(url: str, count: int, meanwhile: Callable[[], None] = lambda: None) -> Iterator[None]:
-    """Browsers in a process of their own, once every one of them gets updates.
+    """Run browsers in a process of their own, once every one of them receives updates.
 
     Args:
-        url: Of the page.
-        count: How many.
-        meanwhile: Called until they are there.
+        url: Address of the page.
+        count: Number of browsers.
+        meanwhile: Called until they are connected.
     """
     command = [sys.executable, __file__, "--browse", url, "--browsers", str(count)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -194,7 +194,7 @@ def browsers(url: str, count: int, meanwhile: Callable[[], None] = lambda: None)
 
 
 def measure(flight: MeasuredFlight, seconds: float) -> list[float]:
-    """How late the ticks of a while are, milliseconds."""
+    """Return the lateness of the ticks of a while, milliseconds."""
     time.sleep(SETTLE_S)
     first = len(flight.timing.late_s)
     time.sleep(seconds)
@@ -203,7 +203,7 @@ def measure(flight: MeasuredFlight, seconds: float) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """How late the ticks of one turn were, milliseconds."""
+    """Lateness of the ticks of one turn, milliseconds."""
 
     ticks: int
     p50_ms: float
@@ -212,7 +212,7 @@ class Turn:
 
 
 def turn_of(late_ms: list[float]) -> Turn:
-    """A turn's figures from how late each tick was."""
+    """Return a turn's figures from the lateness of each tick."""
     p50, p99 = np.percentile(late_ms, [50, 99])
     return Turn(len(late_ms), float(p50), float(p99), max(late_ms))
 
@@ -220,15 +220,15 @@ def turn_of(late_ms: list[float]) -> Turn:
 def take_turns(
     flight: MeasuredFlight, rounds: int, seconds: float, count: int
 ) -> list[tuple[Turn, Turn]]:
-    """Rounds of a while without the map and a while with it; every other one turned round."""
+    """Alternate between turns without the map and with it; every other round is reversed."""
 
     def without() -> Turn:
-        """A turn without the map."""
+        """Take a turn without the map."""
         flight.has_map = False
         return turn_of(measure(flight, seconds))
 
     def watched() -> Turn:
-        """A turn with browsers that look at it."""
+        """Take a turn with browsers that load it."""
         flight.has_map = True
         with browsers(flight.settings.url, count):
             return turn_of(measure(flight, seconds))
@@ -247,7 +247,7 @@ def take_turns(
 def measure_ticks(
     rounds: int, seconds: float, count: int, web_port: int
 ) -> list[tuple[Turn, Turn]]:
-    """Turns without and with the map, on the simulator in real time."""
+    """Measure turns without and with the map, on the simulator in real time."""
     port, listen = free_udp_port(), free_udp_port()
     command = [sys.executable, "-m", "sim_link", "--listen", f"127.0.0.1:{listen}"]
     command += ["--send-to", f"127.0.0.1:{port}"]
@@ -272,7 +272,7 @@ Memory = tuple[float, float, float]
 
 
 def measure_memory(minutes: float, count: int, web_port: int) -> list[Memory]:
-    """Memory over a long flight on invented time, with all browsers on its map."""
+    """Measure memory over a long flight on invented time, with all browsers on its map."""
     settings = web_settings(str(web_port))
     view = WebView(settings, CONFIG)
     with tempfile.TemporaryDirectory() as directory:
@@ -300,14 +300,14 @@ def measure_memory(minutes: float, count: int, web_port: int) -> list[Memory]:
 
 
 def growth_mb_per_h(samples: list[Memory], column: int) -> float:
-    """Slope of a line through the samples after the first quarter."""
+    """Return the slope of a line through the samples after the first quarter."""
     from_min = SETTLED * samples[-1][0]
     rows = np.array([sample for sample in samples if sample[0] >= from_min])
     return float(np.polyfit(rows[:, 0] / 60.0, rows[:, column], 1)[0])
 
 
 def tell_ticks(turns: list[tuple[Turn, Turn]], count: int) -> bool:
-    """Print the turns; whether ticks are kept."""
+    """Print the turns; return True if the limit on ticks is kept."""
     print(f"{'lateness of ticks, ms':<26} {'ticks':>6} {'p50':>8} {'p99':>8} {'worst':>8}")
     for number, pair in enumerate(turns, start=1):
         for name, t in zip(("without", f"{count} browsers"), pair, strict=True):
@@ -324,12 +324,12 @@ def tell_ticks(turns: list[tuple[Turn, Turn]], count: int) -> bool:
 
 
 def p99_change_ms(turns: list[tuple[Turn, Turn]]) -> float:
-    """Median over the rounds of how p99 changes."""
+    """Return the median over the rounds of the change in the 99th percentile, ms."""
     return float(np.median([watched.p99_ms - alone.p99_ms for alone, watched in turns]))
 
 
 def tell_memory(samples: list[Memory]) -> bool:
-    """Print how memory went; whether it is flat."""
+    """Print the growth of memory; return True if it is flat."""
     print(f"{'minute of flight':<18} {'flight, MB':>12} {'page, MB':>12}")
     for minute, flight_mb, page_mb in samples[:: max(1, len(samples) // 12)]:
         print(f"{minute:<18.0f} {flight_mb:>12.1f} {page_mb:>12.1f}")
@@ -344,7 +344,7 @@ def tell_memory(samples: list[Memory]) -> bool:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Take all turns and the long flight; the exit code."""
+    """Take all turns and the long flight; return the exit code."""
     count = arguments.browsers
     result: dict[str, object] = {"browsers": count, "cores": os.cpu_count()}
     is_good = True
@@ -367,7 +367,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def main() -> int:
-    """Read the command line and run; the exit code."""
+    """Read the command line and run; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", metavar="N", type=int, default=6, help="0: leaves them out")
     parser.add_argument("--seconds", metavar="S", type=float, default=10.0, help="of each turn")
@@ -380,7 +380,7 @@ def main() -> int:
     parser.add_argument("--browse", metavar="URL", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.browse is not None:
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))  # as if on other machines
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))  # as if on other computers
         asyncio.run(browse_all(arguments.browse, arguments.browsers))
         return 0
     return run(arguments)

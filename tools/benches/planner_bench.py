@@ -1,31 +1,23 @@
-"""What a step of filter and planner costs, on runs that are gone through again.
+"""Cost of a step of filter and planner, beside filterpy's update on the same measurements.
 
-Runs that are gone through again: the same measurements from the same places.
+Each system flies the canonical scenario once. That run, its positions and its measurements, is then
+retraced repeatedly: the filter processes each measurement and the planner decides, while the track
+stays the recorded one, so that nothing is timed but the two of them. A decision is also timed
+alone, on the estimates of the run. filterpy's filter processes measurements of the same run from
+the same positions. All of them alternate; a figure is the median over the rounds, per step.
 
-Where the run went is where filter and planner fly again, so that a retraced run costs what the two
-of them cost, and nothing else.
+On a busy machine a turn of the scheduler is as long as a few hundred steps. The companion's steps
+are therefore timed by processor time, which equals wall time on an idle machine, and filterpy's
+updates, which are timed one by one, in turns too short to be interrupted often.
 
-What a step costs, filter and planner, beside filterpy's update on the same measurements.
+The system that solves the whole run at intervals (`map`) has no cost per step of its own: its run
+is timed as the studies do it, the simulation included.
 
-Each system flies the canonical scenario once. That run, its places and its measurements, is then
-retraced again and again: the filter takes in each measurement and the planner says where to fly,
-which is where the run went, so that nothing is timed but the two of them. A decision is also timed
-alone, on the estimates of the run. filterpy's filter goes through measurements of the same run from
-the same places. All take turns; a figure is the median over the rounds, per step.
+The paper prints one average cost per step without its contents. It is assumed to be filter and
+planner together, which is the stricter reading of the limits.
 
-On a busy machine a turn of the scheduler is as long as a few hundred steps. Ours are therefore
-timed by the processor's time that they take, which is the clock's where nothing else runs, and
-filterpy's updates, which are timed one by one, in turns too short to be interrupted often.
-
-What solves the whole run now and then (`map`) has no cost per step of its own: its run is timed as
-the studies do it, the simulation included.
-
-The paper prints one average cost per step and does not say what is in it. It is taken for filter
-and planner together, which is the harder reading of the limits.
-
-The rows of costs.csv: what a step takes on this machine, measured in this run.
-
-Times are not the same bytes twice, so they are kept apart from the results.
+The rows of costs.csv are the cost of a step on this machine, measured in this run. Times differ
+from run to run, so they are kept apart from the results.
 """
 
 from __future__ import annotations
@@ -69,7 +61,7 @@ from tools.study.walk import (
 
 
 class Beliefs(NamedTuple):
-    """What a recursive filter believed after every measurement of a run."""
+    """State of a recursive filter after every measurement of a run."""
 
     means: Matrix
     """(steps, n)"""
@@ -79,7 +71,7 @@ class Beliefs(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """A run of a system, as it is retraced."""
+    """Run of a system for retracing."""
 
     system: System
     walk: Walk
@@ -90,7 +82,7 @@ class RecordedRun:
 
 
 def recorded_run(case: Case, system: System) -> RecordedRun:
-    """One run of a system in a case, with all that it is retraced from.
+    """Return one run of a system in a case, with all data for retracing it.
 
     Raises:
         ValueError: There are no kernels for the system's filter.
@@ -108,7 +100,7 @@ def recorded_run(case: Case, system: System) -> RecordedRun:
 
 @kernel
 def believed(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Beliefs:
-    """What the recursive filter believes after every measurement of a run.
+    """Return the state of the recursive filter after every measurement.
 
     Args:
         track_enu_m: (steps, 2).
@@ -130,10 +122,10 @@ def believed(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Beliefs:
 def retraced(
     track_enu_m: Matrix, z: Matrix, picks: Vector, belief: WalkFilter, steering: WalkSteering
 ) -> Matrix:
-    """Where filter and planner fly after every measurement but the first, (steps - 1, 2).
+    """Return the decisions after every measurement but the first, (steps - 1, 2).
 
     Args:
-        track_enu_m: (steps, 2) places of the run.
+        track_enu_m: (steps, 2) positions of the run.
         z: (steps, 3) its measurements.
         picks: (steps,) draws of its planner.
     """
@@ -162,10 +154,10 @@ def decided(
     steering: WalkSteering,
     passes: int,
 ) -> Matrix:
-    """Where a planner flies from every estimate of a run but the last, (steps - 1, 2).
+    """Return the planner's decisions on every estimate of a run but the last, (steps - 1, 2).
 
     Args:
-        track_enu_m: (steps, 2) places of the run.
+        track_enu_m: (steps, 2) positions of the run.
         picks: (steps,) draws of its planner.
         steering: Of a planner that follows the estimate.
         passes: How often to go through the run.
@@ -195,7 +187,7 @@ TWO_AXIS = Antenna((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), 2, Fals
 
 @kernel
 def sighted(decisions: int, antenna: Antenna, rule: LatchRule) -> float:
-    """Next legs by what the antenna tells, the choice of the height among it; their overshoots."""
+    """Return the overshoots of the next legs by the antenna's geometry, height included."""
     total_m = 0.0
     for index in range(decisions):
         high = leg_over(20.0, 10.0, (0.5, 0.05), antenna, 0.1 * index)
@@ -209,7 +201,7 @@ def sighted(decisions: int, antenna: Antenna, rule: LatchRule) -> float:
 
 
 def sighted_seconds(decisions: int = 50) -> dict[str, float]:
-    """Of a decision by the antenna, each."""
+    """Time a decision by the antenna's geometry."""
     rule = LatchedCrossingParams().rule()
     begun = process_time()
     sighted(decisions, TWO_AXIS, rule)
@@ -253,7 +245,7 @@ PAPER_FIM_OVER_REACTIVE = 23.0
 
 @dataclass(frozen=True, slots=True)
 class StepCost:
-    """What one step of a system takes, milliseconds."""
+    """Cost of one step of a system, milliseconds."""
 
     system: str
     step_ms: float
@@ -273,7 +265,7 @@ class StepCost:
 
 @dataclass(frozen=True, slots=True)
 class CostRatio:
-    """What FIM takes, by what reactive crossing takes."""
+    """Cost of FIM relative to reactive crossing."""
 
     steps: float
     """Filter and planner."""
@@ -327,7 +319,7 @@ def bench_planners(
 
 
 def contenders(run: RecordedRun) -> list[Contender]:
-    """What is timed of one run, each under the label of its system."""
+    """Return everything that is timed of one run, each under the label of its system."""
     walk, steering, label = run.walk, run.steering, run.system.label
     track_enu_m, steps = walk.track_enu_m, len(walk.z) - 1
     beginning = replace(
@@ -335,25 +327,25 @@ def contenders(run: RecordedRun) -> list[Contender]:
     )
 
     def run_seconds() -> dict[str, float]:
-        """Of a whole run, per step."""
+        """Time a whole run, per step."""
         begun = process_time()
         run_trial(walk.case, run.system, SEED)
         return {step_of(label): (process_time() - begun) / walk.case.steps}
 
     def step_seconds() -> dict[str, float]:
-        """Of the steps alone, per step."""
+        """Time the steps alone, per step."""
         begun = process_time()
         retraced(track_enu_m, walk.z, run.picks, walk.belief, steering)
         return {step_of(label): (process_time() - begun) / steps}
 
     def decision_seconds() -> dict[str, float]:
-        """Of the decisions alone, each."""
+        """Time the decisions alone, each."""
         begun = process_time()
         decided(track_enu_m, run.beliefs, run.picks, walk.belief, steering, DECISION_PASSES)
         return {decision_of(label): (process_time() - begun) / (DECISION_PASSES * steps)}
 
     def update_seconds() -> dict[str, float]:
-        """Of the update of filterpy."""
+        """Time filterpy's update."""
         return {filterpy_of(label): filterpy_seconds(beginning)[FILTERPY_UPDATE]}
 
     if run.system.filter not in KINDS:
@@ -363,7 +355,7 @@ def contenders(run: RecordedRun) -> list[Contender]:
 
 
 def step_cost(system: System, costs_us: dict[str, float], *, is_compiled: bool) -> StepCost:
-    """The costs of one system, judged where it is compiled."""
+    """Return the costs of one system, judged if it is compiled."""
     label = system.label
     step_ms, filterpy_ms = 1e-3 * costs_us[step_of(label)], 1e-3 * costs_us[filterpy_of(label)]
     decision_us = costs_us.get(decision_of(label))
@@ -381,7 +373,7 @@ def step_cost(system: System, costs_us: dict[str, float], *, is_compiled: bool) 
 
 
 def cost_ratio(costs_us: dict[str, float]) -> CostRatio:
-    """FIM by reactive crossing, from medians by what was timed."""
+    """Return the cost of FIM by that of reactive crossing, from medians by label."""
     fim, reactive = FIM.label, REACTIVE.label
     return CostRatio(
         steps=costs_us[step_of(fim)] / costs_us[step_of(reactive)],
@@ -391,17 +383,17 @@ def cost_ratio(costs_us: dict[str, float]) -> CostRatio:
 
 
 def step_of(label: str) -> str:
-    """Under what the step of a system is timed."""
+    """Return the label of a system's step."""
     return f"{label}: step"
 
 
 def decision_of(label: str) -> str:
-    """Under what the decision of a system is timed."""
+    """Return the label of a system's decision."""
     return f"{label}: decision"
 
 
 def filterpy_of(label: str) -> str:
-    """Under what filterpy's update on the measurements of a system is timed."""
+    """Return the label of filterpy's update on the measurements of a system."""
     return f"{label}: filterpy update"
 
 
@@ -410,7 +402,7 @@ COST_ROUNDS = 5
 
 
 def costs_of(results: Sequence[StudyResult], rounds: int = COST_ROUNDS) -> list[ResultRow]:
-    """Cost of the systems that studies ask it of, beside filterpy's update."""
+    """Return the costs of the systems that studies ask for, beside filterpy's update."""
     rows: list[ResultRow] = []
     for result in results:
         asked = [

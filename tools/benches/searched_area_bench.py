@@ -1,4 +1,4 @@
-"""Times an update of a searched area of 4 km^2 in cells of 20 m, and what it holds of memory."""
+"""Time and memory of an update of a searched area of 4 km^2 in cells of 20 m."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP_M = 5.0
 
 @dataclass(frozen=True, slots=True)
 class AreaCost:
-    """Of one update, and of all arrays together."""
+    """Cost of one update, and memory of all arrays together."""
 
     cells: int
     update_ms: float
@@ -30,12 +30,12 @@ class AreaCost:
 
     @property
     def is_met(self) -> bool:
-        """True within the limits of time and memory."""
+        """Return True within the limits of time and memory."""
         return self.update_ms <= LIMIT_MS and self.memory_mb <= LIMIT_MB
 
 
 def searched_area_cost(seconds: int) -> AreaCost:
-    """Search for so many seconds along a line over the middle."""
+    """Return the cost of searching for so many seconds along a line over the middle."""
     corners = ((0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M))
     tracemalloc.start()
     grid = grid_over([WeightedArea(corners)], CELL_M)

@@ -1,11 +1,11 @@
-"""The simulator at real time with three clients: rates of the streams, and how fast it reacts.
+"""Rates of the simulator's streams at real time with three clients, and its reaction time.
 
-Starts `sim-link` with a UDP port for two clients and a TCP port for one. Each client
-asks for rates of its own, and they are counted; then the first takes off, sends setpoints and
-counts the physics steps until each is echoed. When a setpoint arrived, the simulator says itself: a
-TIMESYNC request travels in the same datagram, so that a client that waits for its turn on a busy
-machine does not count. Prints two tables; exit code 0 when every rate is within 5 % and no
-setpoint waits longer than one step, 1 otherwise.
+Starts `sim-link` with a UDP port for two clients and a TCP port for one. Each client requests rates
+of its own, and they are counted; then the first takes off, sends setpoints and counts the physics
+steps until each is echoed. The simulator itself reports a setpoint's arrival: a TIMESYNC request
+travels in the same datagram, so that a client that waits for its turn on a busy machine does not
+count. Prints two tables; exit code 0 when every rate is within 5 % and no setpoint waits longer
+than one step, 1 otherwise.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ class Rate:
 
     @property
     def is_kept(self) -> bool:
-        """Within 5 %."""
+        """Return True if the rate is within 5 %."""
         return abs(self.measured_hz / self.asked_hz - 1.0) <= TOLERANCE
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Count the messages of a simulator; the exit code."""
+    """Count the messages of a simulator; return the exit code."""
     parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument(
         "--autopilot", choices=[flavour.value for flavour in Flavour], default="px4"
@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def running_simulator(autopilot: str) -> Iterator[list[str]]:
-    """A `sim-link` process at real time; the URLs of its three links."""
+    """Run a `sim-link` process at real time; yield the URLs of its three links."""
     udp, tcp, nobody = (free_port() for _ in range(3))
     command = [sys.executable, "-m", "sim_link", "--autopilot", autopilot, "--quiet"]
     command += ["--listen", f"127.0.0.1:{udp}", "--send-to", f"127.0.0.1:{nobody}"]
@@ -100,14 +100,14 @@ def running_simulator(autopilot: str) -> Iterator[list[str]]:
 
 
 def free_port() -> int:
-    """A UDP port that nobody has."""
+    """Return a free UDP port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def measure(clients: Sequence[SetpointClient], seconds: float) -> int:
-    """Both measurements; the exit code."""
+    """Take both measurements; return the exit code."""
     for client in clients:
         client.attach()
     clients[0].get_ready()
@@ -127,7 +127,7 @@ def measure(clients: Sequence[SetpointClient], seconds: float) -> int:
 
 
 def measure_rates(clients: Sequence[SetpointClient], seconds: float) -> list[Rate]:
-    """Ask for the streams and count them at every client."""
+    """Request the streams and count them at every client."""
     for number, client in enumerate(clients):
         for kind, wanted_hz in ASKED_HZ.items():
             if kind is not mavlink.MAVLink_heartbeat_message:
@@ -156,7 +156,7 @@ def take_turns(clients: Sequence[SetpointClient], seconds: float) -> None:
 
 
 def rate_hz(client: SetpointClient, kind: type[Message], mark: int) -> float:
-    """Of the vehicle's messages of a kind since a mark, by the first and the last of them."""
+    """Return the rate of a message since a mark, from the first and the last of them."""
     times_s = [
         entry.time_s
         for entry in client.inbox[mark:]
@@ -167,7 +167,7 @@ def rate_hz(client: SetpointClient, kind: type[Message], mark: int) -> float:
 
 
 def measure_reaction(pilot: SetpointClient) -> list[int]:
-    """In flight: steps from a setpoint's arrival to the echo that shows it."""
+    """Return the steps in flight from each setpoint's arrival to the echo that shows it."""
     pilot.take_off()
     north, east, down = pilot.place()
     stop = pilot.enter_offboard(LocalSetpoint((north, east, down)))

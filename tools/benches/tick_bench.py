@@ -1,14 +1,14 @@
-"""The processor time of the control tick, and of whatever may come between two of them.
+"""Processor time of the control tick, and of everything that may come between two of them.
 
 A search in lockstep, by real bytes and an invented clock: 1 to 16 emitters at 10 Hz each, all
 measured at the same moment or evenly over the period, in flight and on the ground. Every call of
-the endpoint (a datagram, the control tick, estimation beside it) is timed by the thread's own
-time, so that other programs on the machine do not count. A setpoint can leave between two calls:
-the longest call is the longest that a due setpoint waits.
+the endpoint (a datagram, the control tick, estimation beside it) is timed by the thread's own time,
+so that other programs on the machine do not count. A setpoint can leave between two calls: the
+longest call is the longest that a due setpoint waits.
 
 Each case runs in a process of its own: `tools/benches/tick_bench.py EMITTERS PHASE PLACE SECONDS`
-prints its figures as JSON. It imports only what companion and simulator are made of, so that the
-same file measures an earlier release in its own checkout (`--beside`).
+prints its figures as JSON. It imports only modules of companion and simulator, so that the same
+file measures an earlier release in its own checkout (`--beside`).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ SEED = 7
 
 @dataclass(frozen=True, slots=True)
 class TickCost:
-    """What one case took, in milliseconds of the thread."""
+    """Cost of one case, in milliseconds of the thread."""
 
     emitters: int
     phase: str
@@ -69,27 +69,27 @@ class TickCost:
 
     @property
     def limit_ms(self) -> float:
-        """What neither may exceed."""
+        """Limit of both figures, ms."""
         return LIMIT_MS[self.kernels]
 
     @property
     def is_met(self) -> bool:
-        """Whether nothing took longer than the limit."""
+        """Return True if nothing took longer than the limit."""
         return self.stretch_worst_ms <= self.limit_ms
 
 
 class SilentJournal(MemoryJournal):
-    """Keeps nothing, so that collecting garbage costs what it costs in a flight."""
+    """Journal that keeps nothing, so that garbage collection costs what it does in a flight."""
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """Keep no event."""
+        """Drop an event."""
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Keep no text."""
+        """Drop a text."""
 
 
 class Spread:
-    """A wire that lets every emitter's measurements arrive at a time of their own."""
+    """Wire that delivers every emitter's measurements at a time of their own."""
 
     def __init__(self, emitters: int) -> None:
         self._emitters = emitters
@@ -109,7 +109,7 @@ class Spread:
 
 
 class Timed:
-    """Wraps the calls of an endpoint, and keeps what each took."""
+    """Wraps the calls of an endpoint, and keeps the duration of each."""
 
     def __init__(self, endpoint: Any) -> None:
         self.ticks_s: list[float] = []
@@ -127,7 +127,7 @@ class Timed:
         self.others_s.append(1e-9 * (time.thread_time_ns() - began_ns))
 
     def handle_timer(self, now_s: float) -> None:
-        """Time the control tick, or what is done beside it."""
+        """Time the control tick, or the task beside it."""
         self._is_tick = False
         began_ns = time.thread_time_ns()
         self._handle(now_s)
@@ -184,7 +184,7 @@ def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
 
 @dataclass(frozen=True, slots=True)
 class TickCase:
-    """What is flown: how many emitters, heard at which times, where, with which kernels."""
+    """Number of emitters, timing, place and kernels of a case."""
 
     kernels: str
     place: str
@@ -197,7 +197,7 @@ class TickCase:
         return f"{self.kernels}, {self.place}, {self.emitters} {self.phase}"
 
     def measured(self, root: Path, seconds: float) -> TickCost:
-        """Fly it in a process of its own, by the code in a checkout."""
+        """Fly it in a process of its own, with the code of a checkout."""
         environment = {**os.environ, "PYTHONPATH": str(root)}
         environment["NUMBA_DISABLE_JIT"] = "0" if self.kernels == "compiled" else "1"
         words = (str(self.emitters), self.phase, self.place, str(seconds))
@@ -209,7 +209,7 @@ class TickCase:
 
 
 def tick_cases(kinds: Sequence[str], counts: Sequence[int]) -> Iterator[TickCase]:
-    """Every case, those with the same kernels together."""
+    """Yield every case, those with the same kernels together."""
     for kernels in kinds:
         for place in PLACES:
             for emitters in counts:

@@ -1,9 +1,9 @@
-"""Calibrate simulated radios whose truth is known, and say how often that was right.
+"""Calibrates simulated radios whose truth is known, and counts how often the result is right.
 
-Every seed draws a radio (range offset, scale, lag, sign, mount, noise, reflections, waves of the
-antenna and of the compass) and flies it through a turn, a line out and back, a circle and a blocked
-run. `tools/campaign/calibration_campaign.py --runs 200` prints a row for each figure: how far off
-it is, how often that is within what is promised, and how often its 95 % interval holds the truth.
+Every seed draws a radio (range offset, scale, lag, sign, mount, noise, reflections, harmonics of
+the antenna and of the compass) and flies it through a turn, a line out and back, a circle and a
+blocked run. `tools/campaign/calibration_campaign.py --runs 200` prints a row for each figure: its
+error, the share within the specification, and the share whose 95 % interval holds the truth.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ class Truth:
 
     @property
     def sigma_m(self) -> float:
-        """Within and between places together."""
+        """Noise within and between places together, m."""
         return math.hypot(self.scatter_m, self.between_m)
 
 
 def drawn(rng: np.random.Generator) -> Truth:
-    """A radio between UWB and Wi-Fi."""
+    """Return a radio between UWB and Wi-Fi."""
     scatter = float(math.exp(rng.uniform(math.log(0.05), math.log(0.8))))
     is_folded = bool(rng.random() < 0.4)
     mount = rng.uniform(-60.0, 60.0) if is_folded else rng.uniform(-180.0, 180.0)
@@ -92,7 +92,7 @@ def drawn(rng: np.random.Generator) -> Truth:
 
 @dataclass(slots=True)
 class Course:
-    """A vehicle's way, sampled at 20 Hz: places and headings."""
+    """Course of a vehicle, sampled at 20 Hz: positions and headings."""
 
     places: list[tuple[float, float, float]]
     yaws: list[float]
@@ -106,7 +106,7 @@ class Course:
             self.yaws.append(self.yaws[-1] + turn_rad / count)
 
     def go(self, place: tuple[float, float, float], speed_mps: float) -> None:
-        """Straight, speeding up and slowing down within a second; the heading stays."""
+        """Fly straight, accelerating and braking within a second; the heading stays."""
         start, end = np.array(self.places[-1]), np.array(place)
         length = float(np.linalg.norm(end - start))
         seconds = length / speed_mps + 1.0
@@ -117,7 +117,7 @@ class Course:
             self.yaws.append(self.yaws[-1])
 
     def circle(self, radius_m: float, speed_mps: float) -> None:
-        """Once about the point, with the nose along the way."""
+        """Fly once about the point, with the nose along the way."""
         count = round(2.0 * math.pi * radius_m / speed_mps / self.step_s)
         begin = math.atan2(self.places[-1][1] - POINT[1], self.places[-1][0] - POINT[0])
         up = self.places[-1][2]
@@ -133,13 +133,13 @@ class Course:
 
 
 def at(distance_m: float, up_m: float = HEIGHT_M) -> tuple[float, float, float]:
-    """A place so far from the point, along the line."""
+    """Return the position at a distance from the point, along the line."""
     level = math.sqrt(max(distance_m**2 - (up_m - POINT[2]) ** 2, 0.0))
     return (POINT[0] + 0.8 * level, POINT[1] + 0.6 * level, up_m)
 
 
 def all_tests() -> tuple[Course, tuple[float, float]]:
-    """Turn, line out and back, circle, blocked run; and from when to when that one goes."""
+    """Return turn, line out and back, circle, blocked run; and the times of the blocked run."""
     course = Course([at(30.0)], [0.3])
     for turn in (2.0 * math.pi, -2.0 * math.pi):
         course.stay(3.0)
@@ -159,7 +159,7 @@ def all_tests() -> tuple[Course, tuple[float, float]]:
 
 
 class PlaceEffect:
-    """What reflections add, alike at places that are near each other."""
+    """Range error by reflections, correlated between nearby positions."""
 
     def __init__(self, rng: np.random.Generator, truth: Truth) -> None:
         waves = 200
@@ -169,7 +169,7 @@ class PlaceEffect:
         self._gain = truth.between_m * math.sqrt(2.0 / waves)
 
     def at(self, place: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-        """Metres, about normal."""
+        """Return the error, about normal, m."""
         return self._gain * float(np.sum(np.cos(self._vectors @ place + self._phases)))
 
 
@@ -180,7 +180,7 @@ def simulated(
     blocked: tuple[float, float] = (math.inf, math.inf),
     radio: str = "simulated",
 ) -> CalibrationRun:
-    """What is recorded of a radio on a course."""
+    """Return the recording of a radio on a course."""
     effect = PlaceEffect(rng, truth)
     phase, compass_phase = rng.uniform(0.0, 2.0 * math.pi, 2)
     places, yaws = np.array(course.places), np.array(course.yaws)
@@ -272,7 +272,7 @@ class Score:
 
 
 def scores(truth: Truth, done: Calibration) -> Iterator[Score]:
-    """How right a calibration is; what was refused has no scores."""
+    """Yield the errors of a calibration; refused parts have no scores."""
     if done.lag_s is not None:
         error = done.lag_s.value - truth.lag_s
         yield Score("lag s", error, abs(error) <= 0.02, _holds(done.lag_s, truth.lag_s))
@@ -313,7 +313,7 @@ def _bearing_scores(truth: Truth, done: Calibration) -> Iterator[Score]:
 
 
 def _bearing_sigma_rad(truth: Truth) -> float:
-    """Noise, and what waves and compass add to it where the antenna looks."""
+    """Return the noise, with the harmonics of antenna and compass where the antenna looks."""
     seen, wave = 1.0, truth.wave_rad
     if truth.is_folded:  # of a cosine, in which the compass shows by the cosine of the angle
         half = min(0.5 * truth.view_rad, math.radians(65.0))
@@ -329,7 +329,7 @@ def _holds(told: Figure, true: float) -> bool:
 def drawn_run(
     seed: int, draw: Callable[[np.random.Generator], Truth] = drawn
 ) -> tuple[Truth, CalibrationRun]:
-    """One seed through all tests."""
+    """Run one seed through all tests."""
     rng = np.random.default_rng(seed)
     truth = draw(rng)
     course, blocked = all_tests()
@@ -337,7 +337,7 @@ def drawn_run(
 
 
 def table(found: list[Score]) -> str:
-    """A row for each figure."""
+    """Return a row for each figure."""
     titles = "".join(f" {title:>8}" for title in ("median", "RMS", "worst", "within", "covered"))
     lines = [f"{'figure':<22} {'n':>4}{titles}"]
     for name in dict.fromkeys(score.name for score in found):

@@ -1,10 +1,10 @@
-"""Whether a cell's constant delay can end as `localised` at a wrong place.
+"""Share of walks in which a cell's constant delay ends as `localised` at a wrong position.
 
     python tools/campaign/cell_offsets.py [--walks 40] [--offsets 0-25]
 
-A vehicle walks a lawn mower about a phone 50 to 400 m away; srsRAN 4G's RACH lines, a constant of
-so many steps added, go through the shipped preset: without calibration, and with `offset_steps`.
-Each line: offset, walks that are localised, of those outside R95, worst error in R95s.
+A vehicle flies a lawnmower about a phone 50 to 400 m away; srsRAN 4G's RACH lines, a constant of so
+many steps added, go through the shipped preset: without calibration, and with `offset_steps`. Each
+line: offset, walks that are localised, of those outside R95, worst error in R95s.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ DETOUR_M = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a walk ended."""
+    """End of a walk."""
 
     is_localised: bool
     error_m: float
@@ -42,12 +42,12 @@ class Outcome:
 
     @property
     def is_outside(self) -> bool:
-        """Localised, and the phone is outside R95."""
+        """Return True if localised with the phone outside R95."""
         return self.is_localised and self.error_m > self.r95_m
 
 
 def preset_with(offset_steps: int | None) -> CompanionConfig:
-    """The shipped preset, calibrated to so many steps; None: as it is."""
+    """Return the shipped preset, calibrated to so many steps; None: uncalibrated."""
     config = load_config(PRESET)
     (radio,) = config.radios
     if offset_steps is not None:
@@ -57,7 +57,7 @@ def preset_with(offset_steps: int | None) -> CompanionConfig:
 
 
 def place_at(time_s: float) -> tuple[float, float, float]:
-    """On legs to the east and back, 60 m apart."""
+    """Return the position on legs to the east and back, 60 m apart."""
     along_m = SPEED_MPS * time_s
     leg, rest_m = divmod(along_m, LEG_M)
     east_m = rest_m if int(leg) % 2 == 0 else LEG_M - rest_m
@@ -65,7 +65,7 @@ def place_at(time_s: float) -> tuple[float, float, float]:
 
 
 def walk(config: CompanionConfig, offset_steps: int, seed: int) -> Outcome:
-    """One walk, the radio's lines through decoder, stage and tracker."""
+    """Run one walk, the radio's lines through decoder, stage and tracker."""
     rng = np.random.default_rng((seed, 4))
     away_m, towards_rad = rng.uniform(50.0, 400.0), rng.uniform(-math.pi, math.pi)
     phone = (away_m * math.cos(towards_rad), away_m * math.sin(towards_rad), 0.0)
@@ -89,7 +89,7 @@ def walk(config: CompanionConfig, offset_steps: int, seed: int) -> Outcome:
 
 
 def line_of(offset: int, outcomes: list[Outcome]) -> str:
-    """The figures of some walks."""
+    """Return the figures of some walks."""
     localised = [each for each in outcomes if each.is_localised]
     worst = max((each.error_m / each.r95_m for each in localised), default=0.0)
     outside = sum(each.is_outside for each in localised)

@@ -1,9 +1,9 @@
 """Canonical searches with an autopilot whose clock is slow or fast, and slips at random times.
 
-Each flight draws a rate, and one to three slips from its first climb to its end. Good: a report
-within 1.5 m, nobody outside of the fence, no hold on a stale position of more than 6 s, and no slip
-that is taken for a restart or for somebody else's setpoints. Exit code 1 if a flight was not good,
-each with the command that flies it again; 130 after Ctrl-C, with what was flown until then.
+Each flight draws a rate, and one to three slips from its first climb to its end. A flight is good
+if it reports within 1.5 m, stays inside the fence, holds on a stale position for at most 6 s, and
+mistakes no slip for a restart or for another source of setpoints. Exit code 1 if a flight was not
+good, each with the command that flies it again; 130 after Ctrl-C, with the flights until then.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, and no minute of compiling
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, without a minute of compiling
 
 from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
@@ -45,7 +45,7 @@ REPLAY = "python tools/campaign/clock_campaign.py --replay"
 
 @dataclass(frozen=True, slots=True)
 class ClockFlight:
-    """What became of one flight."""
+    """Result of one flight."""
 
     flavour: FlavourName
     seed: int
@@ -61,7 +61,7 @@ class ClockFlight:
 
     @property
     def faults(self) -> list[str]:
-        """What was not good, in words."""
+        """Return the violated conditions, in words."""
         found = [f"{alarm!r}" for alarm in self.alarms]
         if self.error_m is None:
             found.append("nothing reported")
@@ -75,19 +75,19 @@ class ClockFlight:
 
 
 class Reach(Observer):
-    """How far the vehicle truly went, east or north."""
+    """Largest true distance of the vehicle, east or north."""
 
     def __init__(self) -> None:
         self.farthest_m = 0.0
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:  # noqa: ARG002  the protocol
-        """Take its place in."""
+        """Update it with the vehicle's position."""
         place: PositionEnu = vehicle.body.position_enu_m
         self.farthest_m = max(self.farthest_m, abs(place[0]), abs(place[1]))
 
 
 def holds_s(texts: Sequence[tuple[float, str]], ended_s: float) -> list[float]:
-    """How long each hold on a stale position lasted, by what the operator is told."""
+    """Return the duration of each hold on a stale position, from the operator's texts."""
     begun_s, lengths_s = None, []
     for time_s, text in texts:
         if text == "hold: own position is stale":
@@ -99,7 +99,7 @@ def holds_s(texts: Sequence[tuple[float, str]], ended_s: float) -> list[float]:
 
 
 def incidents_of(name: str) -> list[Incident]:
-    """What happens to the clock in the flight of a name."""
+    """Return the clock's incidents in the flight of a name."""
     dice = random.Random(name)
     rate = dice.choice(RATES)
     slips = [
@@ -110,7 +110,7 @@ def incidents_of(name: str) -> list[Incident]:
 
 
 def fly(name: str, notes: MemoryJournal | None = None) -> ClockFlight:
-    """The canonical search of a name, such as px4:17."""
+    """Fly the canonical search of a name, such as px4:17."""
     logging.disable(logging.CRITICAL)
     notes = notes or MemoryJournal()
     flavour, seed = parse(name)
@@ -142,7 +142,7 @@ def fly(name: str, notes: MemoryJournal | None = None) -> ClockFlight:
 
 
 def parse(name: str) -> tuple[FlavourName, int]:
-    """Flavour and seed of a flight's name; a ValueError if it is none."""
+    """Return flavour and seed of a flight's name; a ValueError if it is invalid."""
     flavour, _, seed = name.partition(":")
     if flavour not in FLAVOURS or not seed.isdecimal():
         raise argparse.ArgumentTypeError(f"{name!r} is no flight such as px4:17")
@@ -150,7 +150,7 @@ def parse(name: str) -> tuple[FlavourName, int]:
 
 
 def row(title: str, flights: Sequence[ClockFlight]) -> str:
-    """A line of the table."""
+    """Return a line of the table."""
     errors_m = [each.error_m for each in flights if each.error_m is not None]
     hold_s = max((each.longest_hold_s for each in flights), default=0.0)
     outside = sum(each.farthest_m > FENCE_M for each in flights)
@@ -160,7 +160,7 @@ def row(title: str, flights: Sequence[ClockFlight]) -> str:
 
 
 def report(flights: Sequence[ClockFlight]) -> int:
-    """Print the table, and how to see again what was not good; the exit code."""
+    """Print the table, and the commands that repeat flights with faults; return the exit code."""
     print(f"{'':20}{'flights':>8}{'reported':>10}{'worst m':>8}{'hold s':>8}", end="")
     print(f"{'outside':>9}{'false alarms':>14}")
     for flavour in FLAVOURS:
@@ -176,7 +176,7 @@ def report(flights: Sequence[ClockFlight]) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fly them all, or one again; the exit code."""
+    """Fly them all, or one again; return the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--flights", type=positive, default=200, metavar="N", help="each flavour")
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, metavar="N")

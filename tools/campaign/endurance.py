@@ -1,9 +1,9 @@
 """Fuzzed frames and a day of flight: nothing may raise, grow or slow down.
 
-Random frames have a valid checksum, and a signature where there is a key, and come from the
+Random frames have a valid checksum, and a signature if there is a key, and come from the
 autopilot's own address: no other sender is accepted. Half of the fields are random bytes, half are
-numbers that make more sense and do more harm. In the day of flight the companion writes its real
-journal to a real disk; the battery is endless.
+plausible numbers, which do more harm. In the day of flight the companion writes its real journal to
+a real disk; the battery is endless.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ SPECIAL = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1.0, 1.0, 1e-42)
 
 
 class FrameMaker:
-    """Makes frames of the autopilot out of random numbers, signed or not."""
+    """Makes random frames of the autopilot, signed or not."""
 
     def __init__(self, rng: np.random.Generator, signing: Signing | None) -> None:
         self._rng = rng
@@ -63,7 +63,7 @@ class FrameMaker:
         self._sequence = 0
 
     def next(self) -> bytes:
-        """The next frame."""
+        """Return the next frame."""
         rng = self._rng
         kinds = HEARD if rng.random() < 0.85 else self._all
         kind = kinds[int(rng.integers(len(kinds)))]
@@ -97,8 +97,8 @@ class FrameMaker:
 def fuzz(trial: Trial) -> TrialOutcome:
     """Feed a companion that restarts every so often, so that it is in every phase.
 
-    What the process has loaded is put aside from garbage collection, as the companion's own
-    process does before it flies.
+    Loaded modules are excluded from garbage collection, as the companion's own process does before
+    it flies.
     """
     gc.collect()
     gc.freeze()
@@ -175,7 +175,7 @@ class Usage:
     log_bytes: int = 0
 
     def sample(self, now_s: float) -> None:
-        """Look at this process."""
+        """Take a sample of this process."""
         used = process_use()
         self.hours.append(now_s / HOUR_S)
         self.memory_mb.append(used.resident_mb)
@@ -226,7 +226,7 @@ def soak(trial: Trial) -> TrialOutcome:
 
 
 def slope_after(hours: Sequence[float], values: Sequence[float], since_h: float) -> float:
-    """The slope of a straight line through the values from a time on, per hour."""
+    """Return the slope of a line through the values from a time on, per hour."""
     chosen = [(h, v) for h, v in zip(hours, values, strict=True) if h >= since_h]
     if len(chosen) < 2:
         return 0.0
@@ -235,7 +235,7 @@ def slope_after(hours: Sequence[float], values: Sequence[float], since_h: float)
 
 
 def _soak_flight(seed: int, directory: Path) -> tuple[Flight, Monitor, FlightJournal]:
-    """An endless search over a mediocre link."""
+    """Return an endless search over a mediocre link."""
     scenario = Scenario(
         autopilot=AutopilotParams(flavour=flights.flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e7),

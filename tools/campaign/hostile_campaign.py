@@ -1,12 +1,12 @@
-"""Feeds every filter hostile sequences; exit 1 if one ever breaks its promise about P.
+"""Feeds every filter hostile sequences; exit 1 if one ever breaks its guarantee about P.
 
-Hostile sequences: measurements as no sane radio sends them, through filters set up at random.
+Hostile sequences are measurements as no sane radio sends them, through filters of random settings.
 
-A filter promises that its covariance stays symmetric positive definite and never grows on an
-update, whatever it is fed; where rounding makes that impossible it says so and keeps the state it
-had. One sequence draws a filter's parameters, a first state, and some steps with huge and tiny
-waits, zero range, repeated geometry, late measurements and extreme sigmas; `fault_of` judges every
-update. A sequence is told by its seed alone, so a failure can be played again by itself.
+A filter guarantees that its covariance stays symmetric positive definite and never grows on an
+update, whatever its input; where rounding makes that impossible it reports so and keeps its state.
+One sequence draws a filter's parameters, a first state, and some steps with huge and tiny waits,
+zero range, repeated geometry, late measurements and extreme sigmas; `fault_of` judges every update.
+A sequence depends on its seed alone, so a failure can be repeated by itself.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class SequenceOutcome:
-    """What became of one sequence, or of many."""
+    """Result of one sequence, or of many."""
 
     sequences: int = 0
     updates: int = 0
@@ -56,7 +56,7 @@ class SequenceOutcome:
     """Broken promises, each with the sequence that broke it."""
 
     def joined(self, other: SequenceOutcome) -> SequenceOutcome:
-        """Both together."""
+        """Return both results together."""
         return SequenceOutcome(
             self.sequences + other.sequences,
             self.updates + other.updates,
@@ -67,7 +67,7 @@ class SequenceOutcome:
 
 @dataclass(frozen=True, slots=True)
 class HostileStep:
-    """One measurement and all that a filter is told beside it."""
+    """One measurement with all other inputs of a filter."""
 
     wait_s: float
     measurement: RangingMeasurement
@@ -76,14 +76,14 @@ class HostileStep:
 
 
 def hostile_params(rng: np.random.Generator) -> FilterParams:
-    """Any filter: plane or space, with or without scale, thresholds, bounds and random walk."""
+    """Draw any filter: plane or space, with or without scale, thresholds, bounds, random walk."""
 
     def either(*values: float | None) -> float | None:
-        """One of some values, perhaps none."""
+        """Return one of some values, perhaps none."""
         return values[int(rng.integers(len(values)))]
 
     def one_of(*values: float) -> float:
-        """One of some values."""
+        """Return one of some values."""
         return values[int(rng.integers(len(values)))]
 
     return FilterParams(
@@ -106,7 +106,7 @@ def hostile_params(rng: np.random.Generator) -> FilterParams:
 
 
 def hostile_state(params: FilterParams, rng: np.random.Generator) -> FilterState:
-    """A state as a filter of these params may have it, its components correlated at random."""
+    """Draw a state as a filter of these params may have it, its components correlated at random."""
     mean, sigmas = params.prior
     mean[:2] = rng.uniform(-100.0, 100.0, 2)
     sigmas[:2] = rng.choice(SPREADS_M, 2)
@@ -120,13 +120,13 @@ def hostile_state(params: FilterParams, rng: np.random.Generator) -> FilterState
 def hostile_steps(
     params: FilterParams, rng: np.random.Generator, steps: int = STEPS
 ) -> Iterator[Callable[[FilterState], HostileStep]]:
-    """Steps that are told the state, because the worst place to measure from is the estimate."""
+    """Yield steps that depend on the state: the worst vantage point is the estimate itself."""
     repeats = rng.random() < 0.3
     once: HostileStep | None = None
     for _ in range(steps):
 
         def step(state: FilterState) -> HostileStep:
-            """The next step, or the first one again."""
+            """Return the next step, or the first one again."""
             nonlocal once
             if once is None or not repeats:
                 once = _step(state, params, rng)
@@ -151,7 +151,7 @@ def _step(state: FilterState, params: FilterParams, rng: np.random.Generator) ->
 
 
 def hostile_measurement(measured_at_s: float, rng: np.random.Generator) -> RangingMeasurement:
-    """Any range, any direction, any positive sigma; at least one of them."""
+    """Draw any range, any direction, any positive sigma; at least one of them."""
     has = int(rng.integers(1, 8))
     extreme = rng.random(3) < 0.3
     sigmas = [float(rng.choice(SIGMAS)) if is_extreme else None for is_extreme in extreme]
@@ -171,7 +171,7 @@ def hostile_measurement(measured_at_s: float, rng: np.random.Generator) -> Rangi
 def run_sequence(
     target_filter: TargetFilter, params: FilterParams, rng: np.random.Generator, steps: int = STEPS
 ) -> SequenceOutcome:
-    """One hostile sequence through a filter of these params; it ends with the first fault."""
+    """Run one hostile sequence through a filter of these params; it ends with the first fault."""
     state = hostile_state(params, rng)
     updates = refused = 0
     for step_at in hostile_steps(params, rng, steps):
@@ -188,10 +188,10 @@ def run_sequence(
 
 
 def fault_of(report: UpdateReport, prior: FilterState, bounds: Matrix) -> str | None:
-    """Which promise an update broke, or None.
+    """Return the guarantee that an update broke, or None.
 
     Args:
-        prior: The state that it started from.
+        prior: The state before the update.
         bounds: (2, n) of the state.
     """
     after = report.state
@@ -215,7 +215,7 @@ def fault_of(report: UpdateReport, prior: FilterState, bounds: Matrix) -> str | 
 
 
 def least_correlation_eigenvalue(covariance: Matrix) -> float:
-    """Smallest eigenvalue once scaled to ones on the diagonal, so that units do not count."""
+    """Return the smallest eigenvalue once scaled to ones on the diagonal, independent of units."""
     variances = np.diag(covariance)
     if not (variances > 0.0).all():
         return -math.inf
@@ -224,10 +224,10 @@ def least_correlation_eigenvalue(covariance: Matrix) -> float:
 
 
 def run_campaign(make: dict[str, MakeFilter], first: int, count: int, seed: int) -> SequenceOutcome:
-    """Sequences `first` to `first + count`, the filters taking turns.
+    """Run sequences `first` to `first + count`, the filters alternating.
 
     Args:
-        first: Number of the first sequence; it decides, with the seed, what happens in it.
+        first: Number of the first sequence; with the seed it determines its contents.
     """
     total = SequenceOutcome()
     names = sorted(make)
@@ -245,7 +245,7 @@ CHUNKS = 20
 
 
 def main() -> int:
-    """Run all sequences, print what was found; the exit code."""
+    """Run all sequences and print the findings; return the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--sequences", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)

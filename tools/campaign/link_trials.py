@@ -1,7 +1,7 @@
 """Trials of the link: long losses, stale positions, and floods of frames.
 
 For the gaps the flight is an endless hold: the companion is in control and waits for ranging that
-never comes. The floods are an attacker's on a signed link: what is not proved changes nothing.
+never comes. The floods are an attacker's on a signed link: unauthenticated frames change nothing.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
 class Gaps(Observer):
-    """The setpoints that reach the vehicle, and what the companion says of its link."""
+    """Setpoints that reach the vehicle, and link losses that the companion reports."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
@@ -52,7 +52,7 @@ class Gaps(Observer):
         self._last_s = frame.time_s
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:  # noqa: ARG002
-        """Count links declared lost that never were."""
+        """Count false reports of a lost link."""
         if self.is_counting and kind == "text" and "link lost" in str(fields.get("text")):
             self.false_losses += 1
 
@@ -65,7 +65,7 @@ def pauses_of(gaps: Gaps, share: float) -> list[str]:
 
 
 def gap_pieces(amount_h: float) -> tuple[int, float]:
-    """So many hours at each loss, in quarters of an hour."""
+    """Return so many hours at each loss, in quarters of an hour."""
     pieces = max(1, math.ceil(amount_h / PIECE_H))
     return len(LOSSES) * pieces, amount_h / pieces
 
@@ -91,7 +91,7 @@ def hold_for_hours(trial: Trial) -> TrialOutcome:
 
 
 def hold_over(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
-    """A flight that holds over a link that loses so much, in both directions."""
+    """Fly a hold over a link with so much loss, in both directions."""
     scenario = Scenario(
         autopilot=AutopilotParams(flavour=flights.flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e6),
@@ -127,7 +127,7 @@ class ReactionWatch(Observer):
         self._place: PositionEnu | None = None
 
     def heard(self, frame: Frame) -> None:
-        """A frame of the autopilot."""
+        """Note a frame of the autopilot."""
         if frame.sender[1] != 1:
             return
         self.heard_s = frame.time_s
@@ -135,7 +135,7 @@ class ReactionWatch(Observer):
             self.position_s = frame.time_s
 
     def sent(self, frame: Frame) -> None:
-        """A setpoint, and whether it moved."""
+        """Note a setpoint, and whether it moved."""
         message = frame.message
         if not isinstance(message, mavlink.MAVLink_set_position_target_local_ned_message):
             return
@@ -153,7 +153,7 @@ class ReactionWatch(Observer):
 
 
 def react(trial: Trial) -> TrialOutcome:
-    """Cut, and measure."""
+    """Cut the link, and measure."""
     around, dice = flights.launched_flight(trial.seed, 0x2EAC)
     flight, watch = around.flight, ReactionWatch()
     flight.observers.append(watch)
@@ -185,7 +185,7 @@ FLOOD_ENGAGED_S = 15.0
 
 
 class Output(Observer):
-    """All that the companion sent."""
+    """Everything that the companion sent."""
 
     def __init__(self) -> None:
         self.acts: list[tuple[float, int, bytes]] = []
@@ -195,13 +195,13 @@ class Output(Observer):
         self._began_s = 0.0
 
     def sent(self, frame: Frame) -> None:
-        """Keep it, without sequence number and signature."""
+        """Keep a frame, without sequence number and signature."""
         if frame.number != STATUSTEXT:
             payload = frame.data[PAYLOAD : PAYLOAD + frame.data[1]]
             self.acts.append((frame.time_s, frame.number, payload))
 
     def heard(self, frame: Frame) -> None:
-        """Begin to measure."""
+        """Start measuring."""
         self.attacks += not frame.is_genuine
         self._began_s = time.thread_time()
 
@@ -216,7 +216,7 @@ ATTACKS = (faults.ForgedFrames, faults.ReplayedFrames, faults.UnsignedFrames)
 
 
 def flood(trial: Trial) -> TrialOutcome:
-    """Fly twice, once in peace; what is sent must be the same, byte for byte."""
+    """Fly twice, once undisturbed; the output must be the same, byte for byte."""
     duration_s = trial.size * FRAMES_PER_TRIAL / RATE_HZ
     fault = ATTACKS[trial.seed % len(ATTACKS)](rate_hz=RATE_HZ, duration_s=duration_s)
     attacked, output = _fly(trial.seed, fault, duration_s)

@@ -40,7 +40,7 @@ CUTS_PER_TRIAL = 40
 
 
 class Taking(Observer):
-    """Counts what a companion asks for to take a vehicle by itself."""
+    """Counts the companion's requests to take a vehicle by itself."""
 
     def __init__(self) -> None:
         self.taken = 0
@@ -53,7 +53,7 @@ class Taking(Observer):
 
 
 def kill(trial: Trial) -> TrialOutcome:
-    """Kill, damage, start again, and watch who engages."""
+    """Kill, damage, start again, and check that nothing engages."""
     around, dice = launched_flight(trial.seed, LAUNCHED)
     flight, store = around.flight, around.checkpointing.store
     flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))
@@ -88,7 +88,7 @@ def _starts(store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
 
 
 def damages(store: MemoryStore, seed: int) -> list[dict[int, bytes]]:
-    """The larger checkpoint, alone, cut or flipped at places that go on from seed to seed.
+    """Return damaged checkpoints: the larger one alone, cut or flipped at seeded places.
 
     Consecutive seeds take consecutive places, so that a campaign reaches every byte.
     """
@@ -152,7 +152,7 @@ START_S = 60.0
 
 
 def signal_process(trial: Trial) -> TrialOutcome:
-    """Fly, signal, and read what was left; a size below 1 signals earlier, of both by turns."""
+    """Fly, signal, and read the logs; a size below 1 signals earlier, both signals alternately."""
     dice = Dice(np.random.default_rng((trial.seed, 0x516)))
     flavour = dice.one(("px4", "ardupilot"))
     span_s = trial.size * (SIGNAL_LATEST_S - SIGNAL_EARLIEST_S)
@@ -211,7 +211,7 @@ class ProcessFlight:
         return child
 
     def start_companion(self) -> ChildProcess:
-        """Start one; back when its flight has begun, or with a CompanionError when it does not."""
+        """Start a companion; returns once its flight has begun, or raises a CompanionError."""
         arguments = ["sim_link.lab.supervised_companion", "--config", str(self._config)]
         arguments += ["--connect", f"udp:{HOST}:{self.port}", "--speed", f"{self._speed:g}"]
         child = self._start(f"companion{len(self._companions)}", arguments)
@@ -230,14 +230,14 @@ class ProcessFlight:
         return report
 
     def close(self) -> None:
-        """End everything that still runs."""
+        """End all processes that still run."""
         for child in (*self._companions, self._simulator):
             child.signal(signal.SIGKILL)
             child.stop()
 
 
 def _end(child: ChildProcess) -> tuple[int | None, float, list[str]]:
-    """SIGTERM; the exit code, how many seconds the process took to end, and if that is too long."""
+    """Send SIGTERM; return the exit code, the seconds it took, and whether that is too long."""
     began_s = time.monotonic()
     code = child.end(EXIT_S + 2.0)
     took_s = time.monotonic() - began_s
@@ -305,7 +305,7 @@ def _time_of(
 
 
 def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
-    """Return when the hand-back began; before arming there is nothing to hand back."""
+    """Return the time when the hand-back began; before arming there is nothing to hand back."""
     is_asked = any(e["kind"] == "text" and e["text"].startswith("stopping: ") for e in events)
     return _time_of(events, "phase", new="handback") if is_asked else None
 

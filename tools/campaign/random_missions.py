@@ -1,7 +1,7 @@
 """Random missions with one to four faults each, and pilot overrides at random instants.
 
 A random mission is place, vehicle, weather, link, companion, faults and people, all from one seed.
-After an override nothing may follow the frame that shows it.
+After an override nothing may be sent once the frame that shows it has arrived.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Corners = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A fence, what must not be entered, and where people stand."""
+    """A fence, its keep-outs, and the positions of people."""
 
     name: str
     fence_enu_m: Corners
@@ -49,7 +49,7 @@ class Place:
 
 
 def box(west: float, south: float, east: float, north: float) -> Corners:
-    """A rectangle's corners."""
+    """Return a rectangle's corners."""
     return ((west, south), (east, south), (east, north), (west, north))
 
 
@@ -69,7 +69,7 @@ PLACES = (
 
 
 def emitter_of(place: Place, rng: np.random.Generator) -> tuple[float, float]:
-    """Somewhere in its box; not where the vehicle stands."""
+    """Return a position in its box, away from the vehicle."""
     west, south, east, north = place.emitter_box_m
     while True:
         e, n = float(rng.uniform(west, east)), float(rng.uniform(south, north))
@@ -99,7 +99,7 @@ FLIGHT_S = 50.0
 
 @dataclass(frozen=True, slots=True)
 class MissionCase:
-    """Everything that one random mission is made of."""
+    """All parameters of one random mission."""
 
     seed: int
     place: Place
@@ -124,7 +124,7 @@ class MissionCase:
 
 
 def mission_case(seed: int) -> MissionCase:
-    """The mission of a seed."""
+    """Return the mission of a seed."""
     rng = np.random.default_rng((seed, 0xF11))
     dice = Dice(rng)
     place = dice.one(PLACES)
@@ -223,7 +223,7 @@ def fly(case: MissionCase) -> Monitored:
 
 
 def _take_off(around: Monitored) -> None:
-    """The operator takes off and gives the mode, in the order that the autopilot wants."""
+    """Let the operator take off and hand over, in the order that the autopilot requires."""
     flight, operator = around.flight, around.operator
     flight.run(3.0)
     is_px4 = flight.scenario.autopilot.flavour == "px4"
@@ -239,7 +239,7 @@ def _take_off(around: Monitored) -> None:
 
 
 def _give_again(around: Monitored) -> None:
-    """The operator gives control again, if the vehicle flies under another control."""
+    """Let the operator hand over again, if the vehicle flies in another mode."""
     flight = around.flight
     if not flight.sim.vehicle.is_armed or flight.mode is FlightMode.OFFBOARD:
         return
@@ -256,7 +256,7 @@ GIVE_BACK_S = 3.0
 
 
 def take_over(trial: Trial) -> TrialOutcome:
-    """Ten take-overs in one flight."""
+    """Fly ten take-overs in one flight."""
     around, dice = launched_flight(trial.seed, 0x0E7)
     flight = around.flight
     share = dice.one(LOSSES)
@@ -284,7 +284,7 @@ def take_over(trial: Trial) -> TrialOutcome:
 
 
 def _give_back(around: Monitored) -> bool:
-    """True if the companion is in control, if need be after the operator gave it back."""
+    """Return True if the companion is in control, perhaps after another hand-over."""
     flight = around.flight
     for _ in range(4):
         if flight.mode is FlightMode.OFFBOARD and around.monitor.scene.observed.is_ours:

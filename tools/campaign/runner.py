@@ -57,7 +57,7 @@ AMOUNTS: Mapping[str, Mapping[str, float]] = {
 
 
 def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
-    """The trials of a campaign, perhaps of some parts; the longest first, to end at one time."""
+    """Return the trials of a campaign or some of its parts, the longest first, to end together."""
     check_parts(only)
     trials = [
         trial
@@ -76,7 +76,7 @@ def check_parts(names: Sequence[str]) -> None:
 
 
 def trial_named(text: str) -> Trial:
-    """The trial of `PART:SEED[:SIZE]`, a number alone being a mission's seed; or a ConfigError."""
+    """Return the trial of `PART:SEED[:SIZE]`, a number alone being a mission's seed."""
     words = text.split(":")
     if len(words) == 1:
         words = ["missions", *words]
@@ -104,7 +104,7 @@ class CampaignTally:
     """The trial of each greatest and least figure; of equals the first by name."""
 
     def add(self, outcome: TrialOutcome) -> None:
-        """One more trial."""
+        """Add a trial."""
         self.trials += 1
         name = outcome.trial.name
         self.findings += [TrialFinding(name, what) for what in outcome.findings]
@@ -120,7 +120,7 @@ class CampaignTally:
                     figures[key], self.reached_in[key] = value, name
 
     def figures(self) -> Mapping[str, float]:
-        """All figures, and the number of findings as `violations`."""
+        """Return all figures, and the number of findings as `violations`."""
         return {
             **self.sums,
             **self.most,
@@ -172,7 +172,7 @@ def run_all(
 
 
 def _run_quietly(trial: Trial) -> TrialOutcome:
-    """The outcome without its story, and without what flights log."""
+    """Return the outcome without its story, and suppress the logs of flights."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -203,7 +203,7 @@ PROMISED = (
 
 
 def judge(tally: CampaignTally) -> None:
-    """Add what the sums show."""
+    """Add the findings that the sums show."""
     sums = tally.sums
     hours = sums.get(f"hours_{JUDGED_LOSS}", 0.0)
     lost = sums.get(f"false_losses_{JUDGED_LOSS}", 0.0)
@@ -214,7 +214,7 @@ def judge(tally: CampaignTally) -> None:
 
 
 def report(tally: CampaignTally, facts: Mapping[str, object], command: str) -> dict[str, object]:
-    """The campaign as one JSON object: facts of what was run, figures, and commands to replay."""
+    """Return the campaign as one JSON object: facts of the run, figures, and commands to replay."""
     figures = {
         name: int(value) if value == int(value) and abs(value) < 1e15 else round(value, 6)
         for name, value in sorted(tally.figures().items())

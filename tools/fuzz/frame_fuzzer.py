@@ -1,9 +1,9 @@
 """Random frames against an endpoint in memory, and a twin that is spared some of them.
 
-Theory of operation. Two endpoints of the same seed run side by side. Both get what is addressed to
-the vehicle. The first one also gets what must not matter: frames for somebody else, and bytes that
-are no frame. What the two vehicles send of their own must then stay the same, byte for byte; what
-the first one forwards is not its own and is left out. An exception of either ends the campaign.
+Theory of operation. Two endpoints of the same seed run side by side. Both receive frames addressed
+to the vehicle. The first one also receives irrelevant input: frames for other systems, and bytes
+that are no frame. The two vehicles' own output must then stay the same, byte for byte; frames that
+the first one forwards are not its own and are left out. An exception of either ends the campaign.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ COMMAND_OFFSET = 28
 
 
 class Meant(Enum):
-    """Whom a piece of bytes concerns."""
+    """Addressee of a piece of bytes."""
 
     VEHICLE = "the vehicle"
     OTHERS = "somebody else"
@@ -73,7 +73,7 @@ class Meant(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes to send, and whom they concern."""
+    """Bytes to send, and their addressee."""
 
     data: bytes
     meant: Meant
@@ -83,8 +83,8 @@ class FrameFuzzer:
     """Makes frames with random fields, and bytes that are no frames.
 
     Args:
-        rng: Where all of it comes from.
-        flavour: Whom they are for: PX4 refuses commands for others, ArduPilot stands in for
+        rng: Source of all randomness.
+        flavour: Autopilot they are for: PX4 refuses commands for others, ArduPilot stands in for
             components of its system, so that these concern the vehicle too.
     """
 
@@ -97,7 +97,7 @@ class FrameFuzzer:
         self._sequence = 0
 
     def next(self) -> Piece:
-        """The next piece."""
+        """Return the next piece."""
         draw = self._rng.random()
         kinds = HANDLED if draw < 0.7 else self._kinds
         kind = kinds[int(self._rng.integers(len(kinds)))]
@@ -120,7 +120,7 @@ class FrameFuzzer:
         return build_raw(int(kind.id), cut, int(kind.crc_extra), spec), meant
 
     def _fields(self, kind: type[Message]) -> bytes:
-        """Random bytes, or floats and small integers that make more sense and do more harm."""
+        """Return random bytes, or plausible floats and small integers, which do more harm."""
         size = int(kind.unpacker.size)
         if self._rng.random() < 0.5:
             return self._rng.bytes(size)
@@ -176,7 +176,7 @@ class FrameFuzzer:
 
 
 def _set_field(kind: type[Message], payload: bytearray, name: str, value: int) -> None:
-    """Write a one-byte field at its place on the wire."""
+    """Write a one-byte field at its offset on the wire."""
     place = 0
     for field in kind.ordered_fieldnames:
         index = kind.fieldnames.index(field)
@@ -205,7 +205,7 @@ SIZES = {
 
 
 class FuzzFailure(Exception):  # noqa: N818
-    """What a campaign found; the text names the frame."""
+    """Finding of a campaign; the text names the frame."""
 
 
 class FuzzCampaign:
@@ -229,7 +229,7 @@ class FuzzCampaign:
         """Send so many more frames.
 
         Raises:
-            FuzzFailure: An exception came out, or what must not matter did.
+            FuzzFailure: An exception was raised, or irrelevant input had an effect.
         """
         for _ in range(frames):
             piece = self._fuzzer.next()
@@ -271,7 +271,7 @@ class FuzzCampaign:
 
 
 def own_frames(endpoint: Endpoint) -> list[bytes]:
-    """What a vehicle sends that it has not only forwarded."""
+    """Return the frames that a vehicle sends without those it only forwards."""
     return [
         chunk.data
         for chunk in endpoint.take_output()

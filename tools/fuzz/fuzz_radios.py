@@ -1,10 +1,10 @@
-"""Feeds every radio's decoder mutated streams; exit 1 if one breaks its promise.
+"""Feeds every radio's decoder mutated streams; exit 1 if one breaks its guarantees.
 
-A mutated stream is an example of the radio's with a few bytes changed, dropped, put in, moved or
-doubled. It is fed whole and once more in random pieces. Counted is what must never happen: an
-exception, a reading that is none (NaN, a wrong type), another list for another cut, and a value
-that was never sent though the frame's checksum is wrong. A checksum of 8 bits is right by chance in
-one of 256 broken frames; those are counted beside it.
+A mutated stream is an example of the radio's with a few bytes changed, dropped, inserted, moved or
+doubled. It is fed whole and once more in random pieces. Faults are an exception, an invalid reading
+(NaN, a wrong type), different readings for a different cut, and a value that was never sent in a
+frame whose checksum is wrong. A checksum of 8 bits is right by chance in one of 256 broken frames;
+those are counted separately.
 
 .venv/bin/python -m tools.fuzz.fuzz_radios [--streams 100000] [--seed 1] [--only nlink]
 """
@@ -37,7 +37,7 @@ Make = Callable[[], RadioDecoder]
 
 @dataclass(slots=True)
 class Findings:
-    """Of one radio."""
+    """Findings of one radio."""
 
     streams: int = 0
     exceptions: int = 0
@@ -50,12 +50,12 @@ class Findings:
 
     @property
     def faults(self) -> int:
-        """What must not happen."""
+        """Number of faults."""
         return self.exceptions + self.no_readings + self.other_by_cut + self.past_checksum
 
 
 def mutated(stream: bytes, rng: np.random.Generator) -> bytes:
-    """A stream with one to a few changes."""
+    """Return a stream with one to a few changes."""
     data = bytearray(stream)
     for _ in range(rng.integers(1, MOST_CHANGES + 1)):
         at, other = (int(place) for place in rng.integers(0, len(data), 2))
@@ -77,13 +77,13 @@ def mutated(stream: bytes, rng: np.random.Generator) -> bytes:
 
 
 def cut(data: bytes, rng: np.random.Generator) -> list[bytes]:
-    """In up to six pieces."""
+    """Return the data in up to six pieces."""
     places = sorted(rng.integers(0, len(data) + 1, 5).tolist())
     return [data[a:b] for a, b in zip([0, *places], [*places, len(data)], strict=True)]
 
 
 def right_sums(data: bytes) -> list[bytes]:
-    """Whatever could be an NLink frame by its first byte, its length and its sum, anywhere."""
+    """Return everything that could be an NLink frame by its first byte, length and sum."""
     frames = []
     for at in range(len(data) - 4):
         if data[at] not in (0x55, 0x6A):
@@ -104,14 +104,14 @@ def right_sums(data: bytes) -> list[bytes]:
 
 
 def lines_of(readings: list[RadioReading]) -> Counter[str]:
-    """Readings that can be counted."""
+    """Return readings that can be counted."""
     return Counter(golden_lines(readings).splitlines())
 
 
 def try_one(
     make: Make, data: bytes, rng: np.random.Generator, found: Findings
 ) -> list[RadioReading]:
-    """Feed a stream whole and in pieces; its readings."""
+    """Feed a stream whole and in pieces; return its readings."""
     found.streams += 1
     try:
         readings = make().feed(data, 0.0)
@@ -133,7 +133,7 @@ def try_one(
 
 
 def fuzz(name: str, streams: int, seed: int) -> Findings:
-    """Try one radio."""
+    """Test one radio."""
     rng = np.random.default_rng((seed, *name.encode()))
     kind, options = radio_kind(name), OPTIONS.get(name)
     stream = (STREAMS / f"{name}.bin").read_bytes()
@@ -161,7 +161,7 @@ def fuzz(name: str, streams: int, seed: int) -> Findings:
 
 
 def main() -> int:
-    """Try all radios, print a line of each; the exit code."""
+    """Test all radios, print a line of each; return the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

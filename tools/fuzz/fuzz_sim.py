@@ -1,8 +1,8 @@
 """A million random frames against the simulated autopilots, in memory.
 
-Half of the frames are what an autopilot acts on, with random fields and a right CRC; some are for
-others or broken. A twin of the same seed is spared those, and must not differ. Prints progress;
-exit code 0 when nothing was found, 1 when something was, 2 for bad arguments.
+Half of the frames are of kinds that an autopilot acts on, with random fields and a right CRC; some
+are for others or broken. A twin of the same seed does not receive those, and must not differ.
+Prints progress; exit code 0 without findings, 1 with some, 2 for bad arguments.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PAGE_BYTES = 4096
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fuzz each flavour; the exit code."""
+    """Fuzz each flavour; return the exit code."""
     parser = OneLineParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--frames", type=int, default=1_000_000, help="frames (default 1000000)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the frames (default 1)")
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def fuzz(flavour: Flavour, frames: int, seed: int) -> bool:
-    """Send so many frames to one simulator; whether it stayed well."""
+    """Send so many frames to one simulator; return True without findings."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
     rng = np.random.default_rng(seed)
     campaign = FuzzCampaign(lambda: SimEndpoint(scenario, seed), rng, flavour)
@@ -69,7 +69,7 @@ def fuzz(flavour: Flavour, frames: int, seed: int) -> bool:
 
 
 def tell(flavour: Flavour, campaign: FuzzCampaign, frames: int, elapsed_s: float) -> None:
-    """A line of progress."""
+    """Print a line of progress."""
     resident_mb, _ = memory()
     print(
         f"{flavour.value}: {campaign.frames} of {frames} frames, {campaign.answers} answers, "
@@ -80,7 +80,7 @@ def tell(flavour: Flavour, campaign: FuzzCampaign, frames: int, elapsed_s: float
 
 
 def is_flat(flavour: Flavour, settled: tuple[float, int]) -> bool:
-    """Whether memory stayed where it was when the first fifth was through."""
+    """Return True if memory stayed where it was after the first fifth."""
     resident_mb, objects = memory()
     grown_mb, grown = resident_mb - settled[0], objects - settled[1]
     flat = grown_mb <= MAX_GROWTH_MB and grown <= MAX_OBJECT_GROWTH
@@ -92,7 +92,7 @@ def is_flat(flavour: Flavour, settled: tuple[float, int]) -> bool:
 
 
 def memory() -> tuple[float, int]:
-    """Resident megabytes and objects of the interpreter."""
+    """Return resident megabytes and objects of the interpreter."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * PAGE_BYTES / 1e6, len(gc.get_objects())

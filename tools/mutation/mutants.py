@@ -1,8 +1,8 @@
 """Small changes to Python source, each a mutant that a test should notice.
 
 Compared values are exchanged for their neighbours and opposites, operators for others, numbers for
-those beside them, signs are turned, operands, branches and statements left out. Texts, annotations,
-decorators, imports and names of types stay as they are.
+those beside them, signs are reversed, operands, branches and statements left out. Texts,
+annotations, decorators, imports and names of types stay as they are.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ class Mutant:
 
     @property
     def key(self) -> str:
-        """What names it whatever happens elsewhere in the file."""
+        """Name of the mutant that does not depend on the rest of the file."""
         return f"{self.path} | {self.place} | {self.before} => {self.after} | {self.nth}"
 
 
 def changes_of(node: ast.AST) -> Iterator[ast.AST | None]:
-    """What a node may become; None: its statement is dropped."""
+    """Yield the replacements of a node; None: its statement is dropped."""
     match node:
         case ast.Compare():
             for index, operator in enumerate(node.ops):
@@ -119,12 +119,12 @@ def _changed_calls(node: ast.Call) -> Iterator[ast.AST]:
 
 
 def _is_false(node: ast.expr | None) -> bool:
-    """Whether it is None already, or says no more than that."""
+    """Return True if it is None already, or a constant equivalent."""
     return isinstance(node, ast.Constant) and (node.value is None or node.value is False)
 
 
 def _is_skipped(node: ast.AST, depth: int) -> bool:
-    """Docstrings, imports and names of types."""
+    """Return True for docstrings, imports and names of types."""
     if isinstance(node, ast.Import | ast.ImportFrom):
         return True
     if isinstance(node, ast.Expr):
@@ -175,12 +175,12 @@ def _replaced(tree: ast.Module, site: _Site, new: ast.AST | None) -> ast.Module:
 
 
 def _text(node: ast.AST | None) -> str:
-    """The first line of a node's source: of an `if` its condition."""
+    """Return the first line of a node's source: of an `if` its condition."""
     return "pass" if node is None else ast.unparse(node).splitlines()[0]
 
 
 def mutants_of(path: Path, root: Path) -> Iterator[tuple[Mutant, ast.Module]]:
-    """Every mutant of a module, without those whose source is the same as an earlier one's.
+    """Yield every mutant of a module, without those whose source equals an earlier one's.
 
     Args:
         path: The module.

@@ -41,13 +41,13 @@ PROFILE = "first-example-will-do"
 PYTEST = (
     *("-x", "-q", "--no-header", "-p", "no:cacheprovider"),
     *("--hypothesis-seed=0", f"--hypothesis-profile={PROFILE}"),
-    # Rewritten assertions come with a finder in front of ours, that would load the file as it is.
+    # pytest's rewriter precedes this finder and would load the unchanged file.
     "--assert=plain",
 )
 
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Loads one module from a changed tree."""
+    """Finder that loads one module from a changed tree."""
 
     def __init__(self, module: str, tree: ast.Module, path: str) -> None:
         self._module = module
@@ -68,7 +68,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def start(tests: Sequence[str], module: str = "", tree: ast.Module | None = None) -> int:
-    """Fork a process that runs the tests; its number. It exits with pytest's code."""
+    """Fork a process that runs the tests; return its id. It exits with pytest's code."""
     pid = os.fork()
     if pid:
         return pid
@@ -91,7 +91,7 @@ def start(tests: Sequence[str], module: str = "", tree: ast.Module | None = None
 
 
 def tests_of(target: Path) -> list[str]:
-    """The tests of a module, its own first, or of a folder."""
+    """Return the tests of a module, its own first, or of a folder."""
     place = ROOT / "tests" / "unit" / target.relative_to(ROOT)
     folder = place if target.is_dir() else place.parent
     found = sorted(folder.glob("test_*.py"))
@@ -107,7 +107,7 @@ def tests_of(target: Path) -> list[str]:
 
 
 def preload() -> None:
-    """Import once, before forking, what is no part of the project."""
+    """Import modules outside the project once, before forking."""
     for name in ("pytest", "hypothesis.strategies", "numpy", "pymavlink.dialects.v20.common"):
         importlib.import_module(name)
     strange = [
@@ -118,21 +118,21 @@ def preload() -> None:
 
 
 def passes(tests: Sequence[str]) -> bool:
-    """Whether the tests pass without any change."""
+    """Return True if the tests pass without any change."""
     _, status = os.waitpid(start(tests), 0)
     return status == 0
 
 
 @dataclass(slots=True)
 class Verdicts:
-    """What became of the mutants so far."""
+    """Verdicts on the mutants so far."""
 
     survived: list[Mutant]
     killed: int = 0
     timeouts: int = 0
 
     def take(self, mutant: Mutant, status: int) -> None:
-        """Take in how a mutant's process ended."""
+        """Record the exit of a mutant's process."""
         if status == 0:
             self.survived.append(mutant)
             print(f"survived so far: {mutant.key}", file=sys.stderr, flush=True)
@@ -143,11 +143,11 @@ class Verdicts:
 
 
 def run(targets: Sequence[Path], jobs: int, only: str) -> Verdicts:
-    """Try every mutant of every module."""
+    """Test every mutant of every module."""
     verdicts, running = Verdicts([]), dict[int, Mutant]()
 
     def reap() -> None:
-        """Wait for one that ended, and note its verdict."""
+        """Wait for a process to end, and note its verdict."""
         pid, status = os.wait()
         verdicts.take(running.pop(pid), status)
 
@@ -176,7 +176,7 @@ def run(targets: Sequence[Path], jobs: int, only: str) -> Verdicts:
 
 
 def equivalents() -> dict[str, str]:
-    """Mutants that change nothing, each with its reason.
+    """Return mutants that change nothing, each with its reason.
 
     Raises:
         ConfigError: There are more than may be, or one has no reason.
@@ -194,7 +194,7 @@ def equivalents() -> dict[str, str]:
 
 
 def modules(paths: Sequence[Path]) -> list[Path]:
-    """The modules that paths name.
+    """Return the modules that paths name.
 
     Raises:
         ConfigError: One names none.
@@ -210,7 +210,7 @@ def modules(paths: Sequence[Path]) -> list[Path]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Try every mutant, print who survived; the exit code."""
+    """Test every mutant, print the survivors; return the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("paths", nargs="*", type=Path, default=[ROOT / "companion" / "guard"])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")

@@ -1,14 +1,14 @@
-"""Compiles the kernels ahead of time, so that what flies loads neither numba nor LLVM.
+"""Compiles the kernels ahead of time, so that a flight loads neither numba nor LLVM.
 
     .venv/bin/python tools/release/build_kernels.py FOLDER
 
-writes the package `companion_kernels` into FOLDER, for this Python and this kind of processor;
-beside `companion` on the path it is found by `companion.kernel`. Which arguments a kernel gets is
-told by warm-ups with every preset, filter and planner; anything else runs as plain Python.
+writes the package `companion_kernels` into FOLDER, for this Python and this kind of processor; if
+it is on the path beside `companion`, `companion.kernel` finds it. Warm-ups with every preset,
+filter and planner determine a kernel's argument types; any others run as plain Python.
 
-Needs numba, a C compiler and some five minutes of one core. Of the processor it uses only what all
-of its kind have. Products and solutions of these small matrices are compiled from loops, because
-numba would ask scipy for its BLAS.
+Needs numba, a C compiler and some five minutes of one core. It uses only instructions that every
+processor of the kind has. Products and solutions of these small matrices are compiled from loops,
+because numba would ask scipy for its BLAS.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ WRITEABLE_C, READ_ONLY_C = 0x401, 0x001
 
 @numba.njit
 def dot(a: Any, b: Any) -> Any:
-    """`np.dot` of vectors and matrices, by entries."""
+    """Return `np.dot` of vectors and matrices, by entries."""
     if a.ndim == 1:
         total = 0.0
         for k in range(a.size):
@@ -70,7 +70,7 @@ def dot(a: Any, b: Any) -> Any:
 
 @numba.njit
 def solve(matrix: Any, right: Any) -> Any:
-    """`np.linalg.solve`, by elimination with partial pivoting."""
+    """Return `np.linalg.solve`, by elimination with partial pivoting."""
     n = matrix.shape[0]
     rows, x = matrix.copy(), right.copy()
     for column in range(n):
@@ -92,7 +92,7 @@ def solve(matrix: Any, right: Any) -> Any:
 
 
 def main() -> int:
-    """Build, and say how many there are."""
+    """Build the package and print the number of kernels."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     place = parser.parse_args().folder / PACKAGE
@@ -124,7 +124,7 @@ def export_variants(compiler: Any, kernels: Iterable[Any]) -> Variants:
     `companion.kernel.kind_of` sees no difference.
 
     Raises:
-        SystemExit: a kernel has two signatures that `kind_of` cannot tell apart.
+        SystemExit: a kernel has two signatures that `kind_of` cannot distinguish.
     """
     variants: Variants = {}
     numbers = itertools.count()
@@ -144,12 +144,12 @@ def export_variants(compiler: Any, kernels: Iterable[Any]) -> Variants:
 
 
 def digest_of_tool() -> str:
-    """A short name for the text of this file: what another one compiled is compiled anew."""
+    """Return a short digest of this file, because another version's kernels must be rebuilt."""
     return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:16]
 
 
 def compile_reproducibly(compiler: Any) -> None:
-    """Without the names of inner functions: some have an address of this process in them."""
+    """Compile without the names of inner functions: some contain an address of this process."""
     with tempfile.NamedTemporaryFile("w", suffix=".map") as exported:
         exported.write("{ global: PyInit_*; local: *; };")
         exported.flush()
@@ -159,14 +159,14 @@ def compile_reproducibly(compiler: Any) -> None:
 
 
 def import_kernels() -> None:
-    """Every module that a flight may need."""
+    """Import every module that a flight may need."""
     import companion.flight_setup
     import companion.warm_up  # noqa: F401
 
 
 @functools.cache
 def numpy_without_blas() -> ModuleType:
-    """A numpy with the two functions above, for the modules of the kernels."""
+    """Return a numpy with the two functions above, for the modules of the kernels."""
     changed, algebra = ModuleType("numpy"), ModuleType("numpy.linalg")
     vars(algebra).update(vars(np.linalg), solve=solve)
     vars(changed).update(vars(np), dot=dot, linalg=algebra)
@@ -185,7 +185,7 @@ def warm_everything_up() -> None:
 
 
 def configurations() -> Iterator[Any]:
-    """The presets, and the defaults with every filter, planner and adaptation."""
+    """Yield the presets, and the defaults with every filter, planner and adaptation."""
     from companion.config.schema import CompanionConfig, CrossingKind, load_config
     from companion.estimation.filters.kalman import FilterKind
 
@@ -200,7 +200,7 @@ def configurations() -> Iterator[Any]:
 
 
 def kind_of(kind: Any) -> object:
-    """What `companion.kernel.kind_of` says of an argument of such a type of numba's."""
+    """Return the result of `companion.kernel.kind_of` for an argument of a numba type."""
     if isinstance(kind, types.Array):
         is_c = kind.layout == "C"
         flags = (WRITEABLE_C if kind.mutable else READ_ONLY_C) if is_c else -1

@@ -1,11 +1,11 @@
-"""What a release is made of: a CycloneDX list of parts, their licences, and known weaknesses.
+"""Parts of a release: a CycloneDX list, their licences, and known vulnerabilities.
 
     make dist && .venv/bin/python tools/release/list_parts.py [--vulnerability-service osv]
 
 Installs the wheels of dist/ with the pinned versions of packaging/constraints.txt into an
-environment of their own, as the Debian package has them, and writes what is installed there to
-dist/companion-guidance.cdx.json and dist/LICENCES.txt. Exit code 1 if pip-audit knows a weakness,
-or cannot ask. Options are those of pip-audit.
+environment of their own, as the Debian package has them, and writes the installed parts to
+dist/companion-guidance.cdx.json and dist/LICENCES.txt. Exit code 1 if pip-audit knows a
+vulnerability, or cannot ask. Options are those of pip-audit.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ENVIRONMENT = ROOT / "build/parts"
 
 
 def main() -> int:
-    """Write both lists, then ask for weaknesses."""
+    """Write both lists, then ask for vulnerabilities."""
     python = ENVIRONMENT / "bin/python"
     run(sys.executable, "-m", "venv", "--without-pip", "--clear", ENVIRONMENT)
     files = (f"--find-links={DIST}", f"--constraint={PACKAGING / 'constraints.txt'}")
@@ -45,7 +45,7 @@ def main() -> int:
 
 
 def audit(program: Path, place: Path, options: Sequence[str] = ()) -> int:
-    """Print what is known of the parts of others; 1 if that is anything, or could not be asked."""
+    """Print known vulnerabilities; return 1 if there are any or the query failed."""
     command = [str(program), "--path", str(place), "--progress-spinner=off", "--format=json"]
     asked = subprocess.run([*command, *options], check=False, capture_output=True, text=True)
     if not asked.stdout:
@@ -65,13 +65,13 @@ def audit(program: Path, place: Path, options: Sequence[str] = ()) -> int:
 
 
 def run(*command: str | Path) -> None:
-    """Run it; an error if it fails."""
+    """Run a command; raises an error if it fails."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     subprocess.run([str(word) for word in command], check=True, env=environment)
 
 
 def licence_of(part: dict[str, Any]) -> str:
-    """As the part itself tells: an expression, identifiers, or names."""
+    """Return the licence from a part's metadata: an expression, identifiers, or names."""
     return " AND ".join(dict.fromkeys(_licences(part))) or "not told"
 
 

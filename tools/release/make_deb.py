@@ -8,10 +8,10 @@ compiles. The same sources and SOURCE_DATE_EPOCH (the last commit's time by defa
 bytes.
 
 The kernels are compiled ahead by tools/release/build_kernels.py, once for each state of the
-sources, where an interpreter of the version is found here and the architecture is this machine's.
-Without them they run as plain Python, which a line on stderr says.
+sources, if an interpreter of the version is installed and the architecture is this machine's.
+Otherwise they run as plain Python, which a line on stderr reports.
 
-Needs dpkg-deb, a C compiler, and the package index for what pip does not have in its cache.
+Needs dpkg-deb, a C compiler, and the package index for wheels that pip does not have in its cache.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ SHARED = HOME / "lib/shared"
 
 
 def main() -> int:
-    """Build one package and print where it is."""
+    """Build one package and print its path."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--architecture", choices=tuple(MACHINES), default=native_architecture())
     parser.add_argument("--wheels", type=Path, default=ROOT / "dist", help="those of this project")
@@ -80,24 +80,24 @@ def main() -> int:
 
 
 def native_architecture() -> str:
-    """As dpkg calls it."""
+    """Return the architecture by dpkg's name."""
     machine = os.uname().machine
     return next((name for name, known in MACHINES.items() if known == machine), "amd64")
 
 
 def debian_version(version: str) -> str:
-    """As dpkg orders it: a candidate comes before its release."""
+    """Return the version in dpkg's order: a candidate comes before its release."""
     return re.sub(r"(?<=\d)(a|b|rc)(?=\d+$)", r"~\1", version)
 
 
 def last_commit_s() -> str:
-    """Seconds since 1970 of what is packaged."""
+    """Return the time of the packaged commit, seconds since 1970."""
     command = ("git", "-C", str(ROOT), "log", "-1", "--format=%ct")
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -> None:
-    """The virtual environment with its commands, and the wheels of each Python."""
+    """Lay out the virtual environment with its commands, and the wheels of each Python."""
     binaries = tree / HOME / "bin"
     binaries.mkdir(parents=True)
     (binaries / "python3").symlink_to("/usr/bin/python3")
@@ -126,7 +126,7 @@ def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -
 
 
 def kernels_for(version: str, own: Path) -> Path | None:
-    """The package of compiled kernels for a Python, made if it is not of these sources and tool."""
+    """Return the compiled kernels for a Python, built unless they match these sources and tool."""
     is_this = sys.version.startswith(f"{version}.")
     program = sys.executable if is_this else other_python(version)
     kernels = ROOT / f"build/kernels/{version}/companion_kernels"
@@ -148,7 +148,7 @@ def kernels_for(version: str, own: Path) -> Path | None:
 
 
 def other_python(version: str) -> str | None:
-    """An interpreter on the path that starts."""
+    """Return another version's interpreter on the path, if it starts; or None."""
     program = shutil.which(f"python{version}")
     if program is None or subprocess.run([program, "-c", ""], check=False).returncode != 0:
         return None
@@ -156,7 +156,7 @@ def other_python(version: str) -> str | None:
 
 
 def environment_for(program: str, version: str, own: Path) -> str:
-    """The interpreter of an environment of another Python, with what compiling needs."""
+    """Return the interpreter of an environment of another Python, with the tools for compiling."""
     place = ROOT / f"build/kernels/python{version}"
     python = str(place / "bin/python")
     subprocess.run([program, "-m", "venv", "--clear", str(place)], check=True)
@@ -168,7 +168,7 @@ def environment_for(program: str, version: str, own: Path) -> str:
 
 
 def fetch_wheels(version: str, architecture: str, own: Path, place: Path) -> list[Path]:
-    """Binary wheels of the pinned versions; pip keeps what it once downloaded."""
+    """Return binary wheels of the pinned versions; pip caches its downloads."""
     shutil.rmtree(place, ignore_errors=True)
     platforms = [f"--platform=manylinux_{libc}_{MACHINES[architecture]}" for libc in GLIBCS]
     platforms += [
@@ -182,14 +182,14 @@ def fetch_wheels(version: str, architecture: str, own: Path, place: Path) -> lis
 
 
 def unpack(wheel: Path, place: Path) -> None:
-    """What a wheel puts among the modules; its scripts and headers are not needed."""
+    """Unpack a wheel's modules; its scripts and headers are not needed."""
     with zipfile.ZipFile(wheel) as archive:
         members = [name for name in archive.namelist() if ".data/" not in name]
         archive.extractall(place, members)
 
 
 def lay_out_system(tree: Path) -> None:
-    """Unit, user, udev rule, conffiles and the commands on the path."""
+    """Lay out unit, user, udev rule, conffiles and the commands on the path."""
     for source, target in FILES.items():
         put(PACKAGING / "debian" / source, tree / target)
     put(ROOT / "configs/companion/default.yaml", tree / "etc/companion/companion.yaml")
@@ -206,7 +206,7 @@ def put(source: Path | zipfile.Path, target: Path) -> None:
 
 
 def lay_out_documentation(share: Path, wheels: Path) -> None:
-    """Man pages and completions of our own wheels; changelog and licence."""
+    """Copy man pages and completions of the project's wheels; changelog and licence."""
     for wheel in sorted(wheels.glob("companion_*.whl")):
         with zipfile.ZipFile(wheel) as archive:
             for name in archive.namelist():
@@ -221,13 +221,13 @@ def lay_out_documentation(share: Path, wheels: Path) -> None:
 
 
 def compress(text: str, target: Path) -> None:
-    """A gzip file without a time in it."""
+    """Write a gzip file without a timestamp."""
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_bytes(gzip.compress(text.encode(), mtime=0))
 
 
 def write_control(tree: Path, architecture: str) -> None:
-    """The package's own files; sums of all others, in the order of their names."""
+    """Write the package's control files and the sums of all others, sorted by name."""
     place = tree / "DEBIAN"
     files = sorted(path for path in tree.rglob("*") if path.is_file() and not path.is_symlink())
     size_kb = sum(-(-path.stat().st_size // 1024) for path in files)
@@ -253,7 +253,7 @@ def write_control(tree: Path, architecture: str) -> None:
 
 
 def build(tree: Path, output: Path, architecture: str) -> Path:
-    """Pack the tree, whatever the umask and the user of this machine."""
+    """Pack the tree, independently of the umask and the user of this machine."""
     for path in [tree, *tree.rglob("*")]:
         if not path.is_symlink():
             is_run = path.is_dir() or path.stat().st_mode & 0o100

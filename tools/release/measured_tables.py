@@ -3,7 +3,7 @@
     .venv/bin/python tools/release/measured_tables.py
 
 Each table of PAGES stands in its page between two marks, and its figures are in `docs/measured`, as
-the tool wrote them that measured. After measuring anew: copy the tool's JSON there, and run this.
+the measuring tool wrote them. After a new measurement, copy the tool's JSON there and run this.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ CAMPAIGN_PARTS = {
 
 
 def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:
-    """What `tools/bench_process.py --json` has, as a table."""
+    """Return the figures of `tools/bench_process.py --json` as a table."""
     lines = ["| | memory | processor, of one core |", "|---|---|---|"]
     return lines + [
         f"| {CLIENTS[use['client']]} | {use['resident_mb']:.0f} MB | {use['processor_pct']:.1f} % |"
@@ -84,7 +84,7 @@ def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:
 
 
 def campaign_rows(runs: list[Mapping[str, Any]]) -> list[str]:
-    """What `tools/faults.py --json` has of several runs, as a table: a row for each part."""
+    """Return several runs of `tools/faults.py --json` as a table: a row for each part."""
     lines = ["| what | result | findings | command |", "|---|---|---|---|"]
     for run in runs:
         for part, (what, result) in CAMPAIGN_PARTS.items():
@@ -99,14 +99,14 @@ def campaign_rows(runs: list[Mapping[str, Any]]) -> list[str]:
 
 
 def earlier_rows(records: list[Mapping[str, str]]) -> list[str]:
-    """What was noted down of earlier builds, as a table; the commit is where it was."""
+    """Return recorded figures of earlier builds as a table; the commit says which build."""
     lines = ["| what | result | command | noted in |", "|---|---|---|---|"]
     return lines + ["| {what} | {result} | `{command}` | {commit} |".format_map(r) for r in records]
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table, the page where it stands, and its form."""
+    """A table, its page, and its form."""
 
     name: str
     page: Path
@@ -114,11 +114,11 @@ class Table:
 
     @property
     def figures(self) -> Path:
-        """What was measured."""
+        """Return the file of the measured figures."""
         return ROOT / f"docs/measured/{self.name}.json"
 
     def written(self, text: str) -> str:
-        """The page's text with the table as the figures have it; a `ValueError` without marks."""
+        """Return the page's text with the table renewed; a `ValueError` without marks."""
         rows = "\n".join(self.rows_of(json.loads(self.figures.read_text(encoding="utf-8"))))
         begin, end = f"<!-- measured: {self.name} -->", "<!-- end of measured -->"
         marked = re.compile(f"{re.escape(begin)}\n.*?{re.escape(end)}", re.DOTALL)

@@ -1,8 +1,9 @@
-"""What real autopilots were observed to do, as rows that tests play and docs/simulator.md shows.
+"""Observed behaviour of real autopilots, as rows that tests play and docs/simulator.md shows.
 
-`observed.yaml` beside each flavour has the rows. One says in words what the real vehicle does, and
+`observed.yaml` beside each flavour has the rows. A row describes the real vehicle's behaviour, and
 has either `steps`, which `tests/contract/test_observed.py` plays against the flavour, a test of its
-own (`proved_by`), or `deliberate`: why the simulator differs. Run this to renew the page's tables.
+own (`proved_by`), or `deliberate`: the reason why the simulator differs. Run this to renew the
+page's tables.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ Messages = dict[str, Fields]
 
 
 class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One thing to do, time to wait, and what must then be so; in this order."""
+    """One action, a waiting time, and the conditions that must then hold; in this order."""
 
     state: str | None = None
     """Another state's steps first."""
@@ -76,7 +77,7 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One thing that the real vehicle does."""
+    """One behaviour of the real vehicle."""
 
     id: str
     topic: str
@@ -92,7 +93,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the simulator does instead, and why."""
 
     def __post_init__(self) -> None:
-        """Refuse a row that proves nothing, or says two things."""
+        """Refuse a row that proves nothing, or has two proofs."""
         if sum(map(bool, (self.steps, self.proved_by, self.deliberate))) != 1:
             raise ValueError(f"{self.id}: needs one of steps, proved_by and deliberate")
 
@@ -107,13 +108,13 @@ class Sheet(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def load_sheet(flavour: str) -> Sheet:
-    """The sheet of a flavour; a `msgspec.ValidationError` names what is wrong with it."""
+    """Return the sheet of a flavour; a `msgspec.ValidationError` names the error in it."""
     path = ROOT / "sim_link" / "autopilot" / "flavours" / flavour / "observed.yaml"
     return msgspec.yaml.decode(path.read_bytes(), type=Sheet)
 
 
 def table(head: str, lines: list[tuple[str, str]]) -> str:
-    """A table of two columns; what belongs to one topic is one row."""
+    """Return a table of two columns; all that belongs to one topic is one row."""
     topics: dict[str, list[str]] = {}
     for topic, text in lines:
         topics.setdefault(topic, []).append(text)
@@ -122,7 +123,7 @@ def table(head: str, lines: list[tuple[str, str]]) -> str:
 
 
 def tables(sheet: Sheet) -> str:
-    """Both tables of an autopilot."""
+    """Return both tables of an autopilot."""
     measured = [(row.topic, _sentence(row.real)) for row in sheet.rows if not row.deliberate]
     different = [
         (row.topic, f"{_sentence(row.real)} Here: {_sentence(row.deliberate)}")
@@ -143,7 +144,7 @@ def _sentence(text: str) -> str:
 
 
 def renewed(page: str) -> str:
-    """The page with its tables as the rows have them."""
+    """Return the page with its tables renewed from the rows."""
     for flavour in FLAVOURS:
         begin, end = f"<!-- observed: {flavour} -->", f"<!-- end: {flavour} -->"
         before, _, rest = page.partition(begin)

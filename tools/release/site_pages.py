@@ -1,8 +1,8 @@
 """Hooks of mkdocs: pages of the checkout's root, and links that lead out of `docs`.
 
-The pages are written for a checkout, where `../configs/x.yaml` is a link. On the site there is no
-such file: the link's words stay, without a link. CHANGELOG.md and CONTRIBUTING.md are pages of it.
-Links that are called by their file have the name that the page has in the menu.
+The pages are written for a checkout, where `../configs/x.yaml` is a link. The site has no such
+file: the link's text stays, without a link. CHANGELOG.md and CONTRIBUTING.md become pages. Links
+whose text is a file name get the page's name in the menu.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Give a page the links that the site has."""
+    """Return a page with the links that the site has."""
     here = page.file.src_uri
     if here in OF_ROOT:
         markdown = OUTSIDE.sub(_words, INTO_DOCS.sub("](", markdown))
@@ -49,7 +49,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
 
 
 def _named(menu: Any) -> Iterator[tuple[str, str]]:
-    """The pages of a menu with the names that they have there."""
+    """Yield the pages of a menu with their names there."""
     for entry in menu:
         for name, below in entry.items():
             if isinstance(below, str):

@@ -102,7 +102,7 @@ class Case(Params, frozen=True):
     fim_headings: Annotated[int, msgspec.Meta(ge=3, le=360)] = HEADINGS
 
     def __post_init__(self) -> None:
-        """Refuse what the compiled walk does not do."""
+        """Refuse combinations that the compiled walk does not support."""
         if self.belief.process_noise_m_per_sqrt_s > 0.0:
             raise ValueError("belief.process_noise_m_per_sqrt_s must be 0: the target lies still")
         if self.belief.target_height_m != 0.0 or self.belief.target_height_sigma_m > 0.0:
@@ -119,7 +119,7 @@ LANE_SLACK = 1e-9
 def stepped(
     east_m: float, north_m: float, to_east_m: float, to_north_m: float, step_m: float
 ) -> tuple[float, float]:
-    """The place one step on the way to a waypoint, or the waypoint where that is nearer."""
+    """Return the position one step on the way to a waypoint, or the waypoint if that is nearer."""
     de, dn = to_east_m - east_m, to_north_m - north_m
     distance_m = math.hypot(de, dn)
     if distance_m <= step_m:
@@ -131,7 +131,7 @@ def stepped(
 def lane_corners(
     area_m: tuple[float, float], spacing_m: float, first_north_m: float | None = None
 ) -> list[Point]:
-    """Corners of east-west lanes over an area from the origin, the first half a spacing inside."""
+    """Return corners of east-west lanes over an area, the first half a spacing inside."""
     width_m, depth_m = area_m
     if first_north_m is None:
         first_north_m = 0.5 * spacing_m
@@ -144,7 +144,7 @@ def lane_corners(
 
 
 def track_of(case: Case) -> Matrix:
-    """The lawnmower's places at even steps, (steps, 2); every system starts at the first one.
+    """Return the lawnmower's positions at even steps, (steps, 2); all systems start at the first.
 
     The way from the start to the first lane is part of the track; at the end of the last lane it
     turns around and goes back lane by lane.
@@ -160,7 +160,7 @@ def track_of(case: Case) -> Matrix:
 
 
 def along(corners: Matrix, step_m: float, steps: int) -> Matrix:
-    """Places at even steps along a polyline (k, 2), (steps, 2), its last corner from its end on."""
+    """Return positions at even steps along a polyline (k, 2), (steps, 2), waiting at its end."""
     legs_m = np.hypot(*np.diff(corners, axis=0).T)
     corner_at_m = np.concatenate([[0.0], np.cumsum(legs_m)])
     at_m = step_m * np.arange(steps)
@@ -200,12 +200,12 @@ class Scene(NamedTuple):
 
 
 def run_seeds(seed: int, runs: int, first: int = 0) -> list[np.random.SeedSequence]:
-    """The seeds of runs `first` to `first + runs` of a study; each its own whatever else is run."""
+    """Return the seeds of runs `first` to `first + runs` of a study, independent of other runs."""
     return [np.random.SeedSequence(seed, spawn_key=(run,)) for run in range(first, first + runs)]
 
 
 def stream(seed: RunSeed, which: int) -> np.random.Generator:
-    """One of the streams of a run, from its beginning."""
+    """Return one of the streams of a run, from its beginning."""
     root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
     key = (*root.spawn_key, which)
     return np.random.default_rng(np.random.SeedSequence(root.entropy, spawn_key=key))
@@ -235,7 +235,7 @@ def channel_draws(case: Case, seed: RunSeed) -> Matrix:
 
 @kernel
 def measured(draw: Vector, east_m: float, north_m: float, truth: RunTruth) -> tuple[float, float]:
-    """Range and bearing, in [-pi, pi), by a draw (6,) of the true channel. Paper: eq. (1)."""
+    """Return range and bearing, in [-pi, pi), by a draw (6,) of the channel. Paper: eq. (1)."""
     excess_m = truth.mean_bias_m * draw[EXCESS] if draw[OBSTRUCTED] < truth.p_nlos else 0.0
     bend_rad = truth.bend_sigma_rad * draw[BEND] if draw[BENT] < truth.p_nlos else 0.0
     return received(draw, east_m, north_m, truth, excess_m, bend_rad)
@@ -245,7 +245,7 @@ def measured(draw: Vector, east_m: float, north_m: float, truth: RunTruth) -> tu
 def measured_in(
     draw: Vector, east_m: float, north_m: float, truth: RunTruth, scene: Scene, memory: ShadowMemory
 ) -> tuple[float, float, ShadowMemory]:
-    """The same among obstacles, and what the next one must remember; at first `NO_MEMORY`."""
+    """Return the same among obstacles, and the memory for the next call; at first `NO_MEMORY`."""
     if scene.surroundings.edges.shape[0] == 0:
         range_m, bearing_rad = measured(draw, east_m, north_m, truth)
         return range_m, bearing_rad, memory
@@ -265,7 +265,7 @@ def measured_in(
 def received(
     draw: Vector, east_m: float, north_m: float, truth: RunTruth, excess_m: float, bend_rad: float
 ) -> tuple[float, float]:
-    """Range and bearing with their offsets, what stands in the way, and thermal noise."""
+    """Return range and bearing with offsets, the obstacle's excess and bend, and noise."""
     de, dn = truth.east_m - east_m, truth.north_m - north_m
     range_m = math.hypot(de, dn) + truth.range_offset_m
     bearing_rad = math.atan2(dn, de) + truth.bearing_offset_rad
@@ -275,7 +275,7 @@ def received(
 
 
 def scene_of(case: Case) -> Scene:
-    """The obstacles of a case about its target."""
+    """Return the obstacles of a case about its target."""
     environment = Environment(case.obstacles, case.shadow)
     return Scene(environment.around((*case.target_enu_m, 0.0)), environment.shadow)
 

@@ -1,8 +1,8 @@
 """Check of the compiled EKF of the tables against filterpy's filter.
 
-The compiled EKF flies, and filterpy's filter fuses each measurement from the state that the EKF was
-in. It is given the state each time, because an EKF that has lost its target multiplies a difference
-of rounding by ten every 40 steps.
+The compiled EKF flies, and filterpy's filter fuses each measurement from the EKF's state at that
+time. It is reset to that state each time, because an EKF that has lost its target multiplies a
+difference of rounding by ten every 40 steps.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class EkfCheck(RunSeries):
 
 
 def largest_difference_m(check: RunSeries) -> float:
-    """The largest difference of a coordinate or range offset after any step of the runs, metres.
+    """Return the largest difference of a coordinate or range offset after any step, metres.
 
     Between the two filters, or between the one that was compared and the one that flew.
     """

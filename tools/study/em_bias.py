@@ -1,4 +1,4 @@
-"""Prints what the paper's EM and the corrected one make of the mean NLOS bias, case by case."""
+"""Prints the mean NLOS bias by the paper's EM and by the corrected one, case by case."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def row(case: BiasComparison) -> str:
-    """What the printed equations find of a case, beside the corrected ones."""
+    """Return the results of the printed and of the corrected equations for a case."""
     truth, found = case.truth, case.corrected
     return (
         f"{truth.mean_bias_m:8.1f}{truth.sigma_m:7.1f}{truth.nlos_share:6.1f} |"

@@ -1,9 +1,10 @@
-"""Prints how well a radio of the field can be located at all, along the ways that are flown.
+"""Prints the best possible accuracy of a field radio along the flown ways.
 
-The Cramer-Rao bound of the scenario's own model: thermal noise, Gauss-Markov errors of the own
-place and height about now, offset, height and compass as the study draws them. Without reflections
-no estimator beats it. With them, as errors of the same variance that stay with the place, it is the
-least error of a linear estimator. Every measurement arrives, and all of that is known.
+It is the Cramer-Rao bound of the scenario's own model: thermal noise, Gauss-Markov errors of the
+vehicle's position and height about their present value, offset, height and compass as the study
+draws them. Without reflections no estimator beats it. With them, as spatially correlated errors of
+the same variance, it is the least error of a linear estimator. Every measurement arrives, and all
+these parameters are known.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ NORMALS = np.random.default_rng(0).standard_normal((4000, 2))
 
 
 def flown(task: FieldFlight) -> tuple[Matrix, float]:
-    """The true way, (n, 7): time, place and attitude at each measurement; and the error."""
+    """Return the true way, (n, 7): time, position, attitude at each measurement; and the error."""
     notes = MemoryJournal()
     flight = Flight(task.config, task.scenario, task.seed, notes)
     body, rows, due_s, engaged_s = flight.sim.vehicle.body, [], 0.0, math.inf
@@ -51,7 +52,7 @@ def flown(task: FieldFlight) -> tuple[Matrix, float]:
 
 
 def directions(u: tuple[float, float, float], antenna: AntennaModelParams) -> list[float]:
-    """What the antenna measures of a direction in its frame; nothing outside of its view."""
+    """Return the antenna's measurement of a direction in its frame; empty outside its view."""
     x, y, z = u
     view_rad = math.radians(antenna.field_of_view_deg or 360.0)
     if antenna.kind == "planar":
@@ -62,7 +63,7 @@ def directions(u: tuple[float, float, float], antenna: AntennaModelParams) -> li
 
 
 def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]:
-    """Partials (m, 5), sigmas (m,), and of each value time, place and kind, (m, 5)."""
+    """Return partials (m, 5), sigmas (m,), and of each value time, position and kind, (m, 5)."""
     truth = np.array([*scenario.emitter.position_enu_m, scenario.emitter.height_m])
     antenna, channel = scenario.payload.antenna, scenario.channel
     sigma_rad = math.radians(antenna.sigma_deg or channel.bearing_sigma_deg)
@@ -87,7 +88,7 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
             columns.append((np.array(seen) - values) / STEP if len(seen) == len(values) else None)
         if any(column is None for column in columns):
             continue
-        # an azimuth errs by 1 / flat of an angle in space, which is what noise and bends are
+        # an azimuth errs by 1 / flat of an angle in space, the unit of noise and bends
         flat = math.hypot(u[0], u[1]) if antenna.kind == "planar" else 1.0
         for row in range(len(values)):
             partials.append([*(flat * float(c[row]) for c in columns if c is not None), 0.0])
@@ -101,7 +102,7 @@ def _step_sigma_m(scenario: Scenario) -> float:
 
 
 def bound_m2(way: Matrix, scenario: Scenario, height_spread_m: float, *, reflects: bool) -> Matrix:
-    """Of the place as of the end, in the vehicle's frame, (2, 2)."""
+    """Return the bound on the final position, in the vehicle's frame, (2, 2)."""
     partials, sigmas, about = linearised(way, scenario)
     navigation, channel = scenario.navigation, in_the_field(scenario.channel)
     ago_s = about[:, 0] - about[:, 0].max()
@@ -136,7 +137,7 @@ def bound_m2(way: Matrix, scenario: Scenario, height_spread_m: float, *, reflect
 
 
 def median_m(covariance_m2: Matrix) -> float:
-    """Of the distance that a Gaussian of that covariance is off by."""
+    """Return the median distance of a Gaussian of that covariance."""
     return float(np.median(np.hypot(*(NORMALS @ np.linalg.cholesky(covariance_m2).T).T)))
 
 

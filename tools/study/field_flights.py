@@ -1,11 +1,11 @@
-"""Flights of the whole companion among true radios: what it reports, and how far off that is.
+"""Flights of the whole companion among true radios: its reports, and their errors.
 
-Companion and vehicle are joined in memory. A flight ends with the report, or at the cut. Between
-seeds not only the noise moves, so that nothing is fitted to one place: the emitter lies anywhere in
-a ring about home, evenly by area, and the unknown constants are drawn for each flight.
-Offsets, compass and mount are uniform, with the scenario's figure as root mean square (of the
-range, which is never too short: between 0 and twice the figure); the wind turns. All planners and
-configurations of a seed meet the same.
+Companion and vehicle are joined in memory. A flight ends with the report, or at the time limit.
+Seeds vary not only the noise, so that nothing is fitted to one place: the emitter lies anywhere in
+a ring about home, evenly by area, and the unknown constants are drawn for each flight. Offsets,
+compass and mount are uniform, with the scenario's figure as root mean square (of the range, which
+is never too short: between 0 and twice the figure); the wind turns. All planners and configurations
+of a seed meet the same.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ change = msgspec.structs.replace
 
 @dataclass(frozen=True, slots=True)
 class FieldFlight:
-    """One flight, which depends on these values only."""
+    """One flight, determined by these values only."""
 
     radio: str
     config_kind: ConfigKind
@@ -51,7 +51,7 @@ class FieldFlight:
 
     @property
     def key(self) -> str:
-        """Key of the flight in the store."""
+        """Return the key of the flight in the store."""
         parts = (self.radio, self.config_kind, self.seed, self.cut_s)
         return key_of(self.config, self.scenario, *parts, sources_digest())
 
@@ -59,11 +59,11 @@ class FieldFlight:
 def flights_of(
     grid: FlightGrid, folder: Path, runs: int, seed: int, only: Sequence[str] = ()
 ) -> list[FieldFlight]:
-    """The flights of a grid, or of what is named of it, the seeds of all cells by turns.
+    """Return the flights of a grid, or of the named part of it, the seeds of all cells alternating.
 
     Args:
         folder: With `scenarios/field` and `companion/field`.
-        only: Radios, configurations and planners; where none of a kind is named, all of it.
+        only: Radios, configurations and planners; if none of a kind is named, all of it.
     """
     names: tuple[tuple[str, ...], ...] = (tuple(grid.cut_s), grid.configs, grid.planners)
     known = [name for kind in names for name in kind]
@@ -78,7 +78,7 @@ def flights_of(
         scenario = load_scenario(folder / "scenarios" / "field" / f"{radio}.yaml")
         preset = load_config(folder / "companion" / "field" / f"{radio}.yaml")
         for kind in grid.configs:
-            # who does not know the radio knows as well whether to wait for it or to search
+            # without knowing the radio, waiting and searching start equal
             unconfigured = change(CompanionConfig(), planner=preset.planner)
             base = preset if kind == "told" else unconfigured
             for planner in grid.planners:
@@ -93,7 +93,10 @@ def flights_of(
 
 
 def _flown_with(config: CompanionConfig, kind: Any, home: Point, reach_m: float) -> CompanionConfig:
-    """The configuration with a planner, engaging by itself; lanes cover the square about home."""
+    """Return the configuration with a planner, engaging by itself.
+
+    Lanes cover the square about home.
+    """
     (east, north), planner = home, config.planner
     area = tuple((east + e * reach_m, north + n * reach_m) for e, n in CORNERS)
     lanes = change(planner.lawnmower, area_enu_m=area, spacing_m=LANES_M)
@@ -107,7 +110,7 @@ CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 
 
 def _drawn(scenario: Scenario, grid: FlightGrid, seed: int) -> Scenario:
-    """The scenario with what moves between seeds."""
+    """Return the scenario with the drawn values of a seed."""
     rng = np.random.default_rng((seed, 0xF1E1D))
     least_m, most_m = grid.ring_m
     way_m = math.sqrt(rng.uniform(least_m**2, most_m**2))
@@ -141,7 +144,7 @@ def _drawn(scenario: Scenario, grid: FlightGrid, seed: int) -> Scenario:
 
 
 def fly(task: FieldFlight) -> bytes:
-    """Fly it; the row as JSON."""
+    """Fly it; return the row as JSON."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -184,13 +187,13 @@ def _flown(task: FieldFlight) -> FlightRow:
 def fly_all(
     flights: Sequence[FieldFlight], pool: Pool, store: Store, on_done: Callable[[float], None]
 ) -> None:
-    """Fly them, keep their rows, and report how many seconds each was given."""
+    """Fly them, keep their rows, and report the seconds of each."""
     for position, row in pool.results(fly, flights):
         store.keep(flights[position].key, row)
         on_done(flights[position].cut_s)
 
 
 def rows_kept(flights: Sequence[FieldFlight], store: Store) -> list[FlightRow]:
-    """The rows of flights that are done, in their order."""
+    """Return the rows of finished flights, in their order."""
     kept = store.found(flight.key for flight in flights)
     return [msgspec.json.decode(kept[f.key], type=FlightRow) for f in flights if f.key in kept]

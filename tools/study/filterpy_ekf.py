@@ -23,7 +23,7 @@ from companion.kernel import Vector
 
 
 class FilterpyEkf:
-    """The EKF of a library; thresholds in the params do not count."""
+    """Extended Kalman filter of a library; thresholds in the params are ignored."""
 
     def __init__(self, params: target_filter.FilterParams) -> None:
         self.params = params
@@ -31,7 +31,7 @@ class FilterpyEkf:
         self._bounds = params.bounds
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
-        """The state at `time_s`; the covariance grows by the random walk, if any."""
+        """Return the state at `time_s`; the covariance grows by the random walk, if any."""
         ekf = self._filter(state, MODALITIES)
         q2_m2 = self.params.process_noise_m_per_sqrt_s**2 * max(time_s - state.time_s, 0.0)
         ekf.Q = np.zeros_like(ekf.P)
@@ -49,7 +49,7 @@ class FilterpyEkf:
         sensor_enu_m: PositionEnu,
         inflation: target_filter.Inflation = target_filter.NO_INFLATION,
     ) -> target_filter.UpdateReport:
-        """The state after a measurement; see `TargetFilter.update`."""
+        """Return the state after a measurement; see `TargetFilter.update`."""
         sensor = np.array(sensor_enu_m)
         _, z, sigma = self.params.seen(measurement, sensor_enu_m)
         rows = np.flatnonzero(~np.isnan(z)).tolist()
@@ -74,7 +74,7 @@ class FilterpyEkf:
         return target_filter.UpdateReport(after, ranged, borne, elevated, nis, is_sane)
 
     def _filter(self, state: FilterState, rows: int) -> Any:
-        """The library's filter at a state, for so many rows."""
+        """Return the library's filter at a state, for so many rows."""
         size = len(state.mean)
         ekf = ExtendedKalmanFilter(dim_x=size, dim_z=max(rows, 1))
         ekf.x, ekf.P = np.array(state.mean), np.array(state.covariance)
@@ -84,7 +84,7 @@ class FilterpyEkf:
     def _variances(
         self, state: FilterState, sensor: Vector, sigma: Vector, late_s: float
     ) -> Vector:
-        """Of all three rows, (3,), as the companion's filters have them without inflation."""
+        """Return the variances of all rows, (3,), as in the companion's filters, uninflated."""
         mean, model = state.mean, self._model
         noise: Vector = measurement_model.variances(state.covariance, mean, sensor, sigma, model)
         late_m2 = self.params.process_noise_m_per_sqrt_s**2 * late_s

@@ -45,9 +45,9 @@ R95_TABLE_SIZE = 513
 
 
 def steps_to_settle(rmse_by_step_m: Vector, threshold_m: float = SETTLED_M) -> int | None:
-    """One more than the last step (from 1) with an RMSE not below the threshold.
+    """Return one more than the last step (from 1) with an RMSE not below the threshold.
 
-    None where the last step of all is not below it: the paper's ">500". Paper: "settle below".
+    None if the last step of all is not below it: the paper's ">500". Paper: "settle below".
     """
     above = np.flatnonzero(~(rmse_by_step_m < threshold_m))
     if not above.size:
@@ -56,7 +56,7 @@ def steps_to_settle(rmse_by_step_m: Vector, threshold_m: float = SETTLED_M) -> i
 
 
 def diverged_count(final_errors_m: Vector, threshold_m: float = DIVERGED_M) -> int:
-    """Return how many runs ended farther off than the threshold, or nowhere."""
+    """Return the number of runs that ended beyond the threshold, or nowhere."""
     return int(np.sum(~(final_errors_m <= threshold_m)))
 
 
@@ -66,7 +66,7 @@ def median_m(final_errors_m: Vector) -> float:
 
 
 def nees(errors_enu_m: Matrix, covariances_m2: Matrix) -> Vector:
-    """Normalised estimation errors squared e^T P^-1 e of the position, (...,).
+    """Return the normalised estimation errors squared e^T P^-1 e of the position, (...,).
 
     Errors are (..., 2), covariances (..., 3): the entries east-east, east-north, north-north.
     """
@@ -86,7 +86,7 @@ def nees_band(runs: int) -> tuple[float, float]:
 
 
 def r95_m(covariances_m2: Matrix) -> Vector:
-    """Radius of the circle about the mean that holds 95 % of a 2-D Gaussian, (...,), metres.
+    """Return the radius about the mean that holds 95 % of a 2-D Gaussian, (...,), metres.
 
     Covariances are (..., 3) as for `nees`. By interpolation in
     `companion.estimation.target_estimate.r95_of_covariance_m`, within 1e-5.
@@ -101,7 +101,7 @@ def r95_m(covariances_m2: Matrix) -> Vector:
 
 @lru_cache(maxsize=1)
 def _r95_table() -> tuple[Vector, Vector]:
-    """Ratios of the axes, and R95 in units of the longer one."""
+    """Return ratios of the axes, and R95 in units of the longer one."""
     sharpness = np.linspace(np.sqrt(MIN_AXIS_RATIO), 1.0, R95_TABLE_SIZE)
     return sharpness, np.array([r95_of_covariance_m(np.diag([q * q, 1.0])) for q in sharpness])
 
@@ -120,7 +120,7 @@ MIN_DISTANCE_M = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class ChannelInformation:
-    """Fisher information of one measurement about where its error is centred."""
+    """Fisher information of one measurement about the centre of its error."""
 
     range_per_m2: float
     bearing_per_rad2: float
@@ -129,7 +129,7 @@ class ChannelInformation:
 def channel_information(
     channel: ChannelParams, points_per_sigma: int = 12, *, is_joint: bool = True
 ) -> ChannelInformation:
-    """The information J of a channel with thermal noise, or a ValueError, by quadrature.
+    """Return the information J of a channel with thermal noise, or a ValueError, by quadrature.
 
     The trapezoidal rule has so many nodes per thermal standard deviation. If not joint, each error
     has a draw of its own, independent of the other's obstruction.
@@ -142,7 +142,7 @@ def channel_information(
 
 @lru_cache(maxsize=64)
 def _information(channel: ChannelParams, fineness: int) -> ChannelInformation:
-    """The trapezoidal rule converges faster than any power here: all is smooth and dies out."""
+    """Integrate by the trapezoidal rule, which converges fast for smooth, decaying integrands."""
     p, (bearing_sigma, wide) = channel.p_nlos, _bearing_sigmas(channel)
     db = bearing_sigma / fineness
     da, (clear_a, clear_da), (blocked_a, blocked_da) = _ranges(channel, fineness)
@@ -164,7 +164,7 @@ def _information(channel: ChannelParams, fineness: int) -> ChannelInformation:
 
 @lru_cache(maxsize=64)
 def _separate_information(channel: ChannelParams, fineness: int) -> ChannelInformation:
-    """Each of the two mixtures by itself."""
+    """Return the information of each of the two mixtures by itself."""
     p, (bearing_sigma, wide) = channel.p_nlos, _bearing_sigmas(channel)
     db = bearing_sigma / fineness
     b = np.arange(-TAIL_SIGMAS * wide, TAIL_SIGMAS * wide + db, db)
@@ -186,13 +186,13 @@ Density = tuple[Vector, Vector]
 
 
 def _bearing_sigmas(channel: ChannelParams) -> tuple[float, float]:
-    """Of thermal noise alone, and with the bend of an obstructed path, rad."""
+    """Return the sigmas of thermal noise alone, and with the bend of an obstructed path, rad."""
     sigma = math.radians(channel.bearing_sigma_deg)
     return sigma, math.hypot(sigma, math.radians(channel.bearing_bias_sigma_deg))
 
 
 def _ranges(channel: ChannelParams, fineness: int) -> tuple[float, Density, Density]:
-    """Step of the nodes of range errors, and there the densities on clear and blocked paths."""
+    """Return the step between range errors, and the densities on clear and blocked paths."""
     sigma, mean_bias = channel.range_sigma_m, channel.range_bias_mean_m
     da = sigma / fineness
     farthest = TAIL_SIGMAS * sigma + TAIL_MEANS * mean_bias
@@ -201,13 +201,13 @@ def _ranges(channel: ChannelParams, fineness: int) -> tuple[float, Density, Dens
 
 
 def normal(x: Vector, sigma: float) -> tuple[Vector, Vector]:
-    """Density of a centred normal and its derivative."""
+    """Return the density of a centred normal and its derivative."""
     density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
     return density, -x / sigma**2 * density
 
 
 def modified_normal(x: Vector, sigma: float, mean: float) -> tuple[Vector, Vector]:
-    """Density of a centred normal plus an exponential of a mean, and its derivative."""
+    """Return the density of a centred normal plus an exponential of a mean, and its derivative."""
     if mean < NO_BIAS_SIGMAS * sigma:
         return normal(x, sigma)
     ratio = sigma / mean
@@ -223,12 +223,13 @@ def position_bounds_m2(
     bearing_per_rad2: Vector,
     prior: Vector,
 ) -> Vector:
-    """Least trace of the position's covariance after every place of a track (steps, 2), m^2.
+    """Return the least trace of the position's covariance after every step of a track, m^2.
 
-    Infinite where it cannot be known. The information is summed up entry by entry: position,
-    position with each offset, offset; the offsets do not mix, so that the position's marginal
-    information is found without a matrix inverse. Of each measurement it is (steps,), of the
-    offsets before the first (2,), 1/m^2 and 1/rad^2: zeros where they are unknown constants.
+    The track is (steps, 2); the bound is infinite where the position is unobservable. The
+    information is summed up entry by entry: position, position with each offset, offset; the
+    offsets do not mix, so that the position's marginal information is found without a matrix
+    inverse. Of each measurement it is (steps,), of the offsets before the first (2,), 1/m^2 and
+    1/rad^2: zeros if they are unknown constants.
     """
     steps = track_enu_m.shape[0]
     bounds = np.full(steps, np.inf)

@@ -1,4 +1,4 @@
-"""The paper's EM for lambda as printed, where it settles, and how far from the truth.
+"""Fixed point of the paper's EM for lambda as printed, and its distance from the truth.
 
 Theory of operation. The paper estimates each bias by its most probable value and takes the mean,
 
@@ -9,11 +9,11 @@ likelihood nor posterior. For r of the mixture in `adaptation` (offset 0) the me
 
     g(m) = sigma (phi(t) - t Phi(-t)) + p m0 (Phi(-t) + exp(k^2/2 - k t) Phi(t - k))
 
-with t = sigma / m, k = sigma / m0 and the true mean bias m0. The method settles at the largest
-root of m = g(m). With p = 1 and sigma well below m0 that is m0 - (3/4) sigma^2 / m0. Line-of-sight
-measurements count as reflections of bias 0, so that otherwise it is near p m0. And since g(m)
-falls faster than m as m goes to 0, m = 0 attracts too: where m0 is not well above sigma there is
-no other root, every b* becomes 0 and lambda infinite.
+with t = sigma / m, k = sigma / m0 and the true mean bias m0. The method settles at the largest root
+of m = g(m). With p = 1 and sigma well below m0 that is m0 - (3/4) sigma^2 / m0. Line-of-sight
+measurements count as reflections of bias 0, so that otherwise it is near p m0. And since g(m) falls
+faster than m as m goes to 0, m = 0 attracts too: where m0 is not well above sigma there is no other
+root, every b* becomes 0 and lambda infinite.
 
 Paper: eq. (6) and section IV-C, "Path to Adaptive Estimation".
 """
@@ -42,13 +42,13 @@ SETTLED = 1e-10
 
 
 def map_bias_m(residual_m: float, rate_per_m: float, sigma_m: float) -> float:
-    """The most probable bias b* = max(0, r - lambda sigma^2), metres. Paper: eq. (6)."""
+    """Return the most probable bias b* = max(0, r - lambda sigma^2), metres. Paper: eq. (6)."""
     return max(0.0, residual_m - rate_per_m * sigma_m**2)
 
 
 @dataclass(frozen=True, slots=True)
 class PrintedMeanBias:
-    """The printed EM measurement by measurement, with forgetting."""
+    """The printed EM, measurement by measurement, with forgetting."""
 
     sigma_m: float
     forgetting: float
@@ -60,7 +60,7 @@ class PrintedMeanBias:
     def starting(
         cls, mean_bias_m: float, sigma_m: float, params: AdaptationParams
     ) -> PrintedMeanBias:
-        """A first guess that fades as measurements come in."""
+        """Return a first guess that fades as measurements come in."""
         count = params.tail_prior_count
         return cls(sigma_m, params.forgetting, count, count * mean_bias_m)
 
@@ -70,7 +70,7 @@ class PrintedMeanBias:
         return self.bias_m / self.count
 
     def after(self, residual_m: float) -> PrintedMeanBias:
-        """The sums after one more residual, measured minus predicted range."""
+        """Return the sums after one more residual, measured minus predicted range."""
         mean_bias_m = self.mean_bias_m
         has_collapsed = mean_bias_m < COLLAPSED * self.sigma_m
         bias_m = 0.0 if has_collapsed else map_bias_m(residual_m, 1.0 / mean_bias_m, self.sigma_m)
@@ -79,20 +79,20 @@ class PrintedMeanBias:
 
 
 def printed_mean_bias_m(residuals_m: Vector, sigma_m: float, start_m: float) -> float:
-    """Where the printed EM takes a batch of residuals (n,) from `start_m`; 0: it collapses."""
+    """Return the printed EM's result for residuals (n,) from `start_m`; 0: it collapses."""
     return _settled_m(
         lambda m: float(np.mean(np.maximum(0.0, residuals_m - sigma_m**2 / m))), start_m, sigma_m
     )
 
 
 def printed_fixed_point_m(noise: RangeNoise) -> float:
-    """Where the printed EM settles with endless measurements of this noise; 0: it collapses.
+    """Return the printed EM's fixed point with endless measurements of this noise; 0: it collapses.
 
     Started from above, it reaches the largest fixed point there is.
     """
 
     def mean_map_bias_m(threshold: float) -> float:
-        """Bias that the estimate has with a threshold."""
+        """Return the bias of the estimate with a threshold."""
         return noise.sigma_m * float(mean_map_bias(threshold, noise.k, noise.nlos_share))
 
     return _settled_m(
@@ -101,7 +101,7 @@ def printed_fixed_point_m(noise: RangeNoise) -> float:
 
 
 def _settled_m(updated_m: Callable[[float], float], start_m: float, sigma_m: float) -> float:
-    """The limit of an iteration that is monotone and bounded, and therefore has one."""
+    """Return the limit of an iteration that is monotone and bounded, and therefore has one."""
     mean_bias_m, change_m = start_m, math.inf
     while change_m > SETTLED * mean_bias_m:
         if mean_bias_m < COLLAPSED * sigma_m:
@@ -136,8 +136,8 @@ def compare_mean_bias(
 ) -> BiasComparison:
     """Let both methods learn from `runs` draws of `samples` residuals.
 
-    The printed EM is told the true sigma and starts at the true mean bias, the corrected one has
-    to find everything from `start`.
+    The printed EM is given the true sigma and starts at the true mean bias, the corrected one
+    estimates everything from `start`.
     """
     printed_m, corrected = np.empty(runs), np.empty((runs, 3))
     for run in range(runs):
@@ -156,7 +156,7 @@ def compare_mean_bias(
 
 
 def drawn_residuals_m(noise: RangeNoise, count: int, rng: np.random.Generator) -> Vector:
-    """Residuals (count,) of the range mixture."""
+    """Return residuals (count,) of the range mixture."""
     thermal_m = rng.normal(noise.offset_m, noise.sigma_m, count)
     is_reflected = rng.random(count) < noise.nlos_share
     return thermal_m + is_reflected * rng.exponential(noise.mean_bias_m, count)

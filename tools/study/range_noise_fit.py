@@ -1,4 +1,4 @@
-"""The batch fit of the range mixture by EM, for studies; a flight learns one by one.
+"""The batch fit of the range mixture by EM, for studies; a flight learns recursively.
 
 See `companion.estimation.noise.adaptation` for the mixture and its prior.
 """
@@ -22,7 +22,7 @@ from companion.kernel import Vector, kernel
 def summed_range_expectations(
     residuals_m: Vector, sigma_m: float, mean_bias_m: float, nlos_share: float, offset_m: float
 ) -> tuple[float, float, float, float, float]:
-    """The sums of `range_expectations` over residuals (n,)."""
+    """Return the sums of `range_expectations` over residuals (n,)."""
     nlos, bias_m, noise_m, noise2_m2, log_density = 0.0, 0.0, 0.0, 0.0, 0.0
     for residual_m in residuals_m:
         one = range_expectations(float(residual_m), sigma_m, mean_bias_m, nlos_share, offset_m)
@@ -35,7 +35,7 @@ def summed_range_expectations(
 
 
 def log_prior(noise: RangeNoise, prior: RangeNoise, params: AdaptationParams) -> float:
-    """Log of the prior density of `noise`, but for a constant: conjugate, so that EM has it free.
+    """Return the log of the conjugate prior density of `noise`, but for a constant.
 
     Beta for the share, gamma for the rate of the biases, normal and inverse gamma for the noise.
     """
@@ -65,12 +65,12 @@ def fit_range_noise(
     max_iterations: int = 1000,
     tolerance: float = 1e-8,
 ) -> RangeFit:
-    """The noise that explains these residuals best, by EM.
+    """Return the noise that explains these residuals best, by EM.
 
     Args:
         residuals_m: (n,) measured minus predicted ranges.
-        start: Where EM starts, and the prior.
-        max_iterations: EM is slow where biases are no larger than sigma.
+        start: Start of EM, and the prior.
+        max_iterations: EM is slow if biases are no larger than sigma.
         tolerance: Gain of the objective, per measurement, below which EM ends.
     """
     noise = RangeSums().most_likely(start, params)

@@ -1,4 +1,4 @@
-"""Is a stated probability of detection right: flights that search worlds the estimator never sees.
+"""Flights that check stated probabilities of detection in worlds unknown to the estimator.
 
 The world is written apart from `companion.search`. An answer is received while
 10 n log10(reach / d) plus the reach's error, shadowing, fading and walls is positive. Shadowing is
@@ -36,7 +36,7 @@ MOST_REACH_ERROR_DB = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Building:
-    """A rectangle of walls, axis-parallel; metres."""
+    """Rectangle of walls, axis-parallel; metres."""
 
     west_m: float
     south_m: float
@@ -48,7 +48,7 @@ class Building:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """The truth of one flight."""
+    """Truth of one flight."""
 
     kind: Kind
     reach_m: float
@@ -65,7 +65,7 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """An emitter at a place: what was stated of its cell, and whether it was heard."""
+    """Emitter at a position with its cell's stated probability, and whether it was detected."""
 
     flight: int
     kind: Kind
@@ -77,7 +77,7 @@ class Trial:
 
 
 def draw_world(rng: np.random.Generator) -> tuple[World, DetectionModel]:
-    """Return a world, and what a crew that knows its kind would configure."""
+    """Return a world, and the detection model that a crew who knows its kind would configure."""
     kind: Kind = KINDS[rng.integers(len(KINDS))]
     exponent, shadowing_db, correlation_m, rice_k_db = {
         "open": (2.2, 4.0, 75.0, 6.0),
@@ -132,7 +132,7 @@ def _draw_buildings(rng: np.random.Generator) -> tuple[Building, ...]:
 
 
 def _as_configured(building: Building) -> Wall:
-    """Its outline and height as a map has them, its loss as a table has it."""
+    """Return its outline and height as on a map, and its loss from a table."""
     west, south, east, north = (
         building.west_m,
         building.south_m,
@@ -144,7 +144,7 @@ def _as_configured(building: Building) -> Wall:
 
 
 def draw_track(rng: np.random.Generator, side_m: float) -> Array:
-    """(points, 3) lanes over a square, at one point each second, ended anywhere."""
+    """Draw (points, 3) lanes over a square, one point a second, ended anywhere."""
     spacing_m, speed_mps = rng.uniform(40.0, 160.0), rng.uniform(3.0, 8.0)
     height_m = rng.uniform(15.0, 50.0)
     corners = []
@@ -160,7 +160,7 @@ def draw_track(rng: np.random.Generator, side_m: float) -> Array:
 
 
 def walls_crossed(buildings: Iterable[Building], emitters: Array, track: Array) -> Array:
-    """(emitters, points) losses of the walls and roofs between, dB, found by stepping along."""
+    """Return (emitters, points) losses of the walls and roofs between, dB, by ray marching."""
     shares = np.linspace(0.0, 1.0, 201)
     loss_db = np.zeros((len(emitters), len(track)))
     for number, emitter in enumerate(emitters):
@@ -178,7 +178,7 @@ def walls_crossed(buildings: Iterable[Building], emitters: Array, track: Array) 
 def are_heard(
     world: World, emitters: Array, track: Array, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """(emitters,) True where an emitter is heard at least once along the track."""
+    """Return (emitters,) True for emitters that are heard at least once along the track."""
     shape = len(emitters), len(track)
     apart = emitters[:, None, :] - track[None, :, :2]
     distance_m = np.sqrt((apart**2).sum(axis=2) + track[:, 2] ** 2)
@@ -199,7 +199,7 @@ def are_heard(
 
 
 def _fading_db(rice_k: float, shape: tuple[int, int], rng: np.random.Generator) -> Array:
-    """Power about its median, dB."""
+    """Draw the power about its median, dB."""
 
     def power(size: tuple[int, ...]) -> Array:
         in_phase = math.sqrt(2.0 * rice_k) + rng.standard_normal(size)
@@ -235,7 +235,7 @@ def search_areas(rng: np.random.Generator) -> SearchGrid:
 
 
 def fly(number: int, seed: int) -> list[Trial]:
-    """One flight, whose emitter is there, and as many cells beside it."""
+    """Fly once over an emitter, and over as many other cells."""
     rng = np.random.default_rng([seed, number])
     world, model = draw_world(rng)
     grid, track = search_areas(rng), draw_track(rng, SIDE_M)
@@ -270,7 +270,7 @@ class Bin:
 
     @property
     def error(self) -> float:
-        """By how much more was heard than stated."""
+        """Observed less stated share."""
         return self.heard - self.stated
 
 
@@ -301,7 +301,7 @@ def success(trials: Sequence[Trial]) -> tuple[float, float, int]:
 
 
 def csv_of(bins: Iterable[Bin]) -> str:
-    """The reliability diagram's points as CSV."""
+    """Return the reliability diagram's points as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["world", "pod_from", "stated", "heard", "cells"])

@@ -1,8 +1,8 @@
-"""Studies as data: which systems fly which cases, what the paper prints of them, what comes out.
+"""Studies as data: the systems and cases to fly, the paper's values, and the results.
 
 A study is one or more sweeps of the canonical case; a sweep's values are set at dotted fields of
-the case, or each is a variant with overrides of its own. A cell is one system in one case; it comes
-to a tally, and that to rows of tables. A study may also be a collection of others.
+the case, or each is a variant with overrides of its own. A cell is one system in one case; its
+result is a tally, and from that rows of tables. A study may also be a collection of others.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ Systems = SystemGrid | tuple[str, ...]
 
 
 class Sweep(Params, frozen=True):
-    """Rows of a table: one parameter, and what it takes on; what is None is as the study has it."""
+    """Rows of a table: one parameter and its values; fields of None are the study's."""
 
     parameter: str
     table: str | None = None
@@ -132,7 +132,7 @@ class Cell:
 
 
 def cells_of(study: Study) -> list[Cell]:
-    """The cells of a study in the order of its tables; `ConfigError` says which sweep is wrong."""
+    """Return a study's cells in the order of its tables; a `ConfigError` names a wrong sweep."""
     cells: list[Cell] = []
     for number, sweep in enumerate(study.sweeps):
         where = f"$.sweeps[{number}]"
@@ -150,7 +150,7 @@ def cells_of(study: Study) -> list[Cell]:
 
 
 def systems_of(systems: Systems, where: str) -> list[System]:
-    """The systems of a grid or list of names; a ConfigError for none, twice one or unknown ones."""
+    """Return the systems of a grid or list; a ConfigError for none, duplicates or unknown ones."""
     if isinstance(systems, SystemGrid):
         found = list(
             itertools.starmap(System, itertools.product(systems.filters, systems.planners))
@@ -169,7 +169,7 @@ def systems_of(systems: Systems, where: str) -> list[System]:
 
 
 def cases_of(sweep: Sweep, where: str) -> list[tuple[str, Case]]:
-    """The values of a sweep, as tables have them, with cases; a ConfigError if it is wrong."""
+    """Return a sweep's values, as tables have them, with cases; a ConfigError if it is wrong."""
     if bool(sweep.variants) == bool(sweep.values) or bool(sweep.values) != bool(sweep.varies):
         raise ConfigError(f"{where}: give `varies` and `values`, or `variants`")
     base = overridden(msgspec.to_builtins(Case()), sweep.case, f"{where}.case")
@@ -191,7 +191,7 @@ def _refuse_twice(names: Sequence[str], where: str) -> None:
 
 
 def overridden(base: Mapping[str, Any], changes: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Nested fields with some of them changed; a ConfigError for a key that is no field."""
+    """Return nested fields with some of them changed; a ConfigError for an unknown key."""
     result = dict(base)
     for key, value in changes.items():
         if key not in base:
@@ -211,7 +211,7 @@ def names_of(system: System) -> tuple[str, ...]:
 
 
 def value_text(value: Value) -> str:
-    """A value as tables have it, for example 0.5."""
+    """Return a value as tables have it, for example 0.5."""
     if value is None:
         return "none"
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -263,13 +263,13 @@ def _check_length(
 
 @dataclass(frozen=True, slots=True)
 class CellResult(Cell):
-    """A cell, and what its runs came to."""
+    """A cell with the result of its runs."""
 
     tally: RunTally
 
     @classmethod
     def of(cls, cell: Cell, tally: RunTally) -> CellResult:
-        """A cell with its tally."""
+        """Return a cell with its tally."""
         return cls(*[*(getattr(cell, name) for name in Cell.__slots__), tally])
 
 
@@ -285,7 +285,7 @@ class StudyResult:
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:
-    """One row of results.csv, as it is written there; empty where there is nothing to say."""
+    """One row of results.csv, as it is written there; empty without a value."""
 
     table: str
     parameter: str

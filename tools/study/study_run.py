@@ -1,8 +1,8 @@
 """Carries out studies: kernels, blocks of runs, and the store that keeps them.
 
-Blocks are done once, the longest first, and kept in a folder: a run that was killed goes on where
-it was. A block's key names all that it follows from, sources included, so that blocks of other
-studies may lie in the same folder.
+Blocks are done once, the longest first, and kept in a folder: a killed run resumes where it was. A
+block's key covers everything that determines it, sources included, so that blocks of other studies
+may lie in the same folder.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ FOLDER_NAME = "blocks"
 
 
 def key_of(*parts: object) -> str:
-    """The key of what follows from values that msgspec can encode."""
+    """Return the key of the values that determine a result, encoded by msgspec."""
     return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
 
 
 class Store:
-    """Results by key, a file for each; a ConfigError where the folder cannot be made."""
+    """Results by key, a file for each; a ConfigError if the folder cannot be made."""
 
     def __init__(self, folder: Path) -> None:
         try:
@@ -44,7 +44,7 @@ class Store:
         self._folder = folder
 
     def found(self, keys: Iterable[str]) -> dict[str, bytes]:
-        """Those of the keys that have a result, with it; a CompanionError if unreadable."""
+        """Return the results of those keys that have one; a CompanionError if unreadable."""
         paths = {key: self._folder / key for key in keys}
         try:
             return {key: path.read_bytes() for key, path in paths.items() if path.exists()}
@@ -52,7 +52,7 @@ class Store:
             raise CompanionError(f"{error.filename}: {error.strerror}") from error
 
     def keep(self, key: str, result: bytes) -> None:
-        """Add a result, which then survives the process; a CompanionError where that fails."""
+        """Add a result, which then survives the process; a CompanionError if that fails."""
         write_bytes_atomic(self._folder / key, result)
 
 
@@ -74,17 +74,20 @@ class PlannedStudy:
     cells: tuple[Cell, ...]
 
     def blocks(self, cell: Cell, seed: int) -> list[RunSeries]:
-        """The runs of one of its cells."""
+        """Return the runs of one of its cells."""
         return RunSeries(cell.case, cell.system, seed, self.runs).blocks()
 
 
 def planned(studies: Sequence[Study], runs: int | None) -> list[PlannedStudy]:
-    """Studies with their cells, of so many runs each; None: as many as each study says."""
+    """Return studies with their cells, of so many runs each; None.
+
+    As many as each study specifies.
+    """
     return [PlannedStudy(s, runs or s.runs, tuple(cells_of(s))) for s in studies]
 
 
 def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
-    """All that studies need; what several of them need is in it once."""
+    """Return all work that studies need, shared work once."""
     work: dict[str, RunSeries] = {}
     for study in studies:
         for cell in study.cells:
@@ -97,7 +100,7 @@ def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
 
 
 def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
-    """Do all of it, keep it, and report the cost of every task that is done.
+    """Do all of it, keep it, and report the cost of every finished task.
 
     Runs of compiled kernels wait until one process has compiled them, which takes a minute after a
     change of the sources; the others do those that need none meanwhile.
@@ -118,7 +121,7 @@ STEPS = 12
 
 
 def first_runs(tasks: Iterable[RunSeries]) -> tuple[RunSeries, ...]:
-    """Short runs that call every kernel which some tasks need; none where nothing is compiled."""
+    """Return short runs that call every kernel of some tasks; none if nothing is compiled."""
     kinds: dict[bool, RunSeries] = {}
     for task in tasks if IS_COMPILED else ():
         short = msgspec.structs.replace(task.case, steps=STEPS)

@@ -1,8 +1,8 @@
 """Systems under study, a filter with a planner, under the names of the paper's tables.
 
-Most fly as kernels, see `walk`. What is no kernel flies here, in the loop of `walk` over the
-companion's classes: the same truth, the same draws and the same record; between them stand a
-`TargetFilter` or `TargetTracker`, and a `Planner` asked by `PlanRequest`.
+Most fly as kernels, see `walk`. The others fly here, in the loop of `walk` over the companion's
+classes: the same truth, the same draws and the same record; between them stand a `TargetFilter` or
+`TargetTracker`, and a `Planner` called with a `PlanRequest`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Steer = Callable[[int, Point, TargetEstimate, Matrix], Point]
 def fuse_by_filter(
     target_filter: TargetFilter, params: FilterParams, start_enu_m: Point | None = None
 ) -> Fuse:
-    """A recursive filter from its first fix on: a start, or else the first measurement."""
+    """Return a recursive filter from its first fix on: a start, or else the first measurement."""
     state: FilterState | None = None
     if start_enu_m is not None:
         mean, sigmas = params.prior
@@ -82,7 +82,7 @@ def _estimate_of(state: FilterState, now_s: float) -> TargetEstimate:
 
 
 def fuse_by_tracker(tracker: TargetTracker) -> Fuse:
-    """The companion's tracker, with its window and all else that makes it honest."""
+    """Return the companion's tracker, with its window and everything that makes it consistent."""
 
     def fuse(seen: RangingMeasurement, sensor: PositionEnu) -> tuple[TargetEstimate, Matrix]:
         tracker.fuse(seen, sensor, seen.measured_at_s)
@@ -94,12 +94,12 @@ def fuse_by_tracker(tracker: TargetTracker) -> Fuse:
 
 
 def steer_along(track_enu_m: Matrix) -> Steer:
-    """Flies a given track, (steps, 2)."""
+    """Return a pilot that flies a given track, (steps, 2)."""
     return lambda step, *_: (float(track_enu_m[step, 0]), float(track_enu_m[step, 1]))
 
 
 def steer_by_planner(planner: Planner[Any], step_m: float) -> Steer:
-    """Flies a step towards the waypoint of a planner, or to it where that is nearer."""
+    """Return a pilot that flies a step towards a planner's waypoint, or to it if that is nearer."""
     memory: Any = None
 
     def steer(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
@@ -117,7 +117,7 @@ def steer_by_planner(planner: Planner[Any], step_m: float) -> Steer:
 def flown(
     draws: Matrix, start_enu_m: Point, truth: RunTruth, scene: Scene, fuse: Fuse, steer: Steer
 ) -> tuple[Matrix, Vector]:
-    """The record of a run, (steps, 9) as in `walk`, and its R95, (steps,), by draws (steps, 6)."""
+    """Return a run's record, (steps, 9) as in `walk`, and R95, (steps,), by draws (steps, 6)."""
     steps = len(draws)
     record, radii = np.empty((steps, walk.COLUMNS)), np.empty(steps)
     place, memory = start_enu_m, NO_MEMORY
@@ -169,7 +169,7 @@ class System:
 
     @property
     def label(self) -> str:
-        """As the paper's tables have it: Proposed (Reactive)."""
+        """Name as in the paper's tables: Proposed (Reactive)."""
         return f"{FILTER_LABELS[self.filter]} ({PLANNER_LABELS[self.planner]})"
 
     @property
@@ -179,7 +179,7 @@ class System:
 
 
 def system_named(name: str) -> System:
-    """The system of a name like "asymmetric_huber/latched"; a ConfigError where there is none."""
+    """Return the system of a name like "asymmetric_huber/latched"; a ConfigError if unknown."""
     filter_name, _, planner = name.partition("/")
     for value, kind in ((filter_name, FilterName), (planner, PlannerName)):
         if value not in get_args(kind):
@@ -216,7 +216,7 @@ def belief_of(case: Case, system: System) -> WalkFilter:
 
 
 def steering_of(case: Case, system: System) -> WalkSteering:
-    """The system's planner, as the compiled walk takes it."""
+    """Return the system's planner, as the compiled walk takes it."""
     return WalkSteering(
         PLANNERS[system.planner],
         case.step_m,
@@ -229,7 +229,10 @@ def steering_of(case: Case, system: System) -> WalkSteering:
 
 
 def recursive_filter_of(case: Case, system: System) -> TargetFilter:
-    """The companion's filter of that name, or a ValueError; the window's is the one-sided one."""
+    """Return the companion's filter of that name, or a ValueError.
+
+    The window's is the one-sided one.
+    """
     for kind in KINDS:
         if kind == ("asymmetric_huber" if system.filter == "map" else system.filter):
             return filter_of(kind, case.belief)
@@ -237,10 +240,10 @@ def recursive_filter_of(case: Case, system: System) -> TargetFilter:
 
 
 def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
-    """A fresh estimator of the system; the tracker makes its own start.
+    """Return a fresh estimator of the system; the tracker makes its own start.
 
-    The start (2,) is the place of the first estimate; NaN: from the first measurement. `map` has no
-    class of its own (ValueError): it is `tracker` here.
+    The start (2,) is the position of the first estimate; NaN: from the first measurement. `map` has
+    no class of its own (ValueError): it is `tracker` here.
     """
     if system.filter == "map":
         raise ValueError("the window alone is no class: fly the tracker, which has one")
@@ -259,7 +262,7 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
 
 
 def pilot_of(case: Case, system: System) -> Steer:
-    """A fresh pilot with the planner; a ValueError for `fim_printed`, which is no class."""
+    """Return a fresh pilot with the planner; a ValueError for `fim_printed`, which is no class."""
     planner: Planner[Any]
     match system.planner:
         case "passive":

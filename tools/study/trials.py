@@ -35,33 +35,33 @@ class TrialResult:
 
     @property
     def track_enu_m(self) -> Matrix:
-        """(steps, 2) where the measurements were made."""
+        """Positions of the measurements, (steps, 2)."""
         return self.record[:, walk.VEHICLE_EAST : walk.VEHICLE_NORTH + 1]
 
     @property
     def estimates_enu_m(self) -> Matrix:
-        """(steps, 2)."""
+        """Estimated positions, (steps, 2)."""
         return self.record[:, walk.TARGET_EAST : walk.TARGET_NORTH + 1]
 
     @property
     def errors_m(self) -> Vector:
-        """(steps,) distance between estimate and target."""
+        """Distance between estimate and target, (steps,)."""
         return np.asarray(np.hypot(*self._misses_enu_m.T))
 
     @property
     def nees(self) -> Vector:
-        """(steps,) of the position."""
+        """NEES of the position, (steps,)."""
         return metrics.nees(self._misses_enu_m, self.covariances_m2)
 
     @property
     def r95_m(self) -> Vector:
-        """(steps,) radius about the estimate that is said to hold the target with 95 %."""
+        """Radius about the estimate that holds the target with 95 %, (steps,)."""
         stated_m = self.stated_r95_m
         return metrics.r95_m(self.covariances_m2) if stated_m is None else stated_m
 
     @property
     def covariances_m2(self) -> Matrix:
-        """(steps, 3) the entries east-east, east-north, north-north."""
+        """Entries east-east, east-north, north-north, (steps, 3)."""
         return self.record[:, walk.VARIANCE_EAST : walk.VARIANCE_NORTH + 1]
 
     @property
@@ -70,12 +70,12 @@ class TrialResult:
 
 
 def run_trial(case: Case, system: System, seed: RunSeed) -> TrialResult:
-    """One run; the same truth and the same draws for every system of the same seed."""
+    """Do one run; the same truth and the same draws for every system of the same seed."""
     return run_block(case, system, [seed])[0]
 
 
 def run_block(case: Case, system: System, seeds: Iterable[RunSeed]) -> list[TrialResult]:
-    """A run for each seed, in one compiled loop each where there is one."""
+    """Do a run for each seed, in one compiled loop each if there is one."""
     if not system.is_compiled:
         return [flown_trial(case, system, seed) for seed in seeds]
     track, scene = cases.track_of(case), cases.scene_of(case)
@@ -90,7 +90,7 @@ def run_block(case: Case, system: System, seeds: Iterable[RunSeed]) -> list[Tria
 
 
 def flown_trial(case: Case, system: System, seed: RunSeed) -> TrialResult:
-    """A run over estimator and planner objects, whether or not there are kernels for it."""
+    """Do a run over estimator and planner objects, whether or not there are kernels for it."""
     draws, truth, start = cases.run_inputs(case, seed)
     fuse, steer = systems.estimator_of(case, system, start), systems.pilot_of(case, system)
     scene = cases.scene_of(case)
@@ -99,10 +99,10 @@ def flown_trial(case: Case, system: System, seed: RunSeed) -> TrialResult:
 
 
 def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
-    """The bound on the squared error after every step of every run, (steps,) each, m^2.
+    """Return the bound on the squared error after every step of every run, (steps,) each, m^2.
 
     Behind obstacles it is known for shadows whose draws are new at every place. Detours, pulls and
-    correlated draws carry information on the place, so that no bound is given for them (NaN).
+    correlated draws carry information on the position, so that no bound is given for them (NaN).
     """
     shadow = case.shadow
     is_memoryless = shadow.detour_share == shadow.pull_share == shadow.correlation_m == 0.0
@@ -126,7 +126,7 @@ def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
 
 @kernel
 def shaded_places(track_enu_m: Matrix, surroundings: Surroundings) -> Vector:
-    """1 where an obstacle blocks the path to the target, otherwise 0, (steps,)."""
+    """Return 1 where an obstacle blocks the path to the target, otherwise 0, (steps,)."""
     is_shaded = np.zeros(track_enu_m.shape[0])
     east, north, up = surroundings.east_m, surroundings.north_m, surroundings.up_m
     for step in range(track_enu_m.shape[0]):
@@ -138,7 +138,7 @@ def shaded_places(track_enu_m: Matrix, surroundings: Surroundings) -> Vector:
 
 
 def shadow_channel(case: Case) -> ChannelParams:
-    """Channel parameters of a path behind an obstacle."""
+    """Return the channel parameters of a path behind an obstacle."""
     return msgspec.structs.replace(
         case.channel,
         p_nlos=1.0,
@@ -162,7 +162,7 @@ class RunSeries:
     first: int = 0
 
     def blocks(self) -> list[RunSeries]:
-        """Its parts that are done in one go, in order."""
+        """Return its parts that are done in one go, in order."""
         firsts = range(self.first, self.first + self.runs, BLOCK)
         end = self.first + self.runs
         return [replace(self, first=first, runs=min(BLOCK, end - first)) for first in firsts]
@@ -187,50 +187,50 @@ class RunTally:
 
     @property
     def rmse_m(self) -> Vector:
-        """(steps,) of the position."""
+        """RMSE of the position, (steps,)."""
         return np.asarray(np.sqrt(self.squared_m2 / self.runs))
 
     @property
     def rmse_bound_m(self) -> Vector:
-        """(steps,) what no estimator can beat on these tracks."""
+        """Cramer-Rao bound of the RMSE on these tracks, (steps,)."""
         return np.asarray(np.sqrt(self.bound_m2 / self.runs))
 
     @property
     def mean_nees(self) -> Vector:
-        """(steps,) of the position."""
+        """Mean NEES of the position, (steps,)."""
         return np.asarray(self.nees / self.runs)
 
     @property
     def coverage(self) -> Vector:
-        """(steps,) share of runs whose R95 circle contained the target."""
+        """Share of runs whose R95 circle contained the target, (steps,)."""
         return np.asarray(self.inside / self.runs)
 
     @property
     def _sums(self) -> list[Vector]:
-        """The six that are (steps,)."""
+        """Return the six sums, (steps,) each."""
         return [getattr(self, name) for name in RunTally.__slots__[1:-1]]
 
     def joined(self, later: RunTally) -> RunTally:
-        """With the runs that follow these."""
+        """Return the tally with the runs that follow these."""
         sums = (own + others for own, others in zip(self._sums, later._sums, strict=True))
         final_errors_m = np.concatenate([self.final_errors_m, later.final_errors_m])
         return RunTally(self.runs + later.runs, *[*sums, final_errors_m])
 
     def packed(self) -> bytes:
-        """All of it in bytes, as `unpacked` reads them."""
+        """Return all of it in bytes, as `unpacked` reads them."""
         head = [float(self.runs), float(self.squared_m2.size)]
         return np.concatenate([head, *self._sums, self.final_errors_m]).astype("<f8").tobytes()
 
 
 def unpacked(packed: bytes) -> RunTally:
-    """The tally in bytes of `RunTally.packed`."""
+    """Return the tally in bytes of `RunTally.packed`."""
     numbers = np.frombuffer(packed, dtype="<f8").astype(np.float64)
     runs, end = int(numbers[0]), 2 + 6 * int(numbers[1])
     return RunTally(runs, *[*np.split(numbers[2:end], 6), numbers[end:]])
 
 
 def joined_in_order(tallies: Iterable[RunTally]) -> RunTally:
-    """All runs of tallies whose blocks follow each other."""
+    """Return all runs of tallies whose blocks follow each other."""
     return reduce(RunTally.joined, tallies)
 
 

@@ -1,32 +1,34 @@
 """A run of a recursive filter as one compiled loop: measure, update, record, fly on.
 
 The loop calls the very kernels that the filter and planner classes are made of; `systems` has the
-same loop over those classes, for what is not a kernel. Two things are of the studies alone.
+same loop over those classes, for systems without kernels. Two things are of the studies alone.
 
-The paper's FIM planner to the letter: what one expected measurement says of the position,
+The paper's FIM planner to the letter maximises one expected measurement's information,
 
     s* = argmax over s of lambda_min( H_p(s)^T R^-1 H_p(s) ).
 
 H_p is the position's part of the partials, R the thermal variances. There is no prior information
-in it, and the offsets are taken for known. The partials of range and bearing are orthogonal, so the
+in it, and the offsets are assumed known. The partials of range and bearing are orthogonal, so the
 eigenvalues are theirs,
 
     lambda_min = min( 1 / sigma_r^2,  1 / (distance sigma_theta)^2 ),
 
 and nearer to the estimate than sigma_r / sigma_theta (43 m in the canonical scenario) the criterion
 is flat: every candidate is as good as every other. One of the best is picked at random, as rounding
-does in an eigenvalue routine. The planner that flies, `companion.planning.fim`, asks for what the
-measurement adds to the information in the filter instead. Paper: eq. (FIM planning objective).
-Deviation: the paper leaves candidates and ties open; the candidates are those of that planner.
+does in an eigenvalue routine. The planner that flies, `companion.planning.fim`, maximises the
+measurement's addition to the information in the filter instead. Paper: eq. (FIM planning
+objective). Deviation: the paper leaves candidates and ties open; the candidates are those of that
+planner.
 
-The paper's objective over a whole run, solved now and then (system `map`). A filter linearises
-every measurement once, where it stood at the time, and may be carried away for good by what it took
-in while it was wrong. Whenever the history has grown by a share, the objective over all of it is
-minimised from the filter's mean and from one fresh start, which turns around the path from solution
-to solution, and ends where it comes near the first minimum. The lower minimum becomes the filter's
-mean, with the curvature there as its information. The minimum is that of the companion's window
-(paper, eq. 9), which is never full here, without what makes the tracker's covariance honest
-(sandwich, rivals, older evidence): the system `tracker` is the companion's own.
+The system `map` solves the paper's objective over a whole run at intervals. A filter linearises
+every measurement once, at its state of that time, and may be carried away for good by measurements
+that it fused while it was wrong. Whenever the history has grown by a share, the objective over all
+of it is minimised from the filter's mean and from one fresh start, which turns around the path from
+solution to solution, and ends where it comes near the first minimum. The lower minimum becomes the
+filter's mean, with the curvature there as its information. The minimum is that of the companion's
+window (paper, eq. 9), which is never full here, without the parts that make the tracker's
+covariance consistent (sandwich, rivals, older evidence): the system `tracker` is the companion's
+own.
 """
 
 from __future__ import annotations
@@ -71,7 +73,7 @@ FLAT_SHARE = 1e-9
 def printed_criteria(
     de_m: float, dn_m: float, ring_m: Matrix, range_sigma_m: float, bearing_sigma_rad: float
 ) -> Vector:
-    """Smaller eigenvalue of the information at every candidate, (k + 1,), 1/m^2; last: staying.
+    """Return the smaller eigenvalue at every candidate, (k + 1,), 1/m^2; last: staying.
 
     The estimate is de_m, dn_m from the vehicle; the ring (k, 2) is the candidates' steps.
     """
@@ -90,7 +92,10 @@ def printed_criteria(
 
 @kernel
 def printed_candidate(criteria: Vector, pick: float) -> int:
-    """One of the best of criteria (k + 1,), by a pick in [0, 1): a row of the ring, or `STAY`."""
+    """Return one of the best of criteria (k + 1,), by a pick in [0, 1).
+
+    A row of the ring, or `STAY`.
+    """
     is_best = criteria >= criteria.max() * (1.0 - FLAT_SHARE)
     left = int(pick * is_best.sum())
     for index in range(criteria.size):
@@ -157,7 +162,7 @@ class WalkSteering(NamedTuple):
 def first_fix(
     east_m: float, north_m: float, range_m: float, bearing_rad: float, belief: WalkFilter
 ) -> tuple[Vector, Matrix]:
-    """Mean and covariance after the first measurement, inverted with the offsets' prior means."""
+    """Return mean and covariance of the first measurement, inverted by the prior offsets."""
     mean = belief.prior_mean.copy()
     distance_m = max(range_m, 1.0)
     mean[0] = east_m + distance_m * math.cos(bearing_rad)
@@ -169,7 +174,7 @@ def first_fix(
 def updated(
     mean: Vector, covariance: Matrix, sensor_enu_m: Vector, z: Vector, belief: WalkFilter
 ) -> tuple[Vector, Matrix]:
-    """Mean and covariance after a measurement; those given where it would spoil them."""
+    """Return mean and covariance after a measurement; the given ones if it would spoil them."""
     sigma, factors, limits = belief.sigma, belief.inflation, belief.thresholds
     bounds, model, splits, penalty = belief.bounds, belief.model, belief.iterations, belief.penalty
     at = sensor_enu_m
@@ -199,14 +204,14 @@ BETTER_COST = 1e-6
 
 @kernel
 def next_solution(count: int) -> int:
-    """The number of measurements at which the history is solved again."""
+    """Return the number of measurements at which the history is solved again."""
     growth = EARLY_GROWTH if count < EARLY_COUNT else LATE_GROWTH
     return count + max(1, int(growth * count))
 
 
 @kernel
 def history_of(steps: int, belief: WalkFilter) -> Matrix:
-    """Rows of the companion's window for a run, (steps, 10), nothing measured so far."""
+    """Return empty rows of the companion's window for a run, (steps, 10)."""
     rows = np.full((steps, map_kernels.COLUMNS), np.nan)
     rows[:, map_kernels.SIGMAS : map_kernels.SEQUENCE] = belief.sigma
     return rows
@@ -214,7 +219,7 @@ def history_of(steps: int, belief: WalkFilter) -> Matrix:
 
 @kernel
 def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
-    """A state (4,) off the middle of the path (k, 10), as far as the ranges say, in a direction."""
+    """Return a state (4,) in a direction from the path's middle, at the ranges' distance."""
     direction_rad = GOLDEN_ANGLE_RAD * turn
     distance_m = max(float(np.median(rows[:, map_kernels.VALUES])), LEAST_RANGE_M)
     start = prior_mean.copy()
@@ -225,7 +230,7 @@ def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
 
 @kernel
 def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) -> Vector:
-    """The minimum (4,) that `start` leads to, or the `known` one as soon as it comes near that.
+    """Return the minimum (4,) that `start` leads to, or the `known` one once it is near.
 
     The next solution of an early history follows soon, so that it need not be as exact.
     """
@@ -249,9 +254,10 @@ def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) ->
 
 @kernel
 def solved(rows: Matrix, mean: Vector, turn: int, belief: WalkFilter) -> tuple[Vector, Matrix]:
-    """The lower of two minima, (4,), and its covariance, (4, 4).
+    """Return the lower of two minima, (4,), and its covariance, (4, 4).
 
-    The history so far is (k, 10), the filter's mean (4,); the turn says where the fresh start lies.
+    The history so far is (k, 10), the filter's mean (4,); the turn is the direction of the fresh
+    start.
     """
     start = fresh_start(rows, turn, belief.prior_mean)
     best = descended(rows, mean, np.full(4, np.nan), belief)
@@ -266,7 +272,7 @@ def solved(rows: Matrix, mean: Vector, turn: int, belief: WalkFilter) -> tuple[V
 
 @kernel
 def curvature_at(rows: Matrix, mean: Vector, belief: WalkFilter) -> tuple[Matrix, float]:
-    """Curvature (4, 4) and cost of the objective at `mean`."""
+    """Return curvature (4, 4) and cost of the objective at `mean`."""
     sigmas = row_sigmas(rows, mean, belief.model)
     offs = measured_offs(rows, mean, belief.model)
     curvature, _, cost = normal_equations(
@@ -339,11 +345,11 @@ def walked(
     belief: WalkFilter,
     steering: WalkSteering,
 ) -> Matrix:
-    """The record of a run, (steps, 9), by draws (steps, 6) of the channel.
+    """Return the record of a run, (steps, 9), by draws (steps, 6) of the channel.
 
     The picks (steps,) are uniform, for a planner that must choose among equals. Of the track
-    (steps, 2) planners that follow the estimate take the first place alone. The start (2,) is the
-    place of the first estimate; NaN: from the first measurement.
+    (steps, 2) planners that follow the estimate take the first position alone. The start (2,) is
+    the position of the first estimate; NaN: from the first measurement.
     """
     steps = draws.shape[0]
     record = np.empty((steps, COLUMNS))

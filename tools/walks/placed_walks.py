@@ -1,4 +1,4 @@
-"""Invented walks whose ranging errors stay with the place: is the tracker honest about them?
+"""Invented walks with spatially correlated ranging errors, to test the tracker's consistency.
 
 A target lies in reach of a path; every range is too long by a constant offset and by an excess that
 is never negative, is a field over the way, and changes over a distance of metres:
@@ -38,18 +38,18 @@ NOISE_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class PlacedCase:
-    """A kind of walk."""
+    """One kind of walk."""
 
     path: PathName
     length_m: float
 
     def __str__(self) -> str:
-        """As the figures name it."""
+        """Return its name in the figures."""
         return f"{self.path}, {self.length_m:g} m"
 
 
 def way_of(path: PathName) -> Matrix:
-    """Places along a path, (n, 2), at even times."""
+    """Return positions along a path, (n, 2), at even times."""
     s = np.arange(0.0, PATH_M, SPEED_MPS / RATE_HZ)
     if path == "straight":
         return np.stack([s, np.zeros_like(s)], axis=1)
@@ -63,7 +63,7 @@ def way_of(path: PathName) -> Matrix:
 
 
 def excess_m(rng: np.random.Generator, way_m: Vector, length_m: float) -> Vector:
-    """The excess along the way, (n,), metres."""
+    """Return the excess along the way, (n,), metres."""
     g = np.empty(len(way_m))
     g[0] = rng.normal()
     for index in range(1, len(g)):
@@ -74,7 +74,7 @@ def excess_m(rng: np.random.Generator, way_m: Vector, length_m: float) -> Vector
 
 
 def walk_of(case: PlacedCase, rng: np.random.Generator) -> list[WalkRow]:
-    """A walk past a target, drawn."""
+    """Draw a walk past a target."""
     places = way_of(case.path)
     steps_m = np.hypot(*np.diff(places, axis=0).T)
     way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
@@ -92,12 +92,12 @@ def walk_of(case: PlacedCase, rng: np.random.Generator) -> list[WalkRow]:
 
 
 def placed_cases() -> list[PlacedCase]:
-    """Every path with every distance."""
+    """Return every path with every distance."""
     return [PlacedCase(path, length_m) for length_m in LENGTHS_M for path in PATHS]
 
 
 def walks_of(case: PlacedCase, seeds: Iterable[int]) -> Iterator[list[WalkRow]]:
-    """Walks of a kind, one for each seed."""
+    """Yield walks of a kind, one for each seed."""
     number = PATHS.index(case.path)
     for seed in seeds:
         yield walk_of(case, np.random.default_rng([21, number, round(10 * case.length_m), seed]))

@@ -1,18 +1,18 @@
-"""Turns recorded walks of public data sets into the CSV that `companion replay` reads.
+r"""Converts recorded walks of public data sets into the CSV that `companion replay` reads.
 
     .venv/bin/python tools/walks/public_walks.py librsf \
         Indoor_UWB_Input.txt Indoor_UWB_GT.txt uwb_1.csv
     .venv/bin/python tools/walks/public_walks.py rtt M1_13_mod.csv AP_idx.csv rtt_1.csv
 
-The raw files are fetched by whoever has read their licence; none is part of this project. The name
-of the CSV should begin with that of the preset's kind (`uwb`, `rtt`), by which
+Users fetch the raw files themselves, after reading their licence; none is part of this project. The
+name of the CSV should begin with that of the preset's kind (`uwb`, `rtt`), by which
 `tools/verify_estimation.py --only walks` finds the preset.
 
     librsf   text files of libRSF (TU Chemnitz; its indoor set is CC BY-SA 4.0): lines of `range2`,
              time (s), range (m), variance, anchor's x and y, its number; beside it the file with
              the truth, lines of `point2`, time, x, y
     rtt      tables of the Wi-Fi set of H. Yu (MIT): a row per scan, for every access point `APn RTT
-             Distance (m)`, a time stamp in ms, and the place as `[x, y]`; beside it the table of
+             Distance (m)`, a time stamp in ms, and the position as `[x, y]`; beside it the table of
              access points, `,x,y`
 
 Exit code 2: bad input, or a file that cannot be written.
@@ -51,7 +51,7 @@ class Answer(NamedTuple):
 
 
 def librsf_answers(raw: Path, truth: Path) -> Iterator[Answer]:
-    """Ranges to each anchor, the agent's place interpolated between those of the truth."""
+    """Yield ranges to each anchor, with the agent's position interpolated from the truth."""
     places = np.array([numbers[:3] for numbers in _records(truth, "point2", 3)])
     if not len(places):
         raise ConfigError(f"{truth}: no line begins with point2")
@@ -61,7 +61,7 @@ def librsf_answers(raw: Path, truth: Path) -> Iterator[Answer]:
 
 
 def _records(path: Path, kind: str, count: int) -> Iterator[list[float]]:
-    """The first numbers of every line of a kind."""
+    """Yield the first numbers of every line of a kind."""
     for line, text in enumerate(_text(path).splitlines(), 1):
         name, *values = text.split() or [""]
         if name == kind:
@@ -71,7 +71,7 @@ def _records(path: Path, kind: str, count: int) -> Iterator[list[float]]:
 
 
 def rtt_answers(raw: Path, anchors: Path) -> Iterator[Answer]:
-    """Ranges to each access point of every scan, where one was measured."""
+    """Yield the measured ranges to each access point of every scan."""
     table = csv.DictReader(_text(anchors).splitlines())
     known = {row[""]: (_cell(row, "x", anchors), _cell(row, "y", anchors)) for row in table}
     for row in csv.DictReader(_text(raw).splitlines()):
@@ -115,7 +115,7 @@ FORMATS: dict[str, tuple[Callable[[Path, Path], Iterator[Answer]], str]] = {
 
 
 def walk_csv(answers: Iterator[Answer]) -> str:
-    """Answers in the order of their times, which begin at 0, as a walk's CSV."""
+    """Return answers in the order of their times, which begin at 0, as a walk's CSV."""
     ordered = sorted(answers, key=lambda answer: answer.t_s)
     if not ordered:
         raise ConfigError("no range in it")
@@ -128,7 +128,7 @@ def walk_csv(answers: Iterator[Answer]) -> str:
 
 
 def main() -> int:
-    """Convert a walk, and say how to replay it; the exit code."""
+    """Convert a walk, and print the command that replays it; return the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("format", choices=FORMATS)
     parser.add_argument("raw", type=Path, help="what was measured")

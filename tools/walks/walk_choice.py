@@ -1,9 +1,9 @@
-"""How a preset's keys are chosen from recorded walks: with each file left out in turn.
+"""Chooses a preset's keys from recorded walks, leaving out each file in turn.
 
-For every file the variant is taken that has the smallest median plus 90th percentile of the final
-errors on the *other* files of its preset; its figures on the file that was left out are those that
-a walk which nobody tuned to may expect. In the same way the present loss is judged beside one that
-learns a mixture of line of sight and reflections on each target.
+For every file the variant with the smallest median plus 90th percentile of the final errors on the
+*other* files of its preset is chosen; its figures on the left-out file are those to expect on a
+walk that it was not tuned to. In the same way the present loss is judged beside one that learns a
+mixture of line of sight and reflections on each target.
 """
 
 from __future__ import annotations
@@ -61,24 +61,24 @@ class Job:
 
 
 def variants_of(preset: str) -> Iterator[Variant]:
-    """Every combination of what is tried of a preset."""
+    """Yield every combination of the tried values of a preset."""
     return itertools.product(*TRIED[preset].values())
 
 
 def varied(params: TrackerParams, preset: str, variant: Variant) -> TrackerParams:
-    """A preset's estimation with other values of the keys that are tried."""
+    """Return a preset's estimation with other values of the tried keys."""
     changed = dict(zip(TRIED[preset], variant, strict=True))
     chosen = msgspec.structs.replace(params.filter, **changed)
     return msgspec.structs.replace(params, filter=chosen)
 
 
 def flown(job: Job) -> list[TargetClaims]:
-    """The claims of a job."""
+    """Return the claims of a job."""
     return claims_of(job.path, varied(preset_of(job.path), name_of_preset(job.path), job.variant))
 
 
 def by_preset(paths: Iterable[Path]) -> dict[str, list[Path]]:
-    """The walks of each preset."""
+    """Return the walks of each preset."""
     files: dict[str, list[Path]] = {}
     for path in paths:
         files.setdefault(name_of_preset(path), []).append(path)
@@ -86,7 +86,7 @@ def by_preset(paths: Iterable[Path]) -> dict[str, list[Path]]:
 
 
 def jobs_in(folder: Path) -> list[Job]:
-    """All that must be run to choose among the variants, for presets with at least two files."""
+    """Return all jobs for choosing among the variants, for presets with at least two files."""
     return [
         Job(path, variant)
         for preset, files in by_preset(walks_in(folder)).items()
@@ -97,7 +97,7 @@ def jobs_in(folder: Path) -> list[Job]:
 
 
 def score(targets: Sequence[TargetClaims]) -> float:
-    """Median plus 90th percentile of the final errors, metres."""
+    """Return median plus 90th percentile of the final errors, metres."""
     errors = [NOTHING_M if t.final is None else t.final.error_m for t in targets]
     return quantile(errors, 0.5) + quantile(errors, 0.9)
 
@@ -108,7 +108,7 @@ def results_of(
     jobs: int,
     progress: Callable[[int, int], None],
 ) -> dict[AnyJob, list[TargetClaims]]:
-    """The claims of every job, by so many processes."""
+    """Return the claims of every job, by so many processes."""
     results: dict[AnyJob, list[TargetClaims]] = {}
     with open_pool(jobs=jobs) as pool:
         for position, targets in pool.results(run, work):
@@ -120,12 +120,12 @@ def results_of(
 def left_out_lines(
     folder: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda _, __: None
 ) -> list[str]:
-    """Which variant the other files choose for each file, and the pooled figures of those."""
+    """Return the variant that the other files choose for each file, and its pooled figures."""
     return choices(results_of(flown, jobs_in(folder), jobs, progress))
 
 
 def choices(results: Mapping[Job, list[TargetClaims]]) -> list[str]:
-    """What `left_out_lines` prints of the results of all jobs."""
+    """Return the lines of `left_out_lines` from the results of all jobs."""
     lines: list[str] = []
     pooled: dict[str, list[TargetClaims]] = {}
     for left_out in dict.fromkeys(job.path for job in results):
@@ -156,14 +156,14 @@ LEARNT: dict[str, AdaptationParams | None] = {
 
 @dataclass(frozen=True, slots=True)
 class LearningJob:
-    """One walk, with what is learnt of its noise."""
+    """One walk with a method of learning its noise."""
 
     path: Path
     learnt: str
 
 
 def learning(job: LearningJob) -> list[TargetClaims]:
-    """The claims of a job."""
+    """Return the claims of a job."""
     params = msgspec.structs.replace(preset_of(job.path), adaptation=LEARNT[job.learnt])
     return claims_of(job.path, params)
 
@@ -171,13 +171,13 @@ def learning(job: LearningJob) -> list[TargetClaims]:
 def mixture_lines(
     folder: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda _, __: None
 ) -> list[str]:
-    """The pooled figures of every preset by what is learnt, and which the other files choose."""
+    """Return the pooled figures of every preset by learning method, and the other files' choice."""
     work = [LearningJob(path, learnt) for path in walks_in(folder) for learnt in LEARNT]
     return mixture_choices(results_of(learning, work, jobs, progress))
 
 
 def mixture_choices(results: Mapping[LearningJob, list[TargetClaims]]) -> list[str]:
-    """What `mixture_lines` prints of the results of all jobs."""
+    """Return the lines of `mixture_lines` from the results of all jobs."""
     files = by_preset(dict.fromkeys(job.path for job in results))
 
     def on(paths: Sequence[Path], learnt: str) -> list[TargetClaims]:

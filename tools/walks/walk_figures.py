@@ -1,8 +1,8 @@
 """Recorded walks through the flying estimator: errors, states, and claims along the way.
 
-A claim is what the tracker says at each tenth of the measurements of a target. One of *localised*
-holds where the truth is within its R95. Where two places are stated, the error of the better one is
-told beside that of the best: which of them it is takes a walk to the side, and no statistics.
+A claim is the tracker's estimate at each tenth of the measurements of a target. A claim of
+*localised* holds if the truth is within its R95. If two positions are stated, the error of the
+better one is printed beside that of the best: only a walk to the side decides between them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "companion"
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What was stated of a target at one time, beside the truth."""
+    """Estimate of a target at one time, beside the truth."""
 
     state: EstimateState
     error_m: float
@@ -46,7 +46,7 @@ class Claim:
 
     @classmethod
     def of(cls, estimate: TargetEstimate, truth_enu_m: tuple[float, float]) -> Claim:
-        """An estimate beside the truth."""
+        """Return an estimate beside the truth."""
         error_m = better_m = math.dist(estimate.position_enu_m, truth_enu_m)
         if estimate.alternative_enu_m is not None:
             better_m = min(error_m, math.dist(estimate.alternative_enu_m, truth_enu_m))
@@ -54,17 +54,17 @@ class Claim:
 
     @property
     def is_localised(self) -> bool:
-        """Whether one place is claimed."""
+        """Return True if one position is claimed."""
         return self.state is EstimateState.LOCALISED
 
     @property
     def is_inside(self) -> bool:
-        """Whether the truth is within R95 of the estimate."""
+        """Return True if the truth is within R95 of the estimate."""
         return self.error_m <= self.r95_m
 
     @property
     def is_stated(self) -> bool:
-        """Whether the truth is within R95 of one of the places."""
+        """Return True if the truth is within R95 of one of the positions."""
         return self.better_error_m <= self.r95_m
 
 
@@ -82,12 +82,12 @@ class TargetClaims:
 
 
 def preset_of(path: Path) -> TrackerParams:
-    """The estimation of the preset that a walk of this name is replayed with."""
+    """Return the estimation of the preset that a walk of this name is replayed with."""
     return load_config(CONFIGS / f"{name_of_preset(path)}.yaml").estimation
 
 
 def name_of_preset(path: Path) -> str:
-    """The preset that is meant for a walk of this name; a ConfigError where none is."""
+    """Return the preset for a walk of this name; a ConfigError if there is none."""
     for prefix, name in PRESETS.items():
         if path.stem.startswith(prefix):
             return name
@@ -96,7 +96,7 @@ def name_of_preset(path: Path) -> str:
 
 
 def walks_in(folder: Path) -> list[Path]:
-    """The recorded walks of a folder; a ConfigError where there are none."""
+    """Return the recorded walks of a folder; a ConfigError if there are none."""
     paths = sorted(folder.glob("*.csv"))
     if not paths:
         raise ConfigError(f"{folder}: no recorded walk (*.csv) in it")
@@ -104,7 +104,7 @@ def walks_in(folder: Path) -> list[Path]:
 
 
 def claims_of(path: Path, params: TrackerParams) -> list[TargetClaims]:
-    """All targets of a walk whose truth is known, one after the other."""
+    """Return all targets of a walk whose truth is known, one after the other."""
     targets: dict[str, list[WalkRow]] = {}
     for row in read_walk(path):
         if row.truth_enu_m is not None:
@@ -113,7 +113,7 @@ def claims_of(path: Path, params: TrackerParams) -> list[TargetClaims]:
 
 
 def replayed(walk: str, rows: Sequence[WalkRow], params: TrackerParams) -> TargetClaims:
-    """One target's measurements through a tracker, with its claims."""
+    """Replay one target's measurements through a tracker; return its claims."""
     tracker = TargetTracker(params, rows[0].measurement.emitter_id)
     found = TargetClaims(walk, rows[0].target_id, len(rows))
     due = {len(rows) * (index + 1) // CLAIMS for index in range(CLAIMS)}
@@ -135,18 +135,18 @@ def replayed(walk: str, rows: Sequence[WalkRow], params: TrackerParams) -> Targe
 
 
 def quantile(values: Iterable[float], share: float) -> float:
-    """A quantile, linear between neighbours; NaN of nothing."""
+    """Return a quantile, linear between neighbours; NaN of nothing."""
     found = list(values)
     return float(np.quantile(found, share)) if found else math.nan
 
 
 def share_of(claims: Sequence[Claim], holds: Callable[[Claim], bool]) -> str:
-    """How many of so many."""
+    """Return the share of claims for which something holds, as text."""
     return f"{sum(map(holds, claims))}/{len(claims)}"
 
 
 def pooled_lines(name: str, targets: Sequence[TargetClaims]) -> list[str]:
-    """The figures of targets taken together, as lines of text."""
+    """Return the figures of targets taken together, as lines of text."""
     finals = [target.final for target in targets if target.final is not None]
     along = [claim for target in targets for claim in target.along]
     errors, better = [c.error_m for c in finals], [c.better_error_m for c in finals]
@@ -172,7 +172,7 @@ def pooled_lines(name: str, targets: Sequence[TargetClaims]) -> list[str]:
 
 
 def target_line(target: TargetClaims) -> str:
-    """One target, its final claim, and its states along the way (capital: within R95)."""
+    """Return one target, its final claim, and its states along the way (capital: within R95)."""
     letters = "".join(
         claim.state.value[0].upper() if claim.is_stated else claim.state.value[0]
         for claim in target.along
@@ -188,7 +188,7 @@ def target_line(target: TargetClaims) -> str:
 
 
 def walk_lines(folder: Path, placed: int, seed: int) -> list[str]:
-    """The figures of all recorded walks of a folder, and of `placed` invented ones of each kind."""
+    """Return the figures of a folder's recorded walks, and of `placed` invented ones a kind."""
     pooled: dict[str, list[TargetClaims]] = {}
     lines: list[str] = []
     for path in walks_in(folder):

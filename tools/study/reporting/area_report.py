@@ -1,4 +1,4 @@
-"""The reliability diagram of stated probabilities of detection, and their table."""
+"""Reliability diagram and table of stated probabilities of detection."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COLOURS: dict[Kind, str] = {"open": LATCHED, "rubble": PASSIVE, "walls": FIM}
 
 
 def write_area_report(out: Path, trials: Sequence[Trial]) -> bool:
-    """Write reliability.csv and .png and print the table; True if everything is within limits."""
+    """Write reliability.csv and .png and print the table; return True within the limits."""
     overall = reliability(trials)
     by_kind = {kind: reliability(trials, kind) for kind in KINDS}
     bins = [*overall, *(each for found in by_kind.values() for each in found)]
@@ -37,7 +37,7 @@ def write_area_report(out: Path, trials: Sequence[Trial]) -> bool:
 
 
 def drawn(overall: Sequence[Bin], by_kind: Mapping[Kind, list[Bin]]) -> bytes:
-    """The diagram as PNG: what was heard against what was stated."""
+    """Return the diagram as PNG: observed over stated detections."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(4.6, 4.4), layout="constrained")
         axes = figure.subplots()

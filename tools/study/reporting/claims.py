@@ -60,7 +60,7 @@ class Claim:
 
 
 class NotFlownError(Exception):
-    """The cells that a claim is about were not flown."""
+    """Raised if the cells of a claim were not flown."""
 
 
 class Findings:
@@ -81,15 +81,15 @@ class Findings:
         }
 
     def find(self, system: System, *tables: str) -> list[CellResult]:
-        """A system's cells in tables, in their order."""
+        """Return a system's cells in tables, in their order."""
         return [cell for cell in self.cells if cell.system == system and cell.table in tables]
 
     def of(self, system: System, *tables: str) -> list[CellResult]:
-        """The same, or a NotFlownError where there are none."""
+        """Return the same, or raise a NotFlownError if there are none."""
         return _flown(self.find(system, *tables))
 
     def peer(self, cell: CellResult, system: System) -> CellResult | None:
-        """Another system in the same place of the same table."""
+        """Return another system in the same place of the same table."""
         place = (cell.table, cell.parameter, cell.value)
         for other in self.cells:
             if (other.table, other.parameter, other.value) == place and other.system == system:
@@ -97,7 +97,7 @@ class Findings:
         return None
 
     def paper_m(self, cell: CellResult) -> float | None:
-        """The final RMSE that the paper prints."""
+        """Return the final RMSE that the paper prints."""
         return self._paper.get((cell.table, cell.parameter, cell.value, cell.system.label))
 
 
@@ -105,7 +105,7 @@ Judge = Callable[[Findings], Claim]
 
 
 def claims_of(findings: Findings) -> list[Claim]:
-    """The claims that this run can judge."""
+    """Return the claims that this run can judge."""
     claims: list[Claim] = []
     for judge in JUDGES:
         with suppress(NotFlownError):
@@ -258,7 +258,7 @@ def _coverage(findings: Findings) -> Claim:
 
 
 def _reversal(findings: Findings) -> Claim:
-    """The printed planner is asked if it was flown: ours of that name is another one."""
+    """Judge the printed planner if it was flown: the companion's of that name is another one."""
     reactive, ours = findings.of(REACTIVE, OBSTACLE)[0], findings.find(FIM, OBSTACLE)[:1]
     fim = _flown([*findings.find(FIM_PRINTED, OBSTACLE)[:1], *ours])[0]
     is_later, is_worse = _steps(fim) > _steps(reactive), median_m(fim) > median_m(reactive)
@@ -335,7 +335,7 @@ JUDGES: Sequence[Judge] = (
 
 
 def final_m(cell: CellResult) -> float:
-    """Final RMSE of a cell."""
+    """Return the final RMSE of a cell."""
     return float(cell.tally.rmse_m[-1])
 
 
@@ -345,7 +345,7 @@ def median_m(cell: CellResult) -> float:
 
 
 def diverged_runs(cell: CellResult) -> int:
-    """Return how many runs of a cell diverged."""
+    """Return the number of runs of a cell that diverged."""
     return metrics.diverged_count(cell.tally.final_errors_m)
 
 
@@ -357,12 +357,12 @@ def _diverged_text(cells: Sequence[CellResult]) -> str:
 
 
 def worst_m(cell: CellResult) -> float:
-    """Final error of the worst run of a cell."""
+    """Return the final error of the worst run of a cell."""
     return float(np.max(cell.tally.final_errors_m))
 
 
 def _honest_cells(findings: Findings) -> list[CellResult]:
-    """The companion's own tracker, in the noise that it assumes, in runs that are long enough."""
+    """Return the companion's tracker, in the noise that it assumes, in sufficiently long runs."""
     return _flown(
         [
             cell

@@ -34,7 +34,7 @@ SHOWN_PLANNER = "latched_crossing"
 
 
 def wilson(count: int, of: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share; everything where nothing was tried."""
+    """Return Wilson's 95 % interval of a share; all of [0, 1] without trials."""
     if of == 0:
         return (0.0, 1.0)
     share, spread = count / of, Z95 * Z95 / of
@@ -47,7 +47,7 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
 
 def by_cell(rows: Iterable[FlightRow]) -> dict[tuple[str, str, str], list[FlightRow]]:
-    """The flights of every radio, planner and configuration, in their order."""
+    """Return the flights of every radio, planner and configuration, in their order."""
     cells: dict[tuple[str, str, str], list[FlightRow]] = {}
     for row in rows:
         cells.setdefault((row.radio, row.planner, row.config), []).append(row)
@@ -55,7 +55,7 @@ def by_cell(rows: Iterable[FlightRow]) -> dict[tuple[str, str, str], list[Flight
 
 
 def summary_of(rows: Iterable[FlightRow]) -> list[ResultRow]:
-    """The rows of results.csv."""
+    """Return the rows of results.csv."""
     return [
         ResultRow("field", "radio", radio, f"{planner}, {kind.replace('_', ' ')}", metric, "", *own)
         for (radio, planner, kind), flights in by_cell(rows).items()
@@ -64,7 +64,7 @@ def summary_of(rows: Iterable[FlightRow]) -> list[ResultRow]:
 
 
 def _figures(flights: Sequence[FlightRow]) -> list[tuple[str, str, str, str]]:
-    """Metric, value, interval and what is asked for."""
+    """Return metric, value, interval and requirement."""
     found = [f for f in flights if f.is_reported]
     lost = [f.error_m for f in flights if not f.is_reported and f.error_m is not None]
     own = [(f.error_m or 0.0, f.r95_m or 0.0) for f in found]
@@ -124,7 +124,7 @@ COLUMNS: tuple[tuple[str, Callable[[dict[str, str], dict[str, str]], str]], ...]
 
 
 def markdown_of(rows: Iterable[ResultRow]) -> str:
-    """A table for each radio, as pages have them."""
+    """Return a table for each radio, as pages have them."""
     cells: dict[str, dict[str, tuple[dict[str, str], dict[str, str]]]] = {}
     for row in rows:
         own, ends = cells.setdefault(row.value, {}).setdefault(row.system, ({}, {}))
@@ -149,7 +149,7 @@ def _percent(share: str, ends: str = "") -> str:
 
 
 def drawing_of(rows: Sequence[FlightRow]) -> Drawing:
-    """Error over R95 of every report, both relative, a panel for each radio."""
+    """Return the error over R95 of every report, both relative, a panel for each radio."""
     radios = list(dict.fromkeys(row.radio for row in rows))
     columns = min(3, len(radios))
     lines = -(-len(radios) // columns)

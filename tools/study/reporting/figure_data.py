@@ -1,9 +1,9 @@
 """Data of the figures: taken from tallies, or flown with one seed.
 
-Why FIM stalls in a shadow: before every step its criterion is taken of its candidates and of
-staying, with the information in the filter (`companion.planning.fim`) and as the paper prints it
-(`walk`). Its *gradient* is how far the best is ahead of the worst, as a share of the best. Paper:
-section "Robustness in Structured NLOS Environments" claims that it is flat there.
+To show why FIM stalls in a shadow, its criterion is evaluated before every step at its candidates
+and at staying, with the information in the filter (`companion.planning.fim`) and as the paper
+prints it (`walk`). Its *gradient* is the lead of the best over the worst, as a share of the best.
+Paper: section "Robustness in Structured NLOS Environments" claims that it is flat there.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class Sensitivity:
 
 
 def values_of(result: StudyResult) -> list[tuple[str, str]]:
-    """Parameter and value of every case of a study, in its order."""
+    """Return parameter and value of every case of a study, in its order."""
     return list(dict.fromkeys((cell.parameter, cell.value) for cell in result.cells))
 
 
 def cells_at(result: StudyResult, parameter: str, value: str) -> dict[System, CellResult]:
-    """The systems flown at one value, each once."""
+    """Return the systems flown at one value, each once."""
     return {
         cell.system: cell
         for cell in reversed(result.cells)
@@ -87,14 +87,14 @@ def cells_at(result: StudyResult, parameter: str, value: str) -> dict[System, Ce
 
 
 def rmse_curves(cells: dict[System, CellResult]) -> list[Curve]:
-    """RMSE of the compared systems after every step, metres, and the bounds on two of them."""
+    """Return the RMSE of the compared systems after every step, metres, and two bounds."""
     curves = [Curve(s, cells[s].tally.rmse_m) for s in COMPARED if s in cells]
     bounds = [Curve(s, cells[s].tally.rmse_bound_m, True) for s in BOUNDED if s in cells]
     return curves + bounds
 
 
 def offset_curves(cells: dict[System, CellResult], *, bearing: bool) -> list[Curve]:
-    """Mean estimates of an offset after every step, metres or degrees."""
+    """Return mean estimates of an offset after every step, metres or degrees."""
     curves: list[Curve] = []
     for system in COMPARED:
         if system in cells:
@@ -105,14 +105,14 @@ def offset_curves(cells: dict[System, CellResult], *, bearing: bool) -> list[Cur
 
 
 def flights_of(case: Case, seed: int) -> list[Flight]:
-    """The first run of a study's seed, by each system."""
+    """Return the first run of a study's seed, by each system."""
     extra = (FIM_PRINTED,) if case.obstacles else ()
     first = run_seeds(seed, 1)[0]
     return [(system, run_trial(case, system, first)) for system in (*FLOWN, *extra)]
 
 
 def shadow_quads(corners: Sequence[Point], target_enu_m: Point) -> list[list[Point]]:
-    """Polygons that together are the shadow of an obstacle, as cast by a target outside of it."""
+    """Return polygons that together are an obstacle's shadow, cast by a target outside of it."""
     return [
         [a, b, _beyond(b, target_enu_m), _beyond(a, target_enu_m)]
         for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)
@@ -122,7 +122,7 @@ def shadow_quads(corners: Sequence[Point], target_enu_m: Point) -> list[list[Poi
 def sensitivities(
     result: StudyResult, rows: Sequence[ResultRow], parameter: str
 ) -> list[Sensitivity]:
-    """Every system of a sweep that the paper prints, and ours, over a parameter of numbers."""
+    """Return the paper's systems, and the companion's, over a numeric parameter."""
     found: list[Sensitivity] = []
     values = [value for name, value in values_of(result) if name == parameter]
     table = next(cell.table for cell in result.cells if cell.parameter == parameter)
@@ -141,7 +141,7 @@ def sensitivities(
 
 
 def numbers(text: str) -> float:
-    """A number of the results, NaN where there is none."""
+    """Return a number of the results, NaN if there is none."""
     try:
         return float(text)
     except ValueError:
@@ -149,7 +149,7 @@ def numbers(text: str) -> float:
 
 
 def interval(text: str) -> tuple[float, float]:
-    """The ends of an interval of the results, NaN where there is none."""
+    """Return the ends of an interval of the results, NaN if there is none."""
     low, _, high = text.partition("..")
     return numbers(low), numbers(high)
 
@@ -190,7 +190,7 @@ class GradientWatch:
 def watched(
     case: Case, seed: int, runs: int = WATCHED_RUNS, steps: int = WATCHED_STEPS
 ) -> list[GradientWatch]:
-    """The first runs of a study's seed, watched."""
+    """Return the first runs of a study's seed, watched."""
     short = msgspec.structs.replace(case, steps=min(steps, case.steps))
     return [_watch(short, system, run_seeds(seed, runs)) for system in WATCHED]
 
@@ -234,7 +234,7 @@ def _gradients(
 
 
 def _criteria(covariance: Matrix, way_m: Point, ring_m: Matrix, sigmas: Point) -> Vector:
-    """Smallest eigenvalue of the marginal information, (k + 1,), 1/m^2; last: staying."""
+    """Return the least eigenvalue of the marginal information, (k + 1,), 1/m^2; last: staying."""
     noise = (sigmas[0] ** 2, sigmas[1] ** 2)
     variances = [
         worst_variance_m2(covariance, way_m[0] - east, way_m[1] - north, 0.0, *noise, True)

@@ -32,7 +32,7 @@ NEAR_STEPS = 60
 
 
 def tracks(flights: Sequence[Flight], case: Case) -> Figure:
-    """Tracks with the estimates along them, one panel for each system."""
+    """Return tracks with the estimates along them, one panel for each system."""
     columns = min(len(flights), 3 if len(flights) > 4 else 2)
     rows = -(-len(flights) // columns)
     side_in = 3.6 if columns < 3 else 3.0
@@ -67,7 +67,7 @@ def _draw_map(axes: Axes, flight: Flight, case: Case) -> None:
 
 
 def _draw_flight(axes: Axes, flight: Flight, case: Case, part: slice) -> None:
-    """A flight, what blocks the radio, and where it blocks the path to the target."""
+    """Draw a flight, its obstacles, and where they block the path to the target."""
     system, trial = flight
     colour = plots.PLANNER_COLOURS[system.planner]
     for obstacle in case.obstacles:
@@ -88,7 +88,7 @@ def _draw_flight(axes: Axes, flight: Flight, case: Case, part: slice) -> None:
 
 
 def _draw_near(axes: Axes, flight: Flight, case: Case) -> None:
-    """The end of a flight about the target, enlarged, in the corner where least is flown."""
+    """Draw the end of a flight about the target, enlarged, in the corner with the least track."""
     east, north = case.target_enu_m
     near = axes.inset_axes((0.985 - NEAR_SHARE, 0.015, NEAR_SHARE, NEAR_SHARE))
     near.set_facecolor(plots.PAGE)
@@ -112,7 +112,7 @@ Maker = Callable[[StudyResult, Sequence[ResultRow]], list[Drawing]]
 
 
 def drawings_of(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing]:
-    """Every figure that a study asks for, in its order; names unknown here are left out."""
+    """Return every figure that a study asks for, in its order; unknown names are left out."""
     with plots.look():
         names = [name for name in result.study.figures if name in FIGURES]
         return [drawing for name in names for drawing in FIGURES[name](result, rows)]
@@ -258,7 +258,7 @@ FIGURES: dict[str, Maker] = {
 
 
 def _middle(result: StudyResult) -> tuple[str, str]:
-    """The case in the middle of a study: the canonical one of the paper's sweeps."""
+    """Return the case in the middle of a study: the canonical one of the paper's sweeps."""
     values = figure_data.values_of(result)
     return values[(len(values) - 1) // 2]
 

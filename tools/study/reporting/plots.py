@@ -78,7 +78,7 @@ LABEL_GAP_PT = 10.5
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A finished figure."""
+    """Finished figure."""
 
     name: str
     """Of its files, without an ending."""
@@ -92,7 +92,7 @@ class Drawing:
 
 @contextmanager
 def look() -> Iterator[None]:
-    """The look of every figure made inside, whatever the user's own settings are."""
+    """Apply the look of the figures to those made inside, whatever the user's own settings are."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(STYLE)
@@ -100,12 +100,12 @@ def look() -> Iterator[None]:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure that belongs to no window and no global state."""
+    """Return a figure that belongs to no window and no global state."""
     return Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
 
 
 def finished(figure: Figure, name: str, title: str, caption: str, *, wide: bool = False) -> Drawing:
-    """The figure as files, without dates and with names that follow from its own."""
+    """Return the figure as files, without dates and with names that follow from its own."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # laid out once for both files
     svg, png = StringIO(), BytesIO()
@@ -118,7 +118,7 @@ def finished(figure: Figure, name: str, title: str, caption: str, *, wide: bool 
 
 
 def inline(drawing: Drawing) -> str:
-    """The SVG as part of a page: its own ids, the page's colours, no fixed size."""
+    """Return the SVG as part of a page: its own ids, the page's colours, no fixed size."""
     text = drawing.svg[drawing.svg.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{drawing.name}-', text)
@@ -134,7 +134,7 @@ def inline(drawing: Drawing) -> str:
 def label_ends(figure: Figure, axes: Axes, labels: Sequence[tuple[float, str, str]]) -> None:
     """Write names at the right ends of lines, moved apart where they would collide.
 
-    The axes have their limits and scales; a label is where in data (y), what, and in which colour.
+    The axes have their limits and scales; a label is its y in data, its text, and its colour.
     """
     height_pt = axes.get_position().height * figure.get_figheight() * 72.0
     shares = axes.transAxes.inverted()
@@ -160,9 +160,9 @@ def label_ends(figure: Figure, axes: Axes, labels: Sequence[tuple[float, str, st
 
 
 def spread(wanted: Sequence[float], gap: float) -> list[float]:
-    """Ascending places at least `gap` apart and, in sum, as near to the wanted ones as can be.
+    """Return ascending positions at least `gap` apart and, in sum, as near as possible to `wanted`.
 
-    Groups that collide are centred on the mean of what they want.
+    Groups that collide are centred on the mean of their wanted positions.
     """
     groups: list[tuple[float, int]] = []  # the centre, and how many
     for place in wanted:
@@ -194,7 +194,7 @@ LOSSES: tuple[tuple[str, float, float, tuple[float, float], str, tuple[float, ..
 
 
 def losses() -> Figure:
-    """Loss and influence of a whitened residual. Paper: the figure of loss functions."""
+    """Draw loss and influence of a whitened residual. Paper: the figure of loss functions."""
     figure = new_figure(5.6, 2.6)
     left, right = figure.subplots(1, 2)
     u = np.linspace(-5.0, 5.0, 401)
@@ -214,7 +214,7 @@ def losses() -> Figure:
 
 
 def rmse(curves: Sequence[Curve], title: str, printed: dict[System, float]) -> Figure:
-    """RMSE and bounds, metres, after every step on log axes."""
+    """Draw RMSE and bounds, metres, after every step on log axes."""
     figure, axes, steps = _figure_of(curves, title, "RMSE of the position, m")
     lows = [float(np.nanmin(c.values[c.values > 0.0])) for c in curves if np.any(c.values > 0.0)]
     axes.set(yscale="log", ylim=(0.7 * min(lows), 60.0))
@@ -228,7 +228,7 @@ def rmse(curves: Sequence[Curve], title: str, printed: dict[System, float]) -> F
 
 
 def offsets(curves: Sequence[Curve], title: str, unit: str, marks: dict[str, float]) -> Figure:
-    """Mean estimate of an offset after every step; marks are named values worth a line."""
+    """Draw the mean estimate of an offset after every step; marks are named values with a line."""
     figure, axes, _ = _figure_of(curves, title, f"mean estimate, {unit}")
     everything = [*np.concatenate([curve.values for curve in curves]), *marks.values()]
     low, high = np.nanmin(everything), np.nanmax(everything)
@@ -241,7 +241,7 @@ def offsets(curves: Sequence[Curve], title: str, unit: str, marks: dict[str, flo
 
 
 def _figure_of(curves: Sequence[Curve], title: str, ylabel: str) -> tuple[Figure, Axes, int]:
-    """Lines over steps on a log axis, in the colour of their planner and dashes of their filter."""
+    """Draw lines over steps on a log axis, coloured by planner and dashed by filter."""
     figure = new_figure(*CURVES_IN)
     axes = figure.subplots()
     steps = len(curves[0].values)
@@ -279,7 +279,10 @@ def _label_curves(figure: Figure, axes: Axes, curves: Sequence[Curve]) -> None:
 
 
 def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
-    """Final RMSE of each system over a parameter: ours, the paper's, and the bound."""
+    """Draw the final RMSE of each system over a parameter.
+
+    The companion's, the paper's, and the bound.
+    """
     columns = min(3, len(found))
     rows = math.ceil(len(found) / columns)
     figure = new_figure(2.5 * columns + 0.4, 2.15 * rows + 0.35)
@@ -306,7 +309,7 @@ def _has_double(curve: Curve, curves: Sequence[Curve]) -> bool:
 
 
 def _metre_axis(axes: Axes) -> None:
-    """Ticks at 1 and 3 of every decade, as plain numbers."""
+    """Set ticks at 1 and 3 of every decade, as plain numbers."""
     axes.yaxis.set_major_locator(FixedLocator(METRE_TICKS))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -1,7 +1,7 @@
 """`report.html` of a study: one page with verdicts, tables and figures, complete in itself.
 
-The page needs no network and no scripts. What it says of the scenario and of the paper's open
-points is read from the canonical case, so that it cannot differ from the code.
+The page needs no network and no scripts. Its account of the scenario and of the paper's open points
+is read from the canonical case, so that it cannot differ from the code.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tools.study.study import ResultRow, StudyResult
 
 
 def open_points(case: Case) -> list[tuple[str, str, str]]:
-    """Every point that the paper leaves open, our choice as it is fixed in a case, and why."""
+    """Return every point that the paper leaves open, the choice fixed in a case, and the reason."""
     text = (Path(__file__).parent / "templates" / "open_points.yaml").read_bytes()
     position_sigma_m, offset_sigma_m = case.belief.prior[1][[0, 2]].tolist()
     first_m, is_joint = case.first_lane_north_m, case.nlos_draws == "joint"
@@ -79,7 +79,7 @@ def write_report(
     costs: Sequence[ResultRow],
     checks: Mapping[str, object],
 ) -> None:
-    """Write the figures, PNG and SVG, and `report.html`; a CompanionError where that fails."""
+    """Write the figures, PNG and SVG, and `report.html`; raises a CompanionError if that fails."""
     write_page(out, sections_of(results, rows), rows, costs, checks)
 
 
@@ -105,7 +105,7 @@ def write_page(
 
 
 def sections_of(results: Sequence[StudyResult], rows: Sequence[ResultRow]) -> list[Section]:
-    """The studies, drawn and tabled; a table that two studies share is shown by the first."""
+    """Return the studies, drawn and tabled; the first shows a table that two studies share."""
     tables = tables_of(rows)
     taken: set[str] = set()
     sections: list[Section] = []
@@ -125,7 +125,7 @@ def page(
     checks: Mapping[str, object],
     made_with: Mapping[str, str],
 ) -> str:
-    """The page as text."""
+    """Return the page as text."""
     environment = page_environment("tools.study.reporting")
     environment.filters["set"] = typeset
     environment.filters["inline"] = lambda drawing: Markup(inline(drawing))
@@ -164,7 +164,7 @@ def verdict_line(claims: Sequence[Claim]) -> str:
 
 
 def checks_of(checks: Mapping[str, object]) -> list[dict[str, object]]:
-    """The checks as the page shows them: what is nested deeper is left to checks.json."""
+    """Return the checks for the page; deeper levels are left to checks.json."""
     found: list[dict[str, object]] = []
     for name, value in checks.items():
         entries = dict(value) if isinstance(value, Mapping) else {"value": value}
@@ -181,13 +181,13 @@ def checks_of(checks: Mapping[str, object]) -> list[dict[str, object]]:
 
 
 def factor_text(factor: float) -> str:
-    """A factor in as many digits as matter."""
+    """Return a factor in as many digits as matter."""
     digits = 2 if factor < 10.0 else 0
     return f"{factor:.{digits}f}" if math.isfinite(factor) else "\N{INFINITY}"
 
 
 def provenance() -> dict[str, str]:
-    """The `commit` of the code that runs now, and with which versions of what it runs."""
+    """Return the `commit` of the running code, and the versions of its dependencies."""
     found = {"commit": _commit(ROOT), "Python": platform.python_version()}
     for name in SHOWN_VERSIONS:
         number = version_of(name)
@@ -196,7 +196,7 @@ def provenance() -> dict[str, str]:
 
 
 def _commit(root: Path) -> str:
-    """The commit of the checkout, and whether files differ from it."""
+    """Return the commit of the checkout, and whether files differ from it."""
     if not (root / ".git").exists():
         return UNKNOWN
     options = ("--always", "--abbrev=12", "--exclude=*", "--dirty= with local changes")

@@ -56,7 +56,7 @@ Measure = Callable[[StudyResult, CellResult], list[Numbers]]
 
 
 def rows_of(result: StudyResult) -> list[ResultRow]:
-    """The rows of a study, in the order of its tables; costs are not among them."""
+    """Return the rows of a study, in the order of its tables; costs are not among them."""
     return [
         row
         for cell in result.cells
@@ -75,7 +75,7 @@ def metrics_of(result: StudyResult, cell: Cell) -> Sequence[Metric]:
 def rows_about(
     cell: Cell, metric: str, ours: str, ours_ci95: str = "", bound: str = ""
 ) -> list[ResultRow]:
-    """The row about a cell, and another where the paper prints it under a second name."""
+    """Return the row about a cell, and another if the paper prints it under a second name."""
     rows: list[ResultRow] = []
     for name in studies.names_of(cell.system):
         numbers = {str(key): of for key, of in cell.sweep.paper.get(name, {}).items()}
@@ -88,43 +88,43 @@ def rows_about(
 
 
 def number(value: float) -> str:
-    """A number with the digits that mean something."""
+    """Return a number with its significant digits."""
     return f"{value:.{DIGITS}g}"
 
 
 def bound_text(value: float) -> str:
-    """A bound, or nothing where none is known."""
+    """Return a bound as text, empty if none is known."""
     return "" if math.isnan(value) else number(value)
 
 
 def interval(ends: tuple[float, float] | None) -> str:
-    """Both ends, or nothing."""
+    """Return both ends as text, or nothing."""
     return "" if ends is None else f"{number(ends[0])}..{number(ends[1])}"
 
 
 def rmse_interval_m(errors_m: Vector) -> tuple[float, float] | None:
-    """The interval of the RMSE of (runs,) errors; None where one of them is not finite."""
+    """Return the interval of the RMSE of (runs,) errors; None if one of them is not finite."""
     if not np.isfinite(errors_m).all():
         return None
     return _ends(np.sqrt(_resampled(errors_m) / errors_m.size))
 
 
 def ratio_interval(errors_m: Vector, others_m: Vector) -> tuple[float, float] | None:
-    """The interval of a ratio of RMSE, (runs,) errors of the same draws; None as above."""
+    """Return the interval of a ratio of RMSE, (runs,) errors of the same draws; None as above."""
     if not (np.isfinite(errors_m).all() and np.isfinite(others_m).all()):
         return None
     return _ends(np.sqrt(_resampled(errors_m) / _resampled(others_m)))
 
 
 def _resampled(errors_m: Vector) -> Vector:
-    """Sums of squares in each resample, (RESAMPLES,)."""
+    """Return sums of squares in each resample, (RESAMPLES,)."""
     sums: Vector = np.einsum("ij,j->i", resamples(errors_m.size), np.square(errors_m))
     return sums
 
 
 @lru_cache(maxsize=1)
 def resamples(runs: int) -> Matrix:
-    """Return how often each run is drawn in each bootstrap resample, (RESAMPLES, runs)."""
+    """Return the counts of each run in each bootstrap resample, (RESAMPLES, runs)."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     return rng.multinomial(runs, np.full(runs, 1.0 / runs), size=RESAMPLES).astype(np.float64)
 
@@ -188,7 +188,7 @@ def _rmse_ratio(result: StudyResult, cell: CellResult) -> list[Numbers]:
 
 
 def _reference(result: StudyResult, cell: Cell) -> RunTally | None:
-    """Proposed with the same planner in the same case, unless the cell is that itself."""
+    """Return Proposed with the same planner in the same case, unless the cell is that itself."""
     if cell.system.filter == REFERENCE_FILTER:
         return None
     for other in result.cells:
@@ -205,7 +205,7 @@ def _nees(_: StudyResult, cell: CellResult) -> list[Numbers]:
 
 
 def _settled(by_step: Vector) -> Vector:
-    """Over the steps that count; of a short run the last one."""
+    """Return the values over the steps that count; of a short run the last one."""
     return by_step[min(metrics.SETTLED_STEP, by_step.size - 1) :]
 
 
@@ -245,12 +245,12 @@ _KNOWN: dict[str, tuple[str, ...]] = {
 
 
 def studies_of(name: str, folder: Path) -> list[Study]:
-    """The studies of a name or file, itself or those it collects; `ConfigError`: one is wrong."""
+    """Return the studies of a name or file, itself or those it collects; raises a `ConfigError`."""
     return _collected(study_path(name, folder), folder, ())
 
 
 def study_path(name: str, folder: Path) -> Path:
-    """The file of a study; a ConfigError where there is none."""
+    """Return the file of a study; a ConfigError if there is none."""
     if name.endswith((SUFFIX, ".yml")) or os.sep in name:
         return Path(name)
     path = folder / f"{name}{SUFFIX}"
@@ -261,7 +261,7 @@ def study_path(name: str, folder: Path) -> Path:
 
 
 def load_study(path: Path) -> Study:
-    """The study in a file, all of its cells checked; a ConfigError says what is wrong."""
+    """Return the study in a file, all of its cells checked; a ConfigError names the error."""
     try:
         study = load_yaml(path, Study)
     except ConfigError as error:
@@ -292,7 +292,7 @@ def _collected(path: Path, folder: Path, above: tuple[Path, ...]) -> list[Study]
 
 
 def _with_hint(problem: str) -> str:
-    """With what a misspelt key or name may have been meant to be."""
+    """Add the known key or name that a misspelt one may stand for."""
     key, name = _UNKNOWN_KEY.search(problem), _UNKNOWN_NAME.search(problem)
     if key:
         names = [

@@ -1,4 +1,4 @@
-"""Tables of the page, names for people, and how far each assumption moves the result (tornado)."""
+"""Tables of the page, names for people, and the effect of each assumption (tornado)."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ TYPESET = (
 
 
 def typeset(text: str) -> str:
-    """Plain text with the dashes, signs and spaces of print."""
+    """Return plain text with the dashes, signs and spaces of print."""
     for pattern, sign in TYPESET:
         text = re.sub(pattern, sign, text)
     return text
 
 
 def parameter_name(parameter: str) -> str:
-    """A parameter with its symbol and unit, for an axis or a heading."""
+    """Return a parameter with its symbol and unit, for an axis or a heading."""
     if parameter not in PARAMETERS:
         return parameter.replace("_", " ")
     name, symbol, unit = PARAMETERS[parameter]
@@ -80,7 +80,7 @@ def parameter_name(parameter: str) -> str:
 
 
 def value_name(parameter: str, value: str) -> str:
-    """A parameter at one of its values, for example p = 0.5."""
+    """Return a parameter at one of its values, for example p = 0.5."""
     if parameter not in PARAMETERS:
         return f"{parameter.replace('_', ' ')} {value}"
     _, symbol, unit = PARAMETERS[parameter]
@@ -88,7 +88,7 @@ def value_name(parameter: str, value: str) -> str:
 
 
 def metric_name(metric: str) -> str:
-    """The title of a metric's table."""
+    """Return the title of a metric's table."""
     match = re.fullmatch(r"rmse_after_(\d+)_steps_m", metric)
     if match:
         return f"RMSE after {match[1]} steps, as many as the paper needs to 2.5 m, m"
@@ -139,7 +139,7 @@ class TableView:
 
 
 def tables_of(rows: Iterable[ResultRow]) -> list[TableView]:
-    """A table for each table, parameter and metric of the rows, in their order."""
+    """Return a table for each table, parameter and metric of the rows, in their order."""
     grouped: dict[tuple[str, str], dict[Key, ResultRow]] = {}
     for row in rows:
         own = grouped.setdefault((row.table, row.parameter), {})
@@ -153,9 +153,9 @@ def tables_of(rows: Iterable[ResultRow]) -> list[TableView]:
 
 
 def verdict_of(row: ResultRow, diverged: int = 0) -> Verdict:
-    """Return who is ahead, paper or ours; or whether ours is within the band that is asked for.
+    """Return the verdict: paper or companion ahead, or the companion within the requested band.
 
-    Level is a paper's number inside of our 95 % interval, or the same number. Where runs
+    Level is a paper's number inside of the companion's 95 % interval, or the same number. If runs
     `diverged`, an RMSE follows one run, and its interval holds almost any number: no side is ahead.
     """
     ours = _number(row.ours)
@@ -174,7 +174,7 @@ def verdict_of(row: ResultRow, diverged: int = 0) -> Verdict:
 
 
 def short(text: str) -> str:
-    """A number in as many digits as can be compared: two below 0.1, otherwise three."""
+    """Return a number in as many digits as can be compared: two below 0.1, otherwise three."""
     value = numbers(text)
     if not math.isfinite(value) or "." not in text:
         return text
@@ -186,7 +186,7 @@ def short(text: str) -> str:
 
 
 def count_verdicts(tables: Iterable[TableView]) -> dict[str, int]:
-    """Return how many cells are ahead, level and behind, and how many have diverged runs."""
+    """Return the numbers of cells ahead, level and behind, and of those with diverged runs."""
     groups = (group for table in tables for group in table.groups.values())
     found = Counter(c.verdict for group in groups for cells in group.values() for c in cells)
     return {verdict: found[verdict] for verdict in ("ahead", "level", "behind", "diverged")}
@@ -277,7 +277,7 @@ class Assumption:
 
 @dataclass(frozen=True, slots=True)
 class Tornado:
-    """All assumptions, those that move most first."""
+    """All assumptions, those with the largest effect first."""
 
     systems: tuple[str, ...]
     assumptions: tuple[Assumption, ...]
@@ -286,7 +286,10 @@ class Tornado:
 
 
 def tornado_of(results: Iterable[StudyResult]) -> Tornado | None:
-    """The tornado of the assumptions study, if it is there; its first values are our choice."""
+    """Return the tornado of the assumptions study, if it is there.
+
+    Its first values are the baseline.
+    """
     cells = [cell for result in results for cell in result.cells if cell.table == TABLE]
     if not cells:
         return None
@@ -311,7 +314,7 @@ def tornado_of(results: Iterable[StudyResult]) -> Tornado | None:
 
 
 def _factors(cells: Sequence[CellResult], system: System) -> Factors:
-    """Values and factors of one system, our choice left out."""
+    """Return values and factors of one system, without the baseline."""
     finals = [(c.value, float(c.tally.rmse_m[-1])) for c in cells if c.system == system]
     if not finals or not finals[0][1] > 0.0:
         return []
@@ -320,12 +323,12 @@ def _factors(cells: Sequence[CellResult], system: System) -> Factors:
 
 
 def _swing(factors: Factors, span: float) -> Swing:
-    """The bar from the least to the largest factor; our choice, 1, is always in it."""
+    """Return the bar from the least to the largest factor; the baseline, 1, is always in it."""
     ends = [1.0, *(factor for _, factor in factors)]
     left, right = _share(min(ends), span), _share(max(ends), span)
     return Swing(tuple(factors), 100.0 * left, 100.0 * (right - left))
 
 
 def _share(factor: float, span: float) -> float:
-    """Position of a factor on the logarithmic axis, from 0 to 1."""
+    """Return the position of a factor on the logarithmic axis, from 0 to 1."""
     return min(max(0.5 + 0.5 * math.log(factor) / math.log(span), 0.0), 1.0)
