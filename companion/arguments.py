@@ -52,7 +52,7 @@ examples:
   companion replay walk.csv --config configs/companion/wifi_rtt.yaml --json walk.json"""
 
 
-class ComplaintParser(argparse.ArgumentParser):
+class RaisingParser(argparse.ArgumentParser):
     """Raises instead of printing as argparse does, so that every error is one line.
 
     An argument that begins with a minus and a digit is a value, as a southern latitude: no option
@@ -69,12 +69,12 @@ class ComplaintParser(argparse.ArgumentParser):
 
 
 Options = argparse._ActionsContainer
-Commands: TypeAlias = "argparse._SubParsersAction[ComplaintParser]"
+Commands: TypeAlias = "argparse._SubParsersAction[RaisingParser]"
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """Return the parser of the command; it raises `ConfigError` on wrong arguments."""
-    parser = ComplaintParser(
+    parser = RaisingParser(
         prog="companion",
         description=DESCRIPTION,
         epilog=EPILOG,

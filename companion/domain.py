@@ -126,47 +126,47 @@ class VehicleState:
 
 R95_OF_SIGMA = math.sqrt(-2.0 * math.log(0.05))
 """R95 of a circular normal distribution with a sigma of 1."""
-UNTOLD_SIGMA_M = 3.0
+DEFAULT_GNSS_SIGMA_M = 3.0
 """Assumed position sigma when the autopilot reports none: one frequency, part of the sky hidden."""
-OPTIMISM, CORRECTED_M = 1.5, 0.5
+GNSS_ACCURACY_FACTOR, CORRECTED_GNSS_M = 1.5, 0.5
 """Ratio of the error of a GNSS receiver without corrections to its reported accuracy, and the
 reported accuracy below which it has corrections."""
-HEIGHT_RATIO = 2.0
+GNSS_VERTICAL_RATIO = 2.0
 """GNSS vertical error is 1.5 to 2 times the horizontal."""
 
 
 @dataclass(frozen=True, slots=True)
-class OwnAccuracy:
+class PositionAccuracy:
     """Position accuracy of the vehicle on the Earth, one sigma.
 
     It is the same error for all measurements from that position, and independent of others' errors.
     """
 
-    horizontal_m: float = UNTOLD_SIGMA_M
+    horizontal_m: float = DEFAULT_GNSS_SIGMA_M
     """Per axis."""
-    vertical_m: float = HEIGHT_RATIO * UNTOLD_SIGMA_M
+    vertical_m: float = GNSS_VERTICAL_RATIO * DEFAULT_GNSS_SIGMA_M
     is_told: bool = False
     """True if the autopilot reported it; False: it is the assumed default."""
 
-    def or_worse(self, other: OwnAccuracy | None) -> OwnAccuracy:
+    def or_worse(self, other: PositionAccuracy | None) -> PositionAccuracy:
         """Return the worse of both accuracies; None leaves this one."""
         if other is None:
             return self
-        return OwnAccuracy(
+        return PositionAccuracy(
             max(self.horizontal_m, other.horizontal_m),
             max(self.vertical_m, other.vertical_m),
             self.is_told and other.is_told,
         )
 
     @property
-    def counted_m(self) -> float:
+    def effective_m(self) -> float:
         """Horizontal sigma in use, per axis.
 
         Receivers underestimate their errors, because they ignore reflections, except for those with
         corrections, whose accuracy is better than this.
         """
-        is_optimistic = self.is_told and self.horizontal_m >= CORRECTED_M
-        return self.horizontal_m * (OPTIMISM if is_optimistic else 1.0)
+        is_optimistic = self.is_told and self.horizontal_m >= CORRECTED_GNSS_M
+        return self.horizontal_m * (GNSS_ACCURACY_FACTOR if is_optimistic else 1.0)
 
     @property
     def words(self) -> str:
@@ -174,11 +174,11 @@ class OwnAccuracy:
         return f"GNSS {self.horizontal_m:.2f} m{'' if self.is_told else ', assumed'}"
 
 
-UNTOLD = OwnAccuracy()
+DEFAULT_ACCURACY = PositionAccuracy()
 
 
 def radii_text(
-    absolute_r95_m: float, r95_m: float, own: OwnAccuracy | None = None, *, decimals: int = 1
+    absolute_r95_m: float, r95_m: float, own: PositionAccuracy | None = None, *, decimals: int = 1
 ) -> str:
     """Return both radii of an estimate in words: first the absolute one, which holds for everybody.
 
@@ -230,7 +230,7 @@ class TargetEstimate:
     """Standard deviation of the height where it is estimated."""
     range_scale: float = 0.0
     """Scale error of the ranges where it is estimated."""
-    own: OwnAccuracy = UNTOLD
+    own: PositionAccuracy = DEFAULT_ACCURACY
     """Worst accuracy of the vehicle position while the target was measured."""
     absolute_r95_m: float = -math.inf
     """The same radius with the vehicle position's error in it; never less than `r95_m`."""
@@ -243,14 +243,14 @@ class TargetEstimate:
         if not self.settled_r95_m <= self.r95_m:
             object.__setattr__(self, "settled_r95_m", self.r95_m)
         if not self.absolute_r95_m >= self.r95_m:  # NaN is no better than either
-            radius_m = math.hypot(self.r95_m, R95_OF_SIGMA * self.own.counted_m)
+            radius_m = math.hypot(self.r95_m, R95_OF_SIGMA * self.own.effective_m)
             object.__setattr__(self, "absolute_r95_m", radius_m)
 
     @property
     def absolute_covariance_m2(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """`covariance_m2` with the vehicle position's error in it."""
         (a, b), (c, d) = self.covariance_m2
-        own_m2 = self.own.counted_m**2
+        own_m2 = self.own.effective_m**2
         return ((a + own_m2, b), (c, d + own_m2))
 
     @property

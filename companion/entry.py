@@ -61,7 +61,7 @@ class _EscapedOutput(io.TextIOWrapper):
         return len(text)
 
 
-def outlive_readers(*, escapes: bool = False) -> None:
+def ignore_broken_pipe(*, escapes: bool = False) -> None:
     """Let standard output and error go on without a reader; replaced streams stay.
 
     With `escapes` control characters are printed escaped.
@@ -115,7 +115,7 @@ def main() -> int:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    outlive_readers(escapes=True)
+    ignore_broken_pipe(escapes=True)
     from companion.cli import main as run
 
     signal.signal(signal.SIGINT, before)

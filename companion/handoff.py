@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 
 import mgrs
 
-from companion.domain import OwnAccuracy, TargetEstimate, radii_text
+from companion.domain import PositionAccuracy, TargetEstimate, radii_text
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.commands import ReportResult
@@ -44,7 +44,7 @@ class Handoff:
     vehicle that measured it."""
     absolute_r95_m: float
     """The same for everybody else."""
-    own: OwnAccuracy
+    own: PositionAccuracy
     """Of the vehicle position, which is in the absolute radius."""
     ellipse_deg: tuple[Degrees, ...]
     """The 95 % ellipse of the main place, absolute."""

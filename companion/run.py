@@ -30,7 +30,7 @@ from companion.flight_setup import (
 )
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
-from companion.guidance.events import ProcessNoted
+from companion.guidance.events import ProcessMessage
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
 from companion.io.links.transports import FlightLink, Transport, make_link
 from companion.io.logs.flight_recorder import BlackBox, FlightJournal
@@ -69,7 +69,7 @@ class PeriodicTasks:
                 del self._tasks[name]
                 log.exception("%s: failed", name)
                 text = f"internal error: {name} ended; flying on"
-                self._endpoint.tell(ProcessNoted(now_s, Severity.ERROR, text))
+                self._endpoint.handle_event(ProcessMessage(now_s, Severity.ERROR, text))
 
 
 CLOSE_S = 0.25
@@ -133,7 +133,7 @@ def prepare(config: CompanionConfig) -> None:
     """Compile the kernels of a flight, before its clock starts; nothing to do without numba."""
     if not IS_COMPILED_ON_CALL:
         return
-    with _told_progress():
+    with _reported_progress():
         warm_up(config.estimation, build_planner(config))
 
 
@@ -141,11 +141,11 @@ PROGRESS_S = 3.0
 
 
 @contextmanager
-def _told_progress() -> Iterator[None]:
+def _reported_progress() -> Iterator[None]:
     """Report progress every few seconds; the first start compiles, later ones load the cache."""
     is_over = threading.Event()
 
-    def tell() -> None:
+    def report() -> None:
         seconds = 0.0
         while not is_over.wait(PROGRESS_S):
             seconds += PROGRESS_S
@@ -153,13 +153,13 @@ def _told_progress() -> Iterator[None]:
             text = "%s kernels, before any link is opened: %d done after %.0f s"
             log.info(text, doing, count_loaded(), seconds)
 
-    teller = threading.Thread(target=tell, name="compiling", daemon=True)
-    teller.start()
+    reporter = threading.Thread(target=report, name="compiling", daemon=True)
+    reporter.start()
     try:
         yield
     finally:
         is_over.set()
-        teller.join()
+        reporter.join()
 
 
 def link_name(link: Transport) -> str:

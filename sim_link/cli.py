@@ -14,8 +14,8 @@ from typing import get_args
 import msgspec
 
 from companion import __version__
-from companion.arguments import ComplaintParser, number_in
-from companion.entry import is_interrupt, outlive_readers
+from companion.arguments import RaisingParser, number_in
+from companion.entry import ignore_broken_pipe, is_interrupt
 from companion.errors import CompanionError, ConfigError
 from companion.io.links.transports import Transport, parse_transport, udp_address
 from companion.io.shared_clock import clock_of
@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 after a stop, 1 after an interrupt before the start, 2 for bad input or a port that is taken.
     """
     given = sys.argv[1:] if argv is None else list(argv)
-    outlive_readers()
+    ignore_broken_pipe()
     try:
         if given and given[0] in SUBCOMMANDS:
             from sim_link.lab.subcommands import run_subcommand  # slow to import, and rarely needed
@@ -85,9 +85,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILED
 
 
-def simulator_parser() -> ComplaintParser:
+def simulator_parser() -> RaisingParser:
     """Return the parser of `sim-link` without subcommands; bad arguments raise `ConfigError`."""
-    parser = ComplaintParser(
+    parser = RaisingParser(
         prog="sim-link",
         description=DESCRIPTION,
         epilog=EPILOG,

@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
 from tools.benches.filter_bench import ROUNDS, FilterBench, Ratio, bench_filters
@@ -185,5 +185,5 @@ def versions(bench: FilterBench | PlannerBench) -> str:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

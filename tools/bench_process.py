@@ -27,7 +27,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.io.child_process import free_udp_port
 from tools.console import OneLineParser, positive
 
@@ -196,5 +196,5 @@ async def exhaust(stream: AsyncIterator[object]) -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

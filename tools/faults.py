@@ -17,7 +17,7 @@ from pathlib import Path
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, without a minute of compiling
 
 from companion import __version__
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import write_json_atomic
 from sim_link.lab.campaign.flights import Trial
@@ -114,5 +114,5 @@ def replay(trial: Trial) -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("companion", "sim_link", "tools")
@@ -122,5 +122,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

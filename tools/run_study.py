@@ -18,7 +18,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
@@ -267,5 +267,5 @@ def say(text: str) -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from companion.config.schema import CompanionConfig  # noqa: E402
-from companion.entry import outlive_readers  # noqa: E402
+from companion.entry import ignore_broken_pipe  # noqa: E402
 from companion.estimation.tracker import FusionReport  # noqa: E402
 from companion.guidance.session_params import SessionParams  # noqa: E402
 from companion.mav.dialect import MAVLink_radio_ranging_message  # noqa: E402
@@ -126,5 +126,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -18,7 +18,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from tests.loop.golden_flights import (
     COURSES,
     FOLDER,
@@ -59,5 +59,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     main()

@@ -34,7 +34,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
 from sim_link.lab.pool import open_pool
@@ -367,5 +367,5 @@ def line(figure: Figure) -> str:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

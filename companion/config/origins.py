@@ -96,9 +96,9 @@ def _written(file: Path) -> dict[str, Any]:
     raw = parse_value(read_text(file), str(file))
     if not isinstance(raw, dict):
         return {}
-    is_told = KEY in raw
+    has_version = KEY in raw
     renew(raw, str(file))
-    if not is_told:
+    if not has_version:
         del raw[KEY]
     return raw
 

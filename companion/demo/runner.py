@@ -23,7 +23,7 @@ from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.polygons import Point
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
-from companion.guidance.events import ProcessNoted
+from companion.guidance.events import ProcessMessage
 from companion.io.child_process import HOST, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, UdpBind
@@ -130,7 +130,7 @@ class DemoWatch(FlightView):
         if self._clock.pace != self._pace:
             text = f"this computer is too busy for {self._pace}: going on at {self._clock.pace}"
             self._pace = self._clock.pace
-            endpoint.tell(ProcessNoted(now_s, Severity.NOTICE, text))
+            endpoint.handle_event(ProcessMessage(now_s, Severity.NOTICE, text))
         reason = self._end_reason(endpoint, now_s)
         if reason is not None:
             self.ended = reason

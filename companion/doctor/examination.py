@@ -30,7 +30,7 @@ from companion.doctor.findings import (
     warn,
 )
 from companion.doctor.probe import DoctorProbe
-from companion.doctor.radio_check import check_radios, look_at_radios
+from companion.doctor.radio_check import check_radios, inspect_radios
 from companion.domain import Autopilot
 from companion.errors import CompanionError
 from companion.guidance.flight.vehicle import class_refusal
@@ -50,7 +50,7 @@ _SYNCHRONISED = Path("/run/systemd/timesync/synchronized")
 _SYNCHRONISERS = (Path("/run/systemd/timesync"), Path("/run/chrony"), Path("/run/ntpd.pid"))
 
 
-def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
+def inspect_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
     """Return the facts about this computer; checkpoints and locks are kept in `state`."""
     return HostFacts(
         python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
@@ -58,8 +58,8 @@ def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
         numba=None if IS_NATIVE else _version("numba"),
         has_native_kernels=IS_NATIVE,
         are_kernels_kept=has_compiled_cache(),
-        logs=look_at_place(logs),
-        state=look_at_place(state),
+        logs=inspect_folder(logs),
+        state=inspect_folder(state),
         key_problem=None if key_file is None else _key_problem(Path(key_file)),
         has_key=key_file is not None,
         unix_s=time.time(),
@@ -67,7 +67,7 @@ def look_at_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
     )
 
 
-def look_at_place(directory: Path) -> PlaceFacts:
+def inspect_folder(directory: Path) -> PlaceFacts:
     """Measure if and how fast a directory can be written; a missing one is created and kept."""
     probe = directory / f".doctor.{os.getpid()}"
     try:
@@ -208,17 +208,17 @@ def _check_clock(host: HostFacts) -> CheckResult:
 def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[CheckResult]:
     autopilot = link.autopilot
     if autopilot is None:
-        yield _nobody(link, config)
+        yield _no_autopilot(link, config)
         return
     yield _check_identity(autopilot)
-    yield from _check_company(link, autopilot, config)
+    yield from _check_other_systems(link, autopilot, config)
     yield _check_loss(link, autopilot)
     if link.resident_mb is not None:
         text = (
             f"{link.resident_mb:.0f} MB, {link.processor_pct:.1f} % of one core for these streams"
         )
         yield ok("process", text)
-    lacking = _lacking(autopilot)
+    lacking = _missing_estimates(autopilot)
     yield from _check_estimator(autopilot, lacking)
     yield from _check_readiness(autopilot)
     for rate in autopilot.rates:
@@ -231,7 +231,7 @@ def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[CheckResul
     yield from check_fence(autopilot, config)
 
 
-def _nobody(link: LinkFacts, config: CompanionConfig) -> CheckResult:
+def _no_autopilot(link: LinkFacts, config: CompanionConfig) -> CheckResult:
     text = f"{link.name}: no autopilot heard in {link.waited_s:.0f} s"
     if link.unproved_frames:
         fix = "set the same signing key up on both sides"
@@ -273,7 +273,7 @@ def _class_fix(facts: AutopilotFacts) -> str:
     return f"fly it by hand; if it is a multicopter, set {parameter}"
 
 
-def _check_company(
+def _check_other_systems(
     link: LinkFacts, facts: AutopilotFacts, config: CompanionConfig
 ) -> Iterator[CheckResult]:
     if link.other_autopilots and config.vehicle.system_id is None:
@@ -303,7 +303,7 @@ def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
     return ok("link", text)
 
 
-def _lacking(facts: AutopilotFacts) -> list[str]:
+def _missing_estimates(facts: AutopilotFacts) -> list[str]:
     """Return the states that the autopilot does not estimate yet, in words."""
     flags = facts.estimator_flags
     if flags is not None:
@@ -376,14 +376,14 @@ def run_doctor(config: CompanionConfig, link: Transport, duration_s: float) -> l
     """Examine all that a flight with `config` needs; raise `LinkError` if a companion runs."""
     state = state_directory(config.process.state_directory, os.environ)
     key_file = config.link.signing_key_file
-    host = look_at_host(Path(config.log.directory), state, key_file)
+    host = inspect_host(Path(config.log.directory), state, key_file)
     can_sign = host.key_problem is None
-    found = look_at_link(config, link, duration_s, state, can_sign=can_sign)
-    facts = Facts(host, found, look_at_radios(config.radios, duration_s))
+    found = inspect_link(config, link, duration_s, state, can_sign=can_sign)
+    facts = Facts(host, found, inspect_radios(config.radios, duration_s))
     return examine(facts, config)
 
 
-def look_at_link(
+def inspect_link(
     config: CompanionConfig, link: Transport, duration_s: float, state: Path, *, can_sign: bool
 ) -> LinkFacts:
     """Listen on the vehicle's link; `can_sign`: the key, if any, is usable."""

@@ -52,7 +52,7 @@ NAMES = {number: mavlink.mavlink_map[number].msgname for number in STREAM_INTERV
 
 
 @dataclass(slots=True)
-class _Question:
+class _ParameterRequest:
     name: str
     value: float | None = None
     tries: int = 0
@@ -86,7 +86,7 @@ class DoctorProbe(OneShotEndpoint):
         self._streams = StreamRequester(self._freshness)
         self._clock = ClockSync()
         self._sequence = SequenceMonitor()
-        self._questions: list[_Question] = []
+        self._requests: list[_ParameterRequest] = []
         self._fence_fetch = FenceDownload()
         self._fence: AutopilotFenceRead | None = None
         self._counts: Counter[str] = Counter()
@@ -107,7 +107,7 @@ class DoctorProbe(OneShotEndpoint):
         self._bytes += len(chunk.data)
         for message in self._codec.decode(chunk.data, is_datagram=chunk.is_datagram):
             if self._authenticity.is_proved(bytes(message.get_msgbuf())):
-                self._hear(message, chunk, now_s)
+                self._receive_message(message, chunk, now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """Send requests that are due."""
@@ -124,7 +124,7 @@ class DoctorProbe(OneShotEndpoint):
         for question in (
             self._streams.due(now_s, (system_id, component_id), self._binding.autopilot),
             self._clock.due(now_s, system_id, component_id),
-            self._next_question(now_s, system_id, component_id),
+            self._next_request(now_s, system_id, component_id),
             self._fence_fetch.due(now_s, (system_id, component_id), is_wanted=self._fence is None),
         ):
             if question is not None:
@@ -139,7 +139,7 @@ class DoctorProbe(OneShotEndpoint):
         if self._bound_s is None:
             return self._began_s is not None and self.now_s - self._began_s > PATIENCE_S
         is_counted = self.now_s - self._bound_s >= SETTLE_S + self._count_s
-        is_answered = not any(question.is_open for question in self._questions)
+        is_answered = not any(question.is_open for question in self._requests)
         return is_counted and is_answered and self._fence is not None
 
     # What was found
@@ -173,7 +173,7 @@ class DoctorProbe(OneShotEndpoint):
             mode=mode_name(mode, binding.autopilot, other),
             is_armed=bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
             rates=self._rates(),
-            parameters={question.name: question.value for question in self._questions},
+            parameters={question.name: question.value for question in self._requests},
             has_rc=self._has_rc(),
             heard=frozenset(newest) - self._empty,
             origin=self._origin(),
@@ -226,7 +226,7 @@ class DoctorProbe(OneShotEndpoint):
 
     # In and out
 
-    def _hear(self, message: Message, chunk: Chunk, now_s: float) -> None:
+    def _receive_message(self, message: Message, chunk: Chunk, now_s: float) -> None:
         sender = (message.get_srcSystem(), message.get_srcComponent())
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             if autopilot_of(message) is not None:
@@ -253,10 +253,10 @@ class DoctorProbe(OneShotEndpoint):
         self._bound_s = now_s
         self._codec.system_id = self._binding.system_id or 1
         names = needed_parameters(self._binding.autopilot)
-        self._questions = [_Question(name) for name in names]
+        self._requests = [_ParameterRequest(name) for name in names]
 
-    def _next_question(self, now_s: float, system_id: int, component_id: int) -> Message | None:
-        for question in self._questions:
+    def _next_request(self, now_s: float, system_id: int, component_id: int) -> Message | None:
+        for question in self._requests:
             if question.is_open and now_s >= question.next_s:
                 question.tries += 1
                 question.next_s = now_s + PARAMETER_RETRY_S
@@ -274,7 +274,7 @@ class DoctorProbe(OneShotEndpoint):
             kind = ParamType(message.param_type)
         except ValueError:
             return
-        for question in self._questions:
+        for question in self._requests:
             if question.name == name:
                 question.value = value_from_raw(raw_of(message), kind, encoding)
 

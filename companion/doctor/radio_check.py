@@ -43,12 +43,12 @@ class RadioProbe(OneShotEndpoint):
         self.watch.tick(now_s)
 
 
-def look_at_radios(radios: Sequence[RadioConfig], duration_s: float) -> tuple[RadioFacts, ...]:
+def inspect_radios(radios: Sequence[RadioConfig], duration_s: float) -> tuple[RadioFacts, ...]:
     """Listen to each radio for a while, one after the other."""
-    return tuple(_look_at(radio, duration_s) for radio in radios)
+    return tuple(_inspect(radio, duration_s) for radio in radios)
 
 
-def _look_at(radio: RadioConfig, duration_s: float) -> RadioFacts:
+def _inspect(radio: RadioConfig, duration_s: float) -> RadioFacts:
     url = radio.url or ""
     try:
         setup = radio_setup(radio, f"radio {radio.name}")

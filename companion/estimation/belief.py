@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import OwnAccuracy
+from companion.domain import PositionAccuracy
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
@@ -57,7 +57,7 @@ class Belief:
     measurements: int
     places: tuple[BelievedPlace, ...]
     """Best first; empty before the first measurement."""
-    own: OwnAccuracy | None = None
+    own: PositionAccuracy | None = None
     """Worst accuracy of the vehicle position while this was measured; None: not recorded."""
     raised_m: float = 0.0
     """Sum of the height steps of the vehicle's navigation since the heights stored here were
@@ -82,7 +82,7 @@ def belief_of(
     hypotheses: Sequence[Hypothesis],
     emitter_id: int | None,
     measurements: int,
-    own: OwnAccuracy | None = None,
+    own: PositionAccuracy | None = None,
     raised_m: float = 0.0,
 ) -> Belief | None:
     """Return the belief that these hypotheses, best first, amount to; None without any."""

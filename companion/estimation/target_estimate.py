@@ -83,7 +83,7 @@ def estimate_of(
     mean, P = best.state.mean, best.state.covariance
     height, scale = model.height_index, model.scale_index
     (a, b), (_, c) = covariances[0].tolist()
-    on_earth = [covariance + own.counted_m**2 * _BOTH_AXES for covariance in covariances]
+    on_earth = [covariance + own.effective_m**2 * _BOTH_AXES for covariance in covariances]
     return TargetEstimate(
         time_s=now_s,
         state=state,

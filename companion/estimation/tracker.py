@@ -17,11 +17,11 @@ from functools import partial
 import msgspec
 
 from companion.domain import (
-    OPTIMISM,
-    UNTOLD,
+    DEFAULT_ACCURACY,
+    GNSS_ACCURACY_FACTOR,
     Distance,
-    OwnAccuracy,
     Params,
+    PositionAccuracy,
     PositionEnu,
     Positive,
     RangingMeasurement,
@@ -140,7 +140,7 @@ class TargetTracker:
         self.last_accepted_s: float | None = None
         self.hypotheses: tuple[Hypothesis, ...] = ()
         """Possible positions of the target, best first."""
-        self.own: OwnAccuracy | None = None
+        self.own: PositionAccuracy | None = None
         """Worst accuracy of the vehicle position during these measurements: GNSS errors persist for
         minutes, so that a better fix does not correct what was measured with a worse one."""
         self._best_own_m = math.inf
@@ -182,7 +182,7 @@ class TargetTracker:
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
         now_s: float,
-        own: OwnAccuracy | None = None,
+        own: PositionAccuracy | None = None,
     ) -> Steps[FusionReport]:
         """Take in one measurement, its bearing in ENU, from the antenna's position (None: unknown).
 
@@ -227,7 +227,7 @@ class TargetTracker:
             return sensor_enu_m
         return (*sensor_enu_m[:2], sensor_enu_m[2] - self.raised_m)
 
-    def _rate_own(self, own: OwnAccuracy | None) -> None:
+    def _rate_own(self, own: PositionAccuracy | None) -> None:
         self.own = own if self.own in (None, own) else self.own.or_worse(own)
         if own is not None and own.is_told:
             self._best_own_m = min(self._best_own_m, own.horizontal_m)
@@ -326,16 +326,16 @@ class TargetTracker:
     @property
     def _shared_sigmas(self) -> SharedSigmas:
         """Standard deviations of the errors that all measurements share, reported or configured."""
-        params, own = self._filter.params, self.own or UNTOLD
+        params, own = self._filter.params, self.own or DEFAULT_ACCURACY
         if params.model.antenna == AZIMUTH and self.own is None:
             return SharedSigmas()  # as in the paper, where positions and heights are known
         lag_s = params.stamp_lag_sigma_s
         lag_s = (UNTOLD_LAG_S if self.antenna is not None else 0.0) if lag_s is None else lag_s
-        own_height_m = OPTIMISM * own.vertical_m if own.is_told else 0.0
+        own_height_m = GNSS_ACCURACY_FACTOR * own.vertical_m if own.is_told else 0.0
         height_m = math.hypot(UNTOLD_HEIGHT_M, own_height_m) if self.antenna is not None else 0.0
         has_jumped = own.is_told and self._best_own_m * FIX_CHANGE <= own.horizontal_m
-        jump_m = own.counted_m if has_jumped else 0.0
-        own_m = own.counted_m
+        jump_m = own.effective_m if has_jumped else 0.0
+        own_m = own.effective_m
         if self.antenna is not None and own_m > own.horizontal_m:
             own_m = BETWEEN_WALLS * own.horizontal_m
         return SharedSigmas(own_m, height_m, lag_s, jump_m)
@@ -397,7 +397,7 @@ class TargetTracker:
             return "another emitter"
         self.restart()
         self.emitter_id = belief.emitter_id
-        self.own = belief.own or UNTOLD
+        self.own = belief.own or DEFAULT_ACCURACY
         self.raised_m = belief.raised_m
         self.hypotheses = hypotheses_of(belief, age_s, now_s, params)
         if len(self.hypotheses) == 1:
@@ -408,7 +408,7 @@ class TargetTracker:
         """Where the target is believed to be, or None before the first measurement."""
         if not self.hypotheses:
             return None
-        own, is_diverged = self.own or UNTOLD, self.integrity.is_recovering(self.accepted)
+        own, is_diverged = self.own or DEFAULT_ACCURACY, self.integrity.is_recovering(self.accepted)
         made_of = self.hypotheses, self._shared, own, self._filter, self.accepted, is_diverged
         make = partial(
             estimate_of,

@@ -198,11 +198,11 @@ class Guard:
         fence, ways = self._known
         dt_s = min(max(dt_s, 0.0), MAX_TICK_S)
         step = _Step(goal_enu_m, previous, motion, dt_s, speed_cap_mps, [])
-        trouble = self._trouble(step, fence, ways)
-        if trouble is GuardReason.OUTSIDE or trouble is GuardReason.MARGIN:
-            return self._walked_in(trouble, step, fence)
-        if trouble is not None:
-            return self._begun_anew(trouble, step, fence)
+        obstacle = self._obstacle(step, fence, ways)
+        if obstacle is GuardReason.OUTSIDE or obstacle is GuardReason.MARGIN:
+            return self._led_inside(obstacle, step, fence)
+        if obstacle is not None:
+            return self._restarted(obstacle, step, fence)
         up_m, climb_mps = self._climbed(step)
         goal = self._permitted(step, fence)
         velocity = self._velocity(step, goal, fence)
@@ -214,7 +214,7 @@ class Guard:
 
     # A vehicle that cannot fly to its setpoint
 
-    def _trouble(self, step: _Step, fence: Fence, ways: FreeSpace) -> GuardReason | None:
+    def _obstacle(self, step: _Step, fence: Fence, ways: FreeSpace) -> GuardReason | None:
         vehicle, limits = step.vehicle, self.limits
         if not ways.allows(vehicle):
             return GuardReason.OUTSIDE
@@ -227,7 +227,7 @@ class Guard:
             return GuardReason.TOO_FAST
         return None if fence.allows(step.start) else GuardReason.MARGIN
 
-    def _begun_anew(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
+    def _restarted(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it.
 
         In the margin that is walked in meanwhile: a wind keeps a vehicle beside its setpoint.
@@ -242,7 +242,7 @@ class Guard:
         step = replace(step, goal_enu_m=step.previous.position_enu_m, speed_cap_mps=math.inf)
         return self._walked((why, GuardReason.MARGIN), step, goal, fence)
 
-    def _walked_in(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
+    def _led_inside(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the next setpoint on the shortest way back, from the vehicle if off that way."""
         goal = fence.nearest_allowed(step.start)
         step = replace(step, goal_enu_m=step.previous.position_enu_m, speed_cap_mps=math.inf)

@@ -43,7 +43,7 @@ from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
-from companion.guidance.messages import FindingMessages, Rarely, StateMessages
+from companion.guidance.messages import FindingMessages, RateLimited, StateMessages
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner
@@ -52,7 +52,7 @@ ERROR_HOLD_S = 1.0
 """Duration of the hold after an internal error."""
 WINDOW_S = 10.0
 MOST_ERRORS = 3
-TELL_EVERY_S = 10.0
+TEXT_PERIOD_S = 10.0
 """Shortest time between two texts about errors of the same part."""
 
 
@@ -62,7 +62,7 @@ class Containment(Watch):
     def __init__(self) -> None:
         self.errors: Counter[str] = Counter()
         self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
-        self._texts = Rarely(TELL_EVERY_S)
+        self._texts = RateLimited(TEXT_PERIOD_S)
 
     def finding(self, now_s: float) -> Finding | None:
         """Return the finding that recent errors cause, or None."""
@@ -259,7 +259,7 @@ class SessionContext:
         """Withdraw unanswered requests, which must not be sent again."""
         self.send(WithdrawRequest())
 
-    def believe(self, estimate: TargetEstimate | None) -> None:
+    def set_estimate(self, estimate: TargetEstimate | None) -> None:
         """Set the current emitter's estimate."""
         self.estimate = estimate
 

@@ -76,8 +76,8 @@ class Reporting:
                 context.announce(Severity.NOTICE, text)
             self._report(context.tracker, flown, head)
             if context.emitters.report_current():
-                self._stop_rule.begin_anew()
-                self._settled_rule.begin_anew()
+                self._stop_rule.reset()
+                self._settled_rule.reset()
                 self._scheduler.follow(now_s)
             else:
                 self._finish(FlightMode(params.on_localised), now_s)
@@ -105,7 +105,7 @@ class Reporting:
         if context.phase not in IN_CONTROL or not self._battery.ends_mission:
             self._leg = None
             return False
-        if not context.vehicle.mode_watch.may_be_asked(now_s):
+        if not context.vehicle.mode_watch.may_request_mode(now_s):
             return False  # a pilot may have control, and the return mode would take it
         waypoint, vehicle = context.flight_plan.waypoint, context.vehicle.position_enu_m
         goal = None if waypoint is None else (*waypoint.position_enu_m, 0.0)
@@ -157,7 +157,7 @@ class Reporting:
         is_left = vehicle.is_mode_known(now_s) and not vehicle.is_ours
         if context.phase is not Phase.FINISHED or is_left:
             self._final = None
-        elif now_s - asked_s >= FINAL_AGAIN_S and vehicle.mode_watch.may_be_asked(now_s):
+        elif now_s - asked_s >= FINAL_AGAIN_S and vehicle.mode_watch.may_request_mode(now_s):
             self._final = (mode, now_s)
             context.ask_mode(mode)
 
@@ -168,7 +168,7 @@ TICK_S = 0.05
 HEARTBEAT_PERIOD_S = 1.0
 READY_AGAIN_S = 3.0
 """Interruptions shorter than this are not announced each time."""
-UNJUDGED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
+UNMONITORED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
 """Phases that send setpoints but ignore the findings."""
 SILENCE_S = 0.3
 """After a longer pause the vehicle may have moved: the first setpoint is its position."""
@@ -224,17 +224,17 @@ class ControlTick:
         if is_known and now_s - self._sent_s > SILENCE_S:  # the last setpoint is safer
             context.steering.forget_setpoint()  # while the position is stale
         setpoint = self._setpoint(now_s, dt_s)
-        self._tell_stop(now_s, is_stopping=setpoint is None and not self._is_silent)
+        self._announce_stop(now_s, is_stopping=setpoint is None and not self._is_silent)
         self._is_silent = setpoint is None
         if setpoint is None:
             return
         self._sent_s = now_s
         if context.phase in IN_CONTROL:
-            self._tell_reasons(context.steering.reasons, now_s)
+            self._announce_guard_reasons(context.steering.reasons, now_s)
         context.send(SendSetpoint(setpoint))
         self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
 
-    def _tell_stop(self, now_s: float, *, is_stopping: bool) -> None:
+    def _announce_stop(self, now_s: float, *, is_stopping: bool) -> None:
         """Announce why setpoints stop, or control is unavailable, unless a finding does."""
         context = self._context
         guided = context.vehicle.guided_name
@@ -254,7 +254,7 @@ class ControlTick:
             if is_stopping:
                 text += "; setpoints stopped"
             context.warn(text, Topic.READINESS)
-        elif is_stopping and context.phase in UNJUDGED:
+        elif is_stopping and context.phase in UNMONITORED:
             if missing is not None:
                 context.warn(f"setpoints stopped: {missing.text}")
             elif context.vehicle.is_ours:
@@ -267,7 +267,7 @@ class ControlTick:
             return None
         return Finding(Verdict.HOLD, Reason.INPUT_MISSING, f"waiting for {' and '.join(names)}")
 
-    def _tell_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
+    def _announce_guard_reasons(self, reasons: tuple[GuardReason, ...], now_s: float) -> None:
         for text in self._guard_messages.texts(reasons, now_s):
             self._context.warn(text)
         names = self._guard_messages.record(reasons, now_s)
@@ -292,15 +292,15 @@ class ControlTick:
             case Phase.LAUNCHING:
                 self._advance_launch(now_s)
             case Phase.NORMAL | Phase.DEGRADED | Phase.HOLD:
-                self._judge(now_s)
+                self._apply_finding(now_s)
             case Phase.HANDBACK:
-                self._handover.go_on_handing_back(now_s)
+                self._handover.continue_hand_back(now_s)
         self._reporting.tick(now_s)
-        self._scheduler.tell()
+        self._scheduler.announce()
 
     def _wait(self, now_s: float, severity: Severity = Severity.INFO) -> None:
         context = self._context
-        reason = self._waiting.news(now_s)
+        reason = self._waiting.due_text(now_s)
         if reason is not None:
             context.warn(reason, Topic.READINESS)
         authority = context.authority
@@ -321,7 +321,7 @@ class ControlTick:
             return
         finding = self._watches.launch_finding(now_s)
         if finding is not None:
-            launch.trouble(finding.text, now_s)
+            launch.note_problem(finding.text, now_s)
         elif heartbeat is None or height_m is None or home is None or not vehicle.is_usable(now_s):
             launch.wait(now_s)
         else:
@@ -334,11 +334,11 @@ class ControlTick:
             context.announce(Severity.ERROR, f"takeoff aborted: {launch.failure}")
             context.enter(Trigger.LAUNCH_FAILED, now_s)
 
-    def _judge(self, now_s: float) -> None:
+    def _apply_finding(self, now_s: float) -> None:
         """Follow the plan, slow down, hold, or end control, by the worst finding now."""
         context, finding = self._context, self._watches.finding(now_s)
         if finding is not None and finding.verdict is Verdict.HAND_BACK:
-            finding = self._handover.unless_in_doubt(finding, now_s)
+            finding = self._handover.hold_if_unconfirmed(finding, now_s)
         is_new = context.record_finding(finding, now_s)
         if finding is None:
             if context.enter(Trigger.INPUT_BACK, now_s):
@@ -356,7 +356,7 @@ class ControlTick:
                 self._watches.note_handback(finding)
                 return
             case Verdict.GIVE_WAY:
-                self._handover.give_way(finding, now_s)
+                self._handover.yield_control(finding, now_s)
                 return
         if is_new:
             word = "degraded" if finding.verdict is Verdict.SLOW else "hold"

@@ -162,7 +162,7 @@ class OtherCommandHeard(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatorRated(Event):
+class EstimatorStatusReported(Event):
     """The autopilot's verdict on its own estimate."""
 
     worst: float
@@ -180,7 +180,7 @@ class FixReported(Event):
     """Counted from 0."""
 
 
-class PlaceTeller(Enum):
+class AccuracySource(Enum):
     """Source of a reported position accuracy."""
 
     RECEIVER = "receiver"
@@ -190,10 +190,10 @@ class PlaceTeller(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class OwnPlaceRated(Event):
+class PositionAccuracyReported(Event):
     """Position accuracy of the vehicle, one sigma."""
 
-    teller: PlaceTeller
+    source: AccuracySource
     horizontal_m: float | None
     """None: unknown to its source."""
     vertical_m: float | None
@@ -210,7 +210,7 @@ class BatteryReported(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class TransmitterRated(Event):
+class RcStatusReported(Event):
     """Health of the RC input by the autopilot; if lost, its pulses are not the pilot's."""
 
     is_healthy: bool
@@ -342,7 +342,7 @@ class OperatorCommand(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class OperatorAsked(Event):
+class OperatorCommandReceived(Event):
     """A button of the live map was pressed and confirmed, or a station sent a grant."""
 
     command: OperatorCommand
@@ -381,7 +381,7 @@ class StopRequested(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class ProcessNoted(Event):
+class ProcessMessage(Event):
     """Text of the process for the operator: about its log, its timing, its restart."""
 
     severity: Severity
@@ -389,7 +389,7 @@ class ProcessNoted(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class EarlierRunFound(Event):
+class UncleanExitFound(Event):
     """An earlier process of ours ended uncleanly; see `guidance.recovery`."""
 
 

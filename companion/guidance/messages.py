@@ -132,26 +132,26 @@ def result_of(
     return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text
 
 
-class Rarely:
+class RateLimited:
     """Limits the rate of each text or record."""
 
-    def __init__(self, every_s: float) -> None:
-        self._every_s = every_s
-        self._told_s: dict[Hashable, float] = {}
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._announced_s: dict[Hashable, float] = {}
 
     def is_due(self, what: Hashable, now_s: float) -> bool:
         """Return True if an item is due now; it then counts as sent."""
-        told_s = self._told_s.get(what)
-        if told_s is not None and now_s - told_s < self._every_s:
+        told_s = self._announced_s.get(what)
+        if told_s is not None and now_s - told_s < self._period_s:
             return False
-        self._told_s[what] = now_s
+        self._announced_s[what] = now_s
         return True
 
 
-GONE_S = 1.0
+CLEARED_AFTER_S = 1.0
 """Time without the announced state after which it is over."""
 URGENT = frozenset({Reason.NO_LINK})
-TOLD_AGAIN_S = 10.0
+REANNOUNCE_S = 10.0
 """Shortest time between two announcements of the same state while states alternate."""
 
 
@@ -159,26 +159,28 @@ class FindingMessages:
     """Decides when a finding in control is announced; None stands for "no finding"."""
 
     def __init__(self) -> None:
-        self._told: Reason | None = None
-        self._told_verdict = 0
+        self._announced: Reason | None = None
+        self._announced_verdict = 0
         self._seen_s = -math.inf
         """Last time at which the announced state was current."""
-        self._told_s: dict[Reason | None, float] = {}
+        self._announced_s: dict[Reason | None, float] = {}
 
     def take(self, finding: Finding | None, now_s: float) -> bool:
         """Record the current finding, or None; return True if it has to be announced."""
         reason = None if finding is None else finding.reason
-        if reason is self._told:
+        if reason is self._announced:
             self._seen_s = now_s
             return False
         verdict = 0 if finding is None else int(finding.verdict)
-        since_told_s = now_s - self._told_s.get(reason, -math.inf)
-        is_worse = verdict > self._told_verdict or reason in URGENT
-        is_worse = is_worse and since_told_s >= GONE_S
-        if not (is_worse or now_s - self._seen_s >= GONE_S or since_told_s >= TOLD_AGAIN_S):
+        since_announced_s = now_s - self._announced_s.get(reason, -math.inf)
+        is_worse = verdict > self._announced_verdict or reason in URGENT
+        is_worse = is_worse and since_announced_s >= CLEARED_AFTER_S
+        if not (
+            is_worse or now_s - self._seen_s >= CLEARED_AFTER_S or since_announced_s >= REANNOUNCE_S
+        ):
             return False
-        self._told, self._told_verdict, self._seen_s = reason, verdict, now_s
-        self._told_s[reason] = now_s
+        self._announced, self._announced_verdict, self._seen_s = reason, verdict, now_s
+        self._announced_s[reason] = now_s
         return True
 
 
@@ -226,7 +228,7 @@ class StateMessages:
         return is_new
 
 
-SAID_EVERY_S = 30.0
+REPEAT_AFTER_S = 30.0
 """Shortest time between two texts with the same reason."""
 LOGGED_EVERY_S = 1.0
 SILENT = frozenset({GuardReason.LAGGING, GuardReason.CUT_OFF})
@@ -237,14 +239,16 @@ class GuardMessages:
     """Rate-limits the guard's texts and records."""
 
     def __init__(self) -> None:
-        self._texts = Rarely(SAID_EVERY_S)
+        self._texts = RateLimited(REPEAT_AFTER_S)
         self._logged: tuple[GuardReason, ...] = ()
         self._logged_s: float | None = None
 
     def texts(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str]:
         """Return texts for the reasons that were not announced for a while."""
-        told = [reason for reason in reasons if reason not in SILENT]
-        return [f"guard: {reason.value}" for reason in told if self._texts.is_due(reason, now_s)]
+        announced = [reason for reason in reasons if reason not in SILENT]
+        return [
+            f"guard: {reason.value}" for reason in announced if self._texts.is_due(reason, now_s)
+        ]
 
     def record(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str] | None:
         """Return the reasons for the log if they changed and none were logged just now."""
@@ -326,7 +330,7 @@ class OffsetMessages:
     """Announces a range offset at its bound: the radio's own one lies beyond."""
 
     def __init__(self) -> None:
-        self._texts = Rarely(SAID_EVERY_S)
+        self._texts = RateLimited(REPEAT_AFTER_S)
 
     def messages_for(
         self, offset_m: float, noise: FilterParams, accepted: int, now_s: float
@@ -357,13 +361,13 @@ class AntennaMessages:
     """Announces the antenna kind that the bearings show, each kind once."""
 
     def __init__(self) -> None:
-        self._told: set[str] = set()
+        self._announced: set[str] = set()
 
     def messages_for(self, shown: str | None) -> list[Command]:
         """Return a record, and perhaps a text, if the bearings show another antenna kind."""
-        if shown is None or shown in self._told:
+        if shown is None or shown in self._announced:
             return []
-        self._told.add(shown)
+        self._announced.add(shown)
         commands: list[Command] = [Record("antenna", {"kind": shown})]
         if shown in ANTENNA_TEXTS:
             commands.append(Announce(Severity.WARNING, ANTENNA_TEXTS[shown]))
@@ -385,7 +389,7 @@ class RejectMessages:
     def __init__(self) -> None:
         self._pending: Counter[RejectReason] = Counter()
         self._times_s: dict[RejectReason, deque[float]] = {}
-        self._records, self._texts = Rarely(RECORD_PERIOD_S), Rarely(TEXT_PERIOD_S)
+        self._records, self._texts = RateLimited(RECORD_PERIOD_S), RateLimited(TEXT_PERIOD_S)
 
     def messages_for(self, reason: RejectReason, now_s: float) -> list[Command]:
         """Count a refused measurement, and return the record and the text that are due."""

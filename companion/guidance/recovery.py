@@ -51,7 +51,7 @@ class Recollection:
         self._beliefs: tuple[Belief, ...] = ()
         """Kept estimates of all emitters, the one searched for last at the end."""
         self._origin: LocalOrigin | None = None
-        self._held_at_s = 0.0
+        self._kept_at_s = 0.0
         """Time of the kept estimates, on this session's clock."""
         self._recalled_s = 0.0
 
@@ -83,7 +83,7 @@ class Recollection:
         beliefs = memory.others if memory.belief is None else (*memory.others, memory.belief)
         if beliefs:
             self._beliefs, self._origin = beliefs, memory.origin
-            self._held_at_s, self._recalled_s = now_s - age_s, now_s
+            self._kept_at_s, self._recalled_s = now_s - age_s, now_s
         self.advance(now_s)
 
     def advance(self, now_s: float) -> None:
@@ -92,15 +92,15 @@ class Recollection:
             return
         origin, context = self._context.vehicle.origin, self._context
         if self._origin is None:
-            self._begin_anew("its local frame was not known")
+            self._reset_estimates("its local frame was not known")
         elif origin is not None:
             step_m = context.vehicle.origin_step_m(self._origin)
             if step_m > ORIGIN_STEP_M:
-                self._begin_anew(f"the local frame moved by {step_m:.0f} m")
+                self._reset_estimates(f"the local frame moved by {step_m:.0f} m")
             else:
                 self._resume(now_s)
         elif now_s - self._recalled_s > ORIGIN_PATIENCE_S:
-            self._begin_anew("the autopilot does not tell its origin")
+            self._reset_estimates("the autopilot does not tell its origin")
 
     def forget(self) -> None:
         """Drop the kept estimates, because the autopilot restarted and its frame is another one."""
@@ -120,15 +120,15 @@ class Recollection:
         beliefs, self._beliefs = self._beliefs, ()
         context = self._context
         for belief in beliefs:
-            problem = context.emitters.resume(belief, now_s - self._held_at_s, now_s)
+            problem = context.emitters.resume(belief, now_s - self._kept_at_s, now_s)
             if problem is not None:
                 context.warn(f"estimate reset: it held {problem}")
             else:
-                self._tell_resumed(belief, now_s)
+                self._announce_resumed(belief, now_s)
 
-    def _tell_resumed(self, belief: Belief, now_s: float) -> None:
+    def _announce_resumed(self, belief: Belief, now_s: float) -> None:
         context, estimate = self._context, self._context.tracker.estimate(now_s)
-        context.believe(estimate)
+        context.set_estimate(estimate)
         context.states.begin(estimate)
         if estimate is None:
             return
@@ -142,6 +142,6 @@ class Recollection:
         text = f"estimate resumed: {estimate.state.value}, {radii_of(estimate)}"
         context.announce(Severity.NOTICE, text)
 
-    def _begin_anew(self, reason: str) -> None:
+    def _reset_estimates(self, reason: str) -> None:
         self._beliefs = ()
         self._context.warn(f"estimate reset: {reason}")

@@ -77,7 +77,7 @@ def _detail(context: SessionContext) -> str:
     waypoint = context.flight_plan.waypoint
     if phase is Phase.YIELD and context.authority.grant_reason is not None:
         return f"{context.authority.grant_reason}: needs a grant"
-    if phase is Phase.WAITING and context.authority.is_found_unfree:
+    if phase is Phase.WAITING and context.authority.needs_another_mode:
         guided_name = context.vehicle.guided_name
         return f"found in {guided_name} or in a failsafe: change its mode, or grant control"
     if phase in (Phase.DEGRADED, Phase.HOLD) and context.finding is not None:
@@ -128,7 +128,7 @@ class GuidanceSession:
             self._measuring.receive(event.measurement, event.time_s)
         elif isinstance(event, events.TimeLeft):
             self._measuring.go_on(event.time_s)
-        elif isinstance(event, MODE_EVENTS) and self.authority.is_overtaken(event):
+        elif isinstance(event, MODE_EVENTS) and self.authority.is_out_of_date(event):
             self.context.record("overtaken", what=type(event).__name__)
         elif isinstance(event, events.LandedStateChanged) and self._doubts_landing(event):
             self.context.record("landing_doubted", height_m=self.vehicle.height_m)
@@ -172,9 +172,9 @@ class GuidanceSession:
                 self.handover.leave(problem, event.time_s)
             case events.Retuned():
                 self.context.retune(event.tuning)
-            case events.ProcessNoted():
+            case events.ProcessMessage():
                 self.context.announce(event.severity, event.text)
-            case events.EarlierRunFound():
+            case events.UncleanExitFound():
                 self.context.forbid_launch()
                 self.authority.demand_another_mode()
             case events.MemoryRecalled():

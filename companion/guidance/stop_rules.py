@@ -17,7 +17,7 @@ class StopRule:
     def __init__(self) -> None:
         self._since_s: float | None = None
 
-    def begin_anew(self) -> None:
+    def reset(self) -> None:
         """Restart the confirmation time."""
         self._since_s = None
 
@@ -51,7 +51,7 @@ class SettledRule:
     """
 
     def __init__(self) -> None:
-        self._learnt_s = 0.0
+        self._measuring_s = 0.0
         """Time between accepted measurements."""
         self._heard_s: float | None = None
         """Time of the last one; None: the vehicle held since then, or measurements paused for
@@ -59,7 +59,7 @@ class SettledRule:
         self._mark: tuple[float, float] | None = None
         """That time at the last improvement of R95, and its value then."""
 
-    def begin_anew(self) -> None:
+    def reset(self) -> None:
         """Drop the mark."""
         self._mark = None
 
@@ -77,7 +77,7 @@ class SettledRule:
             self._heard_s = None
             return False
         if self._heard_s is not None:
-            self._learnt_s += max(0.0, heard_s - self._heard_s)
+            self._measuring_s += max(0.0, heard_s - self._heard_s)
         self._heard_s = heard_s
         r95_m = estimate.r95_m
         is_localised = estimate.state is EstimateState.LOCALISED
@@ -87,5 +87,5 @@ class SettledRule:
         if self._mark is None or not (
             IMPROVED_SHARE * self._mark[1] <= r95_m <= WORSE_RATIO * self._mark[1]
         ):
-            self._mark = (self._learnt_s, r95_m)
-        return self._learnt_s - self._mark[0] >= settle_s
+            self._mark = (self._measuring_s, r95_m)
+        return self._measuring_s - self._mark[0] >= settle_s

@@ -228,9 +228,9 @@ class CompanionEndpoint:
 
     def request_stop(self, now_s: float) -> None:
         """Hand the vehicle back, then finish."""
-        self.tell(events.StopRequested(now_s))
+        self.handle_event(events.StopRequested(now_s))
 
-    def tell(self, event: events.Event) -> None:
+    def handle_event(self, event: events.Event) -> None:
         """Take in what the process or the operator says, beside the mode switch."""
         if self._recorder is not None:
             self._recorder.event(event)

@@ -21,7 +21,7 @@ from typing import Protocol
 from companion.domain import Autopilot
 from companion.errors import ConfigError
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.events import OperatorAsked, OperatorCommand, Retuned
+from companion.guidance.events import OperatorCommand, OperatorCommandReceived, Retuned
 from companion.guidance.session_params import Tuning, When
 from companion.link import outbound
 from companion.link.executor import SessionExecutor
@@ -264,7 +264,7 @@ class CommandHandler:
             refusal = self._executor.session.objection_to(OperatorCommand.GRANT)
             result = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
         if refusal is None:
-            self._executor.handle(OperatorAsked(now_s, OperatorCommand.GRANT), now_s)
+            self._executor.handle(OperatorCommandReceived(now_s, OperatorCommand.GRANT), now_s)
             return int(mavlink.MAV_RESULT_ACCEPTED)
         if self._text_limit.acquire(now_s):
             text = f"GRANT refused: {refusal}"

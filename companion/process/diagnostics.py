@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from companion.guidance.commands import Severity
-from companion.guidance.events import ProcessNoted
+from companion.guidance.events import ProcessMessage
 from companion.io.background_files import BackgroundReplacer
 from companion.io.links.byte_streams import StreamLink
 from companion.io.links.link import Link
@@ -172,7 +172,7 @@ class ProcessDiagnostics:
             self._announce(Severity.WARNING, text, now_s)
 
     def _announce(self, severity: Severity, text: str, now_s: float) -> None:
-        self._endpoint.tell(ProcessNoted(now_s, severity, text))
+        self._endpoint.handle_event(ProcessMessage(now_s, severity, text))
 
 
 LINK_CHECK_PERIOD_S = 1.0

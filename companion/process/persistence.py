@@ -27,7 +27,7 @@ import msgspec
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
 from companion.guidance.commands import Severity
-from companion.guidance.events import EarlierRunFound, MemoryRecalled, ProcessNoted
+from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExitFound
 from companion.guidance.flight.fencing import FencePolicy
 from companion.io.background_files import BackgroundReplacer
 from companion.io.state.checkpoints import (
@@ -148,7 +148,7 @@ class RestartKeeper:
         self.is_restart = found.has_files
         if not found.has_files:
             return
-        self._endpoint.tell(EarlierRunFound(self._clock.now_s()))
+        self._endpoint.handle_event(UncleanExitFound(self._clock.now_s()))
         if checkpoint is None:
             log.warning(
                 "checkpoint: none is whole: starting a new mission, without engaging by itself"
@@ -169,12 +169,12 @@ class RestartKeeper:
             text = (
                 f"restarted, with {difference}: starting a new mission, without engaging by itself"
             )
-            self._endpoint.tell(ProcessNoted(now_s, Severity.WARNING, text))
+            self._endpoint.handle_event(ProcessMessage(now_s, Severity.WARNING, text))
             if not self._is_of(then):
                 return
             memory = memory.fences_alone
         age = self._age_s + now_s - self._began_s
-        self._endpoint.tell(MemoryRecalled(now_s, memory, age))
+        self._endpoint.handle_event(MemoryRecalled(now_s, memory, age))
 
     def _is_of(self, then: MissionKey) -> bool:
         """Return True if a key is of the bound vehicle."""

@@ -18,7 +18,13 @@ from companion.config.schema import CompanionConfig
 from companion.domain import Attitude, VehicleState
 from companion.errors import ConfigError, LinkError
 from companion.flight_setup import radio_links
-from companion.guidance.events import Event, OriginSet, OwnPlaceRated, VehicleMoved, YawMeasured
+from companion.guidance.events import (
+    Event,
+    OriginSet,
+    PositionAccuracyReported,
+    VehicleMoved,
+    YawMeasured,
+)
 from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
 from companion.io.links.transports import FlightLink
 from companion.io.logs.radio_recording import (
@@ -105,7 +111,7 @@ class PoseListener:
                 names = ("latitude_deg", "longitude_deg", "altitude_m")
                 fields = dict(zip(names, place, strict=True))
                 return [RecordedOrigin(**fields, projection=origin.projection)]
-            case OwnPlaceRated():
+            case PositionAccuracyReported():
                 self._sigma_m = event.horizontal_m
             case VehicleMoved(state=state) if is_plausible(state):
                 self._waiting.append(state)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from companion.config.radios import RadioConfig, radio_setups, replayed_radios
 from companion.config.schema import CompanionConfig
-from companion.domain import Attitude, OwnAccuracy, RangingMeasurement, VehicleState
+from companion.domain import Attitude, PositionAccuracy, RangingMeasurement, VehicleState
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.measurements import RangingListener
 from companion.guidance.tracking.vehicle_track import VehicleTrack
@@ -63,7 +63,7 @@ def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
     stages = [RadioStage(setup) for setup in radio_setups(replayed_radios(recorded, config.radios))]
     track = VehicleTrack()
     targets: dict[int, _Target] = {}
-    own: OwnAccuracy | None = None
+    own: PositionAccuracy | None = None
     now_s, poses = 0.0, 0
     for record in records:
         if isinstance(record, RadioBytes):
@@ -76,14 +76,14 @@ def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
         elif isinstance(record, TimedPose):
             poses += 1
             _add_pose(track, record)
-            own = own if record.sigma_m is None else OwnAccuracy(record.sigma_m, is_told=True)
+            own = own if record.sigma_m is None else PositionAccuracy(record.sigma_m, is_told=True)
             for target in targets.values():
                 target.listener.fuse_due(max(now_s, record.t_s), own)
     if poses:
         for target in targets.values():
             target.listener.fuse_due(now_s + END_S, own)
     if not poses:
-        return RadioReplay([*_radio_lines(stages), *_untold_lines(targets)])
+        return RadioReplay([*_radio_lines(stages), *_unplaced_lines(targets)])
     results = _results(targets, now_s)
     return RadioReplay([*_radio_lines(stages), *map(_refusals, results)], results)
 
@@ -91,8 +91,8 @@ def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
 def _add_pose(track: VehicleTrack, pose: TimedPose) -> None:
     track.add(VehicleState(pose.t_s, pose.enu_m, (0.0, 0.0, 0.0)))
     if pose.yaw_rad is not None:
-        is_told = pose.roll_rad is not None and pose.pitch_rad is not None
-        tilt_rad = (pose.roll_rad or 0.0, pose.pitch_rad or 0.0) if is_told else None
+        has_tilt = pose.roll_rad is not None and pose.pitch_rad is not None
+        tilt_rad = (pose.roll_rad or 0.0, pose.pitch_rad or 0.0) if has_tilt else None
         track.add_attitude(pose.t_s, Attitude(pose.yaw_rad, tilt_rad))
 
 
@@ -112,7 +112,7 @@ def _refusals(result: TargetResult) -> str:
     return f"emitter {result.target_id}: {f'refused: {words}' if words else 'none refused'}"
 
 
-def _untold_lines(targets: dict[int, _Target]) -> list[str]:
+def _unplaced_lines(targets: dict[int, _Target]) -> list[str]:
     """Return the measurements of emitters in lines, where positions are unknown."""
     lines = []
     for number, target in sorted(targets.items()):

@@ -127,7 +127,7 @@ def rerun(
             case InputKind.TICK:
                 endpoint.handle_timer(value.time_s)
             case _:
-                endpoint.tell(event_of(value))
+                endpoint.handle_event(event_of(value))
         sent = [chunk.data for chunk in endpoint.take_output()]
         journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
         if on_input is not None:
@@ -187,7 +187,7 @@ def open_recording(path: Path) -> FlightRecording:
     if whole is None and _lacks_last(records, inputs):
         whole = len(inputs)
         early = f"{flight.path(INPUTS)}: ends before {TLOG} does; compared up to there"
-    told = (
+    damage = (
         damage_text(flight.path(EVENTS), "line", bad_lines),
         damage_text(flight.path(TLOG), "byte", bad_frames),
         damage_text(flight.path(INPUTS), "record", bad_inputs) or early,
@@ -199,7 +199,7 @@ def open_recording(path: Path) -> FlightRecording:
         course,
         whole,
         not bad_lines and not bad_frames and not _ends_early(records, inputs, flight.facts),
-        tuple(text for text in told if text),
+        tuple(text for text in damage if text),
     )
 
 

@@ -20,11 +20,11 @@ from pathlib import Path
 import msgspec
 
 from companion.domain import (
-    HEIGHT_RATIO,
-    UNTOLD_SIGMA_M,
+    DEFAULT_GNSS_SIGMA_M,
+    GNSS_VERTICAL_RATIO,
     EstimateState,
     NonNegative,
-    OwnAccuracy,
+    PositionAccuracy,
     PositionEnu,
     RangingMeasurement,
     TargetEstimate,
@@ -56,7 +56,7 @@ class WalkRow:
     measurement: RangingMeasurement
     agent_enu_m: PositionEnu
     truth_enu_m: tuple[float, float] | None
-    own: OwnAccuracy | None = None
+    own: PositionAccuracy | None = None
     """Accuracy of the agent's position; None: not stated."""
     yaw_sigma_rad: float = 0.0
     """Standard deviation of the yaw that the bearing was turned by."""
@@ -237,7 +237,9 @@ def _walk_row(
         ),
         agent_enu_m=(east, north, up),
         truth_enu_m=truth,
-        own=None if own_m is None else OwnAccuracy(own_m, HEIGHT_RATIO * own_m, is_told=True),
+        own=None
+        if own_m is None
+        else PositionAccuracy(own_m, GNSS_VERTICAL_RATIO * own_m, is_told=True),
         yaw_sigma_rad=yaw_rad or 0.0,
     )
 
@@ -329,4 +331,5 @@ def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[st
         words = ", ".join(f"{name} to {radius_m:.2f} m" for name, radius_m in open_m.items())
         yield f"searching: measurements place {words}; localised asks for {localised_r95_m:g} m"
     if not all(estimate.own.is_told for estimate in estimates.values()):
-        yield f"R95 counts {UNTOLD_SIGMA_M:g} m for positions of unknown accuracy: see --own-sigma"
+        sigma_m = f"{DEFAULT_GNSS_SIGMA_M:g} m"
+        yield f"R95 assumes {sigma_m} for positions of unknown accuracy: see --own-sigma"

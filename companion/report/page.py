@@ -188,8 +188,10 @@ def _map_note(layers: MapLayers) -> str:
 def verdict_of(summary: FlightSummary) -> str:
     """Return the result of the flight in one phrase."""
     if summary.results:
-        told = [(result.get("r95_m"), result) for result in summary.results]
-        texts = [radii_of_line(r95_m, result) for r95_m, result in told if isinstance(r95_m, float)]
+        radii_m = [(result.get("r95_m"), result) for result in summary.results]
+        texts = [
+            radii_of_line(r95_m, result) for r95_m, result in radii_m if isinstance(r95_m, float)
+        ]
         return f"localised, {'; '.join(texts)}" if texts else "localised"
     if summary.last is None:
         is_silent = bool(summary.links) and not summary.links[-1].get("refused")

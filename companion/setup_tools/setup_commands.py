@@ -217,11 +217,11 @@ class _Questions:
         self._ask = ask
 
     def one(
-        self, question: str, told: str | None, default: str, among: tuple[str, ...] = ()
+        self, question: str, given: str | None, default: str, among: tuple[str, ...] = ()
     ) -> str:
         """Return the flag's value, the answer, or the default."""
-        if told is not None or self._ask is None:
-            return default if told is None else told
+        if given is not None or self._ask is None:
+            return default if given is None else given
         while True:
             try:
                 answer = self._ask(f"{question} [{default}]: ").strip() or default

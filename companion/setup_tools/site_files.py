@@ -81,9 +81,9 @@ def remove_files(directory: Path) -> list[str]:
     if record is None:
         raise ConfigError(f"{directory}: no setup was made here ({RECORD} is missing)")
     lines = []
-    for name, told in record.files.items():
+    for name, checksum in record.files.items():
         path = Path(name)
-        if path.exists() and _sum(read_file(path)) != told:
+        if path.exists() and _sum(read_file(path)) != checksum:
             lines.append(f"kept: {path}, which was changed since; delete it yourself")
             continue
         is_back = _put_back(path)

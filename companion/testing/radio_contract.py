@@ -87,7 +87,7 @@ def check_radio(
 
 def golden_lines(readings: Iterable[RadioReading]) -> str:
     """Return readings in the form of the golden file: JSON, without default values."""
-    return "".join(f"{msgspec.json.encode(_told(reading)).decode()}\n" for reading in readings)
+    return "".join(f"{msgspec.json.encode(_values(reading)).decode()}\n" for reading in readings)
 
 
 def read_golden(path: Path) -> list[RadioReading]:
@@ -96,7 +96,7 @@ def read_golden(path: Path) -> list[RadioReading]:
     return [msgspec.json.decode(line, type=RadioReading) for line in lines if line.strip()]
 
 
-def complaint_of(readings: object) -> str | None:
+def fault_of(readings: object) -> str | None:
     """Return the fault in a decoder's result, for any input; None: there is none."""
     if not isinstance(readings, list):
         return f"feed returned {type(readings).__name__}, not a list"
@@ -105,7 +105,7 @@ def complaint_of(readings: object) -> str | None:
             return f"feed returned a {type(reading).__name__} in its list"
         if isinstance(reading.emitter, bool) or not isinstance(reading.emitter, str | int | None):
             return f"an emitter is a {type(reading.emitter).__name__}"
-        for name, value in _told(reading).items():
+        for name, value in _values(reading).items():
             if isinstance(value, float) and not math.isfinite(value):
                 return f"{name} is {value}; what was not measured is None"
             if name.endswith("sigma_m") and isinstance(value, float) and value < 0.0:
@@ -172,7 +172,7 @@ class _Trial:
                 found = decoder.feed(part, float(number))
             except Exception as error:
                 raise ContractError(f"{what}: feed raised {error!r}") from error
-            complaint = complaint_of(found)
+            complaint = fault_of(found)
             if complaint is not None:
                 raise ContractError(f"{what}: {complaint}")
             readings += found
@@ -264,9 +264,9 @@ def _check_kind(kind: RadioKind) -> None:
             raise ContractError(f"{name} is empty")
 
 
-def _told(reading: RadioReading) -> dict[str, object]:
-    told = {field.name: getattr(reading, field.name) for field in fields(reading)}
-    return {f.name: told[f.name] for f in fields(reading) if told[f.name] != f.default}
+def _values(reading: RadioReading) -> dict[str, object]:
+    values = {field.name: getattr(reading, field.name) for field in fields(reading)}
+    return {f.name: values[f.name] for f in fields(reading) if values[f.name] != f.default}
 
 
 def _parts(value: object) -> list[object]:

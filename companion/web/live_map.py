@@ -35,7 +35,7 @@ from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState
 from companion.errors import CompanionError, how_to_install
 from companion.guidance.commands import Severity
-from companion.guidance.events import OperatorAsked, OperatorCommand
+from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.io.files import json_line
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
@@ -344,7 +344,7 @@ class WebView(Collector):
         has_room = endpoint.next_tick_s - now_s >= ROOM_S
         make = partial(self._picture, endpoint, now_s)
         for command in self.process.update(now_s, make, may_send=has_room):
-            endpoint.tell(OperatorAsked(now_s, command))
+            endpoint.handle_event(OperatorCommandReceived(now_s, command))
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
         """Show a past moment, whatever buttons are pressed."""

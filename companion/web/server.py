@@ -241,13 +241,13 @@ class LoadingPages:
         self._clients.pop(client_id, None)
         if client_id not in self._viewing:
             self._viewing.add(client_id)
-            _tell(VIEWED)
+            _send_line(VIEWED)
 
     def _deleted(self, client_id: str) -> None:
         self._clients.pop(client_id, None)
         if client_id in self._viewing:
             self._viewing.remove(client_id)
-            _tell(LEFT)
+            _send_line(LEFT)
 
 
 def build_app(
@@ -299,7 +299,7 @@ async def serve() -> None:
     hub = PictureFeed(first["scene"])
     settings = WebSettings(**first["settings"])
     tiles = None if settings.tiles is None else Path(settings.tiles)
-    app = build_app(hub, settings, tiles, _tell)
+    app = build_app(hub, settings, tiles, _send_line)
     listener = socket.socket(fileno=first["fd"])
     server = uvicorn.Server(
         uvicorn.Config(
@@ -313,7 +313,7 @@ async def serve() -> None:
     await serving
 
 
-def _tell(name: str) -> None:
+def _send_line(name: str) -> None:
     """Write a line to the companion, such as the name of a button, which it may refuse."""
     os.write(sys.stdout.fileno(), f"{name}\n".encode())
 

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from types import ModuleType
 
-from companion.arguments import ComplaintParser
+from companion.arguments import RaisingParser
 from sim_link.lab import radio_command
 from sim_link.lab.faults import proxy
 from sim_link.lab.mission import mission_cli
@@ -21,7 +21,7 @@ def run_subcommand(argv: Sequence[str]) -> int:
 
 def subcommand_parser() -> argparse.ArgumentParser:
     """Return the parser of `sim-link` with a subcommand."""
-    parser = ComplaintParser(prog="sim-link")
+    parser = RaisingParser(prog="sim-link")
     commands = parser.add_subparsers(required=True, metavar="{mission,radio,proxy}")
     mission = commands.add_parser("mission", help="fly mission scripts")
     kinds = mission.add_subparsers(required=True, metavar="{run}")
@@ -32,7 +32,7 @@ def subcommand_parser() -> argparse.ArgumentParser:
 
 
 def _add(
-    commands: argparse._SubParsersAction[ComplaintParser],
+    commands: argparse._SubParsersAction[RaisingParser],
     name: str,
     summary: str,
     module: ModuleType,

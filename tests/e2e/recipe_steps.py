@@ -448,7 +448,7 @@ class VibrationReported(Event):
         Edit(
             "companion/link/conversion/health_reports.py",
             "    VibrationReported,\n",
-            r"^    TransmitterRated,\n",
+            r"^    RcStatusReported,\n",
         ),
         Edit(
             "companion/link/conversion/health_reports.py",

@@ -26,7 +26,7 @@ from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TrackerParams
 from companion.flight_setup import FlightFacts, build_endpoint, open_flight, write_facts
-from companion.guidance.events import OperatorAsked, OperatorCommand
+from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from companion.io.files import INPUTS
@@ -218,7 +218,7 @@ def fly(plan: Plan, directory: Path) -> Golden:
 
 
 def ask(command: OperatorCommand, flight: Flight) -> None:
-    flight.companion.tell(OperatorAsked(flight.now_s, command))
+    flight.companion.handle_event(OperatorCommandReceived(flight.now_s, command))
 
 
 def set_parameter(name: bytes, value: float, flight: Flight) -> None:

@@ -20,7 +20,7 @@ from companion.flight_setup import (
     write_facts,
 )
 from companion.guidance.commands import Severity
-from companion.guidance.events import ProcessNoted
+from companion.guidance.events import ProcessMessage
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
@@ -192,7 +192,7 @@ def test_a_flight_on_a_computer_that_is_too_slow_replays_to_the_bit(tmp_path: Pa
     def slow(flight: Flight) -> None:
         def complain() -> None:
             text = "the computer is too slow: 44 control ticks missed in 10 s"
-            flight.companion.tell(ProcessNoted(flight.now_s, Severity.WARNING, text))
+            flight.companion.handle_event(ProcessMessage(flight.now_s, Severity.WARNING, text))
 
         for at_s in (18.0, 24.0, 31.0):
             flight.at(at_s, partial(flight.suspend_companion, 0.9))

@@ -20,7 +20,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, CrossingKind, PlannerConfig
 from companion.config.tunables import Tunables
-from companion.domain import OwnAccuracy, PositionEnu, RangingMeasurement, WaypointReason
+from companion.domain import PositionAccuracy, PositionEnu, RangingMeasurement, WaypointReason
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
@@ -139,7 +139,7 @@ class WatchedTracker(TargetTracker):
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
         now_s: float,
-        own: OwnAccuracy | None = None,
+        own: PositionAccuracy | None = None,
     ) -> Steps[FusionReport]:
         whole = TargetTracker.fuse.steps(self, measurement, sensor_enu_m, now_s, own)
         report = yield from whole

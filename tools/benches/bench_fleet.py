@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.mavlink_oracle import cut
@@ -259,5 +259,5 @@ def used_and_waited_s(pid: int) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

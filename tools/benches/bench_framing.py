@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.framing import FrameSplitter
@@ -81,5 +81,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     main()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
@@ -111,5 +111,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     main()

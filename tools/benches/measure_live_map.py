@@ -42,7 +42,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.flight_setup import build_endpoint
 from companion.guidance.session_params import SessionParams
 from companion.io.child_process import free_udp_port
@@ -387,5 +387,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.cli import open_link
 from sim_link.lab.conformance.mavlink_oracle import LocalSetpoint, build_frame
@@ -191,5 +191,5 @@ def measure_reaction(pilot: SetpointClient) -> list[int]:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.geometry.coordinates import wrap_pi
 from companion.io.logs.radio_recording import (
     RadioBytes,
@@ -385,5 +385,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     main()

@@ -20,7 +20,7 @@ import numpy as np
 from companion.config.radios import RadioConfig, radio_setup
 from companion.config.schema import CompanionConfig, load_config
 from companion.domain import EstimateState
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.estimation.tracker import TargetTracker
 from companion.link.radio_stage import RadioStage
 from sim_link.emulators.cellular import LTE_STEP_M, rach_line
@@ -111,5 +111,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     main()

@@ -20,7 +20,7 @@ os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # as on a vehicle, without a mi
 
 from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import ClockRate, ClockSlip, Incident
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
@@ -206,5 +206,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.estimation.filters.kalman import KINDS
 from companion.estimation.filters.target_filter import (
     FilterParams,
@@ -267,5 +267,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

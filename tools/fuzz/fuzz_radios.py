@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.radios.catalogue import BUILT_IN, radio_kind
 from companion.radios.decoder import RadioDecoder, RadioReading
-from companion.testing.radio_contract import complaint_of, golden_lines, kept_bytes, noises, pieces
+from companion.testing.radio_contract import fault_of, golden_lines, kept_bytes, noises, pieces
 from tests.contract.radio_streams import CHECKSUMMED, OPTIONS, STREAMS
 
 HEADER = (
@@ -121,7 +121,7 @@ def try_one(
         found.exceptions += 1
         print(f"{error!r} of {data.hex()}", file=sys.stderr)
         return []
-    complaint = complaint_of(readings)
+    complaint = fault_of(readings)
     if complaint is not None:
         found.no_readings += 1
         print(f"{complaint} of {data.hex()}", file=sys.stderr)
@@ -188,5 +188,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.conformance.rules import Flavour
@@ -99,5 +99,5 @@ def memory() -> tuple[float, int]:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

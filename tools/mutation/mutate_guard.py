@@ -25,7 +25,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import ModuleType
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
 from tools.console import OneLineParser, positive
@@ -250,5 +250,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -35,7 +35,7 @@ import numba
 import numpy as np
 from numba import types
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 
 CC: Any = importlib.import_module("numba.pycc").CC  # typed by nobody
 ROOT = Path(__file__).resolve().parents[2]
@@ -215,5 +215,5 @@ def kind_of(kind: Any) -> object:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from tools.release.make_deb import EXTRAS, PACKAGING, ROOT
 
 DIST = ROOT / "dist"
@@ -84,5 +84,5 @@ def _licences(part: dict[str, Any]) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

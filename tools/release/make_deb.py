@@ -28,7 +28,7 @@ import zipfile
 from pathlib import Path
 
 from companion import __version__
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.kernel import sources_digest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -266,5 +266,5 @@ def build(tree: Path, output: Path, architecture: str) -> Path:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

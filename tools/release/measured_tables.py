@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 
 ROOT = Path(__file__).resolve().parents[2]
 CLIENTS = {
@@ -147,5 +147,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

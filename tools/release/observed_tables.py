@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "simulator.md"
@@ -160,5 +160,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

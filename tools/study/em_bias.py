@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.estimation.noise.adaptation import RangeNoise
 from tools.console import OneLineParser
 from tools.study.printed_adaptation import BiasComparison, compare_mean_bias
@@ -54,5 +54,5 @@ def row(case: BiasComparison) -> str:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     main()

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from companion.domain import FlightMode
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.kernel import Matrix, Vector
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
@@ -165,5 +165,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     main()

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_text_atomic
 from tools.console import OneLineParser
@@ -147,5 +147,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    outlive_readers()
+    ignore_broken_pipe()
     sys.exit(main())

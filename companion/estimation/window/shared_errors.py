@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.domain import UNTOLD, OwnAccuracy
+from companion.domain import DEFAULT_ACCURACY, PositionAccuracy
 from companion.estimation.measurement_model import EAST, NORTH, RangingModel
 from companion.estimation.window.map_kernels import row_residuals, row_sigmas
 from companion.estimation.window.sandwich import (
@@ -74,7 +74,7 @@ class SharedErrors(NamedTuple):
     """Height and stamps, which another geometry would reveal."""
     wander: Matrix
     """Drift of the vehicle position, which no measurement reveals."""
-    own: OwnAccuracy = UNTOLD
+    own: PositionAccuracy = DEFAULT_ACCURACY
     """Accuracy of the vehicle position on the Earth."""
     heard: HeardPath | None = None
     """Path on which the radio was received; None: unknown."""

@@ -57,20 +57,20 @@ class Authority:
     def __init__(self) -> None:
         self.phase = Phase.WAITING
         self.since_s = 0.0
-        self.has_let_go = False
+        self.has_left_offboard = False
         """True once the vehicle has left offboard after the report: the companion must not stream
         again."""
         self.grant_reason: str | None = None
         """Why only a grant, or the end of the flight, hands control over again; None: no latch."""
-        self.has_come_back = False
+        self.is_offboard_reselected = False
         """True if offboard was shown again after another mode in this phase."""
         self._must_leave_offboard = False
         """True while another mode has to be shown for `REGAIN_QUIET_S` first."""
         self._has_heartbeat = False
-        self._aside_s: float | None = None
+        self._other_mode_since_s: float | None = None
         """Time at which another mode was first shown without a failsafe; None: it is not shown."""
-        self._given_s = -math.inf
-        self._is_given_again = False
+        self._control_began_s = -math.inf
+        self._is_reselected = False
         """True if control was handed over by a second mode switch, without a grant."""
         self._newest: HeartbeatReceived | None = None
         self.offboard_shown_s = -math.inf
@@ -81,9 +81,9 @@ class Authority:
         """Apply a trigger; return the phase that was left, or None if nothing changed."""
         if trigger is Trigger.GRANTED:
             self._must_leave_offboard, self.grant_reason = False, None
-            self._is_given_again = False
+            self._is_reselected = False
         elif trigger is Trigger.MODE_LEFT:
-            self._is_given_again = True
+            self._is_reselected = True
         left = self.phase
         phase = next_phase(left, trigger)
         if phase is Phase.YIELD:
@@ -92,11 +92,11 @@ class Authority:
             return None
         self.phase = phase
         self.since_s = now_s
-        self.has_come_back = False
+        self.is_offboard_reselected = False
         if trigger is Trigger.MODE_GIVEN:
-            self._given_s = now_s
+            self._control_began_s = now_s
         if phase is Phase.FINISHED:
-            self.has_let_go = trigger is Trigger.REPORT_RECALLED
+            self.has_left_offboard = trigger is Trigger.REPORT_RECALLED
         return left
 
     def _latch(self, trigger: Trigger, left: Phase, now_s: float) -> None:
@@ -105,7 +105,11 @@ class Authority:
         reason = GRANT_REASONS.get(trigger)
         if trigger in CHOICES and self.has_id_conflict(now_s):
             reason = ID_CONFLICT_REASON
-        if left in IN_CONTROL and self._is_given_again and now_s - self._given_s < REGAIN_QUIET_S:
+        if (
+            left in IN_CONTROL
+            and self._is_reselected
+            and now_s - self._control_began_s < REGAIN_QUIET_S
+        ):
             reason = reason or FLAPS_REASON
         if trigger in CHOICES and self._newest is not None and self._newest.is_failsafe:
             reason = FAILSAFE_REASON
@@ -121,7 +125,7 @@ class Authority:
         """Require another mode first: an earlier process may have left the vehicle in offboard."""
         self._must_leave_offboard = True
 
-    def is_overtaken(self, event: HeartbeatReceived | LandedStateChanged) -> bool:
+    def is_out_of_date(self, event: HeartbeatReceived | LandedStateChanged) -> bool:
         """Return True if a newer heartbeat arrived earlier, so that this event is out of date.
 
         A frame may be delayed for long, or come over a second link. An event that ends control is
@@ -131,7 +135,7 @@ class Authority:
             return False
         if isinstance(event, HeartbeatReceived) and event.mode is FlightMode.OFFBOARD:
             return event.is_armed
-        return self.phase in IN_CONTROL and event.time_s - self._given_s <= LATE_S
+        return self.phase in IN_CONTROL and event.time_s - self._control_began_s <= LATE_S
 
     def _is_older(self, event: HeartbeatReceived | LandedStateChanged) -> bool:
         newest = self._newest
@@ -151,30 +155,32 @@ class Authority:
         if is_offboard:
             self.offboard_shown_s = heartbeat.time_s
         if is_offboard and self._newest is not None:
-            self.has_come_back |= self._newest.mode is not FlightMode.OFFBOARD
+            self.is_offboard_reselected |= self._newest.mode is not FlightMode.OFFBOARD
         is_older, self._newest = self._is_older(heartbeat), heartbeat
         if is_offboard or heartbeat.is_failsafe or is_older:
-            self._aside_s = None
-        elif self._aside_s is None:
-            self._aside_s = heartbeat.time_s
+            self._other_mode_since_s = None
+        elif self._other_mode_since_s is None:
+            self._other_mode_since_s = heartbeat.time_s
         if self.phase is Phase.FINISHED and not (heartbeat.is_armed and is_offboard):
-            self.has_let_go = True
+            self.has_left_offboard = True
         if self.phase is Phase.YIELD and heartbeat.is_armed and heartbeat.is_failsafe:
             self.demand_grant(FAILSAFE_REASON)
         if not self._has_heartbeat:
             self._has_heartbeat = True
-            self._must_leave_offboard |= self._aside_s is None
+            self._must_leave_offboard |= self._other_mode_since_s is None
             self._must_leave_offboard &= heartbeat.is_armed
-        elif self._is_aside(heartbeat):
+        elif self._is_other_mode_chosen(heartbeat):
             self._must_leave_offboard = False
 
-    def _is_aside(self, heartbeat: HeartbeatReceived) -> bool:
+    def _is_other_mode_chosen(self, heartbeat: HeartbeatReceived) -> bool:
         """Return True if another mode has been shown for long enough to be a choice."""
-        if self._aside_s is None:
+        if self._other_mode_since_s is None:
             return False
-        return not heartbeat.is_armed or heartbeat.time_s - self._aside_s >= REGAIN_QUIET_S
+        return (
+            not heartbeat.is_armed or heartbeat.time_s - self._other_mode_since_s >= REGAIN_QUIET_S
+        )
 
-    def id_conflict_heard(self, now_s: float) -> None:
+    def note_id_conflict(self, now_s: float) -> None:
         """Note that another system sends under our ids and may have caused offboard mode."""
         self._id_conflict_s = now_s
         if self.phase is Phase.YIELD:
@@ -190,17 +196,17 @@ class Authority:
     def note_disarmed(self, mode: FlightMode) -> None:
         """Note the end of the flight; offboard left over from it does not count."""
         self._must_leave_offboard = mode is FlightMode.OFFBOARD
-        self.grant_reason, self._is_given_again = None, False
+        self.grant_reason, self._is_reselected = None, False
 
     def forget_autopilot(self) -> None:
         """Treat the next heartbeat as the first one, because the autopilot restarted."""
         self._has_heartbeat = False
-        self._newest = self._aside_s = self.grant_reason = None
+        self._newest = self._other_mode_since_s = self.grant_reason = None
 
     @property
-    def is_found_unfree(self) -> bool:
+    def needs_another_mode(self) -> bool:
         """True if the vehicle is in offboard or a failsafe that another mode has to end first."""
-        return self._must_leave_offboard and self._aside_s is None
+        return self._must_leave_offboard and self._other_mode_since_s is None
 
     @property
     def may_begin(self) -> bool:
@@ -220,7 +226,7 @@ def is_silence_due(
     if phase not in STREAMING or not vehicle.is_mode_known(now_s):
         return True
     if phase is Phase.FINISHED:
-        return authority.has_let_go or now_s - authority.since_s > FOLLOW_UP_S
+        return authority.has_left_offboard or now_s - authority.since_s > FOLLOW_UP_S
     if phase is Phase.STANDBY:
         return not (vehicle.wants_prestream and vehicle.is_position_fresh(now_s))
     if phase is Phase.LAUNCHING:
@@ -234,7 +240,7 @@ def hand_back_mode(
     """Return the mode to request before the end, or None if we do not control the vehicle."""
     match authority.phase:
         case Phase.FINISHED:
-            return follow_up if vehicle.is_ours and not authority.has_let_go else None
+            return follow_up if vehicle.is_ours and not authority.has_left_offboard else None
         case Phase.LAUNCHING:
             may_fly = vehicle.is_armed or (launch is not None and launch.may_be_flying)
             return FlightMode.HOLD if may_fly else None

@@ -39,14 +39,14 @@ class WaitingReason:
         self._authority = authority
         self._fencing = fencing
         self._missing_since_s: float | None = None
-        self._said: str | None = None
+        self._announced: str | None = None
 
-    def news(self, now_s: float) -> str | None:
+    def due_text(self, now_s: float) -> str | None:
         """Return the reason if it differs from the one announced last, else None."""
         text = self._text(now_s)
-        if text is None or text == self._said:
+        if text is None or text == self._announced:
             return None
-        self._said = text
+        self._announced = text
         return text
 
     def _text(self, now_s: float) -> str | None:
@@ -58,7 +58,7 @@ class WaitingReason:
         if self._vehicle.heartbeat is None or not missing:
             self._missing_since_s = None
         if not missing:
-            if not self._authority.is_found_unfree:
+            if not self._authority.needs_another_mode:
                 return None
             mode = self._vehicle.name_of(self._vehicle.mode)
             return f"no control: found in {mode}; switch to another mode"
@@ -71,7 +71,7 @@ class WaitingReason:
         return f"waiting for {' and '.join(missing)}"
 
 
-FLIES = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
+AIRBORNE = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
 GROUND_PATIENCE_S = 10.0
 """Longest time without a reported landed state before the operator is warned."""
 
@@ -82,7 +82,7 @@ class LaunchPermit:
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._silent_since_s: float | None = None
-        self._is_silence_told = False
+        self._is_silence_announced = False
 
     @property
     def is_wanted(self) -> bool:
@@ -105,22 +105,22 @@ class LaunchPermit:
             context.forbid_launch()
             text = "no automatic takeoff: a helicopter's rotor is spun up by its pilot"
             context.warn(f"{text}; switch to {vehicle.guided_name}")
-        elif vehicle.is_armed or vehicle.landed in FLIES:
+        elif vehicle.is_armed or vehicle.landed in AIRBORNE:
             context.forbid_launch()
             found = "armed" if vehicle.is_armed else "in the air"
             text = f"no automatic takeoff: vehicle was found {found}"
             context.warn(f"{text}; switch to {vehicle.guided_name}")
         elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
-            self._wait_for_the_ground(now_s)
+            self._await_landed_state(now_s)
         else:
             self._silent_since_s = None
 
-    def _wait_for_the_ground(self, now_s: float) -> None:
+    def _await_landed_state(self, now_s: float) -> None:
         if self._silent_since_s is None:
             self._silent_since_s = now_s
-        if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_told:
+        if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_announced:
             return
-        self._is_silence_told = True
+        self._is_silence_announced = True
         text = "no automatic takeoff: autopilot reports no landed state"
         self._context.warn(text)
 
@@ -141,11 +141,11 @@ class Handover:
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._has_flown = False
-        self._missing_told: list[str] = []
+        self._announced_missing: list[str] = []
         """True if the vehicle was in the air since control began."""
-        self._was_told = False
+        self._is_ignoring_announced = False
         """True once it was announced that offboard is ignored."""
-        self._grant_told_s: float | None = None
+        self._grant_announced_s: float | None = None
         """Start of the yield for which the need of a grant was announced."""
         self._fitted_at: tuple[float, float, float] | None = None
         """Origin for which the fitted transform was announced: latitude and longitude in degrees,
@@ -169,20 +169,20 @@ class Handover:
             case events.RequestAnswered():
                 self._note_answer(event)
             case events.AutopilotRestarted():
-                self._begin_anew(event)
+                self._reset_after_restart(event)
             case events.ControlStalled():
                 self._note_stall(event)
             case events.IdConflictHeard():
-                self._context.authority.id_conflict_heard(event.time_s)
+                self._context.authority.note_id_conflict(event.time_s)
                 self._context.enter(Trigger.ID_CONFLICT, event.time_s)
             case events.StopRequested():
                 self._stop(event.time_s)
 
     def _note_mode(self, event: events.HeartbeatReceived) -> None:
         context, now_s = self._context, event.time_s
-        had_let_go = context.authority.has_let_go
+        had_left_offboard = context.authority.has_left_offboard
         context.authority.observe(event)
-        if context.authority.has_let_go and not had_let_go:
+        if context.authority.has_left_offboard and not had_left_offboard:
             context.withdraw()
         refusal = class_refusal(event.vehicle_class)
         if refusal is not None:
@@ -197,9 +197,9 @@ class Handover:
             context.enter(Trigger.LAUNCH_FAILED, now_s)
             context.warn(f"takeoff aborted: {objection}")
         elif event.mode is FlightMode.OFFBOARD:
-            self._offboard(now_s)
+            self._note_offboard(now_s)
         elif launch is None:
-            self._foreign(event)
+            self._note_other_mode(event)
 
     def leave(self, why: str, now_s: float) -> None:
         """Become silent: the autopilot there is not, or no longer, the vehicle handed over."""
@@ -225,7 +225,7 @@ class Handover:
             else:
                 context.warn(f"control lost: {text}")
 
-    def _foreign(self, event: events.HeartbeatReceived) -> None:
+    def _note_other_mode(self, event: events.HeartbeatReceived) -> None:
         context, left, finding = self._context, self._context.phase, self._context.finding
         if not context.enter(Trigger.MODE_LOST, event.time_s):
             return
@@ -248,16 +248,16 @@ class Handover:
             why = "flight terminated" if event.is_terminated else "disarmed"
             self._context.announce(Severity.NOTICE, f"{why}: flight over")
 
-    def _offboard(self, now_s: float) -> None:
+    def _note_offboard(self, now_s: float) -> None:
         context = self._context
         if not context.vehicle.is_mode_known(now_s):
             return  # the mode may have changed
-        self._tell_why_it_does_not_count()
+        self._announce_ignored_mode()
         if context.vehicle.objection is not None:
             return
         is_launched = context.phase is Phase.LAUNCHING
         missing = missing_inputs(context.vehicle, context.fencing, now_s)
-        self._tell_what_is_missing(missing)
+        self._announce_missing(missing)
         if missing and not is_launched:
             return
         if not (context.authority.may_begin and context.vehicle.obeys_setpoints):
@@ -275,26 +275,26 @@ class Handover:
             text = f"in control: autopilot is in {context.vehicle.guided_name}"
             context.announce(Severity.NOTICE, text)
 
-    def _tell_what_is_missing(self, missing: list[str]) -> None:
+    def _announce_missing(self, missing: list[str]) -> None:
         """Announce which inputs are missing although the mode was selected."""
         context = self._context
         is_waiting = context.phase in (Phase.WAITING, Phase.STANDBY)
-        if missing == self._missing_told or not is_waiting:
+        if missing == self._announced_missing or not is_waiting:
             return
-        self._missing_told = missing
+        self._announced_missing = missing
         if missing:
             name, parts = context.vehicle.guided_name, " and ".join(missing)
             context.warn(f"{name} without control: waiting for {parts}", Topic.READINESS)
 
-    def _tell_why_it_does_not_count(self) -> None:
+    def _announce_ignored_mode(self) -> None:
         context = self._context
         authority, name = context.authority, context.vehicle.guided_name
-        is_finished = authority.phase is Phase.FINISHED and authority.has_let_go
+        is_finished = authority.phase is Phase.FINISHED and authority.has_left_offboard
         is_ignored = authority.phase is Phase.YIELD or is_finished
-        if not (authority.has_come_back and is_ignored):
-            self._was_told = False
-        elif not self._was_told:
-            self._was_told = True
+        if not (authority.is_offboard_reselected and is_ignored):
+            self._is_ignoring_announced = False
+        elif not self._is_ignoring_announced:
+            self._is_ignoring_announced = True
             reason = "the target is reported" if is_finished else authority.grant_reason
             text = f"{name} too soon: leave it for {REGAIN_QUIET_S:g} s, until ready"
             if reason is not None:
@@ -306,8 +306,8 @@ class Handover:
         context, authority = self._context, self._context.authority
         if authority.may_begin:
             return context.enter(Trigger.MODE_LEFT, now_s)
-        if authority.grant_reason is not None and self._grant_told_s != authority.since_s:
-            self._grant_told_s = authority.since_s
+        if authority.grant_reason is not None and self._grant_announced_s != authority.since_s:
+            self._grant_announced_s = authority.since_s
             text = f"grant needed, {authority.grant_reason}: {GRANT_HOW}"
             context.announce(Severity.NOTICE, text)
         return False
@@ -329,10 +329,10 @@ class Handover:
         context = self._context
         if event.origin != context.vehicle.origin:
             context.record("origin", **asdict(event.origin))
-            self._tell_fit(event)
+            self._warn_of_fit(event)
         context.vehicle.handle(event)
 
-    def _tell_fit(self, event: events.OriginSet) -> None:
+    def _warn_of_fit(self, event: events.OriginSet) -> None:
         """Warn once per reported origin that positions use the fitted transform."""
         origin = event.origin
         place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
@@ -365,14 +365,14 @@ class Handover:
     ) -> None:
         """Apply a new origin, fence or fence limits, and announce a change of the guard's fence."""
         context, fencing = self._context, self._context.fencing
-        before = (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilots)
+        before = (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilot_fence)
         if isinstance(event, events.OriginSet):
             fencing.set_origin(event.origin)
         elif isinstance(event, events.AutopilotFenceLimitsRead):
             fencing.take_limits(event.limits)
         else:
             fencing.take(event)
-        if (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilots) == before:
+        if (fencing.refusal, fencing.note, fencing.is_ready, fencing.autopilot_fence) == before:
             return
         if fencing.refusal is not None:
             context.announce(Severity.ERROR, f"no control without a fence: {fencing.refusal}")
@@ -381,7 +381,7 @@ class Handover:
         elif fencing.is_ready:
             context.announce(Severity.INFO, f"fence: {fencing.words}")
 
-    def _begin_anew(self, event: events.AutopilotRestarted) -> None:
+    def _reset_after_restart(self, event: events.AutopilotRestarted) -> None:
         context, now_s = self._context, event.time_s
         context.fencing.forget(is_other=event.is_other)
         context.vehicle.forget()
@@ -391,9 +391,9 @@ class Handover:
         if not event.is_other:
             context.warn("autopilot restarted: give the mode again to resume")
 
-    def unless_in_doubt(self, finding: Finding, now_s: float) -> Finding:
+    def hold_if_unconfirmed(self, finding: Finding, now_s: float) -> Finding:
         """Return HOLD instead of a hand-back while the mode is unconfirmed: a pilot may fly."""
-        if self._context.vehicle.mode_watch.may_be_asked(now_s):
+        if self._context.vehicle.mode_watch.may_request_mode(now_s):
             return finding
         return Finding(Verdict.HOLD, Reason.MODE_UNKNOWN, Reason.MODE_UNKNOWN.value)
 
@@ -406,9 +406,9 @@ class Handover:
         name = context.vehicle.name_of(finding.mode)
         text = f"handing back: {finding.text}; requesting {name}"
         context.announce(Severity.ERROR, text)
-        self.go_on_handing_back(now_s)
+        self.continue_hand_back(now_s)
 
-    def give_way(self, finding: Finding, now_s: float) -> None:
+    def yield_control(self, finding: Finding, now_s: float) -> None:
         """Yield to another source of commands: send nothing more."""
         is_pilot = finding.reason is Reason.STICKS
         if self._context.enter(Trigger.PILOT_TOOK if is_pilot else Trigger.GIVE_WAY, now_s):
@@ -445,16 +445,16 @@ class Handover:
             return
         self._hand_back_mode, self._asked_s = mode, None
         name = context.vehicle.name_of(mode)
-        is_known = context.vehicle.mode_watch.may_be_asked(now_s)
+        is_known = context.vehicle.mode_watch.may_request_mode(now_s)
         asking = "requesting" if is_known else "reacquiring state before requesting"
         context.announce(Severity.NOTICE, f"stopping: {asking} {name}")
-        self.go_on_handing_back(now_s)
+        self.continue_hand_back(now_s)
 
-    def go_on_handing_back(self, now_s: float) -> None:
+    def continue_hand_back(self, now_s: float) -> None:
         """Request the hand-back mode once the current mode is confirmed, for a limited time."""
         context, since_s = self._context, self._context.authority.since_s
-        may_be_asked = context.vehicle.mode_watch.may_be_asked(now_s)
-        if self._asked_s is None and may_be_asked and now_s - since_s <= HAND_BACK_S:
+        may_request_mode = context.vehicle.mode_watch.may_request_mode(now_s)
+        if self._asked_s is None and may_request_mode and now_s - since_s <= HAND_BACK_S:
             self._asked_s = now_s
             context.ask_mode(self._hand_back_mode)
         asked_s = since_s if self._asked_s is None else self._asked_s

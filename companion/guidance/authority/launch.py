@@ -16,7 +16,7 @@ from enum import Enum
 from companion.domain import Autopilot, FlightMode
 from companion.guidance.commands import Arm, Command, SetMode, TakeOff
 from companion.guidance.events import HeartbeatReceived, Outcome, RequestAnswered, RequestKind
-from companion.guidance.flight.vehicle import mode_name, shown_mode
+from companion.guidance.flight.vehicle import mode_name, mode_text
 
 READY_TIMEOUT_S = 120.0
 """PX4 needs 34 to 38 s after boot until it can be armed; a cold GPS needs longer."""
@@ -123,7 +123,7 @@ class Launch:
         is_offboard = self.is_at_offboard and heartbeat.mode is FlightMode.OFFBOARD
         if is_offboard or self._is_on_the_way(heartbeat, height_m):
             return None
-        return f"mode is {shown_mode(heartbeat)}"
+        return f"mode is {mode_text(heartbeat)}"
 
     def _is_on_the_way(self, heartbeat: HeartbeatReceived, height_m: float | None) -> bool:
         """Return True if the reported mode is one that the launch itself passes through."""
@@ -158,7 +158,7 @@ class Launch:
                 return self._ask(view)
         return []
 
-    def trouble(self, what: str, now_s: float) -> None:
+    def note_problem(self, what: str, now_s: float) -> None:
         """Report a problem: on the ground the launch waits for its end, later it is aborted."""
         self._seen_s = now_s
         if self.has_asked or now_s - self._since_s > READY_TIMEOUT_S:
@@ -214,7 +214,7 @@ class Launch:
         if heartbeat.autopilot is Autopilot.OTHER:
             self.failure = "only PX4 and ArduPilot can be launched"
         elif heartbeat.is_armed:
-            name = shown_mode(heartbeat)
+            name = mode_text(heartbeat)
             self.failure = f"the vehicle is being flown already, in {name}"
         if self.failure is not None:
             return []

@@ -44,7 +44,7 @@ from companion.guidance.events import AutopilotFenceRead, FenceLimits
 
 TOLERANCE_M = 1.0
 """Largest distance between two borders that count as the same."""
-FARTHEST_STEP_M = 1000.0
+MAX_STEP_M = 1000.0
 """An origin that moved farther than this is another site, not a better fix."""
 
 
@@ -140,7 +140,7 @@ class Fencing:
     @property
     def site(self) -> GeoFence | None:
         """The fence in degrees, of a file or of the autopilot; None: none, or not known yet."""
-        return self.plan.site if self.plan.policy is not FencePolicy.USE else self.autopilots
+        return self.plan.site if self.plan.policy is not FencePolicy.USE else self.autopilot_fence
 
     @property
     def is_site_known(self) -> bool:
@@ -148,7 +148,7 @@ class Fencing:
         return self.plan.policy is not FencePolicy.USE or self._read is not None
 
     @property
-    def autopilots(self) -> GeoFence | None:
+    def autopilot_fence(self) -> GeoFence | None:
         """The autopilot's fence as downloaded last; None: it has none, or it is unknown."""
         return None if self._read is None else self._read.fence
 
@@ -244,7 +244,7 @@ class Fencing:
             self.read_again()
         self._is_airborne, self._is_in_control = is_airborne, is_in_control
         if not is_airborne:
-            self._flown = () if self.autopilots is None else (self.autopilots,)
+            self._flown = () if self.autopilot_fence is None else (self.autopilot_fence,)
             self._limits = self._reported_limits
         self._settle()
 
@@ -277,7 +277,7 @@ class Fencing:
 
     @property
     def _needs_origin(self) -> bool:
-        has_one = self.autopilots is not None or bool(self._flown)
+        has_one = self.autopilot_fence is not None or bool(self._flown)
         return self.plan.site is not None or has_one or self.anchor is not None
 
     def _settle(self) -> None:
@@ -402,7 +402,7 @@ class Fencing:
             return (0.0, 0.0)
         east_m, north_m, _ = origin.zero_of(anchor)
         away_m = math.hypot(east_m, north_m)
-        if away_m > FARTHEST_STEP_M:
+        if away_m > MAX_STEP_M:
             raise ValueError(
                 f"the autopilot's origin is {away_m / 1000.0:.1f} km from where it was; restart "
                 "the companion to have the fence in local metres about the new one"
@@ -413,7 +413,7 @@ class Fencing:
         """Return the autopilot's fence, or None; raise `ValueError` if the download failed."""
         if self._read is not None and self._read.problem is not None:
             raise ValueError(f"the autopilot's fence: {self._read.problem}")
-        return self.autopilots
+        return self.autopilot_fence
 
     def _compare(self) -> None:
         """Compare the autopilot's fence with ours; raise `ValueError` on a difference.

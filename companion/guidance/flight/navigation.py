@@ -22,7 +22,7 @@ from companion.planning.planner import Planner, PlanRequest
 
 PLAN_PERIOD_S = 0.2
 """Longest age of a plan, with or without a measurement: the vehicle moves."""
-TOLD_AGAIN_S = 20.0
+REPEAT_AFTER_S = 20.0
 """Shortest time between two texts about a target outside the fence."""
 
 
@@ -36,12 +36,12 @@ class FlightPlan:
         self._guard = guard
         self._emitters = emitters
         self._altitude_m = altitude_m
-        self._told_outside_s = -math.inf
+        self._announced_outside_s = -math.inf
         self.forget()
 
     def forget(self) -> None:
         """Start the next plan without memory."""
-        self._where_target_is = ""
+        self._forbidden_text = ""
         """Text about a target at a place that is forbidden to the vehicle; empty: it is allowed."""
         self.waypoint: Waypoint | None = None
         self._planned_s: float | None = None
@@ -139,16 +139,16 @@ class FlightPlan:
     def _target_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """Return a text when the estimate enters a place that is forbidden to the vehicle.
 
-        An estimate that crosses the fence to and fro is announced every `TOLD_AGAIN_S` at most.
+        An estimate that crosses the fence to and fro is announced every `REPEAT_AFTER_S` at most.
         """
         fence = self._guard.limits.fence
         if estimate is None or fence is None:
             return []
         where = _forbidden_place(fence, estimate.position_enu_m)
-        is_new, self._where_target_is = where != self._where_target_is, where
-        if not (where and is_new) or now_s - self._told_outside_s < TOLD_AGAIN_S:
+        is_new, self._forbidden_text = where != self._forbidden_text, where
+        if not (where and is_new) or now_s - self._announced_outside_s < REPEAT_AFTER_S:
             return []
-        self._told_outside_s = now_s
+        self._announced_outside_s = now_s
         return [Announce(Severity.WARNING, where)]
 
 

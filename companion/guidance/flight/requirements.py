@@ -95,5 +95,6 @@ def missing_inputs(vehicle: VehicleView, fencing: Fencing, now_s: float) -> list
         if row.is_needed(vehicle.autopilot) and not row.is_met(vehicle, fencing, now_s)
     ]
     return [
-        vehicle.position_wanted(now_s) if text == "a local position" else text for text in texts
+        vehicle.missing_position_text(now_s) if text == "a local position" else text
+        for text in texts
     ]

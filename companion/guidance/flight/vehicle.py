@@ -25,7 +25,7 @@ from companion.domain import (
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
-from companion.guidance.flight.own_place import OwnPlaceWatch
+from companion.guidance.flight.own_place import PositionAccuracyWatch
 from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
 
 
@@ -37,7 +37,7 @@ def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:
     return ARDUPILOT_NAMES.get(mode, name) if autopilot is Autopilot.ARDUPILOT else name
 
 
-def shown_mode(heartbeat: events.HeartbeatReceived) -> str:
+def mode_text(heartbeat: events.HeartbeatReceived) -> str:
     """Return the mode of a HEARTBEAT in those words."""
     return mode_name(heartbeat.mode, heartbeat.autopilot, heartbeat.other_mode)
 
@@ -51,11 +51,11 @@ def class_refusal(vehicle_class: VehicleClass) -> str | None:
 
 MODE_UNKNOWN_AFTER_S = 10.0
 """Time without a HEARTBEAT after which control is unknown: stop, so that its failsafe acts."""
-PAST_S = 1.0
+MAX_MODE_AGE_S = 1.0
 """Age at which a reported mode is out of date."""
-ASKED_ANYWAY_S = 5.0
+DOUBT_TIMEOUT_S = 5.0
 """Time after which a vehicle that still reports our mode may be asked for another one."""
-MOST_STAMPED = 256
+MAX_STAMPED = 256
 """Two seconds of a busy link."""
 LATE_S = 3.0
 """Silence in s after which a HEARTBEAT, sent every second, is missing."""
@@ -67,8 +67,8 @@ class ModeWatch:
     def __init__(self) -> None:
         self.is_in_doubt = False
         self._since_s = -math.inf
-        self._shown: events.HeartbeatReceived | None = None
-        self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MOST_STAMPED)
+        self._reported: events.HeartbeatReceived | None = None
+        self._stamped: deque[tuple[float, int | None]] = deque(maxlen=MAX_STAMPED)
         """Time, and position in the sender's sequence, of the last stamped messages."""
 
     def note_stamp(self, measured_at_s: float, order: int | None) -> None:
@@ -77,7 +77,7 @@ class ModeWatch:
 
     def note_heartbeat(self, heartbeat: events.HeartbeatReceived) -> None:
         """Record a HEARTBEAT; it confirms the mode if it is recent."""
-        self._shown = heartbeat
+        self._reported = heartbeat
         self.is_in_doubt = self.is_in_doubt and not self._is_recent(heartbeat)
 
     def tick(self, now_s: float) -> None:
@@ -91,31 +91,31 @@ class ModeWatch:
 
     def forget(self) -> None:
         """Drop the mode, because the autopilot restarted."""
-        self._shown = None
+        self._reported = None
         self._stamped.clear()
 
     def is_known(self, now_s: float) -> bool:
         """Return True if the reported mode is current."""
-        return self._shown is not None and not (self._is_silent(now_s) or self.is_in_doubt)
+        return self._reported is not None and not (self._is_silent(now_s) or self.is_in_doubt)
 
-    def may_be_asked(self, now_s: float) -> bool:
+    def may_request_mode(self, now_s: float) -> bool:
         """Return True if a requested mode cannot override a pilot, as far as is known."""
         if self.is_known(now_s):
             return True
-        shown = self._shown
+        shown = self._reported
         if shown is None or not (shown.is_armed and shown.mode is FlightMode.OFFBOARD):
             return False
         is_heard = shown.time_s > self._since_s and now_s - shown.time_s <= LATE_S
-        return is_heard and now_s - self._since_s >= ASKED_ANYWAY_S
+        return is_heard and now_s - self._since_s >= DOUBT_TIMEOUT_S
 
     def _is_silent(self, now_s: float) -> bool:
-        return self._shown is not None and now_s - self._shown.time_s > MODE_UNKNOWN_AFTER_S
+        return self._reported is not None and now_s - self._reported.time_s > MODE_UNKNOWN_AFTER_S
 
     def _is_recent(self, heartbeat: events.HeartbeatReceived) -> bool:
         """Return True if a stamped message, sent no later than this one, proves it."""
         order = heartbeat.order
         return any(
-            heartbeat.time_s - stamped_s <= PAST_S
+            heartbeat.time_s - stamped_s <= MAX_MODE_AGE_S
             and (order is None or place is None or place <= order)
             for stamped_s, place in reversed(self._stamped)  # the newest one is the likeliest
         )
@@ -127,9 +127,9 @@ LINK_LOST_S = 1.0
 """Without any valid frame of the autopilot for this long the link counts as lost."""
 LANDED_PATIENCE_S = 3.5
 """Longest age of EXTENDED_SYS_STATE, seven of the requested periods."""
-COUNTED_STEP_M = 0.05
+MIN_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
-FARTHEST_HOME_M = 1e5
+MAX_HOME_DISTANCE_M = 1e5
 """A home farther from the origin than this is a fault of one of the two."""
 ORIGIN_STEP_M = 1.0
 """An origin that moves farther than this has moved the local frame as well."""
@@ -141,7 +141,7 @@ class VehicleView:
     def __init__(self, *, needs_origin: bool = False) -> None:
         self.track = VehicleTrack()
         self.mode_watch = ModeWatch()
-        self.own_place = OwnPlaceWatch()
+        self.position_accuracy = PositionAccuracyWatch()
         self.heartbeat: events.HeartbeatReceived | None = None
         self.origin: LocalOrigin | None = None
         self.frame: LocalOrigin | None = None
@@ -163,7 +163,7 @@ class VehicleView:
 
     def handle(self, event: events.Event) -> None:
         """Apply an event about the vehicle; ignore others."""
-        self.own_place.handle(event)
+        self.position_accuracy.handle(event)
         match event:
             case events.HeartbeatReceived():
                 self.heartbeat, self.heard_s = event, event.time_s
@@ -197,7 +197,7 @@ class VehicleView:
         self.landed = LandedState.UNKNOWN
         self.battery_pct = None
         self.mode_watch.forget()
-        self.own_place = OwnPlaceWatch()
+        self.position_accuracy = PositionAccuracyWatch()
 
     def distrust(self, now_s: float) -> None:
         """Wait for a new mode and position, because those received so far are out of date."""
@@ -251,7 +251,7 @@ class VehicleView:
         if before is None or home is None or kept is None:
             return
         turned = origin.enu_from_geodetic(*before.geodetic_from_enu(kept))
-        if all(abs(value) <= FARTHEST_HOME_M for value in turned):
+        if all(abs(value) <= MAX_HOME_DISTANCE_M for value in turned):
             self.reported_home_enu_m = origin.enu_from_geodetic(*before.geodetic_from_enu(home))
             self.home_enu_m = turned
 
@@ -282,7 +282,7 @@ class VehicleView:
     def name_of(self, mode: FlightMode) -> str:
         """Return the name of a mode in the autopilot's tools."""
         if self.heartbeat is not None and self.heartbeat.mode is mode:
-            return shown_mode(self.heartbeat)
+            return mode_text(self.heartbeat)
         return mode_name(mode, self.autopilot)
 
     @property
@@ -369,7 +369,7 @@ class VehicleView:
         """True if the origin is known, or setpoints do not need it."""
         return self.origin is not None or not self._needs_origin
 
-    def position_wanted(self, now_s: float) -> str:
+    def missing_position_text(self, now_s: float) -> str:
         """Return the name of the missing position: none at all, or late ones of a slow link."""
         latest = self.track.latest
         if latest is None or now_s - latest.time_s > LINK_LOST_S + STALE_STATE_S:
@@ -386,6 +386,6 @@ class VehicleView:
             self._counted_at = place
             return
         step_m = math.dist(place, self._counted_at)
-        if step_m >= COUNTED_STEP_M:
+        if step_m >= MIN_STEP_M:
             self.distance_m += step_m
             self._counted_at = place

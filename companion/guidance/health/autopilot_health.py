@@ -59,7 +59,9 @@ class BatteryWatch(Watch):
                 if self._agreed >= CONFIRMED_BY:
                     self.level = level
             case events.Retuned(tuning=tuning):
-                self.aim(tuning.params.battery_low_pct, tuning.params.battery_critical_pct)
+                self.set_thresholds(
+                    tuning.params.battery_low_pct, tuning.params.battery_critical_pct
+                )
             case events.AutopilotRestarted():
                 self.level = self._candidate = BatteryLevel.UNKNOWN
                 self.charge_pct = None
@@ -71,7 +73,7 @@ class BatteryWatch(Watch):
         """True if the charge is low or critical."""
         return self.level >= BatteryLevel.LOW
 
-    def aim(self, low_pct: float, critical_pct: float) -> None:
+    def set_thresholds(self, low_pct: float, critical_pct: float) -> None:
         """Set other thresholds for the next reports; two of them must agree again."""
         self._low_pct, self._critical_pct = low_pct, critical_pct
         self._agreed = 0
@@ -125,7 +127,7 @@ PATIENCE_S = 5.0
 """Trouble that lasts longer than this leads to a hand-back."""
 
 
-class _Trouble:
+class _Condition:
     """A condition that comes and goes; it ends only after `GOOD_S` without it."""
 
     def __init__(self) -> None:
@@ -171,12 +173,12 @@ class HealthWatch(Watch):
 
     def __init__(self, battery: BatteryWatch) -> None:
         self._battery = battery
-        self._doubt = _Trouble()
-        self._no_fix = _Trouble()
-        self._no_position = _Trouble()
+        self._doubt = _Condition()
+        self._no_fix = _Condition()
+        self._no_position = _Condition()
         self._receivers: dict[int, bool] = {}
         """Fix state of each GNSS receiver that has had a fix."""
-        self._vouched_s = -math.inf
+        self._good_position_s = -math.inf
         """Time at which the estimator last reported a position of good quality."""
         self._is_failsafe = False
         self._accepted_failsafe = False
@@ -185,11 +187,11 @@ class HealthWatch(Watch):
     def handle(self, event: events.Event) -> None:
         """Apply an event about health; ignore others."""
         match event:
-            case events.EstimatorRated():
+            case events.EstimatorStatusReported():
                 self._doubt.note(event.worst >= 1.0, event.time_s)
                 self._no_position.note(event.has_position is False, event.time_s)
                 if event.has_position and event.worst < 1.0:
-                    self._vouched_s = event.time_s
+                    self._good_position_s = event.time_s
             case events.FixReported():
                 if event.has_fix or event.receiver in self._receivers:
                     self._receivers[event.receiver] = event.has_fix
@@ -202,7 +204,7 @@ class HealthWatch(Watch):
                 self._no_fix.clear()
                 self._no_position.clear()
                 self._receivers.clear()
-                self._vouched_s = -math.inf
+                self._good_position_s = -math.inf
                 self._is_failsafe = self._accepted_failsafe = False
 
     def begin(self, now_s: float) -> None:
@@ -235,7 +237,7 @@ class HealthWatch(Watch):
     def _without_fix(self, lasted_s: float, now_s: float) -> Finding:
         """Return the finding for a lost fix, by the estimator's verdict."""
         text = "autopilot lost GNSS fix"
-        if now_s - self._vouched_s > VERDICT_S:
+        if now_s - self._good_position_s > VERDICT_S:
             return _finding(Reason.NO_FIX, text, lasted_s)
         if lasted_s <= DEAD_RECKONING_S:
             return Finding(Verdict.HOLD, Reason.NO_FIX, text)

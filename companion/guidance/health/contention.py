@@ -66,7 +66,7 @@ class EchoWatch(Watch):
     """Compares echoed targets with the setpoints sent."""
 
     def __init__(self) -> None:
-        self._way: deque[tuple[float, float, PositionEnu]] = deque()
+        self._path: deque[tuple[float, float, PositionEnu]] = deque()
         self._sent_s = self._resumed_s = -math.inf
         """Time of the latest setpoint, and of the first one after a pause."""
         self.end()
@@ -78,7 +78,7 @@ class EchoWatch(Watch):
 
     def _forget_echoes(self) -> None:
         self._echo_s: float | None = None
-        self._disputed_s: float | None = None
+        self._contended_since_s: float | None = None
         self._lag_s = 0.0
         self._is_far = False
         """True if the last echo was far off our path."""
@@ -92,7 +92,7 @@ class EchoWatch(Watch):
 
     def frame_moved(self, now_s: float) -> None:
         """Drop the path, because every local position means another place from now on."""
-        self._way.clear()
+        self._path.clear()
         if self._control_s is not None:
             self.begin(now_s)
 
@@ -102,13 +102,13 @@ class EchoWatch(Watch):
             self._resumed_s = now_s
             self._forget_echoes()
         self._sent_s = now_s
-        if self._way and self._way[-1][2] == place_enu_m:
-            from_s, _, _ = self._way.pop()
-            self._way.append((from_s, now_s, place_enu_m))
+        if self._path and self._path[-1][2] == place_enu_m:
+            from_s, _, _ = self._path.pop()
+            self._path.append((from_s, now_s, place_enu_m))
         else:
-            self._way.append((now_s, now_s, place_enu_m))
-        while self._way[0][1] < now_s - MEMORY_S:
-            self._way.popleft()
+            self._path.append((now_s, now_s, place_enu_m))
+        while self._path[0][1] < now_s - MEMORY_S:
+            self._path.popleft()
 
     def handle(self, event: events.Event) -> None:
         """Apply an echo; a restart of the autopilot moves the local frame."""
@@ -120,22 +120,22 @@ class EchoWatch(Watch):
 
     def _note_echo(self, event: events.SetpointEchoed) -> None:
         now_s = event.time_s
-        if self._control_s is None or not self._way:
+        if self._control_s is None or not self._path:
             return
         if now_s - max(self._control_s, self._resumed_s) < GRACE_S:
             return
         self._echo_s = now_s
         if now_s - self._sent_s > PAUSE_S:
             return
-        on_way_s, off_m = self._last_on_way_s(event.position_enu_m)
-        self._is_far = on_way_s is None and off_m >= FAR_M
-        if on_way_s is None:
+        on_path_s, off_m = self._last_on_path_s(event.position_enu_m)
+        self._is_far = on_path_s is None and off_m >= FAR_M
+        if on_path_s is None:
             share = min(1.0, max(0.0, (off_m - TOLERANCE_M) / (FAR_M - TOLERANCE_M)))
             self._foreign_s.append((now_s, now_s + NEAR_S + share * (FAR_S - NEAR_S)))
         else:
-            self._lag_s = now_s - on_way_s
+            self._lag_s = now_s - on_path_s
 
-    def take_far(self) -> bool:
+    def take_far_echo(self) -> bool:
         """Return True if an echo was far off our path since the last call."""
         is_far, self._is_far = self._is_far, False
         return is_far
@@ -143,16 +143,16 @@ class EchoWatch(Watch):
     def tick(self, now_s: float) -> None:
         """Drop old foreign echoes, and note the start of contention with a second source."""
         self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
-        if not self._is_disputed(now_s):
-            self._disputed_s = None
-        elif self._disputed_s is None:
-            self._disputed_s = now_s
+        if not self._is_contended(now_s):
+            self._contended_since_s = None
+        elif self._contended_since_s is None:
+            self._contended_since_s = now_s
 
     def finding(self, now_s: float) -> Finding | None:
         """Return the finding of the echoes at a tick in control, or None."""
-        if self._disputed_s is not None:
-            went_on = self._foreign_s[-1][0] - self._disputed_s >= GOES_ON_S
-            is_over = now_s - self._disputed_s >= HOLD_S
+        if self._contended_since_s is not None:
+            went_on = self._foreign_s[-1][0] - self._contended_since_s >= GOES_ON_S
+            is_over = now_s - self._contended_since_s >= HOLD_S
             verdict = Verdict.GIVE_WAY if went_on and is_over else Verdict.HOLD
             first_s = self._foreign_s[0][0]
             text = "second source of setpoints"
@@ -167,7 +167,7 @@ class EchoWatch(Watch):
             return Finding(Verdict.HOLD, Reason.SETPOINTS_LOST, text)
         return None
 
-    def _is_disputed(self, now_s: float) -> bool:
+    def _is_contended(self, now_s: float) -> bool:
         """Return True while a second source is active, or not silent for long."""
         if len(self._foreign_s) < FOREIGN_ECHOES:
             return False
@@ -175,13 +175,13 @@ class EchoWatch(Watch):
         silent_s = now_s - self._foreign_s[-1][0]
         return span_s >= FOREIGN_SPAN_S and silent_s <= max(NEAR_S, span_s)
 
-    def _last_on_way_s(self, place_enu_m: PositionEnu | None) -> tuple[float | None, float]:
+    def _last_on_path_s(self, place_enu_m: PositionEnu | None) -> tuple[float | None, float]:
         """Return when our path was last at a place, None if never, and the distance to it."""
         if place_enu_m is None:
             return None, 0.0
         following: PositionEnu | None = None
         least_m = math.inf
-        for _, until_s, place in reversed(self._way):
+        for _, until_s, place in reversed(self._path):
             end = place if following is None else following
             distance_m = _distance_m(place_enu_m, place, end)
             if distance_m <= TOLERANCE_M:
@@ -224,7 +224,7 @@ class StickWatch(Watch):
         self._rest: tuple[float, ...] | None = None
         self._moved_s: float | None = None
         self._seen_moved_s: float | None = None
-        self._rated: events.TransmitterRated | None = None
+        self._rated: events.RcStatusReported | None = None
         self._rest_is_next = False
         """True once the transmitter is heard again: the next report shows where its sticks rest."""
 
@@ -237,7 +237,7 @@ class StickWatch(Watch):
 
     def handle(self, event: events.Event) -> None:
         """Apply the stick positions, and the health of the RC input."""
-        if isinstance(event, events.TransmitterRated):
+        if isinstance(event, events.RcStatusReported):
             self._note_rating(event)
         if not isinstance(event, events.SticksReported) or self._is_lost:
             return
@@ -278,7 +278,7 @@ class StickWatch(Watch):
     def _is_lost(self) -> bool:
         return self._rated is not None and not self._rated.is_healthy
 
-    def _note_rating(self, event: events.TransmitterRated) -> None:
+    def _note_rating(self, event: events.RcStatusReported) -> None:
         """Drop the pulses of a lost transmitter; when it is back, its sticks rest anywhere."""
         was_lost, self._rated = self._is_lost, event
         if self._is_lost:

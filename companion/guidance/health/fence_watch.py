@@ -9,12 +9,12 @@ from companion.guidance import events
 from companion.guidance.authority.state_machine import IN_CONTROL
 from companion.guidance.context import SessionContext
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
-from companion.guidance.messages import Rarely
+from companion.guidance.messages import RateLimited
 
 UNREAD_PATIENCE_S = 20.0
 """Time for two rounds of unanswered requests and the pause between them, see `fence_download`: 8
 tries of 0.4 s each, and 10 s."""
-TOLD_AGAIN_S = 30.0
+REPEAT_AFTER_S = 30.0
 
 
 class FenceWatch(Watch):
@@ -23,7 +23,7 @@ class FenceWatch(Watch):
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._wrong_since_s: float | None = None
-        self._texts = Rarely(TOLD_AGAIN_S)
+        self._texts = RateLimited(REPEAT_AFTER_S)
 
     def handle(self, event: events.Event) -> None:
         """Doubt a fence that the autopilot changed, until it is downloaded."""

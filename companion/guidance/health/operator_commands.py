@@ -64,7 +64,7 @@ class OperatorCommandWatch(Watch):
 
     def handle(self, event: events.Event) -> None:
         """Execute or refuse a command, and answer it."""
-        if not isinstance(event, events.OperatorAsked):
+        if not isinstance(event, events.OperatorCommandReceived):
             return
         context, name = self._context, event.command.name
         objection = self.objection(event.command)

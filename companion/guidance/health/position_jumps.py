@@ -31,7 +31,7 @@ from companion.guard.gate import GuardLimits, Motion
 from companion.guidance.authority.state_machine import HAS_VEHICLE, IN_CONTROL, Trigger
 from companion.guidance.context import SessionContext
 from companion.guidance.events import OriginSet, VehicleMoved, YawMeasured
-from companion.guidance.flight.fencing import FARTHEST_STEP_M
+from companion.guidance.flight.fencing import MAX_STEP_M
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.tracking.vehicle_track import is_plausible
@@ -58,7 +58,7 @@ PATIENCE_S = 5.0
 NO_STEP: PositionEnu = (0.0, 0.0, 0.0)
 
 
-def _less(a: PositionEnu, b: PositionEnu) -> PositionEnu:
+def _minus(a: PositionEnu, b: PositionEnu) -> PositionEnu:
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
@@ -249,7 +249,7 @@ class JumpWatch(Watch):
         step_m = context.vehicle.origin_step_m(event.origin)
         if frame is None or step_m <= ORIGIN_STEP_M:
             return False
-        is_near = step_m <= FARTHEST_STEP_M
+        is_near = step_m <= MAX_STEP_M
         if is_near:
             self._shift_frame(event, event.origin.zero_of(frame))
         else:
@@ -268,17 +268,17 @@ class JumpWatch(Watch):
         """Shift all positions, less the shift that the first positions already contain."""
         context = self._context
         moved_m = self._moved_by(shift_enu_m, event.time_s)
-        rest_m = _less(shift_enu_m, moved_m)
+        rest_m = _minus(shift_enu_m, moved_m)
         is_moved = moved_m != NO_STEP
         context.vehicle.move_frame(event.origin, NO_STEP if is_moved else rest_m)
         self._move_targets(rest_m, 0.0, 0.0)
         if is_moved and self._jumped_m is not None:
-            left_m = _less(self._jumped_m, moved_m)
+            left_m = _minus(self._jumped_m, moved_m)
             self._jumped_m = None if math.hypot(*left_m) <= LEAST_STEP_M else left_m
         elif not is_moved:
             context.steering.shift(rest_m)
         context.flight_plan.forget()
-        context.believe(context.tracker.estimate(event.time_s))
+        context.set_estimate(context.tracker.estimate(event.time_s))
 
     def _moved_by(self, shift_enu_m: PositionEnu, now_s: float) -> PositionEnu:
         """Return the part of a shift that the newest jump contains, if it was just now."""
@@ -300,7 +300,7 @@ class JumpWatch(Watch):
         self._last_s = now_s
         context.vehicle.track.distrust(before_s, now_s + STEADY_S)
         context.flight_plan.forget()
-        context.believe(context.tracker.estimate(now_s))
+        context.set_estimate(context.tracker.estimate(now_s))
         verdict, reason = Verdict.HOLD, Reason.OWN_JUMP
         finding = Finding(verdict, reason, f"{text}: waiting until it is steady")
         if now_s - self._first_s > PATIENCE_S:

@@ -24,11 +24,11 @@ from companion.guidance.health.fence_watch import FenceWatch
 from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 from companion.guidance.health.operator_commands import OperatorCommandWatch
 from companion.guidance.health.position_jumps import JumpWatch
-from companion.guidance.messages import Rarely
+from companion.guidance.messages import RateLimited
 
 REGAIN_S = 1.0
 """Time for which link and position must be back."""
-DEAF = (Reason.NO_LINK, Reason.MODE_UNKNOWN)
+LINK_LOSS_REASONS = (Reason.NO_LINK, Reason.MODE_UNKNOWN)
 AGREEING = 5
 """Measurements that the filter accepted since the dropout, before it counts as over."""
 COAST_SHARE = 0.5
@@ -134,9 +134,9 @@ class InputWatch(Watch):
         if self._back_s is None:
             self._back_s = now_s
         heartbeat = self._context.vehicle.heartbeat
-        was_deaf = self._lost is not None and self._lost.reason in DEAF
+        was_link_lost = self._lost is not None and self._lost.reason in LINK_LOSS_REASONS
         is_mode_seen = heartbeat is not None and heartbeat.time_s > self._lost_s
-        if now_s - self._back_s >= REGAIN_S and (is_mode_seen or not was_deaf):
+        if now_s - self._back_s >= REGAIN_S and (is_mode_seen or not was_link_lost):
             self._lost = self._back_s = None
 
     def _ranging_finding(
@@ -193,29 +193,29 @@ class Watches:
             context.passing,
             self.inputs,
         )
-        self._other_targets = Rarely(OTHER_TARGET_EVERY_S)
+        self._other_targets = RateLimited(OTHER_TARGET_EVERY_S)
         self._was_in_control = self._was_launching = False
-        self._is_battery_told = False
+        self._is_battery_announced = False
 
     def handle(self, event: events.Event) -> None:
         """Pass an event to all watches, and announce a change of the battery level."""
         before = self.battery.level
         for watch in self._all:
             watch.handle(event)
-        self._tell_other_target(event)
+        self._warn_of_other_target(event)
         level = self.battery.level
         if not isinstance(event, events.BatteryReported) or level in (before, BatteryLevel.GOOD):
             return
         severity = Severity.ERROR if level is BatteryLevel.CRITICAL else Severity.WARNING
-        self._is_battery_told = True
+        self._is_battery_announced = True
         self._context.announce(severity, self.battery.text())
 
-    def _tell_other_target(self, event: events.Event) -> None:
+    def _warn_of_other_target(self, event: events.Event) -> None:
         """Warn of a single foreign target, which our next setpoint replaces without a trace."""
         match event:
             case events.OtherCommandHeard():
                 who = f" ({event.command} of {event.sender[0]}/{event.sender[1]})"
-            case events.SetpointEchoed() if self.echo.take_far():
+            case events.SetpointEchoed() if self.echo.take_far_echo():
                 who = ""
             case _:
                 return
@@ -256,6 +256,6 @@ class Watches:
     def _begin(self, now_s: float) -> None:
         for watch in self._all:
             watch.begin(now_s)
-        if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_told:
-            self._is_battery_told = True
+        if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_announced:
+            self._is_battery_announced = True
             self._context.warn("battery charge unknown: watch it yourself")

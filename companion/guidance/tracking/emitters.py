@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import OwnAccuracy, Params, PositionEnu, RangingMeasurement
+from companion.domain import Params, PositionAccuracy, PositionEnu, RangingMeasurement
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
 from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
@@ -28,7 +28,7 @@ EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
 LOST_S = 20.0
 """Silence after which the current emitter is replaced by one that is heard."""
-ENOUGH = 5
+MIN_ACCEPTED = 5
 """Measurements before an emitter can be compared with others."""
 SMOOTHING = 0.1
 """Weight of the newest measurement in the mean of an emitter's strength."""
@@ -72,7 +72,7 @@ class EmitterQueue:
         self._tracker_params = trackers
         self._strengths: dict[int, float] = {}
         self.reported: set[int] = set()
-        self._turned_away: list[int] = []
+        self._deferred: list[int] = []
         """Emitters that were current and got lost, the longest ago first."""
         self._place: Point = (0.0, 0.0)
         self._trackers = {number: TargetTracker(trackers, number) for number in self.params.listed}
@@ -144,7 +144,7 @@ class EmitterQueue:
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
         now_s: float,
-        own: OwnAccuracy | None = None,
+        own: PositionAccuracy | None = None,
     ) -> Steps[FusionReport]:
         """Fuse a measurement of any emitter, its bearing in ENU, from the antenna's position."""
         if self.is_single:
@@ -168,7 +168,7 @@ class EmitterQueue:
             return
         if is_flying:
             if not self._is_heard(self.current, now_s):
-                self._turn_away(now_s)
+                self._defer(now_s)
             return
         open_ones = [n for n in self._trackers if n not in self.reported]
         if open_ones:
@@ -232,13 +232,13 @@ class EmitterQueue:
         mean = (1.0 - SMOOTHING) * before + SMOOTHING * strength
         self._strengths[measurement.emitter_id] = mean
 
-    def _turn_away(self, now_s: float) -> None:
+    def _defer(self, now_s: float) -> None:
         """Queue the lost emitter behind those that are heard, if there are any."""
         lost = self.current.emitter_id
         heard = [n for n in self.waiting if self._is_heard(self._trackers[n], now_s)]
         if lost is None or not heard:
             return
-        self._turned_away = [*(n for n in self._turned_away if n != lost), lost]
+        self._deferred = [*(n for n in self._deferred if n != lost), lost]
         self.current = self._trackers[heard[0]]
 
     @staticmethod
@@ -249,8 +249,8 @@ class EmitterQueue:
     def _rank(self, emitter_id: int) -> tuple[int, bool, float]:
         """Return the sort key: those never lost first, then those that can be compared."""
         tracker = self._trackers[emitter_id]
-        lost = self._turned_away.index(emitter_id) + 1 if emitter_id in self._turned_away else 0
-        is_vague = tracker.accepted < ENOUGH
+        lost = self._deferred.index(emitter_id) + 1 if emitter_id in self._deferred else 0
+        is_vague = tracker.accepted < MIN_ACCEPTED
         match self.params.order:
             case "nearest":
                 value = self._distance_m(tracker)

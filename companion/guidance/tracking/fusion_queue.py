@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from companion.domain import OwnAccuracy, RangingMeasurement
+from companion.domain import PositionAccuracy, RangingMeasurement
 from companion.estimation.stepwise import Steps
 from companion.estimation.tracker import FusionReport
 
@@ -33,7 +33,7 @@ class Queued(NamedTuple):
 
     measurement: RangingMeasurement
     now_s: float
-    own: OwnAccuracy | None
+    own: PositionAccuracy | None
 
 
 class FusionQueue:
@@ -55,11 +55,11 @@ class FusionQueue:
         """Queue a measurement; return True if it took the place of an older one."""
         is_full = len(self) >= MOST_QUEUED
         if is_full:
-            self._give_way()
+            self._drop_oldest()
         self._queues.setdefault(queued.measurement.emitter_id, deque()).append(queued)
         return is_full
 
-    def _give_way(self) -> None:
+    def _drop_oldest(self) -> None:
         """Drop the oldest measurement of the longest queue that is not begun."""
 
         def waiting(key: int) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from companion.domain import OwnAccuracy, RangingMeasurement
+from companion.domain import PositionAccuracy, RangingMeasurement
 from companion.estimation.antenna import ABOUT_VERTICAL, seen_in_enu
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.stepwise import Steps, Stepwise
@@ -50,7 +50,7 @@ class RangingListener:
         self._emitters = emitters
         self._antenna = emitters.antenna
         self._is_array = self._antenna.kind not in ABOUT_VERTICAL
-        self._takes_tilt = self._antenna.kind != "azimuth"
+        self._needs_attitude = self._antenna.kind != "azimuth"
         self._lag_s = emitters.stamp_lag_s
         self._track = track
         self.waiting: list[RangingMeasurement] = []
@@ -74,7 +74,7 @@ class RangingListener:
         del self.waiting[oldest]
         return [self._emitters.current.reject(RejectReason.TOO_MANY)]
 
-    def fuse_due(self, now_s: float, own: OwnAccuracy | None = None) -> list[FusionReport]:
+    def fuse_due(self, now_s: float, own: PositionAccuracy | None = None) -> list[FusionReport]:
         """Fuse all due measurements at once.
 
         `own` is the accuracy of the vehicle position on the Earth; None leaves it unchanged.
@@ -88,7 +88,7 @@ class RangingListener:
         waiting: list[RangingMeasurement] = []
         for measurement in self.waiting:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
-            if is_covered and self._takes_tilt and measurement.bearing_body_rad is not None:
+            if is_covered and self._needs_attitude and measurement.bearing_body_rad is not None:
                 is_covered = self._has_attitude(measurement)
             is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
             (waiting if is_recent and not is_covered else due).append(measurement)
@@ -124,7 +124,7 @@ class EmitterScheduler:
         self._context = context
         self._inputs = inputs
         self._followed = context.tracker
-        self._told: int | None = None
+        self._announced: int | None = None
 
     def choose(self, now_s: float) -> None:
         """Choose the current emitter, and follow."""
@@ -139,20 +139,20 @@ class EmitterScheduler:
         if tracker is self._followed:
             return
         self._followed = tracker
-        context.believe(tracker.estimate(now_s))
+        context.set_estimate(tracker.estimate(now_s))
         context.states.begin(context.estimate)
         context.flight_plan.forget()
         self._inputs.note_switch(tracker.integrity.contact.agreeing_since_gap(now_s))
         if context.phase in FLYING:
             context.plan_now(now_s)
 
-    def tell(self) -> None:
+    def announce(self) -> None:
         """Announce the current emitter, once for each turn in control."""
         context, emitters = self._context, self._context.emitters
         current = emitters.current.emitter_id
-        if emitters.is_single or context.phase not in IN_CONTROL or current == self._told:
+        if emitters.is_single or context.phase not in IN_CONTROL or current == self._announced:
             return
-        self._told = current
+        self._announced = current
         waiting = emitters.waiting
         context.record("turn", emitter_id=current, waiting=waiting)
         then = f", then {', '.join(str(each) for each in waiting)}" if waiting else ""
@@ -216,7 +216,7 @@ class Measuring:
     def _take_due(self, now_s: float) -> None:
         if not self._listener.waiting:
             return
-        own = self._context.vehicle.own_place.accuracy(now_s)
+        own = self._context.vehicle.position_accuracy.accuracy(now_s)
         for measurement in self._listener.take_due(now_s):
             if self._queue.add(Queued(measurement, now_s, own)):
                 self._context.emitters.current.reject(RejectReason.TOO_MANY)
@@ -276,7 +276,7 @@ class Measuring:
             context.states.begin(None)
         if context.states.is_due(estimate, now_s, context.params.ranging_timeout_s):
             context.announce(Severity.INFO, f"{estimate.state.value}: {radii_of(estimate)}")
-        context.believe(estimate)
+        context.set_estimate(estimate)
         context.send(estimate_record(report, estimate))
         if context.phase in FLYING:
             context.plan_now(now_s)

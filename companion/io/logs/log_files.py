@@ -209,11 +209,11 @@ class InputLog(BackgroundFile):
         """Record an event from the process or the operator; see `event_of`."""
         kind, data = InputKind.STOP, b""
         match event:
-            case events.OperatorAsked():
+            case events.OperatorCommandReceived():
                 kind, data = InputKind.OPERATOR_COMMAND, event.command.value.encode()
-            case events.ProcessNoted():
+            case events.ProcessMessage():
                 kind, data = InputKind.NOTE, f"{event.severity.name} {event.text}".encode()
-            case events.EarlierRunFound():
+            case events.UncleanExitFound():
                 kind = InputKind.EARLIER_RUN
             case events.MemoryRecalled():
                 kind, data = InputKind.RECALL, _AGE.pack(event.age_s) + encode_memory(event.memory)
@@ -369,7 +369,7 @@ def event_of(value: Input) -> events.Event:
     match value.kind:
         case InputKind.OPERATOR_COMMAND:
             try:
-                return events.OperatorAsked(now_s, events.OperatorCommand(data.decode()))
+                return events.OperatorCommandReceived(now_s, events.OperatorCommand(data.decode()))
             except ValueError:
                 raise ConfigError(f"a command at {now_s} s is none: {data[:40]!r}") from None
         case InputKind.NOTE:
@@ -377,9 +377,9 @@ def event_of(value: Input) -> events.Event:
             severity = Severity.__members__.get(name)
             if severity is None:
                 raise ConfigError(f"a note at {now_s} s has no severity: {name!r}")
-            return events.ProcessNoted(now_s, severity, text)
+            return events.ProcessMessage(now_s, severity, text)
         case InputKind.EARLIER_RUN:
-            return events.EarlierRunFound(now_s)
+            return events.UncleanExitFound(now_s)
         case InputKind.RECALL:
             try:
                 memory, (age_s,) = decode_memory(data[_AGE.size :]), _AGE.unpack_from(data)

@@ -16,16 +16,16 @@ import math
 from companion.domain import BatteryLevel
 from companion.geometry.coordinates import enu_from_ned
 from companion.guidance.events import (
+    AccuracySource,
     BatteryReported,
-    EstimatorRated,
+    EstimatorStatusReported,
     Event,
     FixReported,
-    OwnPlaceRated,
-    PlaceTeller,
+    PositionAccuracyReported,
+    RcStatusReported,
     SetpointEchoed,
     SticksReported,
     ThrottleReported,
-    TransmitterRated,
 )
 from companion.mav import dialect
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
@@ -96,20 +96,20 @@ class HealthReports:
             found.append(BatteryReported(now_s, charge_pct, BatteryLevel.UNKNOWN))
         if message.onboard_control_sensors_present & RC_BIT:
             is_healthy = bool(message.onboard_control_sensors_health & RC_BIT)
-            found.append(TransmitterRated(now_s, is_healthy))
+            found.append(RcStatusReported(now_s, is_healthy))
         return found
 
 
 def _px4_verdict(
     message: mavlink.MAVLink_estimator_status_message, now_s: float
-) -> EstimatorRated | None:
+) -> EstimatorStatusReported | None:
     ratios = [r for r in (message.vel_ratio, message.pos_horiz_ratio) if math.isfinite(r)]
     return _verdict(max(ratios) / BAD_RATIO if ratios else None, message.flags, now_s)
 
 
 def _ardupilot_verdict(
     message: MAVLink_ekf_status_report_message, now_s: float
-) -> EstimatorRated | None:
+) -> EstimatorStatusReported | None:
     velocity = message.velocity_variance
     votes = (velocity, message.pos_horiz_variance, message.compass_variance)
     known = sorted((vote for vote in votes if math.isfinite(vote)), reverse=True)
@@ -120,13 +120,13 @@ def _ardupilot_verdict(
     return _verdict(max(second, doubled) / BAD_VARIANCE, message.flags, now_s)
 
 
-def _verdict(worst: float | None, flags: int, now_s: float) -> EstimatorRated | None:
+def _verdict(worst: float | None, flags: int, now_s: float) -> EstimatorStatusReported | None:
     has_position = None
     if flags:
         has_position = bool(flags & SOME_POSITION) and not flags & NO_POSITION
     if worst is None and has_position is None:
         return None
-    return EstimatorRated(now_s, worst or 0.0, has_position)
+    return EstimatorStatusReported(now_s, worst or 0.0, has_position)
 
 
 def _fix(fix_type: int, receiver: int, now_s: float) -> FixReported | None:
@@ -155,20 +155,24 @@ def _place_rated(message: Message, now_s: float) -> list[Event]:
     """Return the position accuracy that a message reports, or that its sender does not know it."""
     match message:
         case mavlink.MAVLink_gps_raw_int_message():
-            told_mm = (message.h_acc, message.v_acc) if message.fix_type in FIXES else (0, 0)
-            known = (math.nan if mm == UINT32_MAX else mm / 1000.0 for mm in told_mm)
-            return [OwnPlaceRated(now_s, PlaceTeller.RECEIVER, *map(_sigma_m, known))]
+            reported_mm = (message.h_acc, message.v_acc) if message.fix_type in FIXES else (0, 0)
+            known = (math.nan if mm == UINT32_MAX else mm / 1000.0 for mm in reported_mm)
+            return [PositionAccuracyReported(now_s, AccuracySource.RECEIVER, *map(_sigma_m, known))]
         case mavlink.MAVLink_estimator_status_message():
-            told_m = (message.pos_horiz_accuracy, message.pos_vert_accuracy)
-            return [OwnPlaceRated(now_s, PlaceTeller.ESTIMATOR, *map(_sigma_m, told_m))]
+            reported_m = (message.pos_horiz_accuracy, message.pos_vert_accuracy)
+            return [
+                PositionAccuracyReported(
+                    now_s, AccuracySource.ESTIMATOR, *map(_sigma_m, reported_m)
+                )
+            ]
     return []
 
 
-def _sigma_m(told_m: float) -> float | None:
+def _sigma_m(reported_m: float) -> float | None:
     """A standard deviation that may be true; None for 0 and less, NaN and infinity."""
-    if not 0.0 < told_m < math.inf:
+    if not 0.0 < reported_m < math.inf:
         return None
-    return min(max(told_m, BEST_SIGMA_M), WORST_SIGMA_M)
+    return min(max(reported_m, BEST_SIGMA_M), WORST_SIGMA_M)
 
 
 def _echo(

@@ -17,8 +17,8 @@ from functools import partial
 from pathlib import Path
 
 from companion import __version__
-from companion.arguments import ComplaintParser
-from companion.entry import outlive_readers
+from companion.arguments import RaisingParser
+from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
 from companion.io.links import transports
@@ -212,7 +212,7 @@ exit code: 0 all that was tried passed; 3 it deviates, but only as the real PX4 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Try the rules; the exit code is that of `EPILOG`."""
-    outlive_readers()
+    ignore_broken_pipe()
     try:
         return _run(parsed_arguments(argv))
     except (CompanionError, rules.NotApplicable) as error:
@@ -225,7 +225,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parsed_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     """Parse the arguments; bad ones raise a `ConfigError`."""
-    parser = ComplaintParser(
+    parser = RaisingParser(
         prog="companion-conformance",
         description=DESCRIPTION,
         epilog=EPILOG,

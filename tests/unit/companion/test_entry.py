@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.entry import outlive_readers
+from companion.entry import ignore_broken_pipe
 from companion.errors import printable
 
 
@@ -24,7 +24,7 @@ def read_output(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     with os.fdopen(write_end, "w", encoding="ascii", errors="backslashreplace") as own:
         monkeypatch.setattr(sys, "stdout", own)
         monkeypatch.setattr(sys, "__stdout__", own)
-        outlive_readers()
+        ignore_broken_pipe()
         yield read_end
         monkeypatch.undo()
     with suppress(OSError):
@@ -52,13 +52,13 @@ def test_what_nobody_reads_is_dropped_and_nothing_is_raised(
 def test_a_stream_that_somebody_put_in_its_place_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     other = io.StringIO()
     monkeypatch.setattr(sys, "stdout", other)
-    outlive_readers()
+    ignore_broken_pipe()
     assert sys.stdout is other
 
 
 def test_a_process_without_output_can_write_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", None)
-    outlive_readers()
+    ignore_broken_pipe()
     assert sys.stdout is not None
     sys.stdout.write("")
 

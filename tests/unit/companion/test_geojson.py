@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from companion.domain import OwnAccuracy
+from companion.domain import PositionAccuracy
 from companion.handoff import geojson
 from tests.unit.companion.handoff.handoff_helpers import HOSTILE, handoff
 
@@ -49,7 +49,7 @@ def test_a_hostile_name_stays_a_name() -> None:
 
 
 def test_both_radii_are_told_and_whose_error_is_in_them() -> None:
-    own = OwnAccuracy(1.5, 2.0, is_told=True)
+    own = PositionAccuracy(1.5, 2.0, is_told=True)
     point, ellipse = features(geojson([handoff(own=own, height_sigma_m=1.5)]))
     about = point["properties"]
     assert about["r95_m"] == 5.2

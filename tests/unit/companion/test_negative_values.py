@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.arguments import ComplaintParser, argument_parser
+from companion.arguments import RaisingParser, argument_parser
 from sim_link.lab.subcommands import subcommand_parser
 
 
@@ -17,7 +17,7 @@ def test_a_southern_place_can_be_typed(place: str) -> None:
 
 
 def test_an_unknown_option_is_still_one() -> None:
-    parser = ComplaintParser()
+    parser = RaisingParser()
     parser.add_argument("--place")
     with pytest.raises(Exception, match="expected one argument"):
         parser.parse_args(["--place", "-x"])

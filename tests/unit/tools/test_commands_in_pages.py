@@ -10,7 +10,7 @@ from textwrap import dedent
 
 import pytest
 
-from companion.arguments import ComplaintParser, argument_parser
+from companion.arguments import RaisingParser, argument_parser
 from companion.config.radios import flown_radios
 from companion.config.schema import load_config
 from companion.flight_setup import radio_links
@@ -66,7 +66,7 @@ def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> N
             )
             assert len(radio_links(radios)) == len(radios)
         else:
-            parser = ComplaintParser()
+            parser = RaisingParser()
             radio_command.add_arguments(parser)
             arguments = parser.parse_args(words[2:])
             assert parse_transport(arguments.follow)

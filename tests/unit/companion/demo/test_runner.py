@@ -19,7 +19,7 @@ from companion.demo.runner import (
     busy_hint,
     scenario_named,
 )
-from companion.domain import OwnAccuracy
+from companion.domain import PositionAccuracy
 from companion.errors import ConfigError
 from companion.guidance.authority.state_machine import Phase
 from companion.io.shared_clock import Pacer
@@ -113,7 +113,7 @@ def test_a_computer_that_is_too_busy_is_announced_with_the_speed_that_it_keeps_u
 
 
 def test_the_end_says_both_radii_and_whose_error_the_absolute_one_has() -> None:
-    own = OwnAccuracy(0.02, 0.04, is_told=True)
+    own = PositionAccuracy(0.02, 0.04, is_told=True)
     estimate = SimpleNamespace(
         position_enu_m=(52.0, 41.0), r95_m=0.33, absolute_r95_m=0.34, own=own, time_s=41.8
     )

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from companion.doctor.examination import look_at_host, look_at_place
+from companion.doctor.examination import inspect_folder, inspect_host
 
 
 def test_a_place_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:
-    place = look_at_place(tmp_path / "flights")
+    place = inspect_folder(tmp_path / "flights")
     assert place.problem is None
     assert place.free_mb is not None
     assert place.free_mb > 0.0
@@ -19,7 +19,7 @@ def test_a_place_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:
 
 def test_a_place_that_cannot_be_is_told_in_words(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    place = look_at_place(tmp_path / "file" / "flights")
+    place = inspect_folder(tmp_path / "file" / "flights")
     assert place.problem == "Not a directory"
     assert place.free_mb is None
 
@@ -28,17 +28,17 @@ def test_a_key_that_others_may_read_is_told(tmp_path: Path) -> None:
     key = tmp_path / "signing.key"
     key.write_text("ab" * 32)
     key.chmod(0o644)
-    host = look_at_host(tmp_path, tmp_path, str(key))
+    host = inspect_host(tmp_path, tmp_path, str(key))
     assert host.has_key
     assert host.key_problem is not None
     assert "chmod 600" in host.key_problem
     assert "abab" not in host.key_problem
     key.chmod(0o600)
-    assert look_at_host(tmp_path, tmp_path, str(key)).key_problem is None
+    assert inspect_host(tmp_path, tmp_path, str(key)).key_problem is None
 
 
 def test_this_computer_is_known(tmp_path: Path) -> None:
-    host = look_at_host(tmp_path, tmp_path, None)
+    host = inspect_host(tmp_path, tmp_path, None)
     assert host.python >= (3, 11, 0)
     assert host.numpy[0].isdigit()
     assert not host.has_key

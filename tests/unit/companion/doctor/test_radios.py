@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.radios import RadioConfig
 from companion.doctor.findings import Level, RadioFacts
-from companion.doctor.radio_check import check_radios, look_at_radios
+from companion.doctor.radio_check import check_radios, inspect_radios
 from companion.link.quality import RadioStatus
 
 STATUS = RadioStatus("nlink", 9.9, 0.05, 0.004, 50, {}, 0, 0)
@@ -48,7 +48,7 @@ def test_what_is_worse_than_it_could_be_is_a_warning(facts: RadioFacts, words: s
 
 
 def test_a_radio_that_cannot_be_opened_is_a_failure() -> None:
-    (facts,) = look_at_radios([RadioConfig(name="ndjson", url="/dev/ttyNOWHERE")], 0.1)
+    (facts,) = inspect_radios([RadioConfig(name="ndjson", url="/dev/ttyNOWHERE")], 0.1)
     assert said(facts) == {
         "serial /dev/ttyNOWHERE: no such device; is it plugged in, and the name right?": Level.FAIL
     }
@@ -58,7 +58,7 @@ def test_a_radio_that_cannot_be_opened_is_a_failure() -> None:
 def test_a_program_is_listened_to_for_a_while() -> None:
     line = '{\\"emitter_id\\":7,\\"range\\":42.5}'
     url = f'exec:while true; do echo "{line}"; sleep 0.05; done'
-    (facts,) = look_at_radios([RadioConfig(name="ndjson", url=url)], 1.0)
+    (facts,) = inspect_radios([RadioConfig(name="ndjson", url=url)], 1.0)
     assert facts.status is not None
     assert facts.status.measured > 2
     assert not facts.has_clock

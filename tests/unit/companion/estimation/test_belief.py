@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.domain import UNTOLD, EstimateState, OwnAccuracy
+from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy
 from companion.estimation.belief import DOUBT, Belief, BelievedPlace
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.kernel import Matrix
@@ -148,10 +148,10 @@ def test_a_belief_about_another_emitter_is_refused() -> None:
     assert tracker.resume(Belief(2, 10, (GOOD,)), 1.0, 0.0) is None
 
 
-RTK, CITY = OwnAccuracy(0.02, 0.03, is_told=True), OwnAccuracy(6.0, 9.0, is_told=True)
+RTK, CITY = PositionAccuracy(0.02, 0.03, is_told=True), PositionAccuracy(6.0, 9.0, is_told=True)
 
 
-def own_after(*accuracies: OwnAccuracy | None) -> TargetTracker:
+def own_after(*accuracies: PositionAccuracy | None) -> TargetTracker:
     tracker = TargetTracker(PARAMS)
     for number, row in enumerate(walk(np.random.default_rng(4), len(accuracies))):
         measurement, sensor_enu_m = measurement_of(row, 0.1 * number)
@@ -164,9 +164,9 @@ def test_the_own_place_counts_as_it_was_at_the_worst_while_measuring() -> None:
         estimate = own_after(*accuracies).estimate(1.0)
         assert estimate is not None
         assert estimate.own == CITY
-    estimate = own_after(RTK, UNTOLD, RTK).estimate(1.0)
+    estimate = own_after(RTK, DEFAULT_ACCURACY, RTK).estimate(1.0)
     assert estimate is not None
-    assert estimate.own == UNTOLD
+    assert estimate.own == DEFAULT_ACCURACY
 
 
 def test_what_was_not_measured_from_does_not_count() -> None:
@@ -181,7 +181,7 @@ def test_what_was_not_measured_from_does_not_count() -> None:
 def test_a_belief_keeps_how_well_the_own_place_was_known() -> None:
     belief = own_after(*[CITY] * 5).belief
     assert belief is not None
-    for kept, expected in ((belief, CITY), (replace(belief, own=None), UNTOLD)):
+    for kept, expected in ((belief, CITY), (replace(belief, own=None), DEFAULT_ACCURACY)):
         tracker = TargetTracker(PARAMS)
         assert tracker.resume(kept, 1.0, 7.0) is None
         assert tracker.own == expected
@@ -190,5 +190,5 @@ def test_a_belief_keeps_how_well_the_own_place_was_known() -> None:
 @pytest.mark.parametrize("sigma_m", [-1.0, math.nan, math.inf])
 def test_an_impossible_accuracy_is_no_belief(sigma_m: float) -> None:
     belief = belief_after(walk(np.random.default_rng(1), 5))
-    for own in (OwnAccuracy(sigma_m, 1.0), OwnAccuracy(1.0, sigma_m)):
+    for own in (PositionAccuracy(sigma_m, 1.0), PositionAccuracy(1.0, sigma_m)):
         assert replace(belief, own=own).problem(len(belief.places[0].mean)) is not None

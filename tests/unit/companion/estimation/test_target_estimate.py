@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.domain import UNTOLD, EstimateState, OwnAccuracy, TargetEstimate
+from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy, TargetEstimate
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.target_estimate import (
@@ -45,7 +45,7 @@ def _told(
     *hypotheses: Hypothesis,
     params: FilterParams = PLANE,
     is_diverged: bool = False,
-    own: OwnAccuracy = UNTOLD,
+    own: PositionAccuracy = DEFAULT_ACCURACY,
     lasting_m: float = 0.0,
     wander_m: float = 0.0,
 ) -> TargetEstimate:
@@ -126,26 +126,26 @@ def test_height_and_scale_are_told_as_known_or_as_estimated() -> None:
     assert (told.height_m, told.height_sigma_m, told.range_scale) == (6.0, 1.25, 0.03)
 
 
-RTK = OwnAccuracy(0.02, 0.03, is_told=True)
-CITY = OwnAccuracy(6.0, 9.0, is_told=True)
+RTK = PositionAccuracy(0.02, 0.03, is_told=True)
+CITY = PositionAccuracy(6.0, 9.0, is_told=True)
 
 
-@pytest.mark.parametrize("own", [UNTOLD, RTK, CITY])
-def test_the_absolute_radius_has_the_own_place_in_it(own: OwnAccuracy) -> None:
+@pytest.mark.parametrize("own", [DEFAULT_ACCURACY, RTK, CITY])
+def test_the_absolute_radius_has_the_own_place_in_it(own: PositionAccuracy) -> None:
     told = _told(_hypothesis(), own=own)
-    expected_m = math.hypot(0.5, own.counted_m) * R95_OF_EQUAL_AXES
+    expected_m = math.hypot(0.5, own.effective_m) * R95_OF_EQUAL_AXES
     assert told.absolute_r95_m == pytest.approx(expected_m)
-    grown = (0.25 + own.counted_m**2) * np.eye(2)
+    grown = (0.25 + own.effective_m**2) * np.eye(2)
     np.testing.assert_allclose(told.absolute_covariance_m2, grown)
     assert told.own == own
 
 
 def test_a_receiver_without_corrections_counts_half_as_much_again() -> None:
-    assert (CITY.counted_m, RTK.counted_m, UNTOLD.counted_m) == (9.0, 0.02, 3.0)
+    assert (CITY.effective_m, RTK.effective_m, DEFAULT_ACCURACY.effective_m) == (9.0, 0.02, 3.0)
 
 
 @pytest.mark.parametrize("own", [RTK, CITY])
-def test_the_own_place_changes_nothing_that_stops_the_search(own: OwnAccuracy) -> None:
+def test_the_own_place_changes_nothing_that_stops_the_search(own: PositionAccuracy) -> None:
     for places in ([_hypothesis()], [_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4)]):
         here, there = _told(*places), _told(*places, own=own)
         assert here.settled_r95_m == there.settled_r95_m

@@ -11,7 +11,7 @@ import pytest
 
 from companion.domain import (
     EstimateState,
-    OwnAccuracy,
+    PositionAccuracy,
     PositionEnu,
     RangingMeasurement,
     TargetEstimate,
@@ -275,7 +275,7 @@ def test_ranges_alone_need_a_base_line_as_long_as_the_height() -> None:
 
 
 def test_the_estimate_is_always_that_of_now_however_often_it_was_asked_for() -> None:
-    tracker, accuracy = TargetTracker(TrackerParams()), OwnAccuracy(1.0, 2.0)
+    tracker, accuracy = TargetTracker(TrackerParams()), PositionAccuracy(1.0, 2.0)
 
     def check() -> None:
         kept = tracker.estimate(9.0)

@@ -3,9 +3,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from companion.guidance.control import TICK_S
-from companion.guidance.events import OperatorAsked, OperatorCommand
+from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.guidance.health.findings import Finding, Reason, Verdict
-from companion.guidance.messages import GONE_S, TOLD_AGAIN_S, FindingMessages
+from companion.guidance.messages import CLEARED_AFTER_S, REANNOUNCE_S, FindingMessages
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 STALE = Finding(Verdict.HOLD, Reason.POSITION_STALE, "")
@@ -30,13 +30,13 @@ def test_that_nothing_is_wrong_is_no_news_at_first_and_news_after_something_was(
 
 
 def test_two_reasons_that_take_turns_are_told_once_each() -> None:
-    ticks = round(0.9 * TOLD_AGAIN_S / TICK_S)
+    ticks = round(0.9 * REANNOUNCE_S / TICK_S)
     assert told(FindingMessages(), [STALE, NO_LINK] * (ticks // 2)) == [0, 1]
 
 
 def test_what_lasts_is_told_a_moment_after_it_began() -> None:
     flicker: list[Finding | None] = [STALE, NO_LINK] * 10
-    moment = round(GONE_S / TICK_S)
+    moment = round(CLEARED_AFTER_S / TICK_S)
     assert told(FindingMessages(), flicker + [STALE] * 100) == [0, 1, len(flicker) - 1 + moment]
 
 
@@ -59,9 +59,9 @@ def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:
     flight.fly(6.0)
     since = len(flight.texts)
     for _ in range(60):
-        flight.give(OperatorAsked(flight.now_s, OperatorCommand.HOLD))
+        flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.HOLD))
         flight.fly(TICK_S)
-        flight.give(OperatorAsked(flight.now_s, OperatorCommand.RESUME))
+        flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.RESUME))
         flight.fly(TICK_S)
     answers = {"HOLD accepted", "RESUME accepted"}
     announced = [text for text in flight.texts[since:] if text not in answers]

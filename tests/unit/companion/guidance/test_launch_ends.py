@@ -14,11 +14,11 @@ from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     BatteryReported,
     ControlStalled,
-    EstimatorRated,
+    EstimatorStatusReported,
     FixReported,
     HeartbeatReceived,
-    OperatorAsked,
     OperatorCommand,
+    OperatorCommandReceived,
     Outcome,
     RequestAnswered,
     RequestKind,
@@ -53,7 +53,7 @@ def test_a_failsafe_during_the_launch_ends_it_until_a_grant(autopilot: Autopilot
     assert_left_alone(flight)
     flight.show(FlightMode.POSITION)
     assert_left_alone(flight)
-    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+    flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.HOLD)
 
@@ -183,7 +183,7 @@ def moved_sticks(flight: ScriptedFlight) -> None:
 
 
 def doubt(flight: ScriptedFlight) -> None:
-    flight.give(EstimatorRated(flight.now_s, 1.5))
+    flight.give(EstimatorStatusReported(flight.now_s, 1.5))
 
 
 def no_fix(flight: ScriptedFlight) -> None:
@@ -197,7 +197,7 @@ def empty_battery(flight: ScriptedFlight) -> None:
 def well(flight: ScriptedFlight) -> None:
     flight.give(SticksReported(flight.now_s, (0.0, 0.0, 0.0, 0.0)))
     flight.give(FixReported(flight.now_s, has_fix=True))
-    flight.give(EstimatorRated(flight.now_s, 0.2))
+    flight.give(EstimatorStatusReported(flight.now_s, 0.2))
     flight.give(BatteryReported(flight.now_s, 90.0, BatteryLevel.UNKNOWN))
 
 

@@ -13,9 +13,9 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint, TakeOff
 from companion.guidance.events import (
     AutopilotRestarted,
-    EarlierRunFound,
     MemoryRecalled,
     SessionMemory,
+    UncleanExitFound,
 )
 from companion.guidance.recovery import ORIGIN_PATIENCE_S
 from companion.guidance.session_params import SessionParams
@@ -36,7 +36,7 @@ def memory_of_a_flight(duration_s: float = 6.0) -> SessionMemory:
 
 
 def recall(flight: ScriptedFlight, memory: SessionMemory, age_s: float = 10.0) -> None:
-    flight.give(EarlierRunFound(flight.now_s))
+    flight.give(UncleanExitFound(flight.now_s))
     flight.give(MemoryRecalled(flight.now_s, memory, age_s))
 
 
@@ -69,7 +69,7 @@ def test_a_resumed_estimate_is_flown_on_only_with_a_new_measurement() -> None:
 @pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.ARDUPILOT])
 def test_nothing_launches_by_itself_after_a_restart(autopilot: Autopilot) -> None:
     flight = ScriptedFlight(AUTO, autopilot)
-    flight.give(EarlierRunFound(0.0))
+    flight.give(UncleanExitFound(0.0))
     flight.on_the_ground()
     flight.fly(5.0)
     assert flight.phase is Phase.STANDBY

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.domain import EstimateState, OwnAccuracy, RangingMeasurement, TargetEstimate
+from companion.domain import EstimateState, PositionAccuracy, RangingMeasurement, TargetEstimate
 from companion.estimation.tracker import FusionReport
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.messages import estimate_record, radius_texts, result_of
@@ -38,7 +38,7 @@ def test_without_a_place_nothing_is_claimed_of_one() -> None:
     assert "sensor_enu_m" not in estimate_record(FusionReport(None), ESTIMATE).fields
 
 
-CITY = OwnAccuracy(6.0, 9.0, is_told=True)
+CITY = PositionAccuracy(6.0, 9.0, is_told=True)
 
 
 def test_both_radii_are_told_and_what_is_between_them() -> None:
@@ -59,7 +59,9 @@ def test_degrees_come_with_the_radius_of_who_walks_there() -> None:
 
 @pytest.mark.parametrize("sigma_m", [3.0, 12.5, 999.0])
 def test_what_is_not_told_is_said_in_one_text(sigma_m: float) -> None:
-    vague = replace(ESTIMATE, own=OwnAccuracy(sigma_m, sigma_m), r95_m=999.9, absolute_r95_m=999.9)
+    vague = replace(
+        ESTIMATE, own=PositionAccuracy(sigma_m, sigma_m), r95_m=999.9, absolute_r95_m=999.9
+    )
     radii, own = radius_texts(vague)
     assert own == f"GNSS accuracy not reported: assuming {sigma_m:g} m"
     assert max(len(radii), len(own)) <= 50

@@ -9,8 +9,8 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
-    OperatorAsked,
     OperatorCommand,
+    OperatorCommandReceived,
     Outcome,
     RequestKind,
     StopRequested,
@@ -134,7 +134,7 @@ def test_granted_before_the_mode_was_left_the_setpoint_stays_where_it_is() -> No
     flight.fly_until_reported()
     flight.follows = False
     east_m, north_m, up_m = flight.place
-    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+    flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     granted_s = flight.now_s
     assert flight.is_in(Phase.STANDBY)
     for tick in range(10):

@@ -11,8 +11,8 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
-    OperatorAsked,
     OperatorCommand,
+    OperatorCommandReceived,
 )
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import FOREIGN_MODES, silent_since
@@ -85,7 +85,7 @@ def test_a_grant_makes_ready_and_the_mode_switch_engages() -> None:
     flight = ScriptedFlight().in_control()
     flight.show(FlightMode.POSITION)
     flight.fly(1.0)
-    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+    flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     assert flight.is_in(Phase.STANDBY)
     granted_s = flight.now_s
     flight.fly(1.0)
@@ -148,7 +148,7 @@ def test_a_grant_is_enough_for_a_vehicle_found_in_offboard() -> None:
     flight.show(FlightMode.OFFBOARD)
     flight.locate()
     flight.fly(3.0)
-    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+    flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     flight.fly(1.2)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
 

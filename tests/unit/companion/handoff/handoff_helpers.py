@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.domain import UNTOLD, EstimateState, OwnAccuracy, TargetEstimate
+from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
 from companion.handoff import Handoff, handoff_of
@@ -17,7 +17,7 @@ def handoff(
     emitter: str = "7",
     alternative_enu_m: Point | None = None,
     r95_m: float = 5.2,
-    own: OwnAccuracy = UNTOLD,
+    own: PositionAccuracy = DEFAULT_ACCURACY,
     height_sigma_m: float | None = None,
 ) -> Handoff:
     state = EstimateState.LOCALISED if alternative_enu_m is None else EstimateState.AMBIGUOUS

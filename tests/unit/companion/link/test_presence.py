@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.domain import EstimateState, OwnAccuracy, TargetEstimate
+from companion.domain import EstimateState, PositionAccuracy, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Trigger
 from companion.link.interface import LinkParams
@@ -44,7 +44,7 @@ ESTIMATE = TargetEstimate(
     alternative_enu_m=(1.0, 2.0),
     height_m=3.0,
     height_sigma_m=1.5,
-    own=OwnAccuracy(1.5, 2.5, is_told=True),
+    own=PositionAccuracy(1.5, 2.5, is_told=True),
     absolute_r95_m=7.5,
 )
 Estimate = MAVLink_target_estimate_message
@@ -190,8 +190,8 @@ def test_the_absolute_radius_follows_the_receiver(h_acc_mm: int | None, sigma_m:
     told = heard(CompanionConfig(), 100, h_acc_mm=h_acc_mm).of(Estimate)[-1]
     assert told.own_std == pytest.approx(sigma_m) or not h_acc_mm
     assert math.isnan(told.own_std) == (not h_acc_mm)
-    counted_m = 1.5 * sigma_m if sigma_m == 5.0 else sigma_m  # without corrections
-    round_m = math.hypot(told.r95, 2.4477 * counted_m)
+    effective_m = 1.5 * sigma_m if sigma_m == 5.0 else sigma_m  # without corrections
+    round_m = math.hypot(told.r95, 2.4477 * effective_m)
     assert told.r95 < told.absolute_r95 < 1.01 * round_m
 
 

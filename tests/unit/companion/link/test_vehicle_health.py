@@ -8,15 +8,15 @@ import pytest
 
 from companion.domain import BatteryLevel
 from companion.guidance.events import (
+    AccuracySource,
     BatteryReported,
-    EstimatorRated,
+    EstimatorStatusReported,
     Event,
     FixReported,
-    OwnPlaceRated,
-    PlaceTeller,
+    PositionAccuracyReported,
+    RcStatusReported,
     SetpointEchoed,
     SticksReported,
-    TransmitterRated,
 )
 from companion.link.inbound import VehicleInbound
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
@@ -31,12 +31,12 @@ def events(message: Message) -> list[Event]:
 
 def health_of(message: Message) -> list[Event]:
     """Without how well the own place is known."""
-    return [event for event in events(message) if not isinstance(event, OwnPlaceRated)]
+    return [event for event in events(message) if not isinstance(event, PositionAccuracyReported)]
 
 
-def rating_of(message: Message) -> OwnPlaceRated:
+def rating_of(message: Message) -> PositionAccuracyReported:
     """How well the own place is known."""
-    (rating,) = (event for event in events(message) if isinstance(event, OwnPlaceRated))
+    (rating,) = (event for event in events(message) if isinstance(event, PositionAccuracyReported))
     return rating
 
 
@@ -100,7 +100,7 @@ def test_px4_judges_by_velocity_and_horizontal_position(
     ratios: tuple[float, float, float, float], worst: float
 ) -> None:
     (event,) = health_of(estimator_status(*ratios))
-    assert isinstance(event, EstimatorRated)
+    assert isinstance(event, EstimatorStatusReported)
     assert event.worst == pytest.approx(worst)
 
 
@@ -122,7 +122,7 @@ def test_ardupilot_counts_two_votes_of_three_or_twice_the_velocity(
 ) -> None:
     report = MAVLink_ekf_status_report_message(0, velocity, position, height, compass, 9.0)
     (event,) = events(report)
-    assert isinstance(event, EstimatorRated)
+    assert isinstance(event, EstimatorStatusReported)
     assert (event.worst >= 1.0) is is_poor
 
 
@@ -132,7 +132,7 @@ def test_ardupilot_counts_two_votes_of_three_or_twice_the_velocity(
 )
 def test_flags_say_if_there_is_a_position(flags: int, has_position: bool | None) -> None:
     (event,) = events(MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0))
-    assert isinstance(event, EstimatorRated)
+    assert isinstance(event, EstimatorStatusReported)
     assert event.has_position is has_position
 
 
@@ -141,7 +141,7 @@ def test_the_rc_input_is_healthy_or_lost_by_sys_status(health: int, is_healthy: 
     status = mavlink.MAVLink_sys_status_message(
         0x10000, 0x10000, health, 0, 0, -1, -1, 0, 0, 0, 0, 0, 0
     )
-    assert TransmitterRated(5.0, is_healthy) in events(status)
+    assert RcStatusReported(5.0, is_healthy) in events(status)
 
 
 def test_ratios_that_nobody_knows_say_nothing() -> None:
@@ -160,13 +160,13 @@ def test_a_fix_of_no_known_type_says_nothing() -> None:
 
 
 def test_the_accuracy_of_a_fix_is_in_millimetres() -> None:
-    expected = OwnPlaceRated(5.0, PlaceTeller.RECEIVER, 1.5, 2.25)
+    expected = PositionAccuracyReported(5.0, AccuracySource.RECEIVER, 1.5, 2.25)
     assert rating_of(gps(6, h_acc=1500, v_acc=2250)) == expected
 
 
 @pytest.mark.parametrize("unknown", [0, UINT32_MAX])
 def test_an_accuracy_that_is_not_known_is_none(unknown: int) -> None:
-    expected = OwnPlaceRated(5.0, PlaceTeller.RECEIVER, None, None)
+    expected = PositionAccuracyReported(5.0, AccuracySource.RECEIVER, None, None)
     assert rating_of(gps(3, h_acc=unknown, v_acc=unknown)) == expected
 
 
@@ -187,7 +187,7 @@ def test_an_accuracy_beyond_belief_counts_as_the_nearest_one(h_acc: int, sigma_m
 def test_px4_tells_metres_and_nonsense_is_none(told_m: float, sigma_m: float | None) -> None:
     ratios = (0.1,) * 6
     message = mavlink.MAVLink_estimator_status_message(0, 0, *ratios, told_m, told_m)
-    expected = OwnPlaceRated(5.0, PlaceTeller.ESTIMATOR, sigma_m, sigma_m)
+    expected = PositionAccuracyReported(5.0, AccuracySource.ESTIMATOR, sigma_m, sigma_m)
     assert rating_of(message) == expected
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.domain import OwnAccuracy, RangingMeasurement
+from companion.domain import PositionAccuracy, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.map_kernels import COLUMNS
@@ -167,7 +167,7 @@ def test_ranges_along_a_line_state_no_radius_beyond_what_a_place_may_be() -> Non
         place = (0.05 * step, 0.0, 20.0)
         range_m = math.dist(place, target) + rng.normal(0.0, 0.15)
         now_s = 0.1 * step
-        tracker.fuse(RangingMeasurement(1, now_s, range_m), place, now_s, OwnAccuracy())
+        tracker.fuse(RangingMeasurement(1, now_s, range_m), place, now_s, PositionAccuracy())
         estimate = tracker.estimate(now_s)
         radii_m += [] if estimate is None else [estimate.absolute_r95_m]
     assert len(radii_m) == 60

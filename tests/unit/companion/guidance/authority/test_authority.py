@@ -18,8 +18,8 @@ from companion.guidance.events import (
     HeartbeatReceived,
     IdConflictHeard,
     LandedStateChanged,
-    OperatorAsked,
     OperatorCommand,
+    OperatorCommandReceived,
     Outcome,
     RequestAnswered,
     RequestKind,
@@ -112,7 +112,7 @@ def test_what_a_failsafe_took_is_given_by_a_grant_alone(
     flight.show(FlightMode.RETURN, is_failsafe=True)
     flight.fly(5.0)
     if is_granted:
-        flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+        flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     flight.show(FlightMode.HOLD)
     flight.fly(3.0)
     assert f"grant needed, failsafe: {GRANT_HOW}" in flight.texts
@@ -122,7 +122,7 @@ def test_what_a_failsafe_took_is_given_by_a_grant_alone(
 
 
 def second_source(flight: ScriptedFlight) -> None:
-    flight.session.handover.give_way(FOREIGN, flight.now_s)
+    flight.session.handover.yield_control(FOREIGN, flight.now_s)
 
 
 def hand_back(flight: ScriptedFlight) -> None:
@@ -187,7 +187,7 @@ def test_what_was_not_left_by_choice_needs_a_grant_and_says_so(
     assert acts(flight, ended_s) == 0
     assert flight.texts.count(f"grant needed, {reason}: {GRANT_HOW}") == 1
     assert flight.texts[-1] == f"{flight.guided_name} ignored: {reason}; {GRANT_HOW}"
-    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+    flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     flight.fly(1.1)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
 
@@ -212,7 +212,7 @@ def test_a_pilot_who_took_over_by_the_sticks_gives_it_back_by_the_switch(
 ) -> None:
     flight = flying(autopilot)
     sticks = Finding(Verdict.GIVE_WAY, Reason.STICKS, "pilot moves the sticks")
-    flight.session.handover.give_way(sticks, flight.now_s)
+    flight.session.handover.yield_control(sticks, flight.now_s)
     took_s = flight.now_s
     flight.fly(5.0)  # still in the mode, which is not given again by staying
     assert flight.is_in(Phase.YIELD)
@@ -246,7 +246,7 @@ def test_a_battery_that_was_handed_back_for_is_so_once_in_a_flight() -> None:
     flight.fly(0.1)
     for _ in range(2):  # handed back, and then ended early with the report
         flight.show(FlightMode.RETURN)
-        flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+        flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
         flight.show(FlightMode.OFFBOARD)
         flight.fly(1.0)
     assert flight.is_in(Phase.HOLD)
@@ -513,11 +513,11 @@ def test_a_restart_during_a_stop_ends_the_process() -> None:
 
 def test_giving_way_is_silence_until_the_mode_is_given_again() -> None:
     flight = flying(Autopilot.ARDUPILOT)
-    flight.session.handover.give_way(FOREIGN, flight.now_s)
+    flight.session.handover.yield_control(FOREIGN, flight.now_s)
     assert flight.is_in(Phase.YIELD)
     gave_s = flight.now_s
     flight.fly(20.0)
     assert acts(flight, gave_s) == 0
-    flight.give(OperatorAsked(flight.now_s, OperatorCommand.GRANT))
+    flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     flight.fly(1.1)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)

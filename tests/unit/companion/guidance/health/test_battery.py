@@ -81,13 +81,13 @@ def test_low_ends_a_mission_once_in_a_flight() -> None:
 
 def test_other_charges_count_from_the_next_two_reports_on() -> None:
     watch = watch_at(30.0)
-    watch.aim(low_pct=40.0, critical_pct=35.0)
+    watch.set_thresholds(low_pct=40.0, critical_pct=35.0)
     levels = [watch.level]
     for time_s in (2.0, 3.0):
         watch.handle(BatteryReported(time_s, 30.0, BatteryLevel.GOOD))
         levels.append(watch.level)
     assert levels == [BatteryLevel.GOOD, BatteryLevel.GOOD, BatteryLevel.CRITICAL]
-    watch.aim(low_pct=40.0, critical_pct=10.0)
+    watch.set_thresholds(low_pct=40.0, critical_pct=10.0)
     for time_s in (4.0, 5.0):
         watch.handle(BatteryReported(time_s, 30.0, BatteryLevel.GOOD))
     assert watch.level is BatteryLevel.LOW

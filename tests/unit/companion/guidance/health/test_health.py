@@ -7,7 +7,7 @@ import pytest
 from companion.domain import Autopilot, BatteryLevel, FlightMode
 from companion.guidance.events import (
     BatteryReported,
-    EstimatorRated,
+    EstimatorStatusReported,
     FixReported,
     HeartbeatReceived,
 )
@@ -30,7 +30,7 @@ def times(
     first: dict[tuple[Reason, Verdict], float] = {}
     for number in range(round(for_s / STEP_S)):
         now_s = 100.0 + STEP_S * number
-        watch.handle(EstimatorRated(now_s, worst))
+        watch.handle(EstimatorStatusReported(now_s, worst))
         watch.handle(FixReported(now_s, has_fix))
         for finding in only(watch, now_s):
             first.setdefault((finding.reason, finding.verdict), now_s - 100.0)
@@ -58,7 +58,7 @@ def test_a_short_doubt_changes_nothing() -> None:
     watch = HealthWatch(BatteryWatch(20.0, 10.0))
     assert times(watch, worst=1.5, for_s=0.9) == {}
     for number in range(20):
-        watch.handle(EstimatorRated(101.0 + STEP_S * number, 0.2))
+        watch.handle(EstimatorStatusReported(101.0 + STEP_S * number, 0.2))
         assert only(watch, 101.0 + STEP_S * number) == []
 
 
@@ -88,16 +88,16 @@ def test_without_gnss_the_estimators_own_position_is_flown_on_after_dead_reckoni
     watch = HealthWatch(BatteryWatch(20.0, 10.0))
     watch.handle(FixReported(99.0, True))
     watch.handle(FixReported(100.0, False))
-    watch.handle(EstimatorRated(100.0 + lasted_s, 0.2, has_position=True))
+    watch.handle(EstimatorStatusReported(100.0 + lasted_s, 0.2, has_position=True))
     (finding,) = only(watch, 100.0 + lasted_s)
     assert finding.verdict is verdict
 
 
 def test_an_estimator_without_a_position_is_held_on_and_handed_back() -> None:
     watch = HealthWatch(BatteryWatch(20.0, 10.0))
-    watch.handle(EstimatorRated(100.0, 0.1, has_position=False))
+    watch.handle(EstimatorStatusReported(100.0, 0.1, has_position=False))
     assert only(watch, 100.0)[0].verdict is Verdict.HOLD
-    watch.handle(EstimatorRated(105.5, 0.1, has_position=False))
+    watch.handle(EstimatorStatusReported(105.5, 0.1, has_position=False))
     assert only(watch, 105.5)[0].verdict is Verdict.HAND_BACK
 
 
@@ -108,11 +108,11 @@ def test_a_vehicle_that_never_had_a_fix_flies_without() -> None:
 def test_trouble_ends_after_a_second_without() -> None:
     watch = HealthWatch(BatteryWatch(20.0, 10.0))
     times(watch, worst=1.5, for_s=3.0)
-    watch.handle(EstimatorRated(103.0, 0.2))
+    watch.handle(EstimatorStatusReported(103.0, 0.2))
     assert only(watch, 103.5) != []
-    watch.handle(EstimatorRated(103.6, 1.5))
+    watch.handle(EstimatorStatusReported(103.6, 1.5))
     assert only(watch, 104.2) != []
-    watch.handle(EstimatorRated(104.4, 0.2))
+    watch.handle(EstimatorStatusReported(104.4, 0.2))
     assert only(watch, 105.3) != []
     assert only(watch, 105.5) == []
 

@@ -5,7 +5,7 @@ import pytest
 from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Announce, SendSetpoint
-from companion.guidance.events import OperatorAsked, OperatorCommand, StopRequested
+from companion.guidance.events import OperatorCommand, OperatorCommandReceived, StopRequested
 from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
@@ -18,7 +18,7 @@ def flying() -> ScriptedFlight:
 
 
 def ask(flight: ScriptedFlight, command: OperatorCommand) -> None:
-    flight.give(OperatorAsked(flight.now_s, command))
+    flight.give(OperatorCommandReceived(flight.now_s, command))
 
 
 def test_hold_holds_at_the_next_tick_until_resume() -> None:

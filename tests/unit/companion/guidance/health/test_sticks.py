@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.guidance.events import SticksReported, TransmitterRated
+from companion.guidance.events import RcStatusReported, SticksReported
 from companion.guidance.health.contention import StickWatch
 from companion.guidance.health.findings import Verdict
 from companion.guidance.session_params import StickReaction
@@ -56,31 +56,31 @@ def test_a_moved_stick_is_held_on_at_once_and_given_way_to_soon(
 
 def test_pulses_of_a_lost_transmitter_are_no_pilot() -> None:
     watch = watch_of()
-    watch.handle(TransmitterRated(19.9, is_healthy=False))
+    watch.handle(RcStatusReported(19.9, is_healthy=False))
     assert move(watch, (0.0, 0.0, 1.0, 0.0), 20.0, 25.0) == {}
 
 
 def test_pulses_that_move_before_the_loss_is_reported_are_held_on_only() -> None:
     watch = watch_of()
-    watch.handle(TransmitterRated(19.9, is_healthy=True))
+    watch.handle(RcStatusReported(19.9, is_healthy=True))
     first = move(watch, (0.0, 0.0, 1.0, 0.0), 20.0, 21.0)
     assert list(first) == [Verdict.HOLD]
-    watch.handle(TransmitterRated(21.0, is_healthy=False))
+    watch.handle(RcStatusReported(21.0, is_healthy=False))
     assert move(watch, (0.0, 0.0, 1.0, 0.0), 21.0, 25.0) == {}
 
 
 def test_a_rating_after_the_move_gives_way() -> None:
     watch = watch_of()
-    watch.handle(TransmitterRated(19.9, is_healthy=True))
+    watch.handle(RcStatusReported(19.9, is_healthy=True))
     move(watch, (0.6, 0.0, -1.0, 0.0), 20.0, 21.0)
-    watch.handle(TransmitterRated(21.0, is_healthy=True))
+    watch.handle(RcStatusReported(21.0, is_healthy=True))
     assert Verdict.GIVE_WAY in move(watch, (0.6, 0.0, -1.0, 0.0), 21.0, 21.4)
 
 
 def test_a_transmitter_that_is_heard_again_rests_where_it_is_then() -> None:
     watch = watch_of()
-    watch.handle(TransmitterRated(19.9, is_healthy=False))
-    watch.handle(TransmitterRated(25.0, is_healthy=True))
+    watch.handle(RcStatusReported(19.9, is_healthy=False))
+    watch.handle(RcStatusReported(25.0, is_healthy=True))
     assert move(watch, (0.6, 0.0, 0.0, 0.0), 25.2, 30.0) == {}
     assert Verdict.HOLD in move(watch, (0.0, 0.6, 0.0, 0.0), 30.0, 31.0)
 

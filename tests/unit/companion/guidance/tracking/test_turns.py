@@ -13,9 +13,9 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Record
 from companion.guidance.events import (
     BatteryReported,
-    EarlierRunFound,
     MemoryRecalled,
     SessionMemory,
+    UncleanExitFound,
 )
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
@@ -159,7 +159,7 @@ def test_after_a_restart_the_others_are_still_to_be_found() -> None:
     assert memory.belief.emitter_id == 7
     assert [belief.emitter_id for belief in memory.others] == [3]
     flight = flight_of(QueueParams(order="nearest"))
-    flight.give(EarlierRunFound(0.0))
+    flight.give(UncleanExitFound(0.0))
     flight.give(MemoryRecalled(0.0, memory, 5.0))
     flight.ready().fly(2.0)
     flight.in_control()
@@ -174,7 +174,7 @@ def test_after_a_restart_all_reports_are_handed_over_again() -> None:
     memory = nearest_first().session.memory
     assert [report.emitter_id for report in memory.earlier] == [3]
     flight = flight_of(QueueParams(order="nearest"))
-    flight.give(EarlierRunFound(0.0))
+    flight.give(UncleanExitFound(0.0))
     flight.give(MemoryRecalled(0.0, memory, 5.0))
     assert [result.emitter_id for result in flight.results] == [3, 7]
     assert flight.is_in(Phase.FINISHED)
@@ -185,7 +185,7 @@ def test_a_belief_that_makes_no_sense_does_not_take_the_others_with_it() -> None
     memory = after_the_first()
     (other,) = memory.others
     flight = flight_of(QueueParams(order="nearest"), {})
-    flight.give(EarlierRunFound(0.0))
+    flight.give(UncleanExitFound(0.0))
     broken = replace(memory, others=(replace(other, places=()),))
     flight.give(MemoryRecalled(0.0, broken, 5.0))
     flight.ready()

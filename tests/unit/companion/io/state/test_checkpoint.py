@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.domain import UNTOLD, Autopilot, EstimateState, TargetEstimate
+from companion.domain import DEFAULT_ACCURACY, Autopilot, EstimateState, TargetEstimate
 from companion.estimation.belief import Belief, BelievedPlace
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Phase
@@ -214,6 +214,6 @@ def test_a_memory_from_before_the_absolute_radius_is_read_and_promises_no_more()
     assert read.belief is not None
     assert read.belief.own is None
     assert read.report is not None
-    assert read.report.estimate.own == UNTOLD
+    assert read.report.estimate.own == DEFAULT_ACCURACY
     assert read.report.estimate.absolute_r95_m == pytest.approx(7.36, abs=0.01)
     assert decode_memory(encode_memory(memory)) == memory
