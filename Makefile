@@ -11,7 +11,7 @@ FAULTS_ARGS ?=
 ifdef PYTHON
 export PYTHON
 endif
-# The tests start hundreds of processes: each would compile every module anew.
+# The tests start hundreds of processes: each would compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
 help:

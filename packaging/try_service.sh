@@ -131,7 +131,7 @@ listen
 plug_in
 await 'radio nlink: is heard again' 40
 [ "$(property NRestarts)" = 1 ]
-echo 'radio unplugged: told; killed then, it started again without it; plugged in: heard again'
+echo 'radio unplugged: reported; killed then, it started again without it; plugged in: heard again'
 inside systemctl stop companion radio
 
 echo 'COMPANION_OPTIONS=--connect udp:127.0.0.1:14540' >"$root/etc/companion/service.env"

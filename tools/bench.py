@@ -110,7 +110,7 @@ def tick_figures(cost: TickCost) -> str:
 
 
 def area_line(cost: AreaCost) -> str:
-    """What a searched area costs, and what it may."""
+    """Return the cost of a searched area with its limits."""
     verdict = "met" if cost.is_met else "NOT MET"
     return (
         f"{cost.cells} cells: update {cost.update_ms:.2f} ms, 99 % {cost.update_p99_ms:.2f} ms; "

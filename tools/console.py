@@ -64,7 +64,7 @@ def _at_least(least: int, text: str) -> int:
 LINE_EVERY_S = 15.0
 
 OnDone = Callable[[float], None]
-"""Told of so much work done, in the unit of the total."""
+"""Called with the work done, in the unit of the total."""
 
 
 @contextmanager

@@ -38,7 +38,7 @@ def main() -> None:
     """Replay or fly the flights again, and write their digests."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", metavar="NAME", nargs="*", choices=[*PLANS, []], help="only these")
-    parser.add_argument("--fly", action="store_true", help="fly anew instead of running again")
+    parser.add_argument("--fly", action="store_true", help="fly again instead of replaying")
     arguments = parser.parse_args()
     FOLDER.mkdir(parents=True, exist_ok=True)
     courses = load_courses() if COURSES.exists() else {}

@@ -69,7 +69,7 @@ class KrakenSocket(Kraken):
         """By frequency."""
 
     def boot(self) -> bytes:
-        """What every client is sent first."""
+        """Return the messages that every client receives first."""
         texts = ('{"sync_cmd":"TOPOLOGY:UCA"}', '{"sync_cmd":"DOA:1"}')
         return b"".join(frame(TEXT, text.encode()) for text in texts)
 

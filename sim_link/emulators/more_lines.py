@@ -168,7 +168,7 @@ class Lr11xx(Emulator):
     most = 1
 
     def boot(self) -> bytes:
-        """What it was built for."""
+        """Return the banner with the example's role."""
         return lines(
             ["===== LR11xx RTToF example =====", "", "===== Running in manager mode ====="]
         )

@@ -1,4 +1,4 @@
-"""What prints received powers alone: a Bluetooth scan, an access point scan, a LoRa gateway.
+"""Devices that print received powers alone: a Bluetooth scan, an access point scan, a gateway.
 
 No range can be made of it; it is here to be refused by name.
 
@@ -20,7 +20,7 @@ class PowerScan(Emulator):
     rate_hz = 5.0
 
     def encode(self, asked: Round) -> bytes:
-        """What each kind prints of an emitter."""
+        """Return the lines of each kind about an emitter."""
         return lines([line for answer in asked.heard for line in self._lines(answer)])
 
     def _lines(self, answer: Answer) -> list[str]:

@@ -176,7 +176,7 @@ flights:
 def test_a_study_of_flights_goes_on_where_it_was_and_tells_what_it_has(tmp_path: Path) -> None:
     path, out = tmp_path / "short.yaml", tmp_path / "out"
     path.write_text(FLIGHTS)
-    only = ["--only", "phone_ftm", "--only", "told"]
+    only = ["--only", "phone_ftm", "--only", "configured"]
     with started(_command(path, out, "--jobs", "2", *only)) as process:
         until(lambda: _kept(out) >= BEGUN, process)
         process.send_signal(signal.SIGINT)
@@ -192,7 +192,7 @@ def test_a_study_of_flights_goes_on_where_it_was_and_tells_what_it_has(tmp_path:
     assert f"8 flights, {kept} of them done before" in done.stderr
     assert set(rows) < set((out / "flights.csv").read_text().splitlines())
     assert len(json.loads((out / "flights.json").read_text())) == 8
-    assert "| latched_crossing, told | 8 | 0 % |" in (out / "results.md").read_text()
+    assert "| latched_crossing, configured | 8 | 0 % |" in (out / "results.md").read_text()
     assert (out / "report.html").exists()
 
 
@@ -200,8 +200,12 @@ def test_a_study_of_flights_goes_on_where_it_was_and_tells_what_it_has(tmp_path:
     ("text", "word", "what"),
     [
         (FLIGHTS, "phone", "--only phone: there is no such thing here; did you mean `phone_ftm`?"),
-        (FLIGHTS.replace("phone_ftm", "phone"), "told", "scenarios/field/phone.yaml: no such file"),
-        (STUDY, "told", "--only: this study has no flights to choose from"),
+        (
+            FLIGHTS.replace("phone_ftm", "phone"),
+            "configured",
+            "scenarios/field/phone.yaml: no such file",
+        ),
+        (STUDY, "configured", "--only: this study has no flights to choose from"),
     ],
 )
 def test_flights_that_there_are_not_are_refused(

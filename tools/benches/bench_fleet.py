@@ -208,7 +208,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             outcome = measure(flavour, fewer, arguments.seconds, arguments.port)
             print(outcome.line(flavour), flush=True)
         if not outcome.holds:
-            print(f"{flavour}: the machine is too busy to tell", flush=True)
+            print(f"{flavour}: the machine is too busy for a verdict", flush=True)
     return 0 if all(held) else 1
 
 

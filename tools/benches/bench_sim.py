@@ -49,7 +49,7 @@ class Flight:
         self._step = 0
         self.frames = 0
 
-    def tell(self, vehicle: int, message: Message) -> None:
+    def send(self, vehicle: int, message: Message) -> None:
         """Send to one vehicle."""
         data = self._sender.encode(message)
         self.fleet.receive(Chunk(vehicle, data, ("127.0.0.1", 1)), self._step * STEP_S)
@@ -59,18 +59,18 @@ class Flight:
         self.run(3, streams=False)
         for n in range(self.count):
             if not self.is_px4:
-                self.tell(n, command(n + 1, mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0))
-            self.tell(n, command(n + 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
+                self.send(n, command(n + 1, mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0))
+            self.send(n, command(n + 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
             height_m = 498.0 if self.is_px4 else 10.0
-            self.tell(n, command(n + 1, mavlink.MAV_CMD_NAV_TAKEOFF, *[0.0] * 6, height_m))
+            self.send(n, command(n + 1, mavlink.MAV_CMD_NAV_TAKEOFF, *[0.0] * 6, height_m))
             for number in (32, 33, 30):
                 ask = (float(number), 1e5 if number != 32 else 5e4)
-                self.tell(n, command(n + 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, *ask))
+                self.send(n, command(n + 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, *ask))
         self.run(8, streams=False)
         self.run(1, streams=True)
         for n in range(self.count):
             if self.is_px4:
-                self.tell(n, command(n + 1, mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0))
+                self.send(n, command(n + 1, mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0))
         self.run(WARM_UP_S - 11, streams=True)
 
     def run(self, seconds: int, *, streams: bool) -> None:
@@ -79,7 +79,7 @@ class Flight:
             self._step += 1
             if streams and self._step % SETPOINT_EVERY == 0:
                 for n in range(self.count):
-                    self.tell(n, setpoint(n + 1))
+                    self.send(n, setpoint(n + 1))
             self.fleet.handle_timer(self._step * STEP_S)
             self.frames += len(self.fleet.take_output())
 

@@ -82,9 +82,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 @contextmanager
 def running_simulator(autopilot: str) -> Iterator[list[str]]:
     """Run a `sim-link` process at real time; yield the URLs of its three links."""
-    udp, tcp, nobody = (free_port() for _ in range(3))
+    udp, tcp, unused = (free_port() for _ in range(3))
     command = [sys.executable, "-m", "sim_link", "--autopilot", autopilot, "--quiet"]
-    command += ["--listen", f"127.0.0.1:{udp}", "--send-to", f"127.0.0.1:{nobody}"]
+    command += ["--listen", f"127.0.0.1:{udp}", "--send-to", f"127.0.0.1:{unused}"]
     command += ["--link", f"tcpin:127.0.0.1:{tcp}", "--share-ports", "--stop-on-eof"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None

@@ -285,12 +285,12 @@ def scores(truth: Truth, done: Calibration) -> Iterator[Score]:
         if fit.is_scale_seen:
             error = fit.scale.value - truth.scale
             yield Score("scale", error, None, _holds(fit.scale, truth.scale))
-        for name, told, true in (
+        for name, estimated, true in (
             ("scatter", fit.scatter_m, truth.scatter_m),
             ("sigma", fit.sigma_m, truth.sigma_m),
         ):
-            ratio = told.value / true - 1.0
-            yield Score(f"{name}, ratio", ratio, abs(ratio) <= 0.25, _holds(told, true))
+            ratio = estimated.value / true - 1.0
+            yield Score(f"{name}, ratio", ratio, abs(ratio) <= 0.25, _holds(estimated, true))
         if done.blocked is not None:
             true = truth.excess_m + 3.0 * truth.sigma_m  # of what is longer than that
             yield Score("blocked excess m", (done.blocked.excess_m or 0.0) - true, None, None)
@@ -322,8 +322,8 @@ def _bearing_sigma_rad(truth: Truth) -> float:
     return math.sqrt(variance)
 
 
-def _holds(told: Figure, true: float) -> bool:
-    return told.low <= true <= told.high
+def _holds(estimated: Figure, true: float) -> bool:
+    return estimated.low <= true <= estimated.high
 
 
 def drawn_run(

@@ -125,7 +125,7 @@ def _forger(_telemetry: socket.socket, seed: int) -> MakeFrame:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What a flight is flown under, and the longest gap that its setpoint stream may have."""
+    """Load on a flight, and the longest gap allowed in its setpoint stream."""
 
     emitters: int = 1
     rate_hz: float = 0.0

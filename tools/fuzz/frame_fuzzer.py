@@ -67,8 +67,8 @@ class Meant(Enum):
     """Addressee of a piece of bytes."""
 
     VEHICLE = "the vehicle"
-    OTHERS = "somebody else"
-    NOBODY = "nobody: no frame"
+    OTHERS = "another system"
+    NO_FRAME = "no frame"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class FrameFuzzer:
         kind = kinds[int(self._rng.integers(len(kinds)))]
         frame, meant = self._frame(kind)
         if draw > 0.9:
-            return Piece(self._broken(frame), Meant.NOBODY)
+            return Piece(self._broken(frame), Meant.NO_FRAME)
         return Piece(frame, meant)
 
     def _frame(self, kind: type[Message]) -> tuple[bytes, Meant]:

@@ -88,15 +88,15 @@ def right_sums(data: bytes) -> list[bytes]:
     for at in range(len(data) - 4):
         if data[at] not in (0x55, 0x6A):
             continue
-        told = (
+        size = (
             128
             if data[at : at + 2] == b"\x55\x01"
             else int.from_bytes(data[at + 2 : at + 4], "little")
         )
-        frame = data[at : at + told]
+        frame = data[at : at + size]
         if (
-            5 <= told <= LONGEST_FRAME
-            and len(frame) == told
+            5 <= size <= LONGEST_FRAME
+            and len(frame) == size
             and sum(frame[:-1]) & 0xFF == frame[-1]
         ):
             frames.append(frame)

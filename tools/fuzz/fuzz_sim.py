@@ -61,14 +61,14 @@ def fuzz(flavour: Flavour, frames: int, seed: int) -> bool:
             if settled is None and campaign.frames >= WARM_UP_SHARE * frames:
                 settled = memory()
             if campaign.frames % (5 * BATCH) == 0 or campaign.frames == frames:
-                tell(flavour, campaign, frames, time.monotonic() - started_s)
+                report(flavour, campaign, frames, time.monotonic() - started_s)
     except FuzzFailure as failure:
         print(f"{flavour.value}, seed {seed}: FAILED at {failure}", file=sys.stderr)
         return False
     return is_flat(flavour, settled or memory())
 
 
-def tell(flavour: Flavour, campaign: FuzzCampaign, frames: int, elapsed_s: float) -> None:
+def report(flavour: Flavour, campaign: FuzzCampaign, frames: int, elapsed_s: float) -> None:
     """Print a line of progress."""
     resident_mb, _ = memory()
     print(

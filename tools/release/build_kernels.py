@@ -37,7 +37,7 @@ from numba import types
 
 from companion.entry import ignore_broken_pipe
 
-CC: Any = importlib.import_module("numba.pycc").CC  # typed by nobody
+CC: Any = importlib.import_module("numba.pycc").CC  # has no type hints
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "companion_kernels"
 Variants = dict[str, dict[tuple[object, ...], str]]

@@ -59,7 +59,7 @@ def audit(program: Path, place: Path, options: Sequence[str] = ()) -> int:
         names = ", ".join(weakness["id"] for weakness in part["vulns"])
         print(f"{part['name']} {part['version']}: {names}")
     if unknown:
-        print(f"not looked up, the package index does not tell: {', '.join(unknown)}")
+        print(f"not looked up, unknown to the package index: {', '.join(unknown)}")
     print(f"{len(others) - len(unknown)} parts looked up, {len(weak)} with known weaknesses")
     return int(bool(weak or unknown))
 
@@ -72,13 +72,13 @@ def run(*command: str | Path) -> None:
 
 def licence_of(part: dict[str, Any]) -> str:
     """Return the licence from a part's metadata: an expression, identifiers, or names."""
-    return " AND ".join(dict.fromkeys(_licences(part))) or "not told"
+    return " AND ".join(dict.fromkeys(_licences(part))) or "not stated"
 
 
 def _licences(part: dict[str, Any]) -> Iterator[str]:
     for entry in part.get("licenses", ()):
-        told = entry.get("license", {})
-        name = entry.get("expression") or told.get("id") or told.get("name")
+        licence = entry.get("license", {})
+        name = entry.get("expression") or licence.get("id") or licence.get("name")
         if name:
             yield str(name).splitlines()[0]
 

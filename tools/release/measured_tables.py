@@ -89,12 +89,12 @@ def campaign_rows(runs: list[Mapping[str, Any]]) -> list[str]:
     for run in runs:
         for part, (what, result) in CAMPAIGN_PARTS.items():
             try:
-                told = f"| {what} | {result} |".format_map(run)
+                row = f"| {what} | {result} |".format_map(run)
             except KeyError:
                 continue  # this run was without that part
             found = sum(each["trial"].startswith(f"{part}:") for each in run["findings"])
             command = f"--campaign {run['campaign']} --only {part} --seed {run['seed']}"
-            lines.append(f"{told} {found or 'none'} | `{command}` |")
+            lines.append(f"{row} {found or 'none'} | `{command}` |")
     return lines
 
 

@@ -17,8 +17,8 @@ SHARES = (1.0, 0.9, 0.3)
 START = RangeNoise(sigma_m=1.5, mean_bias_m=5.0, nlos_share=0.5)
 
 HEADER = (
-    "         truth        |        paper's EM (told sigma)        |"
-    "       corrected (told nothing)\n"
+    "         truth        |        paper's EM (given sigma)       |"
+    "       corrected (given none)\n"
     "  mean b  sigma     p |   limit    found    error  collapsed  |"
     "   found   +-run    error   sigma     p"
 )

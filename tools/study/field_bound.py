@@ -150,7 +150,7 @@ def main() -> None:
     arguments = parser.parse_args()
     grid = studies_of("field", STUDIES)[0].flights
     assert grid is not None
-    only = [arguments.radio, "told", "latched_crossing"]
+    only = [arguments.radio, "configured", "latched_crossing"]
     rows = []
     print("median error, m: without reflections, linear with them; this flight's")
     for task in flights_of(grid, STUDIES.parent, arguments.runs, arguments.seed, only):

@@ -78,9 +78,9 @@ def flights_of(
         scenario = load_scenario(folder / "scenarios" / "field" / f"{radio}.yaml")
         preset = load_config(folder / "companion" / "field" / f"{radio}.yaml")
         for kind in grid.configs:
-            # without knowing the radio, waiting and searching start equal
+            # the planner is no property of the radio, so both kinds have the preset's
             unconfigured = change(CompanionConfig(), planner=preset.planner)
-            base = preset if kind == "told" else unconfigured
+            base = preset if kind == "configured" else unconfigured
             for planner in grid.planners:
                 if kind in configs and planner in planners:
                     config = _flown_with(base, planner, scenario.start_enu_m, grid.ring_m[1])

@@ -82,7 +82,7 @@ class Sweep(Params, frozen=True):
     """By system and metric one number for each value."""
 
 
-ConfigKind = Literal["told", "not_told"]
+ConfigKind = Literal["configured", "unconfigured"]
 
 
 class FlightGrid(Params, frozen=True):
@@ -90,7 +90,7 @@ class FlightGrid(Params, frozen=True):
 
     cut_s: dict[str, Positive]
     """By scenario of `scenarios/field`: how long after engaging a flight without a report ends."""
-    configs: tuple[ConfigKind, ...] = ("told", "not_told")
+    configs: tuple[ConfigKind, ...] = ("configured", "unconfigured")
     """With the scenario's preset of `companion/field`, or with the defaults."""
     planners: tuple[CrossingKind | PatternKind, ...] = ("latched_crossing",)
     ring_m: tuple[Positive, Positive] = (25.0, 90.0)

@@ -27,7 +27,7 @@ def auditor(folder: Path, said: str) -> Path:
     ("parts", "code", "told"),
     [
         ([CLEAN, OURS], 0, "1 parts looked up, 0 with known weaknesses"),
-        ([CLEAN, UNKNOWN], 1, "not looked up, the package index does not tell: rich"),
+        ([CLEAN, UNKNOWN], 1, "not looked up, unknown to the package index: rich"),
         ([CLEAN, WEAK], 1, "lxml 6.1.3: CVE-1"),
     ],
 )

@@ -29,7 +29,7 @@ from tools.study.study import FlightRow, ResultRow
 
 Z95 = 1.959964
 """Of the standard normal: 2.5 % are beyond."""
-CONFIG_COLOURS = {"told": plots.LATCHED, "not_told": plots.PASSIVE}
+CONFIG_COLOURS = {"configured": plots.LATCHED, "unconfigured": plots.PASSIVE}
 SHOWN_PLANNER = "latched_crossing"
 
 

@@ -1,4 +1,4 @@
-"""What ArduCopter does about each MAV_CMD.
+"""ArduCopter's reaction to each MAV_CMD.
 
 It is as lax as the real one: a take-off to NaN climbs without end, mode numbers are cut to 8 bits.
 

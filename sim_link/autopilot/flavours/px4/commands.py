@@ -1,4 +1,4 @@
-"""What PX4 does about each MAV_CMD.
+"""PX4's reaction to each MAV_CMD.
 
 Where PX4 accepts nonsense (NaN to arm, main mode 99) so does this.
 

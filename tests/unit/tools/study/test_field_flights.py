@@ -31,8 +31,8 @@ def test_everything_with_each_other_the_seeds_by_turns() -> None:
 
 
 def test_only_what_is_named_is_flown() -> None:
-    flights = flights_of(GRID, CONFIGS, 2, 1, ["phone_ftm", "told"])
-    assert {(f.radio, f.config_kind) for f in flights} == {("phone_ftm", "told")}
+    flights = flights_of(GRID, CONFIGS, 2, 1, ["phone_ftm", "configured"])
+    assert {(f.radio, f.config_kind) for f in flights} == {("phone_ftm", "configured")}
     assert {f.config.planner.kind for f in flights} == {"latched_crossing", "lawnmower"}
     with pytest.raises(ConfigError, match=r"--only phone: .*did you mean `phone_ftm`"):
         flights_of(GRID, CONFIGS, 2, 1, ["phone"])
@@ -41,12 +41,12 @@ def test_only_what_is_named_is_flown() -> None:
 def test_who_does_not_know_the_radio_knows_how_to_search() -> None:
     grid = msgspec.structs.replace(GRID, cut_s={"rubble": 240.0})
     flights = flights_of(grid, CONFIGS, 1, 1, ["latched_crossing"])
-    told, not_told = (flight.config for flight in flights)
-    assert (flights[0].config_kind, flights[1].config_kind) == ("told", "not_told")
-    assert not_told.planner == told.planner
-    assert not_told.planner.search == "expanding_square"
-    assert not_told.estimation == CompanionConfig().estimation
-    assert not_told.mission.stop_radius_m == CompanionConfig().mission.stop_radius_m
+    configured, unconfigured = (flight.config for flight in flights)
+    assert (flights[0].config_kind, flights[1].config_kind) == ("configured", "unconfigured")
+    assert unconfigured.planner == configured.planner
+    assert unconfigured.planner.search == "expanding_square"
+    assert unconfigured.estimation == CompanionConfig().estimation
+    assert unconfigured.mission.stop_radius_m == CompanionConfig().mission.stop_radius_m
 
 
 def test_the_same_seed_is_the_same_world_for_everybody() -> None:
@@ -58,7 +58,7 @@ def test_the_same_seed_is_the_same_world_for_everybody() -> None:
 
 def test_places_fill_the_ring_and_constants_keep_their_size() -> None:
     grid = msgspec.structs.replace(GRID, cut_s={"uwb_tag_line": 240.0}, planners=("fim",))
-    drawn = [f.scenario for f in flights_of(grid, CONFIGS, 400, 1, ["told"])]
+    drawn = [f.scenario for f in flights_of(grid, CONFIGS, 400, 1, ["configured"])]
     ways = [math.dist(s.emitter.position_enu_m, s.start_enu_m) for s in drawn]
     assert 25.0 <= min(ways) < 30.0
     assert 88.0 < max(ways) <= 90.0
@@ -78,7 +78,7 @@ def test_places_fill_the_ring_and_constants_keep_their_size() -> None:
 @pytest.mark.slow
 def test_a_flight_tells_both_errors_of_its_report() -> None:
     """The canonical radio, with a receiver that is off by metres for the whole flight."""
-    flight = flights_of(GRID, CONFIGS, 1, 1, ["phone_ftm", "not_told", "latched_crossing"])[0]
+    flight = flights_of(GRID, CONFIGS, 1, 1, ["phone_ftm", "unconfigured", "latched_crossing"])[0]
     wrong = NavigationParams(sigma_m=5.0, time_constant_s=1e6)
     object.__setattr__(flight, "scenario", Scenario(navigation=wrong))
     row = msgspec.json.decode(fly(flight), type=FlightRow)

@@ -17,7 +17,7 @@ from tools.study.study import FlightRow, Study
 
 NOBODY = FlightRow(
     radio="phone",
-    config="told",
+    config="configured",
     planner="latched_crossing",
     seed=9,
     is_reported=False,
@@ -36,7 +36,7 @@ NOBODY = FlightRow(
 def row(seed: int, error_m: float, *, is_reported: bool = True) -> FlightRow:
     return FlightRow(
         radio="phone",
-        config="told",
+        config="configured",
         planner="latched_crossing",
         seed=seed,
         is_reported=is_reported,
@@ -84,14 +84,14 @@ def test_a_cell_says_what_was_reported_and_what_of_that_is_true() -> None:
 def test_where_nobody_reported_nothing_is_said_of_reports() -> None:
     rows = summary_of([NOBODY])
     assert [row.metric for row in rows if row.ours] == ["flights", "reported"]
-    assert "| latched_crossing, told | 1 | 0 % |  |" in markdown_of(rows)
+    assert "| latched_crossing, configured | 1 | 0 % |  |" in markdown_of(rows)
 
 
 def test_a_page_has_a_table_for_each_radio() -> None:
     lines = markdown_of(summary_of(FLOWN)).splitlines()
     assert lines[0] == "### phone"
     assert lines[4].startswith(
-        "| latched_crossing, told | 6 | 67 % | 63.5 | 2.5 | 2 | 50 % (15 to 85)"
+        "| latched_crossing, configured | 6 | 67 % | 63.5 | 2.5 | 2 | 50 % (15 to 85)"
     )
     assert lines[2].count("|") == lines[3].count("|") == lines[4].count("|")
 
