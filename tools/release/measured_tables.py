@@ -98,12 +98,6 @@ def campaign_rows(runs: list[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def earlier_rows(records: list[Mapping[str, str]]) -> list[str]:
-    """Return recorded figures of earlier builds as a table; the commit says which build."""
-    lines = ["| what | result | command | noted in |", "|---|---|---|---|"]
-    return lines + ["| {what} | {result} | `{command}` | {commit} |".format_map(r) for r in records]
-
-
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table, its page, and its form."""
@@ -131,7 +125,6 @@ RELIABILITY = ROOT / "docs/reliability.md"
 TABLES = (
     Table("process", ROOT / "docs/process.md", process_rows),
     Table("campaign", RELIABILITY, campaign_rows),
-    Table("earlier", RELIABILITY, earlier_rows),
 )
 
 

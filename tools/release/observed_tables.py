@@ -8,6 +8,7 @@ page's tables.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -122,20 +123,21 @@ def table(head: str, lines: list[tuple[str, str]]) -> str:
     return "\n".join([f"| | {head} |", "|---|---|", *rows])
 
 
-def tables(sheet: Sheet) -> str:
-    """Return both tables of an autopilot."""
-    measured = [(row.topic, _sentence(row.real)) for row in sheet.rows if not row.deliberate]
-    different = [
+def same(sheet: Sheet) -> str:
+    """Return the table of behaviour that the simulator shares with the autopilot."""
+    rows = [(row.topic, _sentence(row.real)) for row in sheet.rows if not row.deliberate]
+    return f"{sheet.firmware}\n\n{table('what it does, and the simulator too', rows)}"
+
+
+def different(sheet: Sheet) -> str:
+    """Return the table of deliberate differences from an autopilot."""
+    rows = [
         (row.topic, f"{_sentence(row.real)} Here: {_sentence(row.deliberate)}")
         for row in sheet.rows
         if row.deliberate
     ]
-    return (
-        f"### Measured on the real one: {sheet.firmware}\n\n"
-        f"{table('what it does, and the simulator too', measured)}\n\n"
-        f"### Deliberately different from {sheet.firmware}\n\n"
-        f"{table('what it does, and what the simulator does instead', different)}"
-    )
+    head = f"{sheet.firmware}, and what the simulator does instead"
+    return table(head, rows)
 
 
 def _sentence(text: str) -> str:
@@ -149,13 +151,20 @@ def renewed(page: str) -> str:
         begin, end = f"<!-- observed: {flavour} -->", f"<!-- end: {flavour} -->"
         before, _, rest = page.partition(begin)
         _, _, after = rest.partition(end)
-        page = f"{before}{begin}\n\n{tables(load_sheet(flavour))}\n\n{end}{after}"
+        page = f"{before}{begin}\n\n{different(load_sheet(flavour))}\n\n{end}{after}"
     return page
 
 
 def main() -> int:
-    """Write the page."""
-    PAGE.write_text(renewed(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    """Write the page, or print the rows that it leaves out."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--list", action="store_true", help="print what the simulator has in common"
+    )
+    if parser.parse_args().list:
+        print(*(same(load_sheet(flavour)) for flavour in FLAVOURS), sep="\n\n")
+    else:
+        PAGE.write_text(renewed(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     return 0
 
 
