@@ -105,10 +105,10 @@ def estimate_of(
 
 
 class KeptEstimate:
-    """The estimate made last, valid while everything that it was made of is the same object.
+    """Cache of the latest estimate, valid while all of its inputs are the same objects.
 
-    A radius over several hypotheses takes a millisecond, and logs, ground stations and views ask
-    for the estimate of every emitter far more often than a measurement changes it.
+    A radius over several hypotheses takes a millisecond, and logs, ground stations and views
+    request the estimate of every emitter far more often than a measurement changes it.
     """
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class KeptEstimate:
         self._estimate: TargetEstimate | None = None
 
     def get(self, make: Callable[[], TargetEstimate], *made_of: object) -> TargetEstimate:
-        """Return the estimate, by `make` if one of the values it is made of is another object."""
+        """Return the estimate, from `make` if one of the inputs `made_of` is another object."""
         is_same = len(made_of) == len(self._made_of) and all(
             map(operator.is_, made_of, self._made_of)
         )

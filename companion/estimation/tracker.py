@@ -215,7 +215,6 @@ class TargetTracker:
             yield from while_same(self.optimize.steps(), lambda: self._moves)
         at_s = measurement.measured_at_s
         estimate = self.estimate(at_s) if self.watch.is_due(at_s) else None
-        """Return the estimate of the target at this time; None before the first measurement."""
         if estimate is not None:
             mean = self.hypotheses[0].state.mean
             look = self.watch.look.steps(self._optimizer.map, mean, estimate.r95_m, at_s)
@@ -405,7 +404,7 @@ class TargetTracker:
         return None
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
-        """Where the target is believed to be, or None before the first measurement."""
+        """Return the estimate of the target at this time; None before the first measurement."""
         if not self.hypotheses:
             return None
         own, is_diverged = self.own or DEFAULT_ACCURACY, self.integrity.is_recovering(self.accepted)

@@ -1,18 +1,19 @@
-"""What the companion asks the autopilot by itself, outside of any mission.
+"""Queries of the companion to the autopilot, outside of any mission.
 
-Each query receives the autopilot's messages and says when a question is due: for its fence, for
-streams, for a parameter, for modes, for its hardware id, for the time. All but that leave one
-per control tick, so that a slow line is not flooded; that for the fence first: nothing engages
-before it is answered; that for the hardware id last: nothing waits for it.
+Each query receives the autopilot's messages and returns a request when one is due: for its fence,
+for streams, for a parameter, for modes, for its hardware id, for the time. Together all but the
+last send one request per control tick, so that a slow line is not flooded; that for the fence
+first: engagement waits for it; that for the hardware id last: nothing waits for it.
 
-Streams are asked for because ArduPilot sends nothing but heartbeats unasked, and PX4's rates differ
-by link. Each kind of message is watched on its own, by arrival here and progress there: one with a
-time stamp counts as new only if that moved. What has not come for a while is stale; what comes far
-less often than asked for is slow; both are asked for again. Whether the link is alive is for
-`AutopilotBinding` to say, because one HEARTBEAT a second is no detector where frames get lost.
+Streams are requested because ArduPilot sends nothing but heartbeats by itself, and PX4's rates
+differ by link. Each kind of message is monitored on its own, by arrival here and progress there:
+one with a time stamp counts as new only if that moved. A stream that has not come for a while is
+stale; one that comes far less often than requested is slow; both are requested again. Whether the
+link is alive is decided by `AutopilotBinding`, because one HEARTBEAT a second is no detector where
+frames get lost.
 
 With COM_OBL_RC_ACT = 0, the default, PX4 falls back to Position mode when setpoints stop; without
-an RC that sinks at 0.6 to 0.9 m/s and drifts (PX4 1.15, observed in SITL). That is warned of.
+an RC that sinks at 0.6 to 0.9 m/s and drifts (PX4 1.15, observed in SITL). A warning says so.
 
 Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE; PX4 parameter reference,
 COM_OBL_RC_ACT; MAVLink guide, "Parameter Protocol", for integers sent bytewise in a float.
@@ -39,7 +40,7 @@ from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, ma
 from companion.mav.param_encoding import name_of
 
 SMOOTHING = 0.2
-"""How much one more gap changes the mean."""
+"""Weight of a new gap in the exponential mean."""
 
 PATIENCE_S: dict[int, tuple[str, float]] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: ("position", 0.5),
@@ -54,23 +55,24 @@ PATIENCE_S: dict[int, tuple[str, float]] = {
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: ("battery", 10.0),
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: ("transmitter", 5.0),
 }
-"""Streams that control leans on, the word for each, and after how many seconds it is missed: what
-moves the vehicle within ticks, what can only end control within a few of its periods."""
+"""Streams that control depends on, their names for the operator, and the seconds after which they
+are stale: within ticks for those that move the vehicle, within a few periods for those that can
+only end control."""
 STAMPED_ONCE = (mavlink.MAVLINK_MSG_ID_HOME_POSITION,)
-"""Stamped with when home was set, not with the time of sending: every arrival is progress."""
+"""Stamped with the time at which home was set, not sent: every arrival is progress."""
 
 
 @dataclass(slots=True)
 class Stream:
-    """One kind of message."""
+    """Arrival times of one kind of message."""
 
     heard_s: float | None = None
     gap_s: float | None = None
-    """Mean time from one to the next."""
+    """Mean interval between messages."""
     stamp: int | None = None
 
     def take(self, stamp: int | None, now_s: float) -> bool:
-        """Note one; whether it is new."""
+        """Note a message; return True if it is new."""
         if stamp is not None and stamp == self.stamp:
             return False
         if self.heard_s is not None:
@@ -82,13 +84,13 @@ class Stream:
 
 
 class StreamFreshness:
-    """All kinds of messages that the autopilot sends."""
+    """Arrival times of all kinds of messages from the autopilot."""
 
     def __init__(self) -> None:
         self._streams: dict[int, Stream] = {}
 
     def receive(self, message: Message, now_s: float) -> bool:
-        """Take in a message of the autopilot; whether its stream made progress."""
+        """Take in a message of the autopilot; return True if its stream made progress."""
         number = message.get_msgId()
         stream = self._streams.get(number)
         if stream is None:
@@ -99,16 +101,16 @@ class StreamFreshness:
         return stream.take(int(stamp), now_s)
 
     def stream(self, message_id: int) -> Stream:
-        """What is known of a kind of message."""
+        """Return the arrival times of a kind of message."""
         return self._streams.get(message_id, Stream())
 
     def age_s(self, message_id: int, now_s: float) -> float | None:
-        """How long ago a kind of message made progress; None if it never did."""
+        """Return the seconds since a kind of message made progress; None if it never did."""
         stream = self._streams.get(message_id)
         return None if stream is None or stream.heard_s is None else now_s - stream.heard_s
 
     def stale(self, now_s: float) -> tuple[str, ...]:
-        """What is flown on and did not come for too long, by name; what never came is not told."""
+        """Return the names of stale streams; streams that never came are not included."""
         return tuple(
             name
             for message_id, (name, patience_s) in PATIENCE_S.items()
@@ -116,13 +118,13 @@ class StreamFreshness:
         )
 
     def restart(self) -> None:
-        """Begin anew, because the autopilot did."""
+        """Start again after a restart of the autopilot."""
         self._streams.clear()
 
 
 ECHO_S = 0.07
-"""No multiple of a rate that anybody sends setpoints at: in step with our own, which follows soon
-after, an echo would never show those of another sender."""
+"""Interval that is no multiple of usual setpoint intervals: an echo in step with our own setpoints
+would never show those of another sender."""
 STREAM_INTERVAL_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.05,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.1,
@@ -139,35 +141,38 @@ STREAM_INTERVAL_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: 0.5,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.5,
 }
-"""What is flown on; GLOBAL_POSITION_INT is for the flight log, because ground stations replay a
-track only from it."""
+"""Streams that guidance uses; GLOBAL_POSITION_INT is for the flight log, because ground stations
+replay a track only from it."""
 ONLY_FROM = {
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Autopilot.PX4,
     MAVLink_ekf_status_report_message.id: Autopilot.ARDUPILOT,
 }
-"""Who else is asked refuses, for ever."""
+"""Streams of one autopilot only: the other one rejects the request every time."""
 ONLY_IF_THERE = (mavlink.MAVLINK_MSG_ID_RC_CHANNELS, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
-"""Never sent without a transmitter or a second receiver: asked for a few times, and again when a
-transmitter is heard."""
+"""Streams that do not exist without a transmitter or a second GNSS receiver: requested a few times,
+and again when a transmitter appears."""
 MOST_ASKS = 5
+"""Requests for such a stream."""
 ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
-"""Asked for by REQUEST_MESSAGE until they arrive: what is only sent when it changes."""
+"""Messages sent only on change: requested by REQUEST_MESSAGE until they arrive."""
 
 FIRST_RETRY_S = 1.0
+"""First and last interval between requests for one stream, doubled each time."""
 LAST_RETRY_S = 16.0
 LOOK_PERIOD_S = 0.2
-"""While nothing is missing it is looked for less often than at every tick."""
+"""Interval of checks while nothing is missing."""
 MISSED_PERIODS = 3.0
-"""A stream that is silent for so many of its periods has stopped, and one that takes so many for
-each message is slow."""
+"""Silence of a stream, in periods, after which it has stopped, and mean interval from which it is
+slow."""
 HEARTBEAT_LATE_S = 3.0
-"""Its period is a second in every autopilot, and most do not change it: a late one is asked for by
-itself."""
+"""Age from which a HEARTBEAT is requested by itself: its period is one second, and most autopilots
+do not change it."""
 HEARTBEAT_AGAIN_S = 0.25
-"""So often: where every other frame is lost, one in four questions is answered, and ten seconds
-after the last heartbeat nobody knows who flies."""
+"""Interval of those requests: where every other frame is lost, one in four is answered, and ten
+seconds after the last heartbeat control is in doubt."""
 HEARTBEAT_GIVEN_UP_S, HEARTBEAT_SELDOM_S = 12.0, 5.0
-"""Who did not answer for so long does not know the question, and is asked seldom."""
+"""Silence after which the autopilot probably does not support the request, and interval of requests
+from then on."""
 
 
 @dataclass(slots=True)
@@ -178,15 +183,15 @@ class _Want:
     retry_s: float = FIRST_RETRY_S
     asked_s: float | None = None
     asks: int = 0
-    """Since it came last."""
+    """Requests since it came last."""
 
     @property
     def is_given_up(self) -> bool:
-        """Whether it was asked for often enough, and is not there."""
+        """True if it was requested often enough, and does not exist."""
         return self.message_id in ONLY_IF_THERE and self.asks >= MOST_ASKS
 
     def is_met(self, stream: Stream, now_s: float) -> bool:
-        """Whether it comes, as often as it should."""
+        """Return True if it arrives as often as requested."""
         if stream.heard_s is None:
             return False
         if self.interval_s is None:
@@ -196,7 +201,7 @@ class _Want:
         return stream.gap_s is None or stream.gap_s <= MISSED_PERIODS * self.interval_s
 
     def look(self, stream: Stream, now_s: float) -> bool:
-        """Look at its stream; whether to ask: never asked, or not met in spite of it."""
+        """Check its stream; return True if a request is due: the first one, or if it is not met."""
         if self.asked_s is None:
             self.asked_s, self.asks = now_s, 1
             return True
@@ -212,7 +217,7 @@ class _Want:
 
 
 class StreamRequester:
-    """Keeps the streams flowing; at most one request per tick, with back-off per stream."""
+    """Requester that keeps streams flowing; at most one request per tick, with back-off."""
 
     def __init__(self, freshness: StreamFreshness) -> None:
         self._freshness = freshness
@@ -220,14 +225,14 @@ class StreamRequester:
         self.restart()
 
     def restart(self) -> None:
-        """Ask for everything again, because the autopilot forgot."""
+        """Request everything again after a restart of the autopilot."""
         self._wants = [_Want(number, every_s) for number, every_s in STREAM_INTERVAL_S.items()]
         self._wants += [_Want(number, None) for number in ONE_SHOT]
         self._next_look_s = -math.inf
         self._had_rc = False
 
     def note_rc(self, has_rc: bool) -> None:
-        """The autopilot says whether it hears a transmitter."""
+        """Take in whether the autopilot receives a transmitter."""
         if has_rc and not self._had_rc:
             for want in self._wants:
                 if want.is_given_up:
@@ -242,7 +247,7 @@ class StreamRequester:
         *,
         is_mode_wanted: bool = False,
     ) -> Message | None:
-        """The next request to send, if any; one for a HEARTBEAT first, if the mode is in doubt."""
+        """Return the next request, if any; for a HEARTBEAT first, if the mode is in doubt."""
         if now_s < self._next_look_s and not is_mode_wanted:
             return None
         if self._is_heartbeat_due(now_s, is_wanted=is_mode_wanted):
@@ -266,7 +271,7 @@ class StreamRequester:
 
 
 def request_message(message_id: int, target: Ids) -> Message:
-    """REQUEST_MESSAGE: one message, now."""
+    """Return a REQUEST_MESSAGE for one message, now."""
     command = VehicleCommand(mavlink.MAV_CMD_REQUEST_MESSAGE, (float(message_id),))
     return command.message(target)
 
@@ -286,32 +291,32 @@ RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 
 
 def hears_transmitter(status: mavlink.MAVLink_sys_status_message) -> bool:
-    """Whether an autopilot says that a pilot's transmitter is there, and good."""
+    """Return True if the autopilot reports a healthy RC transmitter."""
     present = status.onboard_control_sensors_present & RC_BIT
     return bool(present and status.onboard_control_sensors_health & RC_BIT)
 
 
 STOP_AGAIN_S, STILL_COMES_S = 2.0, 1.0
-"""It is asked again after so long, if it came within the last second: what was on its way is no
-refusal."""
+"""Interval between two requests, if the stream came within the last second: messages in flight are
+no refusal."""
 OFF_US = -1.0
-"""The interval that stops a stream."""
+"""Interval that stops a stream."""
 
 
 class StreamStopper:
-    """Asks for streams to stop that came although nobody reads them; a few times, then no more."""
+    """Requester that stops streams which are not read; a few times each."""
 
     def __init__(self) -> None:
         self._heard_s: dict[int, float] = {}
         self._asked: dict[int, tuple[int, float]] = {}
-        """How often, and when last."""
+        """Number and time of the requests."""
 
     def hear(self, message_id: int, now_s: float) -> None:
-        """One that nobody reads came."""
+        """Take in that a message which is not read came."""
         self._heard_s[message_id] = now_s
 
     def due(self, now_s: float, target: Ids) -> Message | None:
-        """The next request to send, if any."""
+        """Return the next request to send, if any."""
         for message_id, heard_s in self._heard_s.items():
             asks, asked_s = self._asked.get(message_id, (0, -math.inf))
             still_comes = now_s - heard_s <= STILL_COMES_S and now_s - asked_s >= STOP_AGAIN_S
@@ -321,7 +326,7 @@ class StreamStopper:
         return None
 
     def restart(self) -> None:
-        """Ask again, because the autopilot forgot."""
+        """Request again after a restart of the autopilot."""
         self._heard_s.clear()
         self._asked.clear()
 
@@ -336,7 +341,7 @@ WARNING = (
 
 
 class Px4FailsafeCheck:
-    """Asks for the parameter a few times and judges the answer once."""
+    """Check of PX4's reaction to lost setpoints: reads the parameter, and warns once."""
 
     def __init__(self) -> None:
         self._asks = 0
@@ -348,7 +353,7 @@ class Px4FailsafeCheck:
     def due(
         self, now_s: float, autopilot: Autopilot, system_id: int, component_id: int
     ) -> Message | None:
-        """The request to send now, if any; silence is no error and is not asked about for ever."""
+        """Return the request to send now, if any; after a few tries silence is accepted."""
         is_needed = autopilot is Autopilot.PX4 and self._action is None and self._asks < ASKS
         if not is_needed or now_s < self._next_s:
             return None
@@ -358,7 +363,7 @@ class Px4FailsafeCheck:
         return mavlink.MAVLink_param_request_read_message(system_id, component_id, name, -1)
 
     def receive(self, message: Message) -> str | None:
-        """Take in a message of the autopilot; the warning, once, if it is deserved."""
+        """Take in a message of the autopilot; return the warning, once, if it applies."""
         if isinstance(message, mavlink.MAVLink_param_value_message):
             self._take_parameter(message)
         elif isinstance(message, mavlink.MAVLink_sys_status_message):
@@ -374,13 +379,13 @@ class Px4FailsafeCheck:
 
 
 PACE_AGAIN_S = 60.0
-"""An autopilot that runs at another speed is named this often."""
+"""Interval between two texts about a clock at another speed."""
 SHORTEST_PATIENCE_S = min(patience_s for _, patience_s in PATIENCE_S.values())
 TEXTS_PER_S = 0.2
 
 
 class AutopilotQueries:
-    """All of them; `fencing` says whether the autopilot's fence is wanted."""
+    """All queries; `fencing` decides whether the autopilot's fence is wanted."""
 
     def __init__(
         self, binding: AutopilotBinding, fencing: Fencing, *, stops_unread: bool = False
@@ -401,7 +406,7 @@ class AutopilotQueries:
         self._next_pace_text_s = -math.inf
 
     def receive(self, message: Message, now_s: float) -> list[Announce]:
-        """Take in a message of the autopilot; what the operator is to be told."""
+        """Take in a message of the autopilot; return texts for the operator."""
         self.freshness.receive(message, now_s)
         self.clock.receive(message, now_s)
         self.modes.receive(message)
@@ -411,7 +416,7 @@ class AutopilotQueries:
         return [] if warning is None else [Announce(Severity.WARNING, warning)]
 
     def due(self, now_s: float, *, is_mode_wanted: bool = False) -> list[Message]:
-        """The questions to ask now; a HEARTBEAT is wanted until one comes that ends a doubt."""
+        """Return the requests to send now; `is_mode_wanted` adds one for a HEARTBEAT."""
         binding = self._binding
         if binding.system_id is None:
             return []
@@ -439,11 +444,11 @@ class AutopilotQueries:
         return [question for question in (mode, request, time) if question is not None]
 
     def ask_mode(self) -> None:
-        """Ask for a HEARTBEAT, once, instead of waiting for the next one."""
+        """Request a HEARTBEAT, once, instead of waiting for the next one."""
         self._asks_mode = True
 
     def new_texts(self, now_s: float) -> list[Announce]:
-        """Texts that are due now on the autopilot's clock and its streams."""
+        """Return texts that are due now on the autopilot's clock and its streams."""
         return self._pace_texts(now_s) + self._stream_texts(now_s)
 
     def _pace_texts(self, now_s: float) -> list[Announce]:
@@ -464,7 +469,7 @@ class AutopilotQueries:
         return [Announce(Severity.WARNING, text)]
 
     def _stream_texts(self, now_s: float) -> list[Announce]:
-        """Streams that stopped while others still flow."""
+        """Return a warning about streams that stopped while others still flow."""
         stale = self.freshness.stale(now_s)
         stopped = [name for name in stale if name not in self._stale]
         heard_s = self._binding.heard_s
@@ -478,7 +483,7 @@ class AutopilotQueries:
         return [Announce(Severity.WARNING, f"no {' and '.join(stopped)} any more: asking again")]
 
     def restart(self) -> None:
-        """Begin anew, because the autopilot forgot what it was asked."""
+        """Start again after a restart of the autopilot, which forgets requests."""
         self.freshness.restart()
         self.clock.restart()
         self._streams.restart()

@@ -1,15 +1,15 @@
-"""Which autopilot is ours, and for how long its frames go on as one vehicle's.
+"""Binding to one autopilot, and the check that its frames continue as one vehicle's.
 
 Theory of operation. Every HEARTBEAT of an autopilot makes its sender a candidate; stations,
-gimbals, cameras, companion computers and whatever else flies nothing never are. Where no system id
-is configured, nothing is bound before all candidates had the time to show themselves, and two
-systems are waited out, or for the operator's choice. Of one system component 1 is preferred.
+gimbals, cameras, companion computers and other senders that fly nothing are excluded. Where no
+system id is configured, nothing is bound before all candidates had time to appear, and two systems
+are waited out, or for the operator's choice. Of one system, component 1 is preferred.
 
-What is bound is more than its ids: the kind of vehicle, the address, and the course of its clock,
-place and sequence (`companion.link.identity`). Frames that contradict it are withheld, and
-`problem` says what is doubted; it ends when the old course goes on alone. An address may change, as
-after a router's restart, if the course goes on at the new one. While the companion has no control,
-and the vehicle is not one that it left in the air, another autopilot may take the place of one that
+The binding is more than its ids: the kind of vehicle, the address, and the course of its clock,
+position and sequence (`companion.link.identity`). Frames that contradict it are withheld, and
+`problem` describes the doubt; it ends when the old course continues alone. An address may change,
+as after a router's restart, if the course continues at the new one. While the companion has no
+control, and the vehicle is not one that it left in the air, another autopilot may replace one that
 vanished.
 
 Source: MAVLink developer guide, "MAVLink Id Assignment" (listen for two systems for 3 s) and
@@ -35,25 +35,26 @@ from companion.mav.endpoint import Address
 from companion.mav.flight_modes import autopilot_of, class_of, mode_of
 
 LISTEN_S = 3.0
-"""So long candidates are listened for (MAVLink guide, see above)."""
+"""Time to wait for further candidates (MAVLink guide, see above)."""
 VANISHED_S = 10.0
-"""A candidate that was silent for this long is not there any more."""
+"""Silence after which a candidate has vanished."""
 MOST_CANDIDATES = 8
+"""Limit of candidates that are kept."""
 MOST_ADDRESSES = 8
-"""More are not remembered: anybody can invent any number."""
+"""Limit of addresses that are kept: forged frames can invent any number."""
 PEER_SILENCE_S = 3.0
-"""The autopilot must be silent this long before the same ids are believed from a new address."""
+"""Silence of the autopilot before the same ids are accepted from a new address."""
 KEYED_SILENCE_S = 0.5
-"""The same where every frame is proved: so long that two ways to one autopilot do not alternate."""
+"""The same with signed frames: long enough that two paths to one autopilot do not alternate."""
 PROOF_PERIOD_S = 0.5
-"""How often an address is asked for a sign of its vehicle."""
+"""Interval of requests to an address for evidence of its vehicle."""
 
 Ids = tuple[int, int]
 
 
 @dataclass(slots=True)
 class Candidate:
-    """An autopilot that was heard."""
+    """Autopilot that was received."""
 
     ids: Ids
     autopilot: Autopilot
@@ -67,29 +68,29 @@ class Candidate:
 
 @dataclass(slots=True)
 class AutopilotBinding:
-    """The autopilot that is ours, if any is.
+    """Binding to our autopilot, if any.
 
-    Other stations' heartbeats are forwarded by autopilots, so system, component and kind decide,
-    and the address once it is known.
+    Autopilots forward other stations' heartbeats, so system, component and kind decide, and the
+    address once it is known.
     """
 
     wanted_system_id: int | None = None
     is_keyed: bool = False
-    """True if every frame that comes here was proved to be signed with our key."""
+    """True if every incoming frame was verified to be signed with our key."""
     bound: Candidate | None = None
     peer: Address | None = None
     heard_s: float | None = None
     binds: int = 0
-    """How often an autopilot was bound."""
+    """Number of bindings so far."""
     problem: str | None = None
-    """Why no vehicle may be flown now, in words."""
+    """Why no vehicle may be controlled now, in words."""
     is_in_control: bool = False
     is_committed: bool = False
-    """It is, or was when it was heard last, in the air after the companion had control."""
+    """True if it is in the air, or was when last received, after the companion had control."""
     unknown_senders: int = 0
-    """Frames that carried the autopilot's ids from another address."""
+    """Frames with the autopilot's ids from another address."""
     moves: int = 0
-    """How often the autopilot's address changed."""
+    """Number of changes of the autopilot's address."""
     unfit: dict[Ids, int] = field(default_factory=dict)
     """Senders of HEARTBEATs that fly nothing, and their MAV_TYPE."""
     _candidates: dict[Ids, Candidate] = field(default_factory=dict)
@@ -102,7 +103,7 @@ class AutopilotBinding:
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
     """Courses of the same ids at other addresses."""
     _unproved: dict[Address | None, float] = field(default_factory=dict)
-    """Addresses that may be the autopilot's now, and when they were asked for a sign."""
+    """Addresses that may be the autopilot's now, and when they were asked for evidence."""
 
     @property
     def is_bound(self) -> bool:
@@ -111,29 +112,29 @@ class AutopilotBinding:
 
     @property
     def system_id(self) -> int | None:
-        """Its system id."""
+        """System id of the bound autopilot; None: none."""
         return None if self.bound is None else self.bound.ids[0]
 
     @property
     def component_id(self) -> int:
-        """Its component id."""
+        """Component id of the bound autopilot."""
         return 0 if self.bound is None else self.bound.ids[1]
 
     @property
     def autopilot(self) -> Autopilot:
-        """Its kind."""
+        """Kind of the bound autopilot."""
         return Autopilot.OTHER if self.bound is None else self.bound.autopilot
 
     @property
     def others(self) -> list[int]:
-        """Systems of other autopilots that were heard, where none is configured."""
+        """Systems of other autopilots, where none is configured."""
         ours = self.system_id
         if self.wanted_system_id is not None or ours is None:
             return []
         return sorted({system for system, _ in self._candidates} - {ours})
 
     def unfit_names(self) -> list[str]:
-        """Senders of HEARTBEATs that fly nothing, as ids and kind."""
+        """Return senders of HEARTBEATs that fly nothing, as ids and kind."""
         return [
             f"{system}/{component} ({result_words('MAV_TYPE', number, 'MAV_TYPE_')})"
             for (system, component), number in sorted(self.unfit.items())
@@ -145,7 +146,7 @@ class AutopilotBinding:
         return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
 
     def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
-        """Return True if a message is of the bound autopilot, and to be read; may bind to one."""
+        """Return True if a message is of the bound autopilot, and to be used; may bind to one."""
         ids = (message.get_srcSystem(), message.get_srcComponent())
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._note_heartbeat(message, ids, peer, now_s)
@@ -165,7 +166,7 @@ class AutopilotBinding:
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._compare_kind(message, now_s)
             if self._course.is_out_of_sequence and not self.is_in_control and _gives(message):
-                return False  # it may be another vehicle's: the next one is as good
+                return False  # it may be another vehicle's: wait for the next one
         elif exchange is not None:
             self._take_exchange(exchange, now_s)
         if sign is not None and not self._take_sign(sign, now_s):
@@ -173,7 +174,7 @@ class AutopilotBinding:
         return not self.is_doubted
 
     def hear(self, ids: Ids, peer: Address | None, now_s: float, sequence: int) -> bool:
-        """The same of a frame that is not decoded."""
+        """Return the result of `recognise` for a frame that is not decoded."""
         if self.bound is None or ids != self.bound.ids:
             return False
         if peer != self.peer:
@@ -184,7 +185,7 @@ class AutopilotBinding:
         return True
 
     def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
-        """A control tick: whether the companion has the vehicle, and whether it is armed."""
+        """Take in, once per tick, whether the companion has control and the vehicle is armed."""
         self._ticked_s = now_s
         self.is_in_control = is_in_control
         self.is_committed = is_in_control or (self.is_committed and is_armed)
@@ -199,7 +200,7 @@ class AutopilotBinding:
         return self.problem is not None and not self._is_of_choice
 
     def take_unproved(self, now_s: float) -> list[Address | None]:
-        """Addresses to be asked now for a sign of their vehicle."""
+        """Return the addresses to be asked now for evidence of their vehicle."""
         due = [at for at, asked_s in self._unproved.items() if now_s - asked_s >= PROOF_PERIOD_S]
         self._unproved.update(dict.fromkeys(due, now_s))
         return due
@@ -239,7 +240,7 @@ class AutopilotBinding:
                 del self._candidates[ids]
 
     def _choose(self, now_s: float) -> None:
-        """Bind, wait or bind again, by the candidates that are there."""
+        """Bind, wait or rebind, by the candidates that are present."""
         here = [
             each
             for each in self._candidates.values()
@@ -301,7 +302,7 @@ class AutopilotBinding:
         return f"{self.bound.ids[0]}/{self.bound.ids[1]}"
 
     def _compare_kind(self, heartbeat: mavlink.MAVLink_heartbeat_message, now_s: float) -> None:
-        """HEARTBEAT.type and autopilot never change while a vehicle is in use."""
+        """Check HEARTBEAT.type and autopilot, which never change while a vehicle is in use."""
         bound = self.bound
         assert bound is not None
         kind = (autopilot_of(heartbeat) or Autopilot.OTHER, heartbeat.type)
@@ -318,7 +319,7 @@ class AutopilotBinding:
         self._bind(bound)
 
     def _take_other_hardware(self, uid: str, now_s: float) -> None:
-        """Another hardware id answered: another vehicle, or one of two."""
+        """Take in another hardware id: another vehicle, or one of two."""
         was = self.hardware.uid
         if now_s - self.hardware.heard_s <= VANISHED_S:
             self._doubt(f"two vehicles send as {self._name}: hardware {was} and {uid}", now_s)
@@ -328,7 +329,7 @@ class AutopilotBinding:
             self.hardware.uid = uid
 
     def _take_sign(self, sign: Sign, now_s: float) -> bool:
-        """Follow the course by a sign; whether it is to be read."""
+        """Follow the course by a sign; return True if its message is to be used."""
         match self._course.take(sign, now_s, is_cautious=not self.is_in_control):
             case SignVerdict.GOES_ON:
                 return True
@@ -348,7 +349,7 @@ class AutopilotBinding:
         return False
 
     def _take_exchange(self, sign: Sign, now_s: float) -> None:
-        """Two clocks that answer are two vehicles; a changed one does not show in its answers."""
+        """Check clocks in answers for two vehicles; answers cannot show a replaced one."""
         course = self._exchange
         match course.take(sign, now_s, is_cautious=not self.is_in_control):
             case SignVerdict.TWO:
@@ -360,7 +361,7 @@ class AutopilotBinding:
     def _take_elsewhere(
         self, message: Message, sign: Sign | None, peer: Address | None, now_s: float
     ) -> bool:
-        """A frame with the autopilot's ids from another address; whether that is ours now."""
+        """Take in a frame with our ids from another address; return True if that is ours now."""
         is_silent = self._is_silent(now_s)
         self.unknown_senders += not is_silent
         course = self._course_at(peer)
@@ -393,7 +394,7 @@ class AutopilotBinding:
     def _doubt_elsewhere(
         self, how: str, peer: Address | None, now_s: float, *, is_silent: bool
     ) -> None:
-        """Another vehicle has our ids at another address; in control only if ours is silent."""
+        """Note another vehicle with our ids elsewhere; in control only if ours is silent."""
         if is_silent or not self.is_in_control:
             self._doubt(f"{self._name} at {_words(peer)} is another vehicle: {how}", now_s)
 
@@ -418,9 +419,9 @@ class AutopilotBinding:
     def _compare_senders(
         self, course: IdentityCourse, sign: Sign | None, peer: Address | None, now_s: float
     ) -> None:
-        """Two addresses that both send are two vehicles if their courses differ.
+        """Compare two addresses that both send: two vehicles if their courses differ.
 
-        In control only ours is heard: a stranger who forges frames must not end a flight.
+        In control only our own is trusted: forged frames must not end a flight.
         """
         if self.is_in_control or sign is None or not course.is_steady:
             return

@@ -1,12 +1,12 @@
-"""The companion as a MAVLink participant: bytes and time in, bytes out.
+"""Companion as a MAVLink participant: bytes and time in, bytes out.
 
 The endpoint only joins its parts. On the way in there are two stages before guidance. The intake of
-a link keeps to a budget and has proved what can be proved before anything is decoded. Then the role
-of the link decides: what the autopilot says becomes events (`inbound`, by way of the `executor`,
-which tells the session and does what it wants), a ranging source turns bytes into measurements, and
-a ground station is answered (`gcs_services`). `autopilot_queries` ask for streams and parameters,
-`outlet` is the one way out, `quality` watches the line. What happened goes to a journal, which a
-shell writes to disk.
+a link enforces a budget and verifies signatures before anything is decoded. Then the role of the
+link decides: the autopilot's messages become events (`inbound`, by way of the `executor`, which
+passes them to the session and executes its commands), a ranging source turns bytes into
+measurements, and ground stations are answered (`gcs_services`). `autopilot_queries` request streams
+and parameters, `outlet` is the only way out, `quality` monitors the line. Events go to a journal,
+which a shell writes to disk.
 """
 
 from __future__ import annotations
@@ -58,23 +58,23 @@ __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
 
 _NAMES = ("DO_REPOSITION", "OVERRIDE_GOTO", "DO_CHANGE_ALTITUDE", "DO_ORBIT")
 FLIGHT_COMMANDS = {getattr(mavlink, f"MAV_CMD_{name}"): name for name in _NAMES}
-"""By which a ground station sends a vehicle somewhere."""
+"""Commands by which a ground station sends a vehicle somewhere."""
 SIGNS = (
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
 )
-"""What an address is asked for that may be the autopilot's now."""
+"""Messages that are requested from an address that may be the autopilot's now."""
 PAUSE_S = 0.001
-"""Between two wake-ups for what may wait: the links are read meanwhile."""
+"""Interval between two wake-ups for deferred work: the links are read in between."""
 RECORD_PERIOD_S = 10.0
-"""How often the health of the links goes to the event log."""
+"""Interval of the link health in the event log."""
 
 
 class CompanionEndpoint:
-    """The companion on the wire; implements `companion.mav.endpoint.Endpoint`.
+    """Companion on the wire; implements `companion.mav.endpoint.Endpoint`.
 
-    The `recorder` keeps what the endpoint is told, so that the flight can be run again.
+    The `recorder` keeps all inputs of the endpoint, so that the flight can be replayed.
     """
 
     def __init__(
@@ -133,16 +133,16 @@ class CompanionEndpoint:
         self._mavlink_ranging = (self._vehicle_ranging, *others)
         self._binds = 0
         self._problem: str | None = None
-        """Of the binding, as the session knows it."""
+        """Problem of the binding, as reported to the session."""
         self.ticks = 0
-        """Control ticks so far."""
+        """Number of control ticks."""
         self.next_tick_s = -math.inf
-        """When the next one is due."""
+        """Time of the next control tick."""
         self._woken_s = -math.inf
         self._next_record_s = -math.inf
 
     def _make_intake(self, number: int, link: LinkSpec) -> Intake:
-        """The way in of a link, with a codec that proves and signs where there is a key."""
+        """Return the intake of a link, with a codec that signs and verifies if there is a key."""
         params = self._params
         is_open = link.role is LinkRole.RANGING and params.link.unsigned_ranging
         signing = self.authenticity.of_link(number, RANGING_IDS if is_open else frozenset())
@@ -161,7 +161,7 @@ class CompanionEndpoint:
     # The Endpoint protocol
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in what arrived on a link."""
+        """Take in bytes that arrived on a link."""
         self.authenticity.advance(now_s)
         intake = self._intakes[chunk.link]
         for data in intake.take(chunk):
@@ -173,9 +173,9 @@ class CompanionEndpoint:
             self._receive_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
 
     def handle_timer(self, now_s: float) -> None:
-        """The control tick; a late one is not made up for. Before it is due: what may wait for it.
+        """Run the control tick, without making up for a late one; before it is due, deferred work.
 
-        So the setpoint of a tick is on its way before anything is estimated.
+        So the setpoint of a tick is sent before anything is estimated.
         """
         if self._recorder is not None:
             self._recorder.tick(now_s)
@@ -217,13 +217,13 @@ class CompanionEndpoint:
                 self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
 
     def next_timer_s(self) -> float:
-        """When the next control tick is due, or what may come before it."""
+        """Return the time of the next control tick, or of deferred work before it."""
         if self.session.is_behind:
             return min(self.next_tick_s, self._woken_s + PAUSE_S)
         return self.next_tick_s
 
     def take_output(self) -> list[Chunk]:
-        """What is to be sent, in order; taken once."""
+        """Return the chunks to be sent, in order; each is returned once."""
         return self.outlet.take()
 
     def request_stop(self, now_s: float) -> None:
@@ -231,14 +231,14 @@ class CompanionEndpoint:
         self.handle_event(events.StopRequested(now_s))
 
     def handle_event(self, event: events.Event) -> None:
-        """Take in what the process or the operator says, beside the mode switch."""
+        """Take in an event from the process or the operator, besides the mode switch."""
         if self._recorder is not None:
             self._recorder.event(event)
         self.executor.handle(event, event.time_s)
 
     @property
     def is_finished(self) -> bool:
-        """Whether the vehicle was handed back."""
+        """True if the vehicle was handed back."""
         return self.session.is_stopped
 
     # For views
@@ -256,7 +256,7 @@ class CompanionEndpoint:
 
     @property
     def dropped_unread(self) -> int:
-        """Datagrams, frames and messages that were over a budget, on all links."""
+        """Datagrams, frames and messages over a budget, on all links."""
         return sum(intake.budget.dropped_unread for intake in self._intakes)
 
     # On the way in
@@ -287,7 +287,7 @@ class CompanionEndpoint:
                 self._serve_station(message, now_s, may_grant=False)
 
     def _receive_on_vehicle_link(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
-        """The log has room for the vehicle and whoever has the key, not for every unknown peer."""
+        """Take in a frame on the vehicle link; the log has no room for every unknown peer's."""
         binding = self.binding
         was_bound, is_peer = binding.is_bound, chunk.peer == binding.peer
         if binding.is_keyed or not was_bound or is_peer:
@@ -322,14 +322,14 @@ class CompanionEndpoint:
         return is_free and is_before
 
     def _note_control(self, now_s: float) -> None:
-        """Tell the binding whether we have the vehicle."""
+        """Report to the binding whether we have control."""
         session = self.session
         has_vehicle = session.phase in HAS_VEHICLE or session.phase is Phase.LAUNCHING
         is_armed = session.vehicle.is_armed
         self.binding.note_control(now_s, is_in_control=has_vehicle, is_armed=is_armed)
 
     def _note_binding(self, now_s: float) -> None:
-        """Tell the session which autopilot is ours now, and what is doubted of it."""
+        """Report to the session which autopilot is bound now, and any doubt about it."""
         binding = self.binding
         if binding.binds != self._binds:
             self._binds = binding.binds
@@ -339,7 +339,7 @@ class CompanionEndpoint:
             self.executor.handle(events.IdentityDoubted(now_s, binding.problem), now_s)
 
     def _serve_station(self, message: Message | None, now_s: float, *, may_grant: bool) -> None:
-        """What ground stations may ask of us, directly or by way of the autopilot."""
+        """Answer a request of a ground station, received directly or through the autopilot."""
         if not self.binding.is_bound:
             return
         if isinstance(message, ParamRequest):
@@ -348,7 +348,7 @@ class CompanionEndpoint:
             self._commands.receive(message, now_s, may_grant=may_grant)
 
     def _note_other_command(self, message: Message, now_s: float) -> None:
-        """A station's order to fly somewhere, as far as the autopilot passes it on."""
+        """Report a station's flight command, as far as the autopilot forwards it."""
         is_here = self.binding.is_bound and message.get_srcSystem() != self.outlet.own_ids[0]
         if not (is_here and isinstance(message, AddressedCommand)):
             return

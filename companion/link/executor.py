@@ -1,4 +1,4 @@
-"""The autopilot's messages to events for the session, and what the session wants to messages."""
+"""Executor: the autopilot's messages become events for the session, its commands messages."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from companion.mav.endpoint import Address
 from companion.mav.framing import message_id, sender_of, sequence_of
 
 TEXTS_PER_S, TEXT_BURST = 10, 30
-"""Texts of the autopilot that go to the log."""
+"""Rate and burst of the autopilot's texts in the log."""
 
 
 class SessionExecutor:
-    """Tells the session what happened and does what it wants.
+    """Reports events to the session and executes its commands.
 
-    Queries and health of the line begin anew after a restart of the autopilot.
+    Queries and link health start again after a restart of the autopilot.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class SessionExecutor:
         self._text_limit = RateLimit(TEXTS_PER_S, TEXT_BURST)
 
     def handle(self, event: Event, now_s: float) -> None:
-        """Give an event to the session and execute what follows from it."""
+        """Pass an event to the session and execute the commands that follow."""
         if isinstance(event, AutopilotRestarted):
             self._queries.restart()
             self._health.sequence.restart()
@@ -70,7 +70,7 @@ class SessionExecutor:
             self.execute(command, now_s)
 
     def tick(self, now_s: float) -> None:
-        """Send the request that is due, or give it up."""
+        """Send the request that is due, or abandon it."""
         due = self._requests.due(now_s)
         if isinstance(due, RequestAnswered):
             self.handle(due, now_s)
@@ -80,7 +80,7 @@ class SessionExecutor:
     # What the autopilot says
 
     def bind(self, now_s: float) -> None:
-        """Take up the autopilot that was just bound, perhaps in place of another one."""
+        """Adopt the autopilot that was just bound, perhaps in place of another one."""
         bound = self.binding.bound
         assert bound is not None
         if self.binding.binds > 1:
@@ -97,7 +97,7 @@ class SessionExecutor:
             self.journal.text(commands.Severity.WARNING, text, now_s)
 
     def note_unread(self, frame: bytes, peer: Address | None, now_s: float) -> None:
-        """Take in that there was a frame which nobody reads."""
+        """Take in that a frame came which is not decoded."""
         sequence = sequence_of(frame)
         if self.binding.hear(sender_of(frame), peer, now_s, sequence):
             if self._queries.stopper is not None:
@@ -134,7 +134,7 @@ class SessionExecutor:
     # What the session wants
 
     def execute(self, command: commands.Command, now_s: float) -> None:
-        """Do what the session wants."""
+        """Execute a command of the session."""
         ids, autopilot = self.outlet.target_ids, self.binding.autopilot
         match command:
             case commands.SendHeartbeat():

@@ -1,19 +1,19 @@
-"""Reading the autopilot's own fence by the mission protocol: bytes in and out are elsewhere.
+"""Download of the autopilot's fence by the mission protocol, without I/O.
 
 Source: MAVLink developer guide, "Mission Protocol", with the mission type FENCE:
-MISSION_REQUEST_LIST, MISSION_COUNT, then MISSION_REQUEST_INT and MISSION_ITEM_INT by turns, and a
-MISSION_ACK of ours at the end, without which PX4 1.15 refuses the next transfer (also after a count
-of 0, observed in SITL). MAVLink common, MAV_CMD_NAV_FENCE_*: 5000 return point, 5001/5002 polygon
+MISSION_REQUEST_LIST, MISSION_COUNT, then MISSION_REQUEST_INT and MISSION_ITEM_INT alternately, and
+our MISSION_ACK at the end, without which PX4 1.15 rejects the next transfer (also after a count of
+0, observed in SITL). MAVLink common, MAV_CMD_NAV_FENCE_*: 5000 return point, 5001/5002 polygon
 in/out with the number of its vertices in parameter 1, 5003/5004 circle in/out with its radius
 there.
 
-What does not answer is asked again, one question at a time, and after some tries left alone for a
-while, and longer every time.
+A request without an answer is repeated, one at a time; after some tries the download pauses, each
+time for longer.
 
-A fence that any station may change is read again. PX4 shows a change by another fence_id in
+A fence that stations may change is read again. PX4 reports a change by another fence_id in
 MISSION_CURRENT, ArduPilot by the PARAM_VALUE of a FENCE_ parameter on all links (its number of
-items is one). A station that shares our line is answered by a MISSION_ACK that we hear. Where no id
-is given, all of this may be missed, so there the fence is read again every few seconds, too.
+items is one). A station on our line is answered by a MISSION_ACK that we receive. Where there is no
+id, all of this may be missed, so the fence is also read again every few seconds.
 
 Source: MAVLink common, MISSION_CURRENT.fence_id; ArduPilot `AC_PolyFence_loader`, FENCE_TOTAL.
 """
@@ -32,14 +32,16 @@ from companion.mav.param_encoding import name_of, raw_of
 
 RESEND_S = 0.4
 TRIES = 8
-"""At 30 % loss each way a question is answered by then in 99.5 of 100 cases."""
+"""Tries of one request: at 30 % loss each way 99.5 % are answered by then."""
 REST_S, LAST_REST_S = 10.0, 60.0
+"""First and longest pause after a failed download."""
 READ_AGAIN_S = 10.0
-"""At 5 m/s, the usual speed limit, a vehicle flies 50 m in it; some 5 frames each for a square."""
+"""Interval of repeated readings: at 5 m/s, the usual speed limit, a vehicle flies 50 m in it; a
+square takes some 5 frames."""
 MOST_SHARE = 0.2
-"""Of the time that readings of a long fence may take."""
+"""Largest share of time that readings of a long fence may take."""
 PARAMETER_PREFIXES = ("FENCE_", "GF_")
-"""Of the fence's parameters: ArduPilot's and PX4's."""
+"""Prefixes of the fence's parameters: ArduPilot's and PX4's."""
 MAX_ITEMS = 255
 DEGREE = 1e7
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE
@@ -67,45 +69,45 @@ Answer = mavlink.MAVLink_mission_count_message | Item | mavlink.MAVLink_mission_
 class _Reading:
     begun_s: float
     fence_id: int
-    """What the autopilot called its fence when this began."""
+    """Reported fence id when the reading began."""
     is_wanted: bool
-    """False: only to see whether it is still the same; then silence is no news."""
+    """False: only a check for changes; then silence is not reported."""
     count: int | None = None
     items: list[Item] = field(default_factory=list)
     tries: int = 0
     next_s: float = -math.inf
     refusal: int | None = None
-    """The MAV_MISSION_RESULT of an autopilot that did not want to tell."""
+    """MAV_MISSION_RESULT of an autopilot that refused; None: it did not."""
 
     def advance(self) -> None:
-        """The question was answered; the next one is due at once."""
+        """Note that the request was answered; the next one is due at once."""
         self.tries, self.next_s, self.refusal = 0, -math.inf, None
 
 
 class FenceDownload:
-    """Asks for the fence, piece by piece."""
+    """State machine that downloads the fence item by item."""
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
-        """The autopilot restarted, and with it the transfer."""
+        """Start again after a restart of the autopilot, which ends the transfer."""
         self._reading: _Reading | None = None
         self._owes_ack = False
         self._rest_until_s = -math.inf
         self._rest_s = REST_S
         self._fence_id: int | None = None
-        """What the autopilot calls its fence now; 0: it gives no ids, or has none."""
+        """Reported id of the present fence; 0: ids are not supported, or there is no fence."""
         self._read_id: int | None = None
-        """What it called the one that was read last."""
+        """Reported id of the fence that was read last."""
         self._again_s = math.inf
-        """When that is read again where there are no ids."""
+        """Time of the next reading where there are no ids."""
         self._parameters: dict[str, bytes] = {}
 
     def notice(self, message: Message, own: Ids) -> bool:
-        """Return True if a message shows that the autopilot's fence is another one than it was.
+        """Return True if a message shows that the autopilot's fence has changed.
 
-        What may show it, a parameter that was not heard before, only has it read again.
+        An uncertain sign, a parameter that was not received before, only triggers another reading.
         """
         has_changed = False
         match message:
@@ -131,11 +133,11 @@ class FenceDownload:
         return before is not None and before != self._parameters[name]
 
     def hurry(self) -> None:
-        """The next reading need not wait until the rest after the last one is over."""
+        """Cancel the pause before the next reading."""
         self._rest_until_s = -math.inf
 
     def _is_due_again(self, now_s: float) -> bool:
-        """Return True if the fence that was read may be another one by now."""
+        """Return True if the fence may have changed since it was read."""
         if self._fence_id and self._again_s > -math.inf:
             return self._read_id is not None and self._read_id != self._fence_id
         return now_s >= self._again_s
@@ -143,9 +145,9 @@ class FenceDownload:
     def due(
         self, now_s: float, autopilot: Ids, *, is_wanted: bool, is_followed: bool = False
     ) -> Message | None:
-        """The message to send to the autopilot now, if any.
+        """Return the message to send to the autopilot now, if any.
 
-        A reading begins if it `is_wanted`, or where changes are followed, if there may be one.
+        A reading begins if it `is_wanted`, or, where changes are followed, if there may be one.
         """
         if self._owes_ack:
             self._owes_ack = False
@@ -166,7 +168,7 @@ class FenceDownload:
         return mavlink.MAVLink_mission_request_int_message(*autopilot, len(reading.items), FENCE)
 
     def check_silence(self, now_s: float) -> AutopilotFenceRead | None:
-        """The news that nobody answers, once per reading."""
+        """Return the failure of a reading without answer, once."""
         reading = self._reading
         if reading is None or reading.tries < TRIES or now_s < reading.next_s:
             return None
@@ -179,7 +181,7 @@ class FenceDownload:
         return AutopilotFenceRead(now_s, problem=why) if reading.is_wanted else None
 
     def receive(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
-        """Take in a message of the autopilot for us; its fence, once that is complete."""
+        """Take in a message of the autopilot for us; return its fence, once complete."""
         reading = self._reading
         if reading is None or not isinstance(message, Answer) or message.mission_type != FENCE:
             return None
@@ -223,7 +225,7 @@ def _fence_event(items: Sequence[Item], count: int, now_s: float) -> AutopilotFe
 
 
 def fence_of_items(items: Sequence[Item]) -> GeoFence | None:
-    """The fence that items make, if any; a `ValueError` begins with the number of the item."""
+    """Return the fence that items form, if any; a `ValueError` begins with the item's number."""
     areas: list[NamedArea] = []
     index = 0
     while index < len(items):

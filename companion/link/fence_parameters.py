@@ -1,10 +1,9 @@
-"""Fences that are parameters of the autopilot: a circle about home, and heights above it.
+"""Fences in parameters of the autopilot: a circle about home, and limits of altitude.
 
-ArduPilot keeps FENCE_RADIUS, FENCE_ALT_MAX and FENCE_ALT_MIN, each with a bit of FENCE_TYPE, where
-FENCE_ENABLE is 1, and stops FENCE_MARGIN inside. PX4 keeps GF_MAX_HOR_DIST and GF_MAX_VER_DIST
-where they are above 0, unless GF_ACTION is 0. None of it is an item of the fence's plan.
-
-Each parameter is asked for by its name, a few times; both autopilots tell all links of a change.
+ArduPilot has FENCE_RADIUS, FENCE_ALT_MAX and FENCE_ALT_MIN, each with a bit of FENCE_TYPE, where
+FENCE_ENABLE is 1, and stops FENCE_MARGIN inside. PX4 has GF_MAX_HOR_DIST and GF_MAX_VER_DIST where
+they are above 0, unless GF_ACTION is 0. None of them is an item of the fence's plan. Each parameter
+is requested by its name, a few times; both autopilots report changes on all links.
 
 Source: ArduPilot `AC_Fence.cpp` (4.5), Copter Parameter List; PX4 Parameter Reference, Geofence.
 """
@@ -36,23 +35,23 @@ ALTITUDE_MAX, CIRCLE, ALTITUDE_MIN = 1, 2, 8
 KINDS = frozenset(int(kind) for kind in ParamType)
 RESEND_S = 1.0
 TRIES = 8
-"""Of each; an autopilot that has no such parameter does not answer."""
+"""Requests of each; an autopilot without such a parameter does not answer."""
 
 
 class FenceParameters:
-    """Asks for the parameters of the fence, and keeps what the autopilot reports of them."""
+    """Reader of the fence's parameters."""
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
-        """The autopilot restarted, maybe with other parameters."""
+        """Start again after a restart of the autopilot, maybe with other parameters."""
         self._values: dict[str, float] = {}
         self._asked: dict[str, tuple[int, float]] = {}
-        """How often each was asked for, and when last."""
+        """Number and time of the requests for each."""
 
     def due(self, now_s: float, autopilot: Autopilot, target: tuple[int, int]) -> Message | None:
-        """The next request to send, if any."""
+        """Return the next request to send, if any."""
         for name in NAMES.get(autopilot, ()):
             tries, asked_s = self._asked.get(name, (0, -math.inf))
             if name in self._values or tries >= TRIES or now_s - asked_s < RESEND_S:
@@ -62,7 +61,7 @@ class FenceParameters:
         return None
 
     def receive(self, message: Message, autopilot: Autopilot) -> bool:
-        """Take in a message of the autopilot; whether its limits are others now."""
+        """Take in a message of the autopilot; return True if its limits changed."""
         if not isinstance(message, mavlink.MAVLink_param_value_message):
             return False
         name = name_of(message)
@@ -79,7 +78,7 @@ class FenceParameters:
 
     @property
     def limits(self) -> FenceLimits:
-        """Return the limits by the parameters that were reported."""
+        """Limits by the parameters reported so far."""
         values = self._values
         return _of_px4(values) if "GF_ACTION" in values else _of_ardupilot(values)
 

@@ -1,11 +1,11 @@
-"""What ground stations ask of the companion itself: parameters (list, read, set) and commands.
+"""Services of the companion for ground stations: parameters (list, read, set) and commands.
 
-A ground station sees the parameters as those of component 191 beside the vehicle's. What is set is
-checked as the configuration checks it, and changed only when that is safe; a refusal tells the
-value that is kept and why (PARAM_ERROR, and a text), and nothing is ever created. Integers go as
-the autopilot's do, bytewise with PX4 and cast with ArduPilot, because ground stations decode all
-components of a vehicle alike; our AUTOPILOT_VERSION says which. What is addressed to all components
-is answered if it is ours, and is otherwise somebody else's. Every command to us is answered.
+A ground station sees the parameters as those of component 191 beside the vehicle's. A new value is
+validated like the configuration, and applied only when that is safe; a refusal reports the value
+that is kept and why (PARAM_ERROR, and a text), and nothing is ever created. Integers are encoded
+like the autopilot's, bytewise with PX4 and cast with ArduPilot, because ground stations decode all
+components of a vehicle alike; our AUTOPILOT_VERSION reports which. A broadcast to all components is
+answered if the parameter is ours. Every command to us is answered.
 
 Source: MAVLink developer guide, "Parameter Protocol", "Command Protocol"; MAVLink common,
 PARAM_ERROR.
@@ -39,11 +39,11 @@ from companion.mav.param_encoding import (
 )
 
 ANSWERS_PER_S = 50
-"""Reads and changes that are answered; a flood of them must not become a flood of answers."""
+"""Limit of answered reads and changes; a flood of them must not become a flood of answers."""
 REFUSALS_PER_S, REFUSAL_BURST = 0.5, 5
-"""Texts about refusals; clients try again and again."""
+"""Rate and burst of texts about refusals; clients retry."""
 VALUES_PER_TICK = 2
-"""Of a list: a slow line carries setpoints first."""
+"""Parameters of a list per tick: a slow line carries setpoints first."""
 ALL_COMPONENTS = 0
 
 DOES_NOT_EXIST = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
@@ -51,7 +51,7 @@ OUT_OF_RANGE = mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
 PERMISSION_DENIED = mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED
 READ_ONLY = mavlink.MAV_PARAM_ERROR_READ_ONLY
 TYPE_UNSUPPORTED, TYPE_MISMATCH = 6, 7
-"""MAV_PARAM_ERROR_TYPE_UNSUPPORTED and _MISMATCH, which the dialect does not have yet."""
+"""MAV_PARAM_ERROR_TYPE_UNSUPPORTED and _MISMATCH, which the dialect lacks."""
 CAPABILITY = {
     ParamEncoding.BYTEWISE: mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
     ParamEncoding.C_CAST: mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
@@ -66,7 +66,7 @@ ParamRequest = (
 
 @dataclass(frozen=True, slots=True)
 class TunableSpec:
-    """One parameter as a ground station sees it."""
+    """Parameter as a ground station sees it."""
 
     name: str
     """Up to 16 ASCII characters."""
@@ -75,24 +75,24 @@ class TunableSpec:
 
 
 class TunableBook(Protocol):
-    """The parameters, and their values as the configuration has them now."""
+    """Parameters and their values in the present configuration."""
 
     @property
     def specs(self) -> Sequence[TunableSpec]:
-        """All of them; neither names nor order ever change."""
+        """All parameters; names and order never change."""
 
     def value_at(self, index: int) -> float:
-        """A value; an `int` for integer types."""
+        """Return a value; an `int` for integer types."""
 
     def change(self, index: int, value: float) -> Tuning:
-        """Change a value; what the session is to work with.
+        """Change a value; return the settings for the session.
 
-        A `ConfigError` says why it may not be; nothing changed then.
+        Raises `ConfigError` with the reason, and changes nothing, if the value is not allowed.
         """
 
 
 class ParameterServer:
-    """Answers ground stations; the executor takes what changes to the session."""
+    """Server of parameters to ground stations; the executor passes changes to the session."""
 
     def __init__(self, book: TunableBook, executor: SessionExecutor) -> None:
         self._book = book
@@ -105,7 +105,7 @@ class ParameterServer:
 
     @property
     def encoding(self) -> ParamEncoding:
-        """How integers become four bytes."""
+        """Encoding of integers in four bytes."""
         is_cast = self._executor.binding.autopilot is Autopilot.ARDUPILOT
         return ParamEncoding.C_CAST if is_cast else ParamEncoding.BYTEWISE
 
@@ -123,7 +123,7 @@ class ParameterServer:
             self._read(message, now_s)
 
     def tick(self, now_s: float) -> None:
-        """Send what is due of a list that was asked for."""
+        """Send the next values of a requested list."""
         first = self._next_listed
         if first is None:
             return
@@ -159,7 +159,7 @@ class ParameterServer:
     def _change(
         self, index: int, message: mavlink.MAVLink_param_set_message, now_s: float
     ) -> tuple[int, str] | None:
-        """Change a value; MAV_PARAM_ERROR and the reason if that is refused."""
+        """Change a value; return MAV_PARAM_ERROR and the reason if that is refused."""
         spec = self._book.specs[index]
         is_bytewise = self.encoding is ParamEncoding.BYTEWISE
         if is_bytewise and message.param_type != spec.kind:
@@ -214,7 +214,7 @@ class ParameterServer:
 
 
 COMMANDS_PER_S = 20
-"""Commands to us that are answered; a flood of them must not become a flood of answers."""
+"""Limit of answered commands; a flood of them must not become a flood of answers."""
 REQUEST_CAPABILITIES = 520
 """MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, which older ground stations still send."""
 VERSION_ID = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
@@ -223,7 +223,7 @@ AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_comman
 
 
 class CommandHandler:
-    """Answers commands; the executor takes what they mean for the session."""
+    """Server of commands; the executor passes their effects to the session."""
 
     def __init__(self, executor: SessionExecutor, parameters: ParameterServer) -> None:
         self._executor = executor
@@ -233,7 +233,7 @@ class CommandHandler:
         self._text_limit = RateLimit(REFUSALS_PER_S, REFUSAL_BURST)
 
     def receive(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> None:
-        """Answer a command to this very component, whose sender may or may not give control."""
+        """Answer a command to this very component; with `may_grant` its sender may give control."""
         if (message.target_system, message.target_component) != self._outlet.own_ids:
             return
         if not self._limit.acquire(now_s):
@@ -254,7 +254,7 @@ class CommandHandler:
             self._outlet.broadcast(version, now_s, is_droppable=True)
 
     def _grant(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> int:
-        """Grant control, or refuse it with a text; the MAV_RESULT."""
+        """Grant control, or refuse it with a text; return the MAV_RESULT."""
         result, refusal = mavlink.MAV_RESULT_DENIED, None
         if not may_grant:
             refusal = "only from the vehicle's own link"
@@ -273,7 +273,7 @@ class CommandHandler:
 
 
 def _wants_version(message: AddressedCommand) -> bool:
-    """Whether a command asks for AUTOPILOT_VERSION, in the new way or in the old one."""
+    """Return True if a command requests AUTOPILOT_VERSION, in the present or the former way."""
     if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
         return bool(message.param1 == VERSION_ID)
     return bool(message.command == REQUEST_CAPABILITIES and message.param1 == 1.0)

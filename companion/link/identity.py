@@ -1,17 +1,17 @@
-"""Whether frames under one pair of ids go on as those of one vehicle.
+"""Continuity check: frames under one pair of ids must continue as those of one vehicle.
 
-Theory of operation. System and component ids are not an identity: two vehicles of a fleet may leave
-their factory as 1/1, and a router may bring both by one address. A vehicle shows that it is the
-same by going on: `time_boot_ms` grows as our own clock does, its place is one that it can have
-reached, and its sequence numbers follow each other. `IdentityCourse` follows that at one address.
+Theory of operation. System and component ids are not an identity: two vehicles of a fleet may be
+delivered as 1/1, and a router may bring both from one address. One vehicle is recognised by
+continuity: `time_boot_ms` grows as our own clock does, its position is reachable from the last one,
+and its sequence numbers follow each other. `IdentityCourse` follows that at one address.
 
-A stamp that contradicts the course begins another one beside it, and is withheld until it is clear
-which of these it was. Held back frames are late, but never come again and again in between. A
-clock that slips, and a restart, leave the old course for good: a slip is by seconds and stays in
-place or in sequence, a restarted clock shows no more time than has passed. All else that leaves the
-old course for good is another vehicle in its place. And where frames return to the old course
-several times, two vehicles send. Place alone is no proof of two, because a bad estimator may flip
-between two places: then the sequence numbers must be those of two counters, too.
+A stamp that contradicts the course begins another one beside it, and is withheld until the case is
+clear. Delayed frames are late, but do not alternate with prompt ones. A clock that slips, and a
+restart, leave the old course for good: a slip is by seconds and keeps position or sequence, a
+restarted clock shows no more time than has passed. Any other change for good is another vehicle in
+its place. And where frames return to the old course several times, two vehicles send. Position
+alone is no proof of two, because a bad estimator may flip between two positions: then the sequence
+numbers must be those of two counters, too.
 
 Source: MAVLink common, `time_boot_ms`; MAVLink developer guide, "Packet Loss" (one counter a
 component and channel).
@@ -28,33 +28,34 @@ from typing import NamedTuple
 from companion.mav.dialect import Message, mavlink
 
 WRAP_S = 2**32 / 1000.0
-"""`time_boot_ms` starts again at zero after 49.7 days."""
+"""Period of `time_boot_ms`, 49.7 days."""
 AHEAD_S = 3.0
-"""No delay makes a stamp early: what is ahead by more is another clock, or one that slipped."""
+"""Lead of a stamp from which it is of another clock, or one that slipped: no delay makes it
+early."""
 LATE_S = 10.0
-"""Later than this no link delivers while it also delivers promptly."""
+"""Longest delay on a link that also delivers promptly."""
 SLIP_S = 10.0
-"""No autopilot that flies stands still for longer than this."""
+"""Longest time for which a flying autopilot's clock stands still."""
 YOUNG_S = 5.0
-"""A restarted clock may show so much more than the time since its sender was heard last."""
+"""Excess of a restarted clock over the time since its sender was last received."""
 SPEED_MPS, NEAR_M = 25.0, 10.0
-"""How fast a multicopter may be carried on by the wind, and what its estimator may jump by."""
+"""Speed of a multicopter carried by the wind, and jump of its estimator, at most."""
 JITTER_S = 1.0
-"""How unevenly frames of one clock may arrive."""
+"""Arrival jitter of frames of one clock."""
 CONFIRM_STAMPS, CONFIRM_S = 3, 0.3
-"""So often, and for so long, another course must go on alone before the old one counts as left."""
+"""Stamps, and time, for which another course must continue alone before the old one is left."""
 SPAN_S = 1.0
-"""A course that others return from must have gone on for so long."""
+"""Least duration of a course from which frames return."""
 RETURNS, FEWEST_RETURNS, RETURNS_WITHIN_S = 3, 2, 5.0
-"""So many returns to the old course within the time are two senders; the fewer where nothing is
-lost yet by waiting."""
+"""Returns to the old course within a time that prove two senders; the smaller number where waiting
+costs nothing."""
 FAR_STEP, BACK_STEP = 16, 240
-"""Sequence numbers of one counter that follow each other step by less than the one, or, overtaken,
-by more than the other, modulo 256, where not a whole burst was lost."""
+"""Steps of one counter are smaller than the one, or, for reordered frames, larger than the other,
+modulo 256, unless a whole burst was lost."""
 BREAKS = 6
-"""So many far steps within the time are two counters."""
+"""Larger steps within that time that prove two counters."""
 DOUBT_S = 5.0
-"""Doubt is over when for so long nothing contradicted the course that goes on."""
+"""Time without contradiction after which doubt ends."""
 
 Place = tuple[float, float, float]
 
@@ -63,7 +64,7 @@ class Sign(NamedTuple):
     """Evidence of its sender in a message."""
 
     stamp_s: float
-    """Since its boot."""
+    """Time since its boot."""
     place_ned_m: Place | None = None
 
 
@@ -76,10 +77,10 @@ STAMPED = (
 
 
 def exchange_sign_of(message: Message) -> Sign | None:
-    """The clock in the answer to a question for the time, ours or another component's.
+    """Return the clock in a TIMESYNC answer, to us or another component.
 
-    It may be another one than that of `time_boot_ms`. A sender of nothing else answers our
-    questions, so this shows two vehicles of which one is nearly silent.
+    It may differ from the clock of `time_boot_ms`. A sender of nothing else answers our questions,
+    so this detects two vehicles of which one is nearly silent.
     """
     if isinstance(message, mavlink.MAVLink_timesync_message) and message.tc1 > 0:
         return Sign(message.tc1 / 1e9)
@@ -87,7 +88,7 @@ def exchange_sign_of(message: Message) -> Sign | None:
 
 
 def sign_of(message: Message) -> Sign | None:
-    """The sign in a message; None: it has none, or its sender does not know the time."""
+    """Return the evidence in a message; None: it has none, or no valid time."""
     if not isinstance(message, STAMPED) or not message.time_boot_ms:
         return None
     place: Place | None = None
@@ -100,7 +101,7 @@ def sign_of(message: Message) -> Sign | None:
 
 @dataclass(slots=True)
 class Track:
-    """Clock and place of one sender, as its last signs show them."""
+    """Clock and position of one sender, by its latest signs."""
 
     offset_s: float
     """Our time minus its own, with the shortest delay."""
@@ -109,41 +110,41 @@ class Track:
     heard_s: float
     stamp_s: float
     count: int = 1
-    """Of its signs."""
+    """Number of signs."""
     place_ned_m: Place | None = None
     place_s: float = -math.inf
 
     @classmethod
     def begin(cls, sign: Sign, now_s: float) -> Track:
-        """The track of a first sign."""
+        """Return the track of a first sign."""
         offset_s = now_s - sign.stamp_s
         place_s = -math.inf if sign.place_ned_m is None else now_s
         place = sign.place_ned_m
         return cls(offset_s, now_s, offset_s, now_s, sign.stamp_s, 1, place, place_s)
 
     def late_s(self, sign: Sign, now_s: float) -> float:
-        """Seconds by which a sign comes later than the promptest one; negative: ahead of that."""
+        """Return the delay of a sign over the promptest one, seconds; negative: ahead of it."""
         late_s = now_s - sign.stamp_s - self.offset_s
         return late_s - WRAP_S * round(late_s / WRAP_S)
 
     def away_m(self, sign: Sign) -> float:
-        """Distance of a sign from the last place; 0 where one of the two is not known."""
+        """Return the distance of a sign from the last position; 0 if either is unknown."""
         if sign.place_ned_m is None or self.place_ned_m is None:
             return 0.0
         return math.dist(sign.place_ned_m, self.place_ned_m)
 
     def reaches(self, sign: Sign, now_s: float) -> bool:
-        """Return True if the vehicle can have flown from the last place to that of a sign."""
+        """Return True if the vehicle can have flown from the last position to that of a sign."""
         return self.away_m(sign) <= NEAR_M + SPEED_MPS * max(0.0, now_s - self.place_s)
 
     def goes_on(self, sign: Sign, now_s: float) -> bool:
-        """Return True if a sign is the next one of this sender, whose time does not stand still."""
+        """Return True if a sign continues this track, whose time does not stand still."""
         is_later = sign.stamp_s > self.stamp_s or now_s == self.heard_s
         return is_later and abs(self.late_s(sign, now_s)) <= JITTER_S and self.reaches(sign, now_s)
 
     @property
     def is_steady(self) -> bool:
-        """True if its clock ran as ours did for a while; a stamp that stands still does not."""
+        """True if its clock ran like ours for a while; a constant stamp does not."""
         span_s = self.heard_s - self.first_s
         return span_s >= SPAN_S and abs(self.offset_s - self.first_offset_s) <= 0.5 * span_s
 
@@ -167,15 +168,15 @@ class SignVerdict(Enum):
 
 
 class IdentityCourse:
-    """One vehicle's frames at one address, and what contradicts that they are one vehicle's."""
+    """Course of one vehicle's frames at one address, and contradicting evidence."""
 
     def __init__(self) -> None:
         self.main: Track | None = None
         self.other: Track | None = None
         self.difference = ""
-        """How the other course differs, in words."""
+        """Difference of the other course, in words."""
         self.is_out_of_sequence = False
-        """Whether the last frame's number was far from that of the frame before."""
+        """True if the last frame's number was far from that of the frame before."""
         self._sequence: int | None = None
         self._breaks: deque[float] = deque(maxlen=BREAKS)
         self._returns: deque[float] = deque(maxlen=RETURNS)
@@ -183,7 +184,7 @@ class IdentityCourse:
         """Signs of the other course since the last one of this one, and when they began."""
 
     def note_sequence(self, sequence: int, now_s: float) -> None:
-        """Note the number of any frame, before its sign is taken."""
+        """Take in the number of any frame, before its sign."""
         before = sequence if self._sequence is None else self._sequence
         self.is_out_of_sequence = FAR_STEP < (sequence - before) % 256 < BACK_STEP
         if self.is_out_of_sequence:
@@ -191,7 +192,7 @@ class IdentityCourse:
         self._sequence = sequence
 
     def take(self, sign: Sign, now_s: float, *, is_cautious: bool = False) -> SignVerdict:
-        """Judge a sign, and follow it; cautiously, of two clocks less is enough to see two."""
+        """Judge a sign, and follow it; if cautious, fewer returns prove two vehicles."""
         main = self.main
         if main is None:
             self.main = Track.begin(sign, now_s)
@@ -217,7 +218,7 @@ class IdentityCourse:
         return self.main is not None and self.main.is_steady
 
     def adopt_other(self) -> None:
-        """The other course is the vehicle's."""
+        """Continue with the other course as the vehicle's."""
         self.main, self.other, self._run = self.other, None, 0
         self._returns.clear()
 
@@ -261,7 +262,7 @@ class IdentityCourse:
         self._run += 1
 
     def _note_return(self, now_s: float, *, is_cautious: bool) -> SignVerdict:
-        """Frames came back from the other course to this one."""
+        """Count a return of frames from the other course to this one."""
         self._run = 0
         assert self.main is not None
         other, clocks_s = self.other, self._clocks_s
@@ -289,7 +290,7 @@ class IdentityCourse:
         return is_often and now_s - self.other_since_s >= CONFIRM_S
 
     def _judge_other(self, sign: Sign, is_of_clock: bool, now_s: float) -> SignVerdict:
-        """The old course was left: by a slip, a restart or a jump, or by another vehicle."""
+        """Judge why the old course was left: slip, restart, jump, or another vehicle."""
         main, other = self.main, self.other
         assert main is not None
         assert other is not None

@@ -1,4 +1,4 @@
-"""The autopilot's messages to events: NED to ENU, stamps to local time, sentinels to None.
+"""Conversion of the autopilot's messages to events: NED to ENU, stamps to local time.
 
 Source: MAVLink common, messages 0, 1, 30, 32, 33, 49, 85, 242, 245.
 """
@@ -51,16 +51,16 @@ STAMPED = frozenset(
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
     }
 )
-"""Kinds that are not put in order by their sequence numbers: stamped ones, and those without."""
+"""Kinds that are not ordered by their sequence numbers: stamped ones, and those without order."""
 UP_STATES = (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
 MAX_HOME_DISTANCE_M = 1e5
-"""A home farther from the origin than this is a fault, in whatever field."""
+"""Largest plausible distance of home from the origin."""
 MAX_ALTITUDE_MM = 100_000_000
-"""Above sea level; an origin beyond it, as INT32_MAX is, is none."""
+"""Largest plausible altitude of an origin above sea level; INT32_MAX is a placeholder."""
 FRAME_SETTLES_S = 1.0
-"""After it no position of the frame before is on its way any more."""
+"""Time after which no position of the previous frame is in flight."""
 MAX_YAW_RAD = 2.0 * math.pi
-"""Half a turn by the definition of ATTITUDE; what is more than a whole one is no heading."""
+"""Largest accepted yaw: a whole turn, twice that of the definition of ATTITUDE."""
 
 
 UNREAD = frozenset(
@@ -79,12 +79,12 @@ UNREAD = frozenset(
         mavlink.MAVLINK_MSG_ID_VIBRATION,
     }
 )
-"""Streams that autopilots send unasked and nothing here reads, two thirds of PX4's onboard link:
-they are logged and show that the autopilot is there, but are not decoded."""
+"""Streams that autopilots send by themselves and that are not used, two thirds of PX4's onboard
+link: they are logged and show that the autopilot is alive, but are not decoded."""
 
 
 class VehicleInbound:
-    """Events from the bound autopilot's messages; `sync` knows its clock, `modes` its modes."""
+    """Converter of the bound autopilot's messages; `sync` has its clock, `modes` its modes."""
 
     def __init__(self, sync: ClockSync | None = None, modes: OfferedModes | None = None) -> None:
         self.clock = VehicleClock(sync or ClockSync())
@@ -95,7 +95,7 @@ class VehicleInbound:
         self._restart(0.0)
 
     def begin_again(self, now_s: float) -> AutopilotRestarted:
-        """Another autopilot is bound: forget all of the one before."""
+        """Forget the previous autopilot, because another one was bound."""
         self.clock.restart()
         return replace(self._restart(now_s), is_other=True)
 
@@ -105,20 +105,20 @@ class VehicleInbound:
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
         self._newest: dict[int, int] = {}
-        """Place in the order of sending, of the newest message of each kind."""
+        """Sending order of the newest message of each kind."""
         self._frame: LocalOrigin | None = None
-        """The origin when it moved last, and every local position with it ..."""
+        """Origin of the present frame, shifted with every local position ..."""
         self._frame_begun: tuple[int, float] | None = None
-        """... and where in that order, and when, that was told."""
+        """... and the sending order and time of the report that began it."""
         self._health = HealthReports()
         return AutopilotRestarted(now_s)
 
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
-        """What a message of the autopilot says; nothing, if a newer one of its kind came before.
+        """Return the events of a message; none if a newer one of its kind came before.
 
-        Positions and attitudes are put in order by their stamps, by whoever keeps them; but a
-        position that was sent before the origin moved is of another frame. `number` is a message's
-        place in the order of sending, from the sequence numbers.
+        Positions and attitudes are ordered by their stamps in their buffers; but a position that
+        was sent before the origin moved is of another frame. `number` is a message's place in the
+        order of sending, from the sequence numbers.
         """
         if self._note_order(message, number, now_s):
             self.overtaken += 1
@@ -149,10 +149,10 @@ class VehicleInbound:
         return list(self._health.events(message, now_s))
 
     def _note_order(self, message: Message, number: int, now_s: float) -> bool:
-        """Note a message's place in the order; whether a newer one of its kind came before.
+        """Note a message's place in the order; return True if it is too old to be used.
 
-        After a long delay a sequence number may lie. So a HEARTBEAT is withheld only if it shows
-        what could give us control, never if it takes control away.
+        After a long delay a sequence number may be ambiguous. So a HEARTBEAT is withheld only if it
+        shows what could give us control, never if it takes control away.
         """
         kind = message.get_msgId()
         begun = self._frame_begun
@@ -178,7 +178,7 @@ class VehicleInbound:
         now_s: float,
         number: int,
     ) -> list[Event]:
-        """A position or an attitude at its own time; a stamp can also show a restart."""
+        """Return a position or an attitude at its own time; a stamp can also reveal a restart."""
         event: Event
         fitted: list[Event] = []
         if isinstance(message, mavlink.MAVLink_attitude_message):
@@ -259,7 +259,7 @@ class VehicleInbound:
         | mavlink.MAVLink_global_position_int_message,
         now_s: float,
     ) -> list[Event]:
-        """Whether local and global positions belong together; another origin if not."""
+        """Compare local and global positions; return another origin if they disagree."""
         geodesy, stamp_s = self._geodesy, message.time_boot_ms / 1000.0
         if geodesy is None:
             return []
@@ -273,16 +273,16 @@ class VehicleInbound:
         return self._origin_events(geodesy, now_s) if is_new else []
 
     def _note_frame(self, origin: LocalOrigin, number: int, now_s: float) -> None:
-        """Remember when the frame moved; an origin that creeps takes nothing with it."""
+        """Note when the frame moved; a drifting origin does not move it."""
         frame = self._frame or origin
         if math.hypot(*frame.zero_of(origin)) > ORIGIN_STEP_M:
             frame, self._frame_begun = origin, (number, now_s)
         self._frame = frame
 
     def _home_events(self, now_s: float) -> list[Event]:
-        """Home in the local frame; by latitude and longitude where the origin is known.
+        """Return home in the local frame; from latitude and longitude where the origin is known.
 
-        The message's own x, y, z are only trusted until then: not every autopilot fills them.
+        The message's own x, y, z are only used until then: not every autopilot fills them.
         """
         home = self._home
         if home is None:
@@ -302,7 +302,7 @@ class VehicleInbound:
 def origin_of(
     message: mavlink.MAVLink_gps_global_origin_message, autopilot: Autopilot
 ) -> LocalOrigin | None:
-    """The origin of an autopilot's local frame; None of a sender who does not know it."""
+    """Return the origin of an autopilot's local frame; None if the sender does not know it."""
     is_somewhere = _is_on_earth(message.latitude, message.longitude)
     if not is_somewhere or abs(message.altitude) > MAX_ALTITUDE_MM:
         return None
@@ -311,7 +311,7 @@ def origin_of(
 
 
 def _is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:
-    """Whether a place in 1e-7 degrees is one; 0/0 and INT32_MAX mean that nobody knows."""
+    """Return True if 1e-7 degrees are a position; 0/0 and INT32_MAX mean unknown."""
     is_set = latitude_e7 != 0 or longitude_e7 != 0
     return is_set and abs(latitude_e7) <= 900_000_000 and abs(longitude_e7) <= 1_800_000_000
 

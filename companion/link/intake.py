@@ -1,29 +1,29 @@
-"""From what a link brings to proved frames of known senders, within a budget.
+"""Intake of a link: frames of known senders, within a budget and with verified signatures.
 
-Theory of operation of the budget. What arrives is looked at only so far between two control ticks,
-so that no flood delays one. The autopilot's own address, and any line with one end, has a budget
-that is far above what an autopilot sends; everyone else shares a much smaller one, with a share for
-each source, so that unknown peers are dropped first and none of them crowds the others out. Bytes
-are counted before they are cut into frames, frames before they are proved, messages before anyone
-acts on them. What is over budget is dropped and counted, and the budgets begin anew with each
-control tick. Of the sources a tick remembers only so many. A link that held everything back
-delivers more at once than a tick reads, and the newest mode last: so HEARTBEATs of the autopilot's
-address have a budget of their own.
+Theory of operation of the budget. Input between two control ticks is limited, so that no flood
+delays one. The autopilot's own address, and any line with one end, has a budget that is far above
+an autopilot's traffic; all others share a much smaller one, with a share for each source, so that
+unknown peers are dropped first and none of them displaces the others. Bytes are counted before they
+are split into frames, frames before they are verified, messages before they are used. Input over
+budget is dropped and counted, and the budgets are renewed with each control tick. The number of
+sources per tick is limited. A link that held everything back delivers more at once than a tick
+reads, and the newest mode last: so HEARTBEATs of the autopilot's address have a budget of their
+own.
 
-PX4 1.15 sends 405 frames a second on its busiest link: 20 between two ticks. The bytes are what
-the worst of them, all magic, can be cut up in less than a tick (1.3 us each).
+PX4 1.15 sends 405 frames a second on its busiest link: 20 between two ticks. The bytes are limited
+such that the worst of them, all magic, are split in less than a tick (1.3 us each).
 
-A radio's own format comes raw and is cut by its decoder, in plain Python. Its link has an account
-of bytes: a tick adds twice what a serial port at 921600 baud brings, and a page that is polled may
-take what was saved.
+A radio's own format is passed raw and split by its decoder, in plain Python. Its link has an
+account of bytes: a tick adds twice the throughput of a serial port at 921600 baud, and a page that
+is polled may use the savings.
 
-Theory of operation of signing. With a key every frame of every link must prove itself before it is
-decoded; the codecs see to that. The time in signatures goes on from the wall clock at the start by
-the control tick's own clock, so that a wall clock that is set in flight changes nothing; only
-before an autopilot is bound is it followed. What was refused is announced at once, and then
-once a period in one text, because a forger must not be able to fill the log. RADIO_STATUS may
-come unsigned. It is noted down and goes no further: unproved, it says nothing about the autopilot,
-not even that it is there.
+Theory of operation of signing. With a key every frame of every link must be verified before it is
+decoded; the codecs do that. The time in signatures continues from the wall clock at the start by
+the control tick's own clock, so that a wall clock that is set in flight has no effect; it is
+followed only before an autopilot is bound. Rejections are announced at once, and then once a period
+in one text, because a forger must not fill the log. RADIO_STATUS may come unsigned. It is logged
+and not used otherwise: unverified, it is no evidence about the autopilot, not even that it is
+there.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from companion.mav.signing import (
 
 
 class RateLimit:
-    """Lets `burst` things through at once and then `per_s` a second; what it refuses is counted."""
+    """Token bucket: `burst` at once and then `per_s` a second; refusals are counted."""
 
     def __init__(self, per_s: float, burst: int = 1) -> None:
         self.refused = 0
@@ -59,7 +59,7 @@ class RateLimit:
         self._seen_s = -math.inf
 
     def acquire(self, now_s: float) -> bool:
-        """Whether one more may pass now."""
+        """Return True if one more may pass now."""
         if now_s > self._seen_s:
             self._left = min(self._burst, self._left + (now_s - self._seen_s) * self._per_s)
             self._seen_s = now_s
@@ -71,43 +71,43 @@ class RateLimit:
 
 
 MAX_SOURCES = 64
-"""Unknown peers told apart in one tick; those beyond are dropped."""
+"""Unknown peers with separate accounts in one tick; further ones are dropped."""
 
 
 class Resource(IntEnum):
-    """What is counted."""
+    """Resources with a budget."""
 
     BYTES = 0
     FRAMES = 1
     """With a right CRC."""
     MESSAGES = 2
-    """Proved, or signing is off."""
+    """Verified, or signing is off."""
 
 
 Amounts = tuple[int, int, int]
 
 KNOWN: Amounts = (32_768, 2_000, 500)
 UNKNOWN_PEERS: Amounts = (16_384, 400, 100)
-"""All of them together."""
+"""Budget of all unknown peers together."""
 ONE_UNKNOWN_PEER: Amounts = (4_096, 100, 50)
 RAW_BYTES, MOST_RAW_BYTES = 8_192, 32_768
-"""What a tick adds to the account of a link with a radio's own format, and the most there is."""
+"""Bytes that a tick adds to the account of a link with a radio's own format, and its limit."""
 HEARTBEATS = 200
-"""Of the autopilot's address, whatever else it sent: they alone tell who flies. One a second, and
-those that are asked for after a silence, of more than two minutes."""
+"""Separate budget for HEARTBEATs of the autopilot's address: they alone carry the mode. One a
+second, and those requested after a silence, of more than two minutes."""
 
 
 class FloodBudget:
-    """The budgets of one link."""
+    """Budgets of one link."""
 
     def __init__(self) -> None:
         self.dropped = [0, 0, 0]
-        """Refusals so far, by what was used up: chunks, frames, messages."""
+        """Refusals so far, by resource: chunks, frames, messages."""
         self._raw_left = MOST_RAW_BYTES
         self.renew()
 
     def renew(self) -> None:
-        """A control tick has passed."""
+        """Renew the budgets at a control tick."""
         self._known = [0, 0, 0]
         self._unknown = [0, 0, 0]
         self._by_source: dict[Address | None, list[int]] = {}
@@ -120,12 +120,12 @@ class FloodBudget:
         return sum(self.dropped)
 
     def spend_heartbeat(self) -> bool:
-        """Whether one more HEARTBEAT of the autopilot's address may come beside all budgets."""
+        """Return True if one more HEARTBEAT of the autopilot's address may pass separately."""
         self._heartbeats += 1
         return self._heartbeats <= HEARTBEATS
 
     def spend_raw(self, count: int) -> bool:
-        """Whether so many bytes of a radio's own format may come."""
+        """Return True if so many bytes of a radio's own format may pass."""
         if count > self._raw_left:
             self.dropped[Resource.BYTES] += 1
             return False
@@ -135,7 +135,7 @@ class FloodBudget:
     def spend(
         self, resource: Resource, amount: int, peer: Address | None, *, is_known: bool
     ) -> bool:
-        """Whether a source may use so much more of a resource, which is then used."""
+        """Return True, and charge it, if a source may use so much more of a resource."""
         if is_known:
             left = KNOWN[resource] - self._known[resource] - amount
             if left < 0:
@@ -157,7 +157,7 @@ class FloodBudget:
         return True
 
     def _account_of(self, peer: Address | None) -> list[int] | None:
-        """What an unknown peer has used; None if there are too many of them to tell."""
+        """Return the account of an unknown peer; None if there are too many of them."""
         used = self._by_source.get(peer)
         if used is None and len(self._by_source) < MAX_SOURCES:
             used = self._by_source[peer] = [0, 0, 0]
@@ -170,10 +170,10 @@ LONGEST_HEARTBEAT = HEADER_LENGTH[MAGIC_V2] + 9 + CRC_LENGTH + SIGNATURE_LENGTH
 
 
 class Intake:
-    """One link's way in: budget and proof.
+    """Intake of one link: budget and verification.
 
-    The address of the autopilot of `binding` has the large budget. `is_raw` where something other
-    than MAVLink arrives, to be cut by a ranging source.
+    The address of the autopilot of `binding` has the large budget. `is_raw` is for other formats
+    than MAVLink, to be split by a ranging source.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class Intake:
         self._binding = binding
 
     def take(self, chunk: Chunk) -> Iterator[bytes]:
-        """The proved frames of a chunk, or a raw chunk as it is, as far as the budget goes."""
+        """Yield the verified frames of a chunk, or a raw chunk as it is, within the budget."""
         if self.is_raw:
             if self.budget.spend_raw(len(chunk.data)):
                 yield chunk.data
@@ -208,7 +208,7 @@ class Intake:
 
 
 def _is_heartbeat(chunk: Chunk) -> bool:
-    """Whether a datagram is one HEARTBEAT by its header and its size; neither is proved yet."""
+    """Return True if a datagram is one HEARTBEAT by its header and size, both unverified."""
     data = chunk.data
     is_one = chunk.is_datagram and SHORTEST <= len(data) <= LONGEST_HEARTBEAT
     return is_one and data[0] in HEADER_LENGTH and message_id(data) == HEARTBEAT
@@ -228,11 +228,11 @@ ALARMS = frozenset(
         SignatureVerdict.TOO_MANY_STREAMS,
     }
 )
-"""What only somebody who has the key can cause."""
+"""Rejections that only a holder of the key can cause."""
 
 
 class Authenticity:
-    """The companion's side of signing, on all links; without a key everyone is believed."""
+    """Signing of the companion on all links; without a key every frame is accepted."""
 
     def __init__(self, signing: Signing | None = None, unix_minus_local_s: float = 0.0) -> None:
         self._signing = signing
@@ -242,13 +242,13 @@ class Authenticity:
 
     @property
     def is_on(self) -> bool:
-        """Whether there is a key."""
+        """True if there is a key."""
         return self._signing is not None
 
     def of_link(
         self, number: int, unsigned_ids: frozenset[int] = frozenset()
     ) -> LinkSigning | None:
-        """Return what a link's codec signs and proves by; None without a key.
+        """Return the signing of a link's codec; None without a key.
 
         Messages of `unsigned_ids` may come unsigned on it, beside those that can never be signed.
         """
@@ -258,20 +258,20 @@ class Authenticity:
         return LinkSigning(self._signing, number % 256, unsigned_ids=allowed)
 
     def set_clock(self, unix_s: float, now_s: float) -> None:
-        """Take the wall clock as it is now."""
+        """Set the time in signatures to the present wall clock."""
         self._unix_minus_local_s = unix_s - now_s
 
     def is_proved(self, frame: bytes) -> bool:
-        """Whether a frame that was accepted may say something about the autopilot."""
+        """Return True if an accepted frame may be used as evidence about the autopilot."""
         return self._signing is None or is_signed(frame)
 
     def advance(self, now_s: float) -> None:
-        """Let the time in signatures go on."""
+        """Advance the time in signatures."""
         if self._signing is not None:
             self._signing.advance(now_s + self._unix_minus_local_s)
 
     def tick(self, now_s: float) -> list[Announce]:
-        """The same at a control tick; what the operator is to be told."""
+        """Advance the time in signatures at a control tick; return texts for the operator."""
         self.advance(now_s)
         if self._signing is None or now_s < self._next_report_s:
             return []
@@ -290,7 +290,7 @@ class Authenticity:
         return [Announce(severity, f"signing: refused {', '.join(words)}")]
 
     def record(self) -> dict[str, object]:
-        """The figures for the event log: how many frames got which verdict."""
+        """Return the figures for the event log: frames by verdict."""
         if self._signing is None:
             return {}
         verdicts = self._signing.verdicts

@@ -1,4 +1,4 @@
-"""What the endpoint is built from and reports to: roles of links, parameters, journal, recorder."""
+"""Interface of the endpoint: roles of links, parameters, journal, recorder."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from companion.mav.endpoint import Address
 
 
 class LinkRole(Enum):
-    """What a link is for."""
+    """Purpose of a link."""
 
     VEHICLE = "vehicle"
-    """Leads to the autopilot; there is exactly one."""
+    """Link to the autopilot; there is exactly one."""
     RANGING = "ranging"
-    """Brings ranging only, because a real autopilot does not forward our message."""
+    """Ranging only, because a real autopilot does not forward our message."""
     GCS = "gcs"
 
 
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
-    """One link, as the endpoint sees it; its place among all of them is `Chunk.link`."""
+    """One link; its index among all of them is `Chunk.link`."""
 
     role: LinkRole
     radio: RadioSetup | None = None
-    """What a RANGING link speaks instead of MAVLink."""
+    """Radio format of a RANGING link; None: MAVLink."""
 
 
 VEHICLE_ONLY = (LinkSpec(LinkRole.VEHICLE),)
 
 
 class VehicleParams(Params, frozen=True):
-    """Which autopilot, and how it is commanded."""
+    """Autopilot, and the kind of setpoint for it."""
 
     system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
-    """The autopilot's system id; null: the first one heard."""
+    """The autopilot's system id; null: the first one received."""
     setpoint: Literal["local_ned", "global_int"] = "local_ned"
     """SET_POSITION_TARGET_LOCAL_NED, or _GLOBAL_INT in frame 5 (AMSL)."""
 
 
 class LinkParams(Params, frozen=True):
-    """How the companion uses its links."""
+    """Use of the companion's links."""
 
     component_id: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
     """MAVLink component id of the companion; null: 191, or the next free one up to 194 where
@@ -57,9 +57,9 @@ class LinkParams(Params, frozen=True):
     rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 20.0
     """Control ticks, and so setpoints, per second."""
     lossy_rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 50.0
-    """The same where frames get lost."""
+    """The same rate on a lossy line."""
     lossy_share: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.2
-    """A line that loses more than this share of the autopilot's frames is lossy."""
+    """Share of lost frames of the autopilot above which a line is lossy."""
     downlink_bytes_s: Annotated[float, msgspec.Meta(ge=100.0, le=1e9)] = 5760.0
     """Capacity of the slowest link to a ground station, bytes/s: 57,600 baud, the usual telemetry
     radio. Texts get one per cent of it."""
@@ -70,10 +70,10 @@ class LinkParams(Params, frozen=True):
     anything else that is unsigned is refused on every link."""
 
     stop_unread_streams: bool = False
-    """Whether the autopilot is asked to stop, on this link, what it sends unasked and nothing here
-    reads; only for a link that nobody else listens on. It lasts until the autopilot restarts."""
+    """True: the autopilot is asked to stop streams on this link that the companion does not use;
+    only for a link without other receivers. It lasts until the autopilot restarts."""
     gcs_icon: bool = False
-    """Whether ground stations on `--gcs` links get the estimate as an ADSB_VEHICLE, an icon."""
+    """True: ground stations on `--gcs` links get the estimate as an ADSB_VEHICLE, an icon."""
 
     def __post_init__(self) -> None:
         if self.lossy_rate_hz < self.rate_hz:
@@ -82,7 +82,7 @@ class LinkParams(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class EndpointParams:
-    """What an endpoint is built for."""
+    """Parameters of an endpoint."""
 
     vehicle: VehicleParams
     link: LinkParams
@@ -90,32 +90,32 @@ class EndpointParams:
 
 
 class Journal(Protocol):
-    """Takes reports; never raises and never waits."""
+    """Receiver of reports; never raises and never blocks."""
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """A raw frame that came in or went out on the vehicle link, or came in on another."""
+        """Record a raw frame, received or sent on the vehicle link, or received on another."""
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """A line for the event log."""
+        """Record a line for the event log."""
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """A text for the operator."""
+        """Record a text for the operator."""
 
     def result(self, report: ReportResult, now_s: float) -> None:
-        """The target is localised."""
+        """Record that the target is localised."""
 
 
 class InputRecorder(Protocol):
-    """Takes the inputs in their order; never raises and never waits."""
+    """Receiver of all inputs in their order; never raises and never blocks."""
 
     def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
-        """A valid frame that was not our own."""
+        """Record a valid frame that was not our own."""
 
     def raw(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
-        """Bytes of a radio that does not speak MAVLink."""
+        """Record bytes of a radio with its own format."""
 
     def tick(self, now_s: float) -> None:
-        """The timer fired."""
+        """Record that the timer fired."""
 
     def event(self, event: Event) -> None:
-        """What the process or the operator says; all other events come of frames and ticks."""
+        """Record an event of the process or the operator; others follow from frames and ticks."""

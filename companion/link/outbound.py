@@ -1,7 +1,8 @@
-"""Commands to messages: ENU to NED, metres to AMSL and degE7, texts to chunks; and requests.
+"""Conversion of commands to messages: ENU to NED, metres to AMSL and degE7; and requests.
 
-One request at a time is under way, resent, and answered or given up: no ACK means resend with
-`confirmation` + 1, IN_PROGRESS means wait; at most 2 s in all, 10 s with progress, never a loop.
+One request at a time is in flight, repeated, and answered or abandoned: without an ACK it is
+repeated with `confirmation` + 1, IN_PROGRESS means wait; at most 2 s in all, 10 s with progress,
+never a loop.
 
 Source: MAVLink common; PX4 user guide, offboard mode; MAVLink guide, "Command Protocol".
 """
@@ -24,7 +25,7 @@ RESEND_S = 0.5
 SENDS = 4
 IN_PROGRESS_S = 3.0
 MAX_PROGRESS_S = 10.0
-"""An autopilot that only ever makes progress does not answer."""
+"""Time after which an autopilot that only reports progress counts as not answering."""
 
 Ids = tuple[int, int]
 CommandMessage = mavlink.MAVLink_command_long_message
@@ -32,13 +33,13 @@ CommandMessage = mavlink.MAVLink_command_long_message
 
 @dataclass(frozen=True, slots=True)
 class VehicleCommand:
-    """A MAV_CMD and its first parameters; the others are zero."""
+    """MAV_CMD and its first parameters; the others are zero."""
 
     number: int
     params: tuple[float, ...]
 
     def message(self, target: Ids, confirmation: int = 0) -> CommandMessage:
-        """COMMAND_LONG; `confirmation` counts how often it was sent before."""
+        """Return the COMMAND_LONG; `confirmation` is the number of earlier transmissions."""
         padded = (*self.params, *(0.0,) * (7 - len(self.params)))
         return CommandMessage(*target, self.number, confirmation, *padded)
 
@@ -54,13 +55,13 @@ class _Pending:
 
 
 class RequestClient:
-    """The request in flight; a new one replaces it, because only the latest counts."""
+    """Request in flight; a new one replaces it, because only the latest counts."""
 
     def __init__(self) -> None:
         self._pending: _Pending | None = None
 
     def submit(self, kind: RequestKind, command: VehicleCommand, target: Ids) -> None:
-        """Ask for something from the next `due` on."""
+        """Start a request with the next call of `due`."""
         self._pending = _Pending(kind, command, target)
 
     def cancel(self) -> None:
@@ -68,7 +69,7 @@ class RequestClient:
         self._pending = None
 
     def due(self, now_s: float) -> Message | RequestAnswered | None:
-        """The message to send now, or the news that nobody answers."""
+        """Return the message to send now, or the failure of a request without answer."""
         pending = self._pending
         if pending is None or now_s < pending.next_s:
             return None
@@ -85,10 +86,10 @@ class RequestClient:
     def receive_ack(
         self, ack: mavlink.MAVLink_command_ack_message, now_s: float
     ) -> RequestAnswered | None:
-        """What an ACK of the autopilot means for the request in flight."""
+        """Return the result of the request in flight by an ACK of the autopilot, if final."""
         pending = self._pending
         if pending is None or pending.sends == 0 or ack.command != pending.command.number:
-            return None  # not asked yet: the answer belongs to a request that was replaced
+            return None  # not sent yet: the answer belongs to a request that was replaced
         if ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
             pending.sends = SENDS
             last_s = now_s if pending.first_s is None else pending.first_s + MAX_PROGRESS_S
@@ -104,21 +105,21 @@ class RequestClient:
 
 TEXT_LENGTH = 50
 MAX_CHUNKS = 4
-"""A longer text is cut."""
+"""Limit of chunks; a longer text is truncated."""
 UINT32 = 0xFFFFFFFF
 
 
 def time_boot_ms(now_s: float) -> int:
-    """Our clock as a 32-bit stamp, which wraps after 49.7 days."""
+    """Return our clock as a 32-bit stamp, which wraps after 49.7 days."""
     return int(now_s * 1000.0) & UINT32
 
 
 MARK = b"CMP_ID"
-"""Name of the NAMED_VALUE_FLOAT by which companions of this kind know each other."""
+"""Name of the NAMED_VALUE_FLOAT that identifies a companion of this kind."""
 
 
 def heartbeat() -> Message:
-    """HEARTBEAT of an onboard controller without autopilot."""
+    """Return the HEARTBEAT of an onboard controller without autopilot."""
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
         mavlink.MAV_AUTOPILOT_INVALID,
@@ -130,7 +131,7 @@ def heartbeat() -> Message:
 
 
 def local_setpoint(setpoint: PositionSetpoint, now_s: float, target: Ids) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED in frame LOCAL_NED, position with or without yaw."""
+    """Return SET_POSITION_TARGET_LOCAL_NED in frame LOCAL_NED, position with or without yaw."""
     mask, rest = _checked_fields(setpoint)
     return mavlink.MAVLink_set_position_target_local_ned_message(
         time_boot_ms(now_s),
@@ -145,7 +146,7 @@ def local_setpoint(setpoint: PositionSetpoint, now_s: float, target: Ids) -> Mes
 def global_setpoint(
     setpoint: PositionSetpoint, origin: LocalOrigin, now_s: float, target: Ids
 ) -> Message:
-    """SET_POSITION_TARGET_GLOBAL_INT in frame GLOBAL_INT (5, AMSL).
+    """Return SET_POSITION_TARGET_GLOBAL_INT in frame GLOBAL_INT (5, AMSL).
 
     Not frame 6: PX4 1.15 misplaces relative altitudes by twice the distance of origin and home.
     """
@@ -164,7 +165,7 @@ def global_setpoint(
 
 
 def _checked_fields(setpoint: PositionSetpoint) -> tuple[int, tuple[float, ...]]:
-    """The type mask, and what follows the position: velocity, acceleration, yaw and its rate."""
+    """Return the type mask, and the fields after the position: velocity, acceleration, yaw."""
     yaw_rad = setpoint.yaw_ned_rad
     if not all(map(math.isfinite, (*setpoint.position_enu_m, yaw_rad or 0.0))):
         raise LocalProtocolError(f"setpoint {setpoint.position_enu_m} is not finite")
@@ -173,18 +174,18 @@ def _checked_fields(setpoint: PositionSetpoint) -> tuple[int, tuple[float, ...]]
 
 
 def arm() -> VehicleCommand:
-    """To arm, without force."""
+    """Return the command to arm, without force."""
     return VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
 
 
 def set_mode(mode: FlightMode, autopilot: Autopilot, *, is_armed: bool) -> VehicleCommand:
-    """DO_SET_MODE; a `KeyError` if the autopilot has no such mode."""
+    """Return DO_SET_MODE; raise `KeyError` if the autopilot has no such mode."""
     params = set_mode_params(mode, autopilot, is_armed=is_armed)
     return VehicleCommand(mavlink.MAV_CMD_DO_SET_MODE, params)
 
 
 def take_off(command: TakeOff, origin: LocalOrigin | None, autopilot: Autopilot) -> VehicleCommand:
-    """NAV_TAKEOFF to a height above home.
+    """Return NAV_TAKEOFF to a height above home.
 
     PX4 reads parameter 7 as AMSL, and NaN as "here" or its own default; ArduPilot reads it above
     home and must not see a NaN.
@@ -198,7 +199,7 @@ def take_off(command: TakeOff, origin: LocalOrigin | None, autopilot: Autopilot)
 
 
 def autopilot_version(param_capability: int) -> Message:
-    """AUTOPILOT_VERSION of the companion, which is none, for what it can do."""
+    """Return AUTOPILOT_VERSION of the companion, for its capabilities."""
     return mavlink.MAVLink_autopilot_version_message(
         mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2 | param_capability,
         *(0,) * 4,
@@ -208,7 +209,7 @@ def autopilot_version(param_capability: int) -> Message:
 
 
 def status_text(severity: int, text: str, text_id: int) -> list[Message]:
-    """STATUSTEXT, in chunks where it does not fit into one, joined by a non-zero `text_id`."""
+    """Return STATUSTEXTs, one for each chunk of a long text, joined by a non-zero `text_id`."""
     chunks = _chunks(text)
     join_id = 0 if len(chunks) == 1 else text_id
     return [
@@ -218,7 +219,7 @@ def status_text(severity: int, text: str, text_id: int) -> list[Message]:
 
 
 def _chunks(text: str) -> list[bytes]:
-    """UTF-8 in pieces of a STATUSTEXT each, no character cut in two.
+    """Return UTF-8 in pieces of one STATUSTEXT each, without splitting a character.
 
     Source: MAVLink common, STATUSTEXT: a text of several chunks ends with the first NUL.
     """

@@ -1,14 +1,14 @@
-"""What leaves by our links: encoded, noted down, queued for the shell, counted.
+"""Outlet of the companion: frames are encoded, logged, queued for the shell, and counted.
 
-The autopilot passes on what is broadcast, so ground stations behind it hear that; a link of their
-own gets the same beside. Setpoints and commands only ever leave by the vehicle link.
+The autopilot forwards broadcasts, so ground stations behind it receive them; a link of their own
+gets the same in addition. Setpoints and commands only leave by the vehicle link.
 
-A router that forwards to everyone sends our frames back to us, byte by byte as they were. A frame
-with our ids that we did not send comes from another component. Another kind of component that has
-our component id, as MAVROS2 has 191, is no rival: where no id is configured the companion takes the
+A router that forwards to all sends our frames back to us, byte by byte as they were. A frame with
+our ids that we did not send comes from another component. Another kind of component with our
+component id, as MAVROS2 has 191, is no conflict: where no id is configured the companion takes the
 next free one, before it has control and never in flight. A second companion of this kind is one,
-under whatever component id: both would obey the operator and fight over the setpoints. It is known
-by setpoints and estimates, and by a mark that each companion sends once a second while it hears
+under whatever component id: both would obey the operator and alternate setpoints. It is identified
+by setpoints and estimates, and by a mark that each companion sends once a second while it receives
 another onboard computer of its vehicle.
 """
 
@@ -37,15 +37,16 @@ from companion.mav.framing import (
 )
 
 KEPT = 1024
-"""Frames of ours that are remembered: 20 s at the fastest pace."""
+"""Number of our latest frames that are kept: 20 s at the highest rate."""
 FOREIGN_FRAMES = 3
+"""Foreign frames that prove another companion."""
 FOREIGN_SPAN_S = 1.0
-"""So many that are not ours, over no less than the span, are another companion's; fewer may be left
-over from a run before this one, on a slow way back."""
+"""Least span of them; fewer or faster ones may be left over from an earlier run, on a slow way
+back."""
 
 
 class OwnFrames:
-    """Remembers what we sent."""
+    """Memory of our latest frames, to recognise echoes."""
 
     def __init__(self) -> None:
         self.echoes = 0
@@ -56,7 +57,7 @@ class OwnFrames:
         self._run = 0
         """Foreign frames without a long silence between them, ..."""
         self._began_s = self._heard_s = -math.inf
-        """... the first of them, and the last."""
+        """... and the times of the first and the last."""
 
     def record_sent(self, frame: bytes) -> None:
         """Note a frame of ours."""
@@ -70,15 +71,15 @@ class OwnFrames:
                 del self._sent[oldest]
 
     def is_ours(self, frame: bytes) -> bool:
-        """Return True if we sent a frame, not long ago."""
+        """Return True if we sent a frame recently."""
         return zlib.crc32(frame) in self._sent
 
     def forget_foreign(self) -> None:
-        """Begin to count foreign frames again."""
+        """Start counting foreign frames again."""
         self._run, self._heard_s = 0, -math.inf
 
     def record_received(self, frame: bytes, now_s: float) -> bool:
-        """Note a received frame with our ids; whether another companion uses them."""
+        """Note a received frame with our ids; return True if another companion uses them."""
         if self.is_ours(frame):
             self.echoes += 1
             return False
@@ -91,7 +92,7 @@ class OwnFrames:
 
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
-"""191: what ground stations expect an onboard computer to be."""
+"""Id 191, under which ground stations expect an onboard computer."""
 SPARE_IDS = (
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER2,
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER3,
@@ -108,7 +109,7 @@ RIVALS = frozenset(
 
 
 NEIGHBOUR_S = 10.0
-"""An onboard computer that was heard this long ago is not there any more."""
+"""Silence after which another onboard computer is gone."""
 
 
 def is_marked(frame: bytes) -> bool:
@@ -121,11 +122,11 @@ def is_marked(frame: bytes) -> bool:
 
 RATE_WINDOW_S = 2.0
 STATUSTEXT_BYTES = HEADER_LENGTH[MAGIC_V2] + 54 + CRC_LENGTH
-"""A full STATUSTEXT of MAVLink 2, not signed."""
+"""Size of a full STATUSTEXT of MAVLink 2, unsigned."""
 
 
 class Outlet:
-    """The one way out of the companion, by all links but those for ranging."""
+    """Only outlet of the companion, on all links but those for ranging."""
 
     def __init__(
         self,
@@ -144,16 +145,16 @@ class Outlet:
         self._gcs_links = [n for n, role in enumerate(roles) if role is LinkRole.GCS]
         self._codec = self._codecs[self._vehicle_link]
         self.own_ids = (self._codec.system_id, self._codec.component_id)
-        """System and component that our frames carry."""
+        """System and component id of our frames."""
         self._binding = binding
         self._journal = journal
         self._is_conflict_told = False
         self._heard_ids: set[tuple[int, int]] = set()
-        """Ids of components that other frames carried."""
+        """Ids of other received components."""
         self._neighbour_s = -math.inf
-        """When another onboard computer of the vehicle was heard."""
+        """Latest reception of another onboard computer of the vehicle."""
         self._is_rival = False
-        """Whether what has our ids is a second companion."""
+        """True if the sender with our ids is a second companion."""
         self._text_id = 0
         self._setpoint_times_s: list[float] = []
         self._output: list[Chunk] = []
@@ -164,13 +165,13 @@ class Outlet:
         return (self._binding.system_id or 1, self._binding.component_id)
 
     def adopt(self, system_id: int) -> None:
-        """Take the vehicle's system id."""
+        """Adopt the vehicle's system id."""
         for codec in self._codecs:
             codec.system_id = system_id
         self.own_ids = (system_id, self._codec.component_id)
 
     def send(self, message: Message, now_s: float, *, is_droppable: bool = False) -> None:
-        """Queue a message for the autopilot's address; a slow line does without a droppable one."""
+        """Queue a message for the autopilot's address; droppable ones are lost first."""
         data = self._codec.encode(message)
         self.own_frames.record_sent(data)
         self._journal.frame(data, now_s)
@@ -178,27 +179,27 @@ class Outlet:
         self._output.append(Chunk(self._vehicle_link, data, peer, is_droppable=is_droppable))
 
     def ask_elsewhere(self, message: Message, peer: Address | None) -> None:
-        """Queue a question for an address that is not the autopilot's, or not yet."""
+        """Queue a request for an address that is not the autopilot's, or not yet."""
         data = self._codec.encode(message)
         self.own_frames.record_sent(data)
         self._output.append(Chunk(self._vehicle_link, data, peer, is_droppable=True))
 
     def broadcast(self, message: Message, now_s: float, *, is_droppable: bool = False) -> None:
-        """Queue a message for everybody: the autopilot, and stations on links of their own."""
+        """Queue a message for the autopilot, which forwards it, and stations on own links."""
         self.send(message, now_s, is_droppable=is_droppable)
         self.send_to_stations(message)
 
     def send_to_stations(self, message: Message) -> None:
         """Queue a message for ground stations on links of their own, once the vehicle is known."""
         if not self._binding.is_bound:
-            return  # under which system id we speak is not known yet
+            return  # our system id is not known yet
         for link in self._gcs_links:
             data = self._codecs[link].encode(message)
             self.own_frames.record_sent(data)
             self._output.append(Chunk(link, data, None, is_droppable=True))
 
     def send_setpoint(self, message: Message, now_s: float) -> None:
-        """The same for a setpoint, which is counted."""
+        """Queue a setpoint for the autopilot, and count it."""
         self.send(message, now_s)
         self.setpoints_sent += 1
         self._setpoint_times_s.append(now_s)
@@ -208,9 +209,9 @@ class Outlet:
             ]
 
     def note_sender(self, frame: bytes, now_s: float, *, may_move: bool) -> bool:
-        """Note the sender of a proved frame; return True if it is a second companion.
+        """Note the sender of a verified frame; return True if it is a second companion.
 
-        Without one, our component id moves aside if it is taken, where it `may_move`.
+        Otherwise, if our component id is taken, another one is chosen where it `may_move`.
         """
         sender, is_rival = sender_of(frame), message_id(frame) in RIVALS or is_marked(frame)
         is_same = sender == self.own_ids
@@ -222,7 +223,7 @@ class Outlet:
             self._neighbour_s = now_s
         is_marked_beside = is_here and is_marked(frame)
         if not self._binding.is_bound or not (is_same or is_marked_beside):
-            return False  # unbound: under which system id we speak is not known yet
+            return False  # unbound: our system id is not known yet
         self._is_rival |= is_rival and not self.own_frames.is_ours(frame)
         if not self.own_frames.record_received(frame, now_s):
             return False
@@ -237,7 +238,7 @@ class Outlet:
         return True
 
     def has_neighbour(self, now_s: float) -> bool:
-        """Return True while another onboard computer of the vehicle is heard."""
+        """Return True while another onboard computer of the vehicle is received."""
         return self._binding.is_bound and now_s - self._neighbour_s <= NEIGHBOUR_S
 
     def _move_aside(self, component_id: int, now_s: float) -> None:
@@ -252,12 +253,12 @@ class Outlet:
         self.announce(Announce(Severity.WARNING, text), now_s)
 
     def announce(self, text: Announce, now_s: float) -> None:
-        """Announce a text, if its cause was not announced just now."""
+        """Announce a text, unless its cause was announced recently."""
         if self.gate.admit(text, now_s):
             self._publish(text, now_s)
 
     def announce_due(self, now_s: float) -> None:
-        """Announce the states that were withheld and still stand."""
+        """Announce the states that were withheld and still hold."""
         for text in self.gate.due(now_s):
             self._publish(text, now_s)
 
@@ -274,11 +275,11 @@ class Outlet:
                 self.broadcast(message, now_s, is_droppable=True)
 
     def take(self) -> list[Chunk]:
-        """What is to be sent, in order; taken once."""
+        """Return the chunks to be sent, in order; each is returned once."""
         output, self._output = self._output, []
         return output
 
     def setpoint_rate_hz(self, now_s: float) -> float:
-        """Setpoints sent per second over the last two seconds."""
+        """Return the setpoints sent per second over the last two seconds."""
         recent = [t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S]
         return len(recent) / RATE_WINDOW_S

@@ -1,11 +1,11 @@
-"""How the companion shows up in ground stations, beside its parameters and texts.
+"""Presence of the companion in ground stations, besides its parameters and texts.
 
-Once a second each emitter with an estimate gives a TARGET_ESTIMATE, which goes to an ArduPilot in a
-TUNNEL as well, because it passes on nothing that it does not know; and the one that is looked for
-NAMED_VALUE_FLOATs in metres, which Mission Planner and MAVProxy show and plot: degrees would step
-by half a metre as floats. On links of their own, and only if that is wanted, ground
-stations get an ADSB_VEHICLE as well, which they draw on their map. It never goes to the autopilot:
-one that avoids traffic would dodge the emitter. A change of phase without any text is told here.
+Once a second a TARGET_ESTIMATE is sent for each emitter with an estimate, to an ArduPilot in a
+TUNNEL as well, because it forwards only messages that it knows; and for the current emitter
+NAMED_VALUE_FLOATs in metres, which Mission Planner and MAVProxy show and plot: degrees would be
+rounded to half a metre as floats. On links of their own, and only if configured, ground stations
+get an ADSB_VEHICLE as well, which they draw on their map. It never goes to the autopilot: one that
+avoids traffic would avoid the emitter. A change of phase without any text is announced here.
 
 Source: MAVLink common, NAMED_VALUE_FLOAT and ADSB_VEHICLE; `companion/mav/radio_ranging.xml`.
 """
@@ -34,7 +34,7 @@ from companion.mav.ranging import tunnelled
 
 PERIOD_S = 1.0
 ICAO_BASE = 0xF00000
-"""Of an address that no aircraft has; the emitter's id is added."""
+"""Base of an ICAO address that no aircraft has; the emitter's id is added."""
 ICON_FLAGS = (
     mavlink.ADSB_FLAGS_VALID_COORDS
     | mavlink.ADSB_FLAGS_VALID_ALTITUDE
@@ -46,7 +46,7 @@ AnyMessage = TypeVar("AnyMessage", bound=Message)
 
 
 class Presence:
-    """Tells ground stations what there is; `has_icon`: with icons on links of their own."""
+    """Periodic reports to ground stations; `has_icon`: with icons on links of their own."""
 
     def __init__(self, session: GuidanceSession, outlet: Outlet, *, has_icon: bool) -> None:
         self._session = session
@@ -57,7 +57,7 @@ class Presence:
         self._texts = outlet.texts_sent
 
     def tick(self, now_s: float) -> None:
-        """Tell what is due."""
+        """Send the reports that are due."""
         self._tell_phase(now_s)
         if now_s < self._next_s:
             return
@@ -78,7 +78,7 @@ class Presence:
                 for value in named_values(emitter.estimate, now_s):
                     self._outlet.broadcast(value, now_s, is_droppable=True)
             is_localised = emitter.estimate.state is EstimateState.LOCALISED
-            if self._has_icon and origin is not None and is_localised:  # one place to draw
+            if self._has_icon and origin is not None and is_localised:  # one position to draw
                 icon = icon_message(emitter.emitter_id, emitter.estimate, origin, now_s)
                 self._outlet.send_to_stations(icon)
 
@@ -93,7 +93,7 @@ class Presence:
 def estimate_message(
     emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin | None, now_s: float
 ) -> MAVLink_target_estimate_message:
-    """TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise."""
+    """Return TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise."""
     latitude_e7, longitude_e7 = INT32_UNKNOWN, INT32_UNKNOWN
     if origin is not None:
         latitude_e7, longitude_e7, _ = _place_e7(estimate, origin)
@@ -128,9 +128,10 @@ def estimate_message(
 
 
 def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
-    """NAMED_VALUE_FLOATs of an estimate, in metres about the local origin, with its covariance.
+    """Return NAMED_VALUE_FLOATs of an estimate, in metres about the local origin.
 
-    All that a station behind PX4 gets: PX4 1.16 passes on no message that it does not know.
+    With its covariance: a station behind PX4 gets nothing else, because PX4 1.16 forwards only
+    messages that it knows.
     """
     east_m, north_m = estimate.position_enu_m
     (var_east, covariance), (_, var_north) = estimate.covariance_m2
@@ -148,7 +149,7 @@ def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
 def icon_message(
     emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin, now_s: float
 ) -> Message:
-    """ADSB_VEHICLE: a point obstacle whose call sign says which emitter, and the absolute R95."""
+    """Return ADSB_VEHICLE: a point obstacle whose call sign has emitter and absolute R95."""
     latitude_e7, longitude_e7, altitude_mm = _place_e7(estimate, origin)
     name = f"E{emitter_id % 1000}:{min(estimate.absolute_r95_m, 99.0):.0f}m"
     age_s = max(0.0, now_s - estimate.time_s)
@@ -170,7 +171,7 @@ def icon_message(
 
 
 def _with_floats_that_fit(message: AnyMessage) -> AnyMessage:
-    """Return the message with each float beyond float32 at the largest one of its sign.
+    """Return the message with its floats clipped to the range of float32.
 
     A baseline filter that diverges may exceed 3.4e38, which cannot be packed.
     """

@@ -1,23 +1,23 @@
-"""How well the lines do: order, loss, the pace that follows, floods, and what radios say.
+"""Link quality: order, loss, control rate, floods, and the state of radios.
 
 Theory of operation. A sender counts its frames modulo 256. Unwrapped to the nearest value, the
-count tells which of two frames was sent first and how many never came; both are right as long as
-no frame is late by 128 others or more (0.3 s of the 405 frames a second of PX4 1.15). After a
-silence, or where nobody read for a while, a count that seems to have gone back went ahead instead.
-The loss is how many of the numbers that the count advanced in the last seconds did not come.
+count gives the order of sending and the number of lost frames; both are right as long as no frame
+is late by 128 others or more (0.3 s of the 405 frames a second of PX4 1.15). After a silence, or a
+pause in reading, a count that seems to have gone back went ahead instead. The loss is the share of
+the numbers that the count advanced in the last seconds without their frames.
 
-The control tick comes 20 times a second, and 50 where frames get lost: at 30 % loss the longest gap
-in ten hours between two setpoints that arrive is over half a second at 20 Hz, and under 0.4 s at
-50 Hz; PX4 gives up after 1 s. The loss is that of the autopilot's own frames: what is lost on the
-way to it nobody tells us, and radios lose both ways. A tick that comes late is not made up for. One
-that comes very late is a stall: what is known is of the past, and what was to be sent, too.
+The control tick runs 20 times a second, and 50 on a lossy line: at 30 % loss the longest gap in ten
+hours between two setpoints that arrive is over half a second at 20 Hz, and under 0.4 s at 50 Hz;
+PX4 gives up after 1 s. The loss is that of the autopilot's own frames: the loss on the way to it is
+not reported, and radios lose both ways. A late tick is not made up for. A very late one is a stall:
+all knowledge is out of date, and so are setpoints.
 
-The shield against floods hears nobody but the autopilot, by a filter that is the shell's and the
-kernel's (`companion.io.links.udp`). It is up only while unknown peers exceed their budget, because
-without it they are told to the operator, and only while the autopilot speaks, because it may come
-back from another address. The alarms watch counters that others keep, so that nothing an unknown
-peer sends makes a text of its own: they are told at once, and then rarely. Each radio with a format
-of its own is watched, too: silence, new names, a clock that began anew, many refusals.
+The shield against floods accepts only the autopilot, by a filter of the shell and the kernel
+(`companion.io.links.udp`). It is up only while unknown peers exceed their budget, because otherwise
+they are reported to the operator, and only while the autopilot sends, because it may return from
+another address. The alarms monitor counters, so that no input of an unknown peer makes a text of
+its own: they are announced at once, and then rarely. Each radio with a format of its own is
+monitored, too: silence, new names, clock restarts, many refusals.
 
 Source: MAVLink developer guide, "Packet Loss".
 """
@@ -40,32 +40,33 @@ from companion.mav.endpoint import Address
 MODULUS = 256
 HALF = MODULUS // 2
 SILENCE_S = 0.3
-"""After it nothing is late any more, only lost."""
+"""Silence after which frames are lost rather than late."""
 WINDOW_S = 3.0
+"""Span over which the loss is measured."""
 BUCKET_S = 0.1
 MIN_EXPECTED = 20
-"""With fewer frames to expect in the window a share says nothing."""
+"""Fewest expected frames in that span for a measurement."""
 
 
 class SequenceMonitor:
-    """One sender's frames; its autopilot component, for example."""
+    """Sequence numbers of one sender, for example the autopilot component."""
 
     def __init__(self) -> None:
         self.received = 0
         """Frames so far, duplicates not counted."""
         self.lost = 0
-        """Numbers that were passed over and have not come since."""
+        """Numbers that were skipped and have not come since."""
         self.duplicates = 0
         self.late = 0
         self._newest: int | None = None
         self._heard_s = 0.0
         self._seen = 0
-        """Bit n: whether number `newest - n` came."""
+        """Bit n is set if number `newest - n` came."""
         self._buckets: deque[tuple[float, int, int]] = deque()
-        """Of each tenth of a second: begin, numbers that the count advanced, frames that came."""
+        """For each tenth of a second: begin, numbers that the count advanced, frames that came."""
 
     def take(self, sequence: int, now_s: float) -> int:
-        """The unwrapped number of a frame that came, perhaps not for the first time."""
+        """Return the unwrapped number of a frame, which may be a duplicate."""
         if self._newest is None:
             return self._start(sequence, now_s)
         ahead = (sequence - self._newest) % MODULUS
@@ -80,13 +81,14 @@ class SequenceMonitor:
             self.duplicates += 1
         else:
             self.late += 1
-            self.lost = max(0, self.lost - 1)  # one from before the first was not missed
+            # a frame from before the first one was not counted as lost
+            self.lost = max(0, self.lost - 1)
             self._seen |= 1 << -ahead
             self._count(0, now_s)
         return self._newest + min(ahead, 0)
 
     def loss(self, now_s: float) -> float | None:
-        """Share of the last seconds' frames that did not come, 0 to 1; None if too few were due."""
+        """Return the share of recent frames that did not come, 0 to 1; None if too few were due."""
         since_s = now_s - WINDOW_S
         expected = came = 0
         for began_s, numbers, frames in self._buckets:
@@ -98,11 +100,11 @@ class SequenceMonitor:
         return min(max(0.0, 1.0 - came / expected), 1.0)
 
     def skip(self) -> None:
-        """What comes next is ahead, however far: much of what was sent last may never come."""
+        """Take the next number as ahead, however far: many recent frames may be lost."""
         self._heard_s = -math.inf
 
     def restart(self) -> None:
-        """Begin anew, because the sender did; the totals stay."""
+        """Start again after a restart of the sender; the totals stay."""
         self._newest = None
         self._buckets.clear()
 
@@ -131,24 +133,24 @@ class SequenceMonitor:
 
 
 CALM_SHARE = 0.5
-"""Calm is a loss below this share of what counts as lossy."""
+"""Share of the lossy limit below which a line counts as good again."""
 CALM_S = 5.0
-"""The line must be calm for this long before the rate goes down again."""
+"""Time for which a line must be good before the rate goes down again."""
 STALL_S = 0.5
-"""A tick later than this finds a vehicle that may be anywhere, in any mode."""
+"""Delay of a tick after which position and mode of the vehicle are unknown."""
 
 
 class TickWatch:
-    """Notes how punctual the control tick is."""
+    """Monitor of the punctuality of the control tick."""
 
     def __init__(self) -> None:
         self.missed = 0
-        """Ticks that were due and never came, because one was late."""
+        """Ticks that were due and were skipped by a late one."""
         self.stalls = 0
         self._last_s: float | None = None
 
     def tick(self, period_s: float, now_s: float) -> float | None:
-        """Note a tick; how long the control loop was stalled before it, if it was."""
+        """Note a tick; return for how long the control loop was stalled before it, if it was."""
         last_s, self._last_s = self._last_s, now_s
         if last_s is None:
             return None
@@ -161,7 +163,7 @@ class TickWatch:
 
 
 class Pacing:
-    """The period of the control tick."""
+    """Period of the control tick."""
 
     def __init__(self, params: LinkParams) -> None:
         self._params = params
@@ -170,11 +172,11 @@ class Pacing:
 
     @property
     def period_s(self) -> float:
-        """From one tick to the next."""
+        """Time from one tick to the next."""
         return 1.0 / (self._params.lossy_rate_hz if self.is_lossy else self._params.rate_hz)
 
     def observe(self, loss: float | None, now_s: float) -> None:
-        """Take in the measured loss, 0 to 1; None, unknown, changes nothing."""
+        """Take in the measured loss, 0 to 1; None, unknown, has no effect."""
         if loss is None:
             return
         if loss > self._params.lossy_share:
@@ -188,7 +190,7 @@ class Pacing:
 
 
 class LinkHealth:
-    """What is known about the line to the bound autopilot."""
+    """Health of the link to the bound autopilot."""
 
     def __init__(self, params: LinkParams) -> None:
         self.sequence = SequenceMonitor()
@@ -196,15 +198,15 @@ class LinkHealth:
         self.ticks = TickWatch()
 
     def tick(self, now_s: float) -> float | None:
-        """Judge the line once more; how long the control loop was stalled, if it was."""
+        """Update at a control tick; return for how long the loop was stalled, if it was."""
         stalled_s = self.ticks.tick(self.pacing.period_s, now_s)
         if stalled_s is not None:
-            self.sequence.skip()  # the socket kept the oldest of what came meanwhile
+            self.sequence.skip()  # the socket's buffer kept the oldest frames
         self.pacing.observe(self.sequence.loss(now_s), now_s)
         return stalled_s
 
     def record(self, now_s: float) -> dict[str, object]:
-        """The figures for the event log."""
+        """Return the figures for the event log."""
         sequence = self.sequence
         return {
             "loss": sequence.loss(now_s),
@@ -219,13 +221,13 @@ class LinkHealth:
 
 
 SHIELD_UP_S = 10.0
-"""How long after the last flood it stays up; then it is looked whether the flood goes on."""
+"""Time after the last flood until the shield is lowered to test for it."""
 SHARE_OF_SILENCE = 0.5
-"""Of the silence after which another address is believed: so long the autopilot may be quiet."""
+"""Silence of the autopilot that lowers the shield, as a share of that which frees its address."""
 
 
 class FloodShield:
-    """Looks at one link's budget once per control tick."""
+    """Shield against floods on one link, by its budget."""
 
     def __init__(self, intake: Intake, binding: AutopilotBinding) -> None:
         self._intake = intake
@@ -241,7 +243,7 @@ class FloodShield:
             self._flooded_s = now_s
 
     def sole_peer(self, now_s: float) -> Address | None:
-        """Whom alone to hear now; None: everybody."""
+        """Return the exclusive peer at present; None: all."""
         binding = self._binding
         if now_s - self._flooded_s > SHIELD_UP_S or not binding.is_bound or binding.heard_s is None:
             return None
@@ -253,14 +255,14 @@ ALARM_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S
 
 
 class CounterNews:
-    """What came to a counter since it was told last."""
+    """Increments of a counter since the last announcement."""
 
     def __init__(self) -> None:
         self._told = 0
         self._may_tell = RateLimit(ALARM_TEXTS_PER_S)
 
     def take(self, count: int, now_s: float) -> int:
-        """How much is to be told now, of a counter that is at `count`."""
+        """Return the increment to announce now, of a counter that is at `count`."""
         if count <= self._told or not self._may_tell.acquire(now_s):
             return 0
         more, self._told = count - self._told, count
@@ -268,7 +270,7 @@ class CounterNews:
 
 
 class LinkAlarms:
-    """Looks at the counters once per control tick."""
+    """Alarms on counters, checked once per control tick."""
 
     def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:
         self._binding = binding
@@ -277,7 +279,7 @@ class LinkAlarms:
         self._moves, self._senders, self._floods = CounterNews(), CounterNews(), CounterNews()
 
     def tick(self, now_s: float) -> list[Announce]:
-        """What is news."""
+        """Return the alarms that are due."""
         binding, texts = self._binding, []
         dropped = sum(intake.budget.dropped_unread for intake in self._intakes)
         for other in binding.others if binding.is_committed else ():
@@ -296,40 +298,41 @@ class LinkAlarms:
 
 
 RADIO_LOOK_S = 0.5
+"""Interval of checks."""
 QUIET_S = 2.0
-"""From then on its silence is shown."""
+"""Silence of a radio from which it is shown."""
 RATE_WINDOW_S = 5.0
-"""Rates are of so much time."""
+"""Span over which rates are measured."""
 REFUSAL_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S
 MANY_REFUSALS = 10
-"""Refusals since the last text, before there is another one ..."""
+"""Refusals since the last text before the next one ..."""
 MANY_SHARE = 0.2
-"""... if they are more than this share of what came."""
+"""... if they exceed this share of all readings."""
 
 
 @dataclass(frozen=True, slots=True)
 class RadioStatus:
-    """One radio, now."""
+    """Present state of one radio."""
 
     name: str
     rate_hz: float
-    """Measurements a second."""
+    """Measurements per second."""
     silent_s: float | None
-    """Since its last byte; None: it never sent one."""
+    """Time since its last byte; None: none yet."""
     age_s: float | None
-    """How old its last measurement was when it came."""
+    """Age of its last measurement on arrival."""
     measured: int
     refused: Mapping[str, int]
     restarts: int
-    """Of its clock."""
+    """Restarts of its clock."""
     lost: int
-    """How often its line was lost."""
+    """Number of losses of its line."""
     unrecognised: str = ""
-    """What it says that is not of its format, in words."""
+    """Description of input that is not of its format."""
 
     @property
     def words(self) -> str:
-        """For people."""
+        """State in words."""
         if self.silent_s is None:
             return "not heard"
         parts = [f"{self.rate_hz:.0f} measurements/s"]
@@ -348,7 +351,7 @@ UNCALIBRATED = "uncalibrated: range offset unknown; companion radio calibrate --
 
 
 class RadioWatch:
-    """Watches one radio's stage; asked at every control tick, it looks twice a second."""
+    """Monitor of one radio's stage; called at every control tick, it checks twice a second."""
 
     def __init__(self, stage: RadioStage) -> None:
         self.stage = stage
@@ -364,7 +367,7 @@ class RadioWatch:
         self._may_tell = RateLimit(REFUSAL_TEXTS_PER_S)
 
     def tick(self, now_s: float) -> list[Announce]:
-        """What is news."""
+        """Return the texts that are due."""
         if now_s < self._next_s:
             return []
         self._next_s = now_s + RADIO_LOOK_S
@@ -380,7 +383,7 @@ class RadioWatch:
         return [Announce(severity, f"radio {self._name}: {text}") for severity, text in news]
 
     def status(self, now_s: float) -> RadioStatus:
-        """How it is."""
+        """Return the present state."""
         stage, heard_s = self.stage, self.stage.received_s
         first_s, first = self._measured[0] if self._measured else (now_s, stage.measured)
         passed_s = now_s - first_s
@@ -397,7 +400,7 @@ class RadioWatch:
         )
 
     def record(self, now_s: float) -> dict[str, object]:
-        """The figures for the event log."""
+        """Return the figures for the event log."""
         status, counts = self.status(now_s), self.stage.decoder.counts
         return {
             "name": status.name,
@@ -421,7 +424,7 @@ class RadioWatch:
         return news
 
     def _silence(self, now_s: float) -> list[tuple[Severity, str]]:
-        """Said once when it begins, and once when it ends."""
+        """Return a text when a silence begins, and one when it ends."""
         timeout_s = self.stage.setup.settings.timeout_s
         since_s = self.stage.received_s
         since_s = self._began_s if since_s is None else since_s

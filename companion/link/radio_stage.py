@@ -1,15 +1,15 @@
-"""The common stage after every radio's decoder: from what a radio says to a measurement.
+"""Common stage after every radio's decoder: from readings to measurements.
 
-Theory of operation. A decoder reports in the radio's own sense; everything that depends on the site
-and not on the format is done here, once: names of emitters to ids, offset and scale of ranges, sign
-and mount of bearings, the field of view, defaults of sigmas, the device's clock, and what is stuck
-or was seen before. What is refused is counted by reason, and half a reading is kept where only the
-other half is refused.
+Theory of operation. A decoder reports in the radio's own convention; everything that depends on the
+site and not on the format is done here, once: names of emitters to ids, offset and scale of ranges,
+sign and mount of bearings, the field of view, default sigmas, the device's clock, and the detection
+of stuck or repeated readings. Refusals are counted by reason, and half a reading is kept where only
+the other half is refused.
 
-The mount has one place for each kind of antenna. What a direction finder prints about its upright
-is turned by `bearing_mount_deg` here, and is a bearing from the vehicle's nose then. What an array
-prints (`AngleFrame.ARRAY`) is no angle about any upright, cannot be turned by adding to it, and
-goes on as it is: its mount is `estimation.filter.antenna.mount_deg`.
+The mount is configured in one place for each kind of antenna. A direction finder's angle about its
+upright is turned by `bearing_mount_deg` here, and is then a bearing from the vehicle's nose. An
+array's angle (`AngleFrame.ARRAY`) is no angle about any upright, cannot be turned by addition, and
+is passed unchanged: its mount is `estimation.filter.antenna.mount_deg`.
 """
 
 from __future__ import annotations
@@ -35,74 +35,76 @@ Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Sign = Literal[1, -1]
 MOST_EMITTERS = 256
-"""Names of a stream that are told apart; anybody can send any."""
+"""Limit of names of a stream; forged input can invent any number."""
 LAST_ID = 65_535
 MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
 """A whole turn; more is most likely another unit."""
 REACH_M = 101_000.0
-"""No radio measures farther: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). What is
-beyond is an overflow or another unit."""
+"""Longest range of any radio: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). A longer
+one is an overflow or in another unit."""
 _MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|[0-9a-f]{4}|[0-9a-f]{12}|[0-9a-f]{16}", re.I)
 _NUMBER = re.compile(r"0|[1-9][0-9]{0,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
 class RadioSettings(Params, frozen=True):
-    """What turns the readings of one radio into measurements."""
+    """Settings that turn the readings of one radio into measurements."""
 
     emitters: dict[str, EmitterId] = msgspec.field(default_factory=dict)
     """Ids by the name on the wire; MAC addresses in any case."""
     emitter: EmitterId = 1
-    """The id of readings that name no emitter."""
+    """Id of readings without an emitter."""
     unnamed: Literal["number", "refuse"] = "number"
-    """What becomes of an emitter that is not in `emitters`: a lasting id, or nothing."""
+    """Treatment of an emitter that is not in `emitters`: a permanent id, or refusal."""
     frequency_tolerance_khz: Positive | None = None
     """Names are frequencies in MHz and match within this; null: names are names."""
 
     range_offset_m: Signed = 0.0
-    """range = (said - range_offset_m) / range_scale."""
+    """Offset of ranges: range = (reported - range_offset_m) / range_scale."""
     range_scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
     range_min_m: Signed = 0.0
     """A shorter corrected range is refused."""
     range_max_m: Positive | None = None
-    """A longer one; null: `estimation.acceptance.max_range_m` decides."""
+    """A longer corrected range is refused; null: by `estimation.acceptance.max_range_m`."""
     zero: Literal["refuse", "accept"] = "refuse"
-    """What a range of exactly 0 is: most radios print it where nothing was measured."""
+    """Treatment of a range of exactly 0: most radios report it where nothing was measured."""
     range_sigma_m: Positive | None = None
-    """Where the radio reports none, and the least that a reported one counts as; null: the
+    """Sigma where the radio reports none, and the lower limit of a reported one; null: the
     estimation's."""
 
     bearing_sign: Sign = 1
     """-1 where the device counts counter-clockwise."""
     bearing_mount_deg: Degrees = 0.0
-    """The device's zero, clockwise from the vehicle's nose; not for arrays, see above."""
+    """Zero of the device, clockwise from the vehicle's nose; not for arrays, see above."""
     elevation_sign: Sign = 1
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] = 360.0
-    """Whole angle about the device's zero in which its angles are believed."""
+    """Full angle about the device's zero within which its angles are used."""
     bearing_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
     elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
 
     quality_min: Share = 0.0
-    """A reading of less quality is refused."""
+    """A reading of lower quality is refused."""
     sigma_factors: tuple[tuple[Share, Positive], ...] = ()
-    """[quality, factor] pairs, ascending: from that quality on sigmas count so many times."""
+    """[quality, factor] pairs, ascending: from that quality on sigmas are multiplied by the
+    factor."""
 
     clock: Literal["device", "arrival"] = "device"
-    """Whose time a reading has, where the device has a clock."""
+    """Clock of a reading's time, where the device has one."""
     clock_wrap_s: Positive | None = None
-    """After how long the device's clock starts again at zero; null: as the radio's kind has it."""
+    """Period after which the device's clock wraps to zero; null: that of the radio's kind."""
     lag_s: Annotated[float, msgspec.Meta(ge=-1.0, le=5.0)] = 0.0
-    """How much earlier than that it was measured."""
+    """Delay of that time after the measurement."""
     max_age_s: Positive | None = None
-    """An older reading is refused; null: `estimation.acceptance.max_age_s` decides."""
+    """An older reading is refused; null: by `estimation.acceptance.max_age_s`."""
     rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = RATE_MAX_HZ
-    """Of one emitter so many measurements a second go on, because each costs milliseconds; null:
-    all."""
+    """Limit of measurements per second of one emitter, because each costs milliseconds; null:
+    none."""
     stuck_after: Annotated[int, msgspec.Meta(ge=2)] | None = None
-    """Of more equal ranges in a row the rest is refused; null: only while the vehicle moves."""
+    """Equal ranges in a row after which further ones are refused; null: only while the vehicle
+    moves."""
     poll_s: Annotated[float, msgspec.Meta(ge=0.02, le=60.0)] | None = None
-    """How often a polled radio is asked; null: as its kind has it."""
+    """Poll interval of a polled radio; null: that of its kind."""
     timeout_s: NonNegative = 5.0
-    """Silence for so long is said to the operator; 0: never."""
+    """Silence after which the operator is warned; 0: never."""
 
     def __post_init__(self) -> None:
         if self.range_max_m is not None and self.range_max_m <= self.range_min_m:
@@ -115,26 +117,26 @@ class RadioSettings(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class RadioSetup:
-    """A radio that was chosen: its kind, and how it is set."""
+    """Selected radio: its kind and settings."""
 
     kind: RadioKind
     settings: RadioSettings
     options: Params | None = None
-    """Of the decoder; None: its defaults."""
+    """Options of the decoder; None: its defaults."""
     is_uncalibrated: bool = False
-    """Its ranges have a constant that must be known, and is not."""
+    """True if its ranges have a constant that must be calibrated, and is not."""
 
 
 class EmitterNames:
-    """The ids of emitters, by what is on the wire.
+    """Ids of emitters, by their names on the wire.
 
-    A name without an id gets one that depends on nothing but the name, so that it is the same
-    after a restart and on every radio.
+    A name without an id gets one that depends only on the name, so that it is the same after a
+    restart and on every radio.
     """
 
     def __init__(self, settings: RadioSettings) -> None:
         self.news: list[str] = []
-        """What the operator is to be told; whoever tells it clears it."""
+        """Texts for the operator, cleared by the reader."""
         self._settings = settings
         self._tolerance_mhz = 1e-3 * (settings.frequency_tolerance_khz or 0.0)
         self._ids: dict[str | float, int] = {}
@@ -148,7 +150,7 @@ class EmitterNames:
             self._ids[key] = number
 
     def id_of(self, emitter: str | int | None) -> int | None:
-        """The id; None: it has none, and gets none."""
+        """Return the id; None: it has none, and gets none."""
         try:
             return self._known[emitter]
         except KeyError:
@@ -159,7 +161,7 @@ class EmitterNames:
         return number
 
     def _key(self, emitter: str | int) -> str | float | None:
-        """What a name is compared by; None: it is no frequency where only those are names."""
+        """Return a normalised name; None: it is no frequency where only those are names."""
         if self._tolerance_mhz:
             try:
                 return float(emitter)
@@ -187,7 +189,7 @@ class EmitterNames:
         return number
 
     def _nearest(self, mhz: float) -> float:
-        """The frequency that is known already, if one is near enough; else this one."""
+        """Return the nearest known frequency, if within tolerance; else this one."""
         frequencies = [known for known in self._ids if isinstance(known, float)]
         nearest = min(frequencies, key=lambda known: abs(known - mhz), default=mhz)
         return nearest if abs(nearest - mhz) <= self._tolerance_mhz else mhz
@@ -201,27 +203,27 @@ class EmitterNames:
 
 
 class DeviceClock:
-    """A radio's own clock on ours: wraps are undone, the rest is a sender's clock."""
+    """Radio's own clock on ours: unwrapped, and then converted like a sender's clock."""
 
     def __init__(self, wrap_s: float | None = None) -> None:
         self.restarts = 0
         self._wrap_s = wrap_s
         self._clock = SenderClock()
         self._last: tuple[float, float] | None = None
-        """The newest stamp without its wraps, and when it came."""
+        """Newest unwrapped stamp, and its arrival."""
 
     @property
     def is_heard(self) -> bool:
-        """Whether there ever was a stamp."""
+        """True if there ever was a stamp."""
         return self._clock.timebase.offset_at_s(0.0) is not None
 
     @property
     def is_usable(self) -> bool:
-        """Whether it says anything about the present."""
+        """True if its stamps are usable."""
         return not self._clock.is_wild
 
     def read(self, stamp_s: float, now_s: float) -> float:
-        """When a stamp was, on our clock."""
+        """Return the time of a stamp on our clock."""
         if self._wrap_s is not None:
             stamp_s = self._unwrapped(stamp_s, self._wrap_s, now_s)
         reading = self._clock.read(stamp_s, now_s)
@@ -229,7 +231,7 @@ class DeviceClock:
         return reading.time_s if self.is_usable else now_s
 
     def _unwrapped(self, stamp_s: float, wrap_s: float, now_s: float) -> float:
-        """The turn of the counter that is nearest to the time that has passed."""
+        """Return the stamp in the turn of the counter that is nearest to the elapsed time."""
         if self._last is not None:
             last_s, heard_s = self._last
             stamp_s += wrap_s * round((last_s + now_s - heard_s - stamp_s) / wrap_s)
@@ -238,9 +240,9 @@ class DeviceClock:
 
 
 class RadioStage:
-    """One radio's bytes to measurements; a `companion.link.ranging_sources.RangingSource`.
+    """Stage from one radio's bytes to measurements, a `RangingSource` of `ranging_sources`.
 
-    A plugin's decoder that raises loses what it had begun, and is counted.
+    If a plugin's decoder raises, its partial input is dropped, and the failure is counted.
     """
 
     def __init__(self, setup: RadioSetup) -> None:
@@ -252,16 +254,16 @@ class RadioStage:
         self.received = 0
         """Bytes so far."""
         self.received_s: float | None = None
-        """When the last ones came."""
+        """Arrival of the latest ones."""
         self.lost = 0
-        """How often the line was lost."""
+        """Number of losses of the line."""
         self.measured = 0
         """Measurements so far."""
         self.age_s: float | None = None
-        """How old the last one was when it came."""
+        """Age of the latest one on arrival."""
         self.refused: Counter[str] = Counter()
         self.newest: dict[int, RangingMeasurement] = {}
-        """The last measurement of each emitter."""
+        """Latest measurement of each emitter."""
         self._mount_rad = math.radians(settings.bearing_mount_deg)
         self._half_view_rad = math.radians(0.5 * settings.field_of_view_deg) + 1e-9
         self.thinned = 0
@@ -271,7 +273,7 @@ class RadioStage:
         self._equal: Counter[int] = Counter()
 
     def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
-        """The measurements that some bytes complete; no bytes at all: the line was lost."""
+        """Return the measurements that bytes complete; no bytes: the line was lost."""
         if not data:
             self.decoder.reset()
             self.lost += 1
@@ -293,7 +295,7 @@ class RadioStage:
         return found
 
     def _is_due(self, measurement: RangingMeasurement) -> bool:
-        """Whether its emitter has not been measured too often by then."""
+        """Return True if the measurement is within its emitter's rate."""
         rate_hz = self.setup.settings.rate_max_hz
         if rate_hz is None:
             return True
@@ -306,14 +308,14 @@ class RadioStage:
 
     @property
     def all_refused(self) -> Counter[str]:
-        """What was not used, by reason: the decoder's and the stage's."""
+        """Refusals by reason, the decoder's and the stage's."""
         counts = self.decoder.counts
         bad = Counter({"bad checksum": counts.bad_checksum}) if counts.bad_checksum else Counter()
         return self.refused + counts.refused + bad
 
     @property
     def unrecognised(self) -> str:
-        """What belongs to no line or frame of the format, in words; empty: all does."""
+        """Description of input that is not of the format; empty: all is."""
         counts = self.decoder.counts
         if counts.unrecognised:
             lines = "line" if counts.unrecognised == 1 else "lines"
@@ -348,7 +350,7 @@ class RadioStage:
         return self._corrected(emitter_id, time_s, reading)
 
     def _is_repeated(self, emitter_id: int, reading: RadioReading) -> bool:
-        """Whether it was seen before (a polled page that stood still), or the range is stuck."""
+        """Return True if it was seen before (a polled page), or the range is stuck."""
         last = self._last.get(emitter_id)
         self._last[emitter_id] = reading
         if last is not None and reading.device_time_s is not None and reading == last:
@@ -404,7 +406,7 @@ class RadioStage:
         )
 
     def _range_m(self, reading: RadioReading) -> float | None:
-        """The range without offset and scale, if it is plausible."""
+        """Return the range without offset and scale, if it is plausible."""
         said_m, settings = reading.range_m, self.setup.settings
         if said_m is None:
             return None
@@ -427,7 +429,7 @@ class RadioStage:
         return range_m
 
     def _bearing_rad(self, reading: RadioReading) -> float | None:
-        """The bearing as its frame has it: in ENU of one by north, else in the body or array."""
+        """Return the bearing in its frame: ENU if north-referenced, else body or array."""
         said_rad, settings = reading.azimuth_rad, self.setup.settings
         if said_rad is None:
             return None
@@ -457,7 +459,7 @@ class RadioStage:
         return self.setup.settings.elevation_sign * said_rad
 
     def _sigma_factor(self, quality: float | None) -> float:
-        """By the last pair whose quality is reached; below the first one: by that."""
+        """Return the factor of the last pair whose quality is reached, or the first one's."""
         steps = self.setup.settings.sigma_factors
         if quality is None or not steps:
             return 1.0

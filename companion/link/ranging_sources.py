@@ -1,10 +1,10 @@
-"""Where ranging comes from: one source per ranging link, bytes and time in, measurements out.
+"""Sources of ranging: one per ranging link, bytes and time in, measurements out.
 
-A radio with a format of its own has a decoder in `companion.radios`, behind which `RadioStage` is
-the source. MAVLink is the other one: RADIO_RANGING is our own message; LANDING_TARGET of type
-RADIO_BEACON and RANGING_BEACON are read as well. Degrees, millimetres, NED and the sentinels (NaN,
-UINT8_MAX, UINT32_MAX) end here. Infinities and absurd numbers pass through on purpose: refusing
-them, with a counted reason, is the tracker's task.
+A radio with a format of its own has a decoder in `companion.radios`, and `RadioStage` as its
+source. For MAVLink, RADIO_RANGING is our own message; LANDING_TARGET of type RADIO_BEACON and
+RANGING_BEACON are read as well. Degrees, millimetres, NED and the sentinels (NaN, UINT8_MAX,
+UINT32_MAX) are converted here. Infinities and absurd numbers pass on purpose: rejecting them, with
+a counted reason, is the tracker's task.
 """
 
 from __future__ import annotations
@@ -24,46 +24,47 @@ from companion.mav.dialect import MAVLink_radio_ranging_message, Message, Rangin
 UINT8_MAX = 0xFF
 UINT32_MAX = 0xFFFFFFFF
 MAX_BEARING_RAD = math.pi + 1e-6
-"""Half a turn, which in 32 bits is a little more than one."""
+"""Half a turn plus the rounding of 32 bits."""
 MAX_LINK_DELAY_S = 0.5
-"""A radio whose clock seems later than the autopilot's by up to this has a slow link."""
+"""Longest constant delay of a slow link by which a radio's clock seems later than the
+autopilot's."""
 MAX_SENDERS = 16
-"""Clocks of a link's ranging senders that are kept."""
+"""Limit of ranging senders of a link whose clocks are kept."""
 RangingMessage = (
     MAVLink_radio_ranging_message
     | mavlink.MAVLink_landing_target_message
     | mavlink.MAVLink_ranging_beacon_message
 )
 RANGING_IDS = frozenset(kind.id for kind in get_args(RangingMessage))
-"""Message ids of what is read as ranging."""
+"""Message ids that are read as ranging."""
 
 
 class RangingSource(Protocol):
-    """What a radio says on one link, without sockets or clocks."""
+    """Source of measurements on one link, without sockets or clocks."""
 
     def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
-        """The measurements completed by some bytes; bad bytes are dropped, never raised.
+        """Return the measurements that bytes complete; bad bytes are dropped, never raised.
 
-        The bytes are a datagram, or any cut of a stream; of a MAVLink link one proved frame.
+        The bytes are a datagram, or any part of a stream; of a MAVLink link one verified frame.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class SourceContext:
-    """What a source may use of the endpoint."""
+    """Parts of the endpoint that a source uses."""
 
     codec: MavCodec
-    """Of its link."""
+    """Codec of its link."""
     vehicle_clock: VehicleClock
-    """The autopilot's, for a radio that stamps by it."""
+    """The autopilot's clock, for a radio that stamps by it."""
 
 
 class MavlinkRanging:
-    """Any MAVLink sender, each on its own clock, or on the autopilot's if it shares it.
+    """Source of MAVLink ranging, each sender on its own clock, or on the autopilot's if shared.
 
     By its definition a stamp counts from the vehicle's boot or from 1970. One that agrees with the
-    autopilot's clock is read on that: then a link's constant delay, which no sender's own stamps
-    can show, does not move the vehicle's place at the time of the measurement.
+    autopilot's clock is converted with that: then a link's constant delay, which no sender's own
+    stamps can show, does not shift the vehicle position at the time of the measurement.
     """
 
     def __init__(self, context: SourceContext) -> None:
@@ -72,16 +73,16 @@ class MavlinkRanging:
         self._clocks: dict[tuple[int, int], SenderClock] = {}
         self._rates: dict[tuple[int, int], SenderRate] = {}
         self._on_vehicle_clock: set[tuple[int, int]] = set()
-        """Senders whose last stamp was of the autopilot's clock."""
+        """Senders whose latest stamp was of the autopilot's clock."""
         self._slips = context.vehicle_clock.slips
 
     def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
-        """The measurement in a proved frame, if it is a ranging message."""
+        """Return the measurement in a verified frame, if it is a ranging message."""
         message = self._codec.decode_proved(data)
         return self.measure(message, now_s) if isinstance(message, RangingMessage) else []
 
     def measure(self, message: RangingMessage, now_s: float) -> list[RangingMeasurement]:
-        """The same for a message that was decoded already."""
+        """Return the measurement in a decoded message."""
         if self._slips != self._vehicle_clock.slips:
             self._follow_slip()
         sender = (message.get_srcSystem(), message.get_srcComponent())
@@ -91,7 +92,7 @@ class MavlinkRanging:
                 self._forget(next(iter(self._clocks)))
             clock = self._clocks[sender] = SenderClock()
             self._rates[sender] = SenderRate()
-        if message.time_usec == 0:  # a sender without a clock: nothing to date or compare by
+        if message.time_usec == 0:  # a sender without a clock: no stamp to use or compare
             measurement = ranging_from_message(message, now_s)
             return self._due(sender, measurement and replace(measurement, stamp_us=None), now_s)
         stamp_s = message.time_usec / 1e6
@@ -109,7 +110,7 @@ class MavlinkRanging:
         return self._due(sender, ranging_from_message(message, measured_at_s), now_s)
 
     def texts(self, now_s: float) -> list[Announce]:
-        """Return warnings about senders whose measurements were left out."""
+        """Return warnings about senders whose measurements were dropped."""
         due = [rate.text(sender, now_s) for sender, rate in self._rates.items() if rate.left_out]
         return [text for text in due if text is not None]
 
@@ -122,7 +123,7 @@ class MavlinkRanging:
         return [measurement]
 
     def _follow_slip(self) -> None:
-        """Read the stamps of senders on the autopilot's clock as at first, once that slipped."""
+        """Resynchronise senders on the autopilot's clock after it slipped."""
         self._slips = self._vehicle_clock.slips
         for sender in tuple(self._on_vehicle_clock):
             self._forget(sender)
@@ -133,7 +134,7 @@ class MavlinkRanging:
 
 
 def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasurement | None:
-    """The measurement in a ranging message with its time on our clock; None: it is none."""
+    """Return the measurement in a ranging message with its time on our clock; None: no ranging."""
     match message:
         case MAVLink_radio_ranging_message():
             return _from_radio_ranging(message, measured_at_s)
@@ -149,7 +150,7 @@ def _from_radio_ranging(
     message: MAVLink_radio_ranging_message, measured_at_s: float
 ) -> RangingMeasurement:
     flags = message.flags
-    # an arcsine is of the antenna's frame: without its other flag, too, it is nothing by north
+    # an arcsine is in the antenna's frame, never north-referenced, even without BODY_FRAME
     is_body = bool(flags & (RangingFlag.BODY_FRAME | RangingFlag.ARRAY_ANGLE))
     line_of_sight = None
     if flags & RangingFlag.LINE_OF_SIGHT:
@@ -157,7 +158,9 @@ def _from_radio_ranging(
     elif flags & RangingFlag.NON_LINE_OF_SIGHT:
         line_of_sight = False
     bearing_enu_rad = bearing_body_rad = _or_none(message.bearing)
-    if abs(message.bearing) <= MAX_BEARING_RAD:  # beyond it most likely degrees: refused later
+    if (
+        abs(message.bearing) <= MAX_BEARING_RAD
+    ):  # a larger one is most likely in degrees, and rejected later
         bearing_enu_rad = bearing_enu_from_ned(message.bearing)
     return RangingMeasurement(
         emitter_id=message.emitter_id,
@@ -179,7 +182,7 @@ def _from_radio_ranging(
 def _from_landing_target(
     message: mavlink.MAVLink_landing_target_message, measured_at_s: float
 ) -> RangingMeasurement:
-    """LANDING_TARGET: `distance` is the slant range, 0 unknown; `angle_x` is from the nose."""
+    """Convert LANDING_TARGET: `distance` is slant, 0 unknown; `angle_x` is from the nose."""
     range_m = _or_none(message.distance)
     return RangingMeasurement(
         emitter_id=message.target_num,
@@ -193,9 +196,9 @@ def _from_landing_target(
 def _from_ranging_beacon(
     message: mavlink.MAVLink_ranging_beacon_message, measured_at_s: float
 ) -> RangingMeasurement:
-    """RANGING_BEACON: range and its accuracy in millimetres, UINT32_MAX (or accuracy 0) unknown.
+    """Convert RANGING_BEACON: millimetres, UINT32_MAX (or accuracy 0) is unknown.
 
-    Its beacon position is not read: this project looks for the position of an emitter.
+    Its beacon position is not used: this project looks for the position of an emitter.
     """
     unknown_sigma = message.range_accuracy in (0, UINT32_MAX)
     return RangingMeasurement(

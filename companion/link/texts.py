@@ -1,14 +1,14 @@
-"""The gate that every text for the operator passes: each cause once in a while, all in a budget.
+"""Gate of all texts for the operator: each cause at most once in a period, within a budget.
 
-Theory of operation. A text has a cause: its words without their numbers. A cause is announced at
+Theory of operation. The cause of a text is its words without their numbers. A cause is announced at
 most once in `CAUSE_PERIOD_S`, however often it comes and goes. Texts of one topic are states that
 replace each other, such as "waiting for ..." and "ready"; there the cause is the step from the
-state that was announced before, and the newest state that was withheld is announced as soon as its
-cause may be, unless the topic has gone back to what was announced. So the last text of a topic is
-the present state, at the latest after one period. Changes of control are never withheld: they are
-answers to the pilot, and guidance already spaces them.
+state that was announced before, and the newest withheld state is announced as soon as its cause may
+be, unless the topic has gone back to the announced one. So the last text of a topic is the present
+state, at the latest after one period. Changes of control are never withheld: they are answers to
+the pilot, and guidance already spaces them.
 
-What passes goes to the log and the console. On the air it also has to fit into a share of the
+Announced texts go to the log and the console. On the air they also have to fit into a share of the
 slowest downlink, over a sliding minute; errors and changes of control exceed it rather than get
 lost.
 
@@ -25,13 +25,13 @@ from dataclasses import dataclass
 from companion.guidance.commands import Announce, Severity, Topic
 
 CAUSE_PERIOD_S = 30.0
-"""Seconds between two texts of one cause: two of MAVLink's usual patience with a lost link (15 s),
-and few enough that ten causes that flap at once stay readable."""
+"""Seconds between two texts of one cause: twice MAVLink's usual link-loss timeout (15 s), and few
+enough that ten causes that flap at once stay readable."""
 MINUTE_S = 60.0
 SHARE_OF_DOWNLINK = 0.01
-"""Of the downlink's capacity for texts; telemetry needs the rest."""
+"""Share of the downlink's capacity for texts; telemetry needs the rest."""
 NUMBER = re.compile(r"(?<![\w.])(?<!system )(?<!emitter )-?\d[\d.]*")
-"""A figure; the number of a system or an emitter, and one in a name, tell causes apart."""
+"""Figures; the number of a system or an emitter, and one in a name, distinguish causes."""
 
 Cause = tuple[Topic | None, str, str]
 """Topic, cause of the state announced before, and the words without numbers."""
@@ -39,7 +39,7 @@ Cause = tuple[Topic | None, str, str]
 
 @dataclass(slots=True)
 class _TopicState:
-    """One topic's announced state, and the newer one that is withheld."""
+    """Announced state of one topic, and a newer one that is withheld."""
 
     announced: str = ""
     announced_s: float = -math.inf
@@ -47,7 +47,7 @@ class _TopicState:
 
 
 class TextGate:
-    """Decides which texts are announced, and which of these are sent by radio.
+    """Filter of the texts that are announced, and of those that are sent by radio.
 
     Args:
         bytes_per_s: Capacity of the slowest downlink, bytes a second.
@@ -99,7 +99,7 @@ class TextGate:
         return due
 
     def fits(self, text: Announce, size_bytes: int, now_s: float) -> bool:
-        """Return True if the downlink may carry a text of so many bytes, which then counts."""
+        """Return True if the downlink may carry a text of so many bytes, and count it."""
         while self._sent and self._sent[0][0] <= now_s - MINUTE_S:
             self._sent_bytes -= self._sent.popleft()[1]
         is_needed = text.must_pass or text.severity is Severity.ERROR
@@ -111,7 +111,7 @@ class TextGate:
         return True
 
     def _forget(self, now_s: float) -> None:
-        """Drop causes of long ago, so that invented texts cannot fill the memory."""
+        """Drop old causes, so that forged texts cannot fill the memory."""
         if len(self._announced_s) > MOST_CAUSES:
             self._announced_s = {
                 cause: time_s
@@ -121,4 +121,4 @@ class TextGate:
 
 
 MOST_CAUSES = 256
-"""Remembered before the old ones are dropped."""
+"""Number of causes at which old ones are dropped."""

@@ -180,11 +180,6 @@ class WindowMap:
         p = self._p
         found: list[PlaceNoise | None] = [None, None, None]
         scores = self.scores(rows, mean)
-        """Return the problem linearised at `mean` (k,), for curvature and covariance.
-
-        `spread_m2` is the trace of the position covariance: nearer to the target than its root, a
-        bearing is no linear function of the position, and loses information accordingly.
-        """
         for m in scores.measured:
             sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
             told = p.place_sigmas[min(m, BEARING)] / sigma
@@ -215,8 +210,6 @@ class WindowMap:
     ) -> Steps[list[Optimum]]:
         """Return the optima of `judged` from the minima reached from these states (k,)."""
         minima = yield from self.minima.steps(rows, starts, older)
-        """Return the distinct minima reached from states (k,), best first, with `older`
-        evidence."""
         return (yield from self.judged.steps(rows, minima, older, is_white=is_white))
 
     @Stepwise
@@ -243,7 +236,7 @@ class WindowMap:
     def minima(
         self, rows: Matrix, starts: Iterable[Vector], older: OlderEvidence | None
     ) -> Steps[Minima]:
-        """The distinct minima reached from states (k,), best first, `older` evidence counted in."""
+        """Return the distinct minima reached from states (k,), best first."""
         found: Minima = []
         for start in starts:
             solution = yield from self.solve.steps(rows, start, older)
@@ -279,10 +272,10 @@ class WindowMap:
         return (mean, cost) if math.isfinite(cost) else None
 
     def scores(self, rows: Matrix, mean: Vector, spread_m2: float = 0.0) -> Scores:
-        """The problem linearised at `mean` (k,): what curvature and covariance are made of.
+        """Return the problem linearised at `mean` (k,), for curvature and covariance.
 
-        `spread_m2` is the trace of the position's covariance: nearer to the target than that is
-        wide a bearing is no linear function of it, and says as much less.
+        `spread_m2` is the trace of the position covariance: nearer to the target than its root, a
+        bearing is no linear function of the position, and loses information accordingly.
         """
         last = self._linearised if spread_m2 == 0.0 else None
         if last is not None and last[0] is rows and last[1] is mean and last[2] == self._model:
@@ -379,14 +372,12 @@ class WindowMap:
             np.zeros((self.size, self.size)),
             np.zeros(self.size),
         )
-        """Return the path of the rows (n, >= 2), and the spread of targets within the radio's
-        reach."""
         weight = heard.sigma_m**-2
         near[[0, 1], [0, 1]], towards[:2] = weight, weight * np.array(heard.centre_enu_m)
         return information + near, pull + towards
 
     def heard(self, rows: Matrix) -> HeardPath:
-        """The path of the rows (n, >= 2), and how far off it the target of such a radio can be."""
+        """Return the path of the rows (n, >= 2), and the spread of targets within radio reach."""
         if self._heard is None or self._heard[0] is not rows:
             places = rows[:, :2]
             east_m, north_m = places.mean(axis=0).tolist()

@@ -1,20 +1,20 @@
-"""The autopilot's clock by TIMESYNC: how far it is from ours, and how fast it runs.
+"""Offset and rate of the autopilot's clock by TIMESYNC.
 
-Theory of operation. We send our time, the autopilot mirrors it and adds its own; half a round trip
-later its answer is here. The offset between the clocks follows from the middle of that trip, and
-is wrong by at most half of it, where the two ways differ. An answer counts only if its round trip
-is within 10 ms of the best of the last eight seconds, because what is slow is slow on one way only.
+Theory of operation. We send our time, the autopilot returns it with its own; half a round trip
+later its answer is here. The offset between the clocks follows from the middle of that trip, with
+an error of at most half of it, if the two ways differ. An answer is used only if its round trip is
+within 10 ms of the best of the last eight seconds, because slow exchanges are slow on one way only.
 
 A simulated autopilot on a busy computer runs slow by per cents, so offset and rate are estimated
-together, by a Kalman filter of two states. An exchange that deviates clearly from what they
-foretell is left out; five in a row that agree with each other are a clock that slipped, or stood
-still, and the filter starts over with them. While they do, questions follow each other quickly. An
-answer that is dated back makes the offset too large, never too small: exchanges below what is
-foretold stay in the row, although one above it agrees in between.
+together, by a Kalman filter of two states. An exchange that deviates clearly from the prediction is
+left out; five in a row that agree with each other are a clock that slipped, or stood still, and the
+filter starts over with them. Meanwhile questions follow each other quickly. An answer that is dated
+back makes the offset too large, never too small: exchanges below the prediction stay in the row,
+although one above it agrees in between.
 
-Only the answer to a question of ours counts, and once: another station's, a late or an invented
-one cannot move the clock. A clock that went back is that of an autopilot that restarted only if it
-shows no more time than can have passed since then; otherwise it slipped.
+Only the answer to a question of ours counts, and once: answers to another station, late or forged
+ones cannot move the clock. A clock that went back is that of a restarted autopilot only if it shows
+no more time than can have passed since then; otherwise it slipped.
 
 Source: MAVLink guide, "Time Synchronization"; PX4 `Timesync.hpp`, which tracks offset and skew too.
 """
@@ -31,35 +31,41 @@ from companion.mav.addressing import TargetedTimesync
 from companion.mav.dialect import Message, mavlink
 
 FIRST_PERIOD_S = 0.1
+"""Interval of the first questions."""
 FIRST_EXCHANGES = 10
-"""So many are asked for quickly, to know the offset within a second."""
+"""Number of quick questions, to know the offset within a second."""
 PERIOD_S = 0.5
-"""So often at least, because a restart shall be known within a second."""
+"""Interval of questions, because a restart must be noticed within a second."""
 BEST_OF = 16
-"""Periods in which the shortest round trip is looked for, however many answers come at once."""
+"""Periods in which the shortest round trip is searched, however many answers come at once."""
 MAX_ROUND_TRIPS = 128
-"""Of as many periods of quick questions, and of those that waited."""
+"""Limit of stored round trips: periods of quick questions, and of those that were delayed."""
 SLOWER_S = 0.010
+"""Excess over the shortest round trip from which an exchange is ignored."""
 DEVIATION_S = 0.05
-"""Farther from what was foretold than this, and than five sigma, is another clock."""
+"""Deviation from the prediction that, with five sigma, shows another clock."""
 RESET_AFTER = 5
+"""Consecutive deviating exchanges that agree with each other, before the filter starts over."""
 MAX_RATE = 0.06
-"""Few clocks gain or lose more, seconds per second; what scatter alone shows is cut to this ..."""
+"""Limit of rates from single exchanges, seconds per second; few clocks exceed it ..."""
 MAX_PACE = 0.25
-"""... and what exchanges on a straight line show to this: a simulated autopilot on a busy computer
-was 10 % slow for seconds. What is beyond runs at another speed than we do, and is not followed."""
+"""... and limit of rates from exchanges on a straight line: a simulated autopilot on a busy
+computer was 10 % slow for seconds. A clock beyond it runs at another speed, and is not followed."""
 PACE_WINDOW_S = 3.0
+"""Span of the exchanges that must lie on a line."""
 CRYSTAL = 1e-4
-"""How well a clock runs as a rule, one sigma; and what that changes by, per root second."""
+"""Rate of a usual clock, one sigma; and its random walk, per root second."""
 SURPRISE = 3.0
+"""Innovation, in sigma, of a surprising exchange."""
 BUSY = 0.03
-"""What the rate may be as long as nothing is known of it, one sigma: the clock of a simulated
-autopilot runs as its computer lets it. So also after two exchanges, to one side, that are off by
-more than `SURPRISE` sigma."""
+"""Rate of an unknown clock, one sigma: the clock of a simulated autopilot depends on its computer's
+load. Also used after two surprising exchanges to the same side."""
 SIGNIFICANT = 4.0
-"""A rate smaller than so many sigma is none."""
+"""Sigmas from which a rate is significant."""
 OFFSET_NOISE_S = 1e-5
+"""Random walk of the offset, per root second."""
 EXCHANGE_SIGMA_S = 5e-4
+"""Standard deviation of an exchange with the shortest round trip."""
 DATED_BACK_S = 0.09
 """ArduPilot dates a TIMESYNC request back by what waits in its receive buffer, 10 bit a byte at
 57,600 baud, on TCP and UDP, too: by 3 to 27 ms as a rule, by 512 bytes at most (AP_HAL_SITL
@@ -67,35 +73,37 @@ DATED_BACK_S = 0.09
 MEDIAN_OF_CHORD = 0.6745 * math.sqrt(1.5)
 """Median distance, in sigma, of a normal value from the middle of two others."""
 KNOWN_SIGMA_S = 0.02
+"""Standard deviation up to which the offset is known."""
 PROMPT_S = 1.0
-"""An answer that came sooner shows that the link is not slow ..."""
+"""Round trip of a prompt answer, which shows that the link is not slow ..."""
 PROMPT_WITHIN_S = 3.0
-"""... for so long; where half of questions and of answers get lost, one in six times none comes."""
+"""... for this long; where half of questions and of answers get lost, one in six times none
+comes."""
 SLOW_WITHIN_S = 15.0
-"""A late one shows for so long that it is, if none comes promptly."""
+"""Time for which a late answer shows a slow link, if none comes promptly."""
 MAX_OPEN = 32
-"""Questions that may still be answered: those of three seconds, also while they are quick."""
+"""Limit of open questions: those of three seconds, also at the quick interval."""
 REBOOT_BACKWARD_S = 1.0
-"""A clock that went back by less did not restart."""
+"""Smallest step back of a clock that restarted."""
 NS_PER_S = 1e9
 
 
 class Rate(NamedTuple):
-    """Of a clock, beside ours; seconds a second."""
+    """Rate of a clock relative to ours, seconds per second."""
 
     growth: float
-    """Of our time minus the other's."""
+    """Growth of our time minus the other's."""
     slack: float
-    """How much faster it may be."""
+    """Uncertainty of the growth, towards larger values."""
 
 
 DRIFT_ALLOWANCE = 200e-6
-"""Twice a poor crystal's drift."""
+"""Twice the drift of a poor crystal."""
 NO_RATE = Rate(0.0, DRIFT_ALLOWANCE)
 
 
 class Lateness(Enum):
-    """How late what comes over the link may be."""
+    """Delay of incoming messages on the link."""
 
     NONE = "answers come promptly, or never came"
     UNKNOWN = "answers came, and come no more"
@@ -103,39 +111,39 @@ class Lateness(Enum):
 
 
 class OffsetFilter:
-    """Offset and rate of a clock from exchanges of times; a Kalman filter of two states.
+    """Kalman filter of two states for offset and rate of a clock, from exchanges of times.
 
     Args:
         offset_s: Our time minus the other's at the first exchange.
-        at_s: When that was, on our clock.
-        sigma_s: Of that exchange.
-        before: Filter of the same clock before it slipped, which changed its rate by nothing.
+        at_s: Time of that exchange, on our clock.
+        sigma_s: Standard deviation of that exchange.
+        before: Filter of the same clock before it slipped, which did not change its rate.
     """
 
     def __init__(
         self, offset_s: float, at_s: float, sigma_s: float, before: OffsetFilter | None = None
     ) -> None:
         self.rate: float = 0.0 if before is None else before.rate
-        """Seconds that the offset grows a second."""
+        """Growth of the offset, seconds per second."""
         self._offset_s, self._at_s = offset_s, at_s
         self._offset_var, self._covar = sigma_s**2, 0.0
         self._rate_var: float = CRYSTAL**2 if before is None else before._rate_var
         self.max_rate = MAX_RATE
-        """No rate beyond is taken from exchanges."""
+        """Limit of the rate."""
         self._surprise_s = 0.0
-        """By how much the exchange before was off, if that was much."""
+        """Innovation of the exchange before, if surprising."""
 
     def at_s(self, time_s: float) -> float:
-        """The offset at a time on our clock."""
+        """Return the offset at a time on our clock."""
         return self._offset_s + self.rate * (time_s - self._at_s)
 
     def sigma_s(self, time_s: float) -> float:
-        """How well the offset is known at a time."""
+        """Return the standard deviation of the offset at a time."""
         return math.sqrt(self._foretold(max(0.0, time_s - self._at_s))[0])
 
     @property
     def steady_rate(self) -> Rate:
-        """The rate, if it is more than can be by chance; and what it may be more."""
+        """Rate if significant, and its uncertainty."""
         sigma = math.sqrt(self._rate_var)
         if abs(self.rate) > SIGNIFICANT * sigma:
             return Rate(self.rate, DRIFT_ALLOWANCE + 2.0 * sigma)
@@ -143,7 +151,7 @@ class OffsetFilter:
         return NO_RATE if is_crystal else Rate(0.0, DRIFT_ALLOWANCE + 2.0 * sigma)
 
     def _foretold(self, passed_s: float) -> tuple[float, float]:
-        """Variance of the offset, and its covariance with the rate, so much later."""
+        """Return the predicted variance of the offset, and its covariance with the rate."""
         offset_var = (
             self._offset_var
             + passed_s * (2.0 * self._covar + passed_s * self._rate_var)
@@ -153,7 +161,7 @@ class OffsetFilter:
         return offset_var, self._covar + passed_s * (self._rate_var + CRYSTAL**2 * passed_s / 2.0)
 
     def update(self, offset_s: float, at_s: float, sigma_s: float) -> bool:
-        """Take in an exchange; False if it deviates too much, and changed nothing."""
+        """Take in an exchange; return False if it deviates too much, and changed nothing."""
         passed_s = max(0.0, at_s - self._at_s)
         innovation_s = offset_s - self.at_s(at_s)
         offset_var, covar = self._foretold(passed_s)
@@ -178,10 +186,10 @@ class OffsetFilter:
 
 
 class ExchangeScatter:
-    """Spread of offsets beside the line through their neighbours, which no steady rate causes.
+    """Spread of offsets about the line through their neighbours, which no steady rate causes.
 
-    ArduPilot's answers are dated back by what waits in its receive buffer (`DATED_BACK_S`), by
-    another amount each time, which no round trip shows.
+    ArduPilot dates answers back by the content of its receive buffer (`DATED_BACK_S`), by another
+    amount each time, which no round trip shows.
     """
 
     def __init__(self) -> None:
@@ -199,14 +207,14 @@ class ExchangeScatter:
 
     @property
     def sigma_s(self) -> float:
-        """One sigma of an offset."""
+        """Standard deviation of an offset."""
         if len(self._beside_s) < RESET_AFTER:
             return max(self._beside_s, default=0.0)
         return statistics.median(self._beside_s) / MEDIAN_OF_CHORD
 
 
 class ClockPace:
-    """Seconds that the autopilot's clock goes on in one of ours, if not one."""
+    """Speed of the autopilot's clock relative to ours, if clearly not 1."""
 
     def __init__(self) -> None:
         self._exchanges: deque[tuple[float, float]] = deque(maxlen=MAX_OPEN)
@@ -220,7 +228,7 @@ class ClockPace:
             self._exchanges.popleft()
 
     def wrong(self, now_s: float) -> float | None:
-        """The pace where that is clearly not 1; None: it is, or no straight line shows it."""
+        """Return the speed if it is clearly not 1; None: it is 1, or no straight line shows it."""
         recent = self._exchanges
         if len(recent) < RESET_AFTER or now_s - recent[-1][0] > PACE_WINDOW_S:
             return None
@@ -234,54 +242,54 @@ class ClockPace:
 
 
 class ClockSync:
-    """The offset of the autopilot's clock."""
+    """Synchronisation with the autopilot's clock."""
 
     def __init__(self) -> None:
         self.asked = 0
         self.answered = 0
         self.slow = 0
-        """Answers that took too long to say anything."""
+        """Answers that took too long to be used."""
         self.resets = 0
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self._next_s = 0.0
         self._round_trips: deque[tuple[float, float]] = deque(maxlen=MAX_ROUND_TRIPS)
-        """When answers came, and their round trips, seconds."""
+        """Times of answers and their round trips, seconds."""
         self.round_trip_s: float | None = None
-        """The best of the last exchanges; None before the first."""
+        """Best of the latest exchanges; None before the first."""
         self._filter: OffsetFilter | None = None
         self._scatter = ExchangeScatter()
         self.pace = ClockPace()
         self._used = 0
         self._agreed_s: deque[float] = deque(maxlen=RESET_AFTER)
-        """When the last exchanges were that agreed with what was foretold."""
+        """Times of the latest exchanges that agreed with the prediction."""
         self._deviating: list[tuple[float, float]] = []
-        """Exchanges, in a row, that deviate but agree: when, and the offset."""
+        """Consecutive exchanges that deviate but agree: time and offset."""
         self._newest: tuple[float, int] | None = None
-        """When the latest question that was answered was sent, and the autopilot's time then."""
+        """Time of the latest question that was answered, and the autopilot's time then."""
         self._has_restarted = False
         self._prompt_s = -math.inf
-        """When a question was answered promptly last, and when late."""
+        """Times of the latest prompt and late answer."""
         self._slow_s = -math.inf
 
     def offset_at_s(self, now_s: float) -> float | None:
-        """Our time minus the autopilot's, seconds, at a time; None as long as it is not known."""
+        """Return our time minus the autopilot's, seconds, at a time; None while unknown."""
         return None if self._filter is None else self._filter.at_s(now_s)
 
     @property
     def rate(self) -> Rate:
-        """How fast the offset grows, positive where the autopilot's clock is slow."""
+        """Growth of the offset, positive where the autopilot's clock is slow."""
         return NO_RATE if self._filter is None else self._filter.steady_rate
 
     def is_known(self, now_s: float) -> bool:
-        """Whether the offset is known well: exchanges came lately, and agreed."""
+        """Return True if recent exchanges agreed, so that the offset is accurate."""
         return self._filter is not None and self._filter.sigma_s(now_s) <= KNOWN_SIGMA_S
 
     def agrees_since(self, time_s: float) -> bool:
-        """Whether five exchanges were made after a time that all agreed."""
+        """Return True if five exchanges after a time all agreed."""
         return len(self._agreed_s) == RESET_AFTER and self._agreed_s[0] >= time_s
 
     def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
-        """The question to send now, if any."""
+        """Return the question to send now, if any."""
         if now_s < self._next_s:
             return None
         is_quick = self._used < FIRST_EXCHANGES or bool(self._deviating)
@@ -296,7 +304,7 @@ class ClockSync:
         if not isinstance(message, mavlink.MAVLink_timesync_message):
             return
         if message.tc1 <= 0 or message.ts1 not in self._open:
-            return  # a question, or no answer to one of ours
+            return  # a question, or an answer to another station
         self._open.remove(message.ts1)
         self.answered += 1
         sent_s = message.ts1 / NS_PER_S
@@ -326,18 +334,18 @@ class ClockSync:
         self._take(middle_s - message.tc1 / NS_PER_S, middle_s, sigma_s)
 
     def lateness(self, now_s: float) -> Lateness:
-        """What the answers of the last seconds say about the link."""
+        """Return the delay of the link by the answers of the last seconds."""
         if self.answered == 0 or now_s - self._prompt_s <= PROMPT_WITHIN_S:
             return Lateness.NONE
         return Lateness.SLOW if now_s - self._slow_s <= SLOW_WITHIN_S else Lateness.UNKNOWN
 
     def take_restart(self) -> bool:
-        """Whether the clock began anew since this was asked last."""
+        """Return True, once, if the autopilot's clock restarted since the last call."""
         has_restarted, self._has_restarted = self._has_restarted, False
         return has_restarted
 
     def restart(self) -> None:
-        """Begin anew, because the autopilot did."""
+        """Start again after a restart of the autopilot."""
         self._newest, self._has_restarted = None, False
         self._open.clear()
         self._round_trips.clear()
@@ -350,7 +358,7 @@ class ClockSync:
         self._next_s = 0.0
 
     def _note_time(self, sent_s: float, remote_ns: int, now_s: float) -> None:
-        """Look whether the clock began anew between one question and a later one."""
+        """Check whether the clock restarted between one question and a later one."""
         if self._newest is not None:
             if sent_s < self._newest[0]:
                 return
@@ -361,7 +369,7 @@ class ClockSync:
         self._newest = (sent_s, remote_ns)
 
     def _is_below(self, at_s: float) -> bool:
-        """Return True if exchanges of late deviate to the side to which no answer is dated."""
+        """Return True if recent exchanges deviate to the side to which no answer is dated."""
         if not self._deviating or self._filter is None:
             return False
         first_s, first_offset_s = self._deviating[0]

@@ -1,13 +1,13 @@
-"""Whether the autopilot's local and global positions belong together, and what lies between them.
+"""Check of the autopilot's local against its global positions, and fit of their difference.
 
-Theory of operation. LOCAL_POSITION_NED and GLOBAL_POSITION_INT are of one estimate, so the place of
-the one, turned by the origin and the autopilot's projection, is the place of the other to two
-centimetres. Where it is not (another firmware, another origin than is told), a place that is
-reported or flown to would be off by as much. So pairs of one moment are compared all the time. What
-they show beyond the projection is used once it is more than pairs can be off by chance: another
-projection, if that explains them all, which holds far away, too; or else an offset and a scale of
-each axis, fitted by least squares with a prior of nothing. A pair that differs from the one before
-counts only once the next one differs alike: a single wrong report is in no fit.
+Theory of operation. LOCAL_POSITION_NED and GLOBAL_POSITION_INT come from one estimate, so the
+position of the one, converted with the origin and the autopilot's projection, is that of the other
+to two centimetres. Where it is not (another firmware, another origin than reported), reported
+positions and setpoints would be off by as much. So pairs of one moment are compared all the time. A
+difference is used once it is more than chance: as another projection, if one explains all pairs,
+which then holds far away, too; otherwise as an offset and a scale of each axis, fitted by least
+squares with a zero prior. A pair that differs from the one before counts only once the next one
+differs alike, so that a single wrong report enters no fit.
 """
 
 from __future__ import annotations
@@ -19,27 +19,30 @@ from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin, Projection
 
 PAIR_SIGMA_M = 0.05
-"""1e-7 degrees are a centimetre, and so is a millisecond at 10 m/s."""
+"""Error of a pair: 1e-7 degrees are a centimetre, and so is a millisecond at 10 m/s."""
 ALIKE_M = 3.0 * math.sqrt(2.0) * PAIR_SIGMA_M
 """Three sigma of the difference of two pairs; farther apart one of them is wrong."""
 PRIOR_OFFSET_M, PRIOR_SCALE = 10.0, 0.01
+"""Prior standard deviations of the fitted offset, metres, and scale."""
 FEWEST_PAIRS = 20
-"""Ten seconds of them."""
+"""Pairs before a fit is used: ten seconds of them."""
 LEAST_OFF_M = 0.1
-"""Nearer than this they belong together."""
+"""Difference up to which positions agree."""
 RENEW_OFF_M = 0.05
-"""A fit that would move the present place by more than this is renewed."""
+"""Change of the present position from which a fit is renewed."""
 EXPLAINED_M = 0.03
-"""A projection that is off by less than this, root mean square, is the autopilot's."""
+"""Root mean square difference below which a projection is the autopilot's."""
 FARTHEST_OFF_M = 200.0
-"""Farther apart they are not of one frame, and nothing can be fitted."""
+"""Difference beyond which the positions are in different frames, and nothing is fitted."""
 MAX_GAP_S = 0.3
+"""Longest interval of local positions over which one is interpolated."""
 MAX_COORDINATE_M = 1e5
+"""Limit of local coordinates."""
 
 
 @dataclass(slots=True)
 class _Line:
-    """`local = projected + offset + stretch * projected` by recursive least squares."""
+    """Fit `local = projected + offset + stretch * projected` by recursive least squares."""
 
     offset_m: float = 0.0
     stretch: float = 0.0
@@ -60,27 +63,27 @@ class _Line:
         ]
 
     def at_m(self, projected_m: float) -> float:
-        """What lies between the two at a place."""
+        """Return the difference of the two at a position."""
         return self.offset_m + self.stretch * projected_m
 
 
 class GeodesyFit:
-    """Compares the positions of one autopilot about one origin.
+    """Comparison of the positions of one autopilot about one origin.
 
     Args:
-        told: The origin as the autopilot tells it.
+        told: The origin as the autopilot reports it.
     """
 
     def __init__(self, told: LocalOrigin) -> None:
         self.told = told
         self.off_m = 0.0
-        """How far the newest place is off without the fit."""
+        """Difference of the newest pair without the fit."""
         self._lines = (_Line(), _Line(), _Line())
         self.origin = told
-        """With what is used beyond that."""
+        """Reported origin with the fit applied."""
         self._candidates = [replace(told, projection=each) for each in Projection]
         self._squares_m2 = [0.0] * len(self._candidates)
-        """Sum of how far pairs are apart by each."""
+        """Sum of squared differences of the pairs for each projection."""
         self._pairs = 0
         self._rest_m: PositionEnu = (0.0, 0.0, 0.0)
         """Local minus projected position of the pair before."""
@@ -89,14 +92,14 @@ class GeodesyFit:
         self._waiting: tuple[float, tuple[float, float, float]] | None = None
 
     def note_local(self, stamp_s: float, enu_m: PositionEnu) -> bool:
-        """A local position by the autopilot's own stamp; whether the fit changed."""
+        """Take in a local position with the autopilot's stamp; return True if the fit changed."""
         if not all(abs(value) <= MAX_COORDINATE_M for value in enu_m):
             return False
         self._before, self._latest = self._latest, (stamp_s, enu_m)
         return self._compare()
 
     def note_global(self, stamp_s: float, place: tuple[float, float, float]) -> bool:
-        """Latitude and longitude in degrees, altitude in metres; whether the fit changed."""
+        """Take in degrees and altitude in metres; return True if the fit changed."""
         self._waiting = (stamp_s, place)
         return self._compare()
 
@@ -137,7 +140,7 @@ class GeodesyFit:
         return self.origin != before
 
     def _best(self, up_m: float) -> LocalOrigin:
-        """The origin by which pairs belong together; `up_m`: how much higher local ones are."""
+        """Return the origin that explains the pairs; `up_m` is local minus projected height."""
         least_m2, number = min((each, n) for n, each in enumerate(self._squares_m2))
         if math.sqrt(least_m2 / self._pairs) <= EXPLAINED_M:
             return self._candidates[number]

@@ -47,21 +47,21 @@ SOME_POSITION = mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_POS_HORIZ_RE
 FIRST_BATTERY = 0
 CENTRE_US, HALF_TRAVEL_US = 1500.0, 500.0
 PULSES_US = range(800, 2201)
-"""Anything else is no position of a stick."""
+"""Valid range of RC pulses."""
 MAX_COORDINATE_M = 1e6
-"""A target farther from the origin is no place."""
+"""Limit of a target's coordinates about the origin."""
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 FULL_THROTTLE_PCT = 100
 
 
 class HealthReports:
-    """Reads them; BATTERY_STATUS gives the charge better than SYS_STATUS, once it was heard."""
+    """Reader of health messages; BATTERY_STATUS, once received, replaces SYS_STATUS's charge."""
 
     def __init__(self) -> None:
         self._has_battery_status = False
 
     def events(self, message: Message, now_s: float) -> list[Event]:
-        """Return what a message reports, nothing for other kinds and for unknown values."""
+        """Return the events of a message, none for other kinds and for unknown values."""
         event: Event | None = None
         match message:
             case mavlink.MAVLink_sys_status_message():
@@ -89,7 +89,7 @@ class HealthReports:
     def _status_events(
         self, message: mavlink.MAVLink_sys_status_message, now_s: float
     ) -> list[Event]:
-        """The charge, where no BATTERY_STATUS gives it, and the health of the RC input."""
+        """Return the charge, unless BATTERY_STATUS reports it, and the health of the RC input."""
         found: list[Event] = []
         if not self._has_battery_status:
             charge_pct = _percent(message.battery_remaining)
@@ -148,11 +148,11 @@ def _sticks(message: mavlink.MAVLink_rc_channels_message, now_s: float) -> Stick
 
 UINT32_MAX = 0xFFFF_FFFF
 BEST_SIGMA_M, WORST_SIGMA_M = 0.01, 1000.0
-"""No receiver knows better, and beyond the other one it knows nothing worth telling apart."""
+"""Limits of a reported accuracy: no receiver is better, and beyond the other one it is useless."""
 
 
 def _place_rated(message: Message, now_s: float) -> list[Event]:
-    """Return the position accuracy that a message reports, or that its sender does not know it."""
+    """Return the position accuracy that a message reports, or that it is unknown."""
     match message:
         case mavlink.MAVLink_gps_raw_int_message():
             reported_mm = (message.h_acc, message.v_acc) if message.fix_type in FIXES else (0, 0)
@@ -169,7 +169,7 @@ def _place_rated(message: Message, now_s: float) -> list[Event]:
 
 
 def _sigma_m(reported_m: float) -> float | None:
-    """A standard deviation that may be true; None for 0 and less, NaN and infinity."""
+    """Return a plausible standard deviation; None for 0 and less, NaN and infinity."""
     if not 0.0 < reported_m < math.inf:
         return None
     return min(max(reported_m, BEST_SIGMA_M), WORST_SIGMA_M)
@@ -178,7 +178,7 @@ def _sigma_m(reported_m: float) -> float | None:
 def _echo(
     message: mavlink.MAVLink_position_target_local_ned_message, now_s: float
 ) -> SetpointEchoed | None:
-    """The target; one in another frame says nothing that could be compared."""
+    """Return the echoed target; None for one in another frame, which cannot be compared."""
     if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
         return None
     place = (message.x, message.y, message.z)

@@ -1,10 +1,10 @@
-"""Modes beyond the table of a firmware: ArduPilot's 30, where the vehicle offers it.
+"""Modes beyond a firmware's table: ArduPilot's mode 30, where the vehicle offers it.
 
 All ArduPilot vehicles reserve number 30, OFFBOARD, for an external controller's mode. None has it
 by itself; a script may register it, and the vehicle then lists it in AVAILABLE_MODES and flies it
-as GUIDED. So the list is asked for when an autopilot is bound, again when AVAILABLE_MODES_MONITOR
-announces another one, and when a number is shown that the list did not have. A vehicle that is
-found in mode 30 has to leave it once: otherwise the answer alone would look like a mode switch.
+as GUIDED. So the list is requested when an autopilot is bound, again when AVAILABLE_MODES_MONITOR
+announces a change, and when a mode appears that the list did not have. A vehicle that is found in
+mode 30 has to leave it once: otherwise the answer alone would look like a mode switch.
 
 Source: MAVLink common, AVAILABLE_MODES and "Standard Flight Modes" protocol; ArduPilot #28939,
 #28110; ArduCopter 4.5 answers FAILED.
@@ -21,21 +21,21 @@ from companion.mav.flight_modes import OFFBOARD_NUMBER
 
 FIRST_RETRY_S = 1.0
 MOST_ASKS = 4
-"""With growing pauses; an autopilot without the message refuses each."""
+"""Requests with growing intervals; an autopilot without the message rejects each."""
 ALL_MODES = 0.0
 """Second parameter of the request."""
 
 
 class OfferedModes:
-    """Asks one autopilot which modes it offers."""
+    """Query for the modes that one autopilot offers."""
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
-        """Begin again, because the autopilot did, or is another one."""
+        """Start again, because the autopilot restarted or is another one."""
         self.understands_offboard = False
-        """True if mode 30 obeys setpoints, and was offered before it was chosen."""
+        """True if mode 30 obeys setpoints, and was offered before it was selected."""
         self._is_offered = False
         self._list_number: int | None = None
         self._ask_again()
@@ -46,7 +46,7 @@ class OfferedModes:
         self._asks, self._next_s = 0, -math.inf
 
     def due(self, now_s: float, autopilot: Autopilot, target: Ids) -> Message | None:
-        """Return the question to send now, if any; an incomplete list is asked for again."""
+        """Return the request to send now, if any; an incomplete list is requested again."""
         is_over = self._is_complete or self._asks >= MOST_ASKS
         if autopilot is not Autopilot.ARDUPILOT or is_over or now_s < self._next_s:
             return None

@@ -1,19 +1,19 @@
-"""A sender's clock on the companion's time axis, by the arrival of its stamps.
+"""Conversion of a sender's stamps to the companion's clock, by their arrival.
 
 Theory of operation. A remote stamp (`time_boot_ms`, `time_usec`) becomes local seconds by the
 smallest difference arrival - stamp seen so far: delay only ever adds to it, so the smallest is the
 nearest to the truth. The minimum is forgotten slowly, so that a drifting clock is followed. A clock
-that runs slow by per cents is known by its minima of eight seconds, if they lie on a straight
+that runs slow by per cents is identified by its minima of eight seconds, if they lie on a straight
 line; a link that becomes slower once does not look like that.
 
 A stamp that went back is one of four: the counter wrapped, the frame is late, the clock slipped, or
-the sender restarted. A wrap is a step by almost exactly 2**32 ms. The last two show themselves by
-going on: stamps of the new clock come for a while, as fast as time passes, and none of the old one
-in between. Until then they are read as what they would be otherwise, late. A restarted sender has
-not been up for longer than it was not heard; whoever shows more has a clock that slipped.
+the sender restarted. A wrap is a step by almost exactly 2**32 ms. The last two are confirmed by
+stamps of the new clock that come for a while, as fast as time passes, and none of the old one in
+between. Until then they are treated as late. A restarted sender has not been up for longer than it
+was silent; one that shows more has a clock that slipped.
 
-The autopilot's clock is known better, by the exchange of times (`clock_sync`). What that shows of a
-slip or of its rate is believed, and its stamps are read anew.
+The autopilot's clock is known better, by the exchange of times (`clock_sync`). A slip or rate that
+the exchange shows takes precedence, and its stamps are resynchronised.
 
 Source: Moon, Skelly, Towsley, "Estimation and Removal of Clock Skew from Network Delay
 Measurements" (1999), for the rate as the slope under one-sided delays.
@@ -39,33 +39,35 @@ from companion.link.conversion.clock_sync import (
 )
 
 CONFIRM_S = 0.3
+"""Time over which a new clock must be received."""
 CONFIRM_STAMPS = 3
-"""A new clock must be heard for so long, and so often, before it is believed."""
+"""Stamps of a new clock before it is accepted."""
 BACKWARD_S = 0.1
-"""A stamp less older than the newest one than this is only reordered."""
+"""Step back up to which a stamp is only reordered."""
 CONFIRM_JITTER_S = 1.0
-"""How unevenly its stamps may come meanwhile."""
+"""Tolerated jitter of its stamps meanwhile."""
 WRAP_S = 2**32 / 1000.0
-"""`time_boot_ms` starts again at zero after 49.7 days; that is not a reboot."""
+"""Period of `time_boot_ms`, 49.7 days; its wrap is not a reboot."""
 MAX_WRAP_GAP_S = 60.0
-"""Silence, or lateness, over which a wrap is still recognised."""
+"""Silence, or delay, over which a wrap is still recognised."""
 MAX_LATE_S = 5.0
-"""Few links deliver later than this for long; what looks like it is a clock that started anew."""
+"""Delay of a slow link that lasts; a longer one shows a clock that restarted."""
 PROMPT_LATE_S = 1.5
-"""The same where exchanges of times show that the link is prompt."""
+"""The same delay where exchanges of times show that the link is prompt."""
 LATE_CONFIRM_S = 1.0
-"""A burst of delayed frames is shorter than this."""
+"""Longest burst of delayed frames."""
 RUN_WINDOW_S = 2.0
+"""Span in which a clock's gain is summed."""
 MAX_GAIN_S = 1.0
-"""A clock that gains more than this on ours within the window is no clock.
+"""Gain of a clock on ours within that span from which it is unusable.
 
-Every gain also looks like a link that has become faster than ever before, so it must be more than
-a delay; a clock at twice the speed is found out after a second.
+Every gain also looks like a link that has become faster, so it must exceed any delay; a clock at
+twice the speed is detected after a second.
 """
 
 
 class ClockStep(Enum):
-    """What a clock did before a stamp."""
+    """Step of a clock before a stamp."""
 
     NONE = "it went on"
     SLIP = "it slipped, or stood still"
@@ -74,24 +76,27 @@ class ClockStep(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StampReading:
-    """One converted stamp."""
+    """Converted stamp."""
 
     time_s: float
-    """On the companion's clock, never in the future."""
+    """Time on the companion's clock, never in the future."""
     step: ClockStep = ClockStep.NONE
 
 
 BUCKET_S = 1.0
+"""Length of an interval whose least delay is kept, seconds."""
 BUCKETS = 8
+"""Number of those intervals."""
 FEWEST_BUCKETS = 4
+"""Fewest intervals for a fit."""
 STRAIGHT_S = 0.010
-"""How far the minima of a clock with a steady rate may lie beside their line."""
+"""Largest distance of the minima of a steady clock from their line."""
 SIGNIFICANT = 4.0
-"""A rate smaller than so many times its uncertainty is none."""
+"""Uncertainties from which a rate is significant."""
 
 
 class ArrivalRate:
-    """How fast a clock runs, from the least delays of the last seconds."""
+    """Rate of a clock, from the least delays of the last seconds."""
 
     def __init__(self) -> None:
         self.rate = NO_RATE
@@ -102,7 +107,7 @@ class ArrivalRate:
         """Take in arrival minus stamp of one message that arrived now.
 
         Returns:
-            The least offset now, by a rate that was not known before; None: nothing is new.
+            The least offset now, if the rate has just become known; otherwise None.
         """
         least_s = None
         if not self._minima or now_s >= self._until_s:
@@ -134,7 +139,7 @@ class ArrivalRate:
 
 @dataclass(slots=True)
 class _NewClock:
-    """Stamps that went back, and may be those of another clock."""
+    """Stamps that went back, possibly of another clock."""
 
     remote_s: float
     local_s: float
@@ -142,35 +147,35 @@ class _NewClock:
     stamps: int = 1
 
     def continues_with(self, remote_s: float, now_s: float) -> bool:
-        """Whether a stamp is of the same clock as the first one."""
+        """Return True if a stamp is of the same clock as the first one."""
         passed_s = now_s - self.local_s
         return abs((remote_s - self.remote_s) - passed_s) <= CONFIRM_JITTER_S
 
     def take(self, remote_s: float, now_s: float) -> bool:
-        """Take in one more; whether this is enough to believe in it."""
+        """Take in one more; return True if the clock is confirmed."""
         self.stamps += 1
         self.offset_s = min(self.offset_s, now_s - remote_s)
         return self.stamps >= CONFIRM_STAMPS and now_s - self.local_s >= CONFIRM_S
 
 
 class Timebase:
-    """Converts the stamps of one sender's clock.
+    """Converter of the stamps of one sender's clock.
 
     Args:
         rate: If it is known better than by arrival.
         offset_s: Local minus remote time, with the shortest delay; None: by the first stamp.
-        now_s: When that is so.
+        now_s: Time of that offset.
     """
 
     def __init__(
         self, rate: Rate | None = None, offset_s: float | None = None, now_s: float = 0.0
     ) -> None:
         self.known_rate = rate
-        """Better than by arrival; None: nobody knows."""
+        """Rate known better than by arrival; None: unknown."""
         self.max_late_s = MAX_LATE_S
-        """How late the last stamp of a sender that restarted may have been."""
+        """Largest delay of the last stamp before a restart."""
         self.rate = rate or NO_RATE
-        """How fast the offset grows, as the last stamp was read."""
+        """Rate at the latest stamp."""
         self._offset_s = offset_s
         self._arrivals = ArrivalRate()
         self._new_clock: _NewClock | None = None
@@ -179,19 +184,19 @@ class Timebase:
         self._wraps = 0
 
     def offset_at_s(self, time_s: float) -> float | None:
-        """Local minus remote time at a local time, with the shortest delay seen in it."""
+        """Return local minus remote time at a local time, including the shortest delay seen."""
         if self._offset_s is None:
             return None
         return self._offset_s + self.rate.growth * (time_s - self._updated_s)
 
     def raise_to(self, offset_s: float, now_s: float) -> None:
-        """Correct an offset that is less than it can be, as after a rate that was wrong."""
+        """Correct an offset that is smaller than possible, as after a wrong rate."""
         known_s = self.offset_at_s(now_s)
         if self._offset_s is not None and known_s is not None:
             self._offset_s += max(0.0, offset_s - known_s)
 
     def read(self, remote_s: float, now_s: float) -> StampReading:
-        """Local time of a remote stamp that arrived at `now_s`, both in seconds."""
+        """Return the local time of a remote stamp that arrived at `now_s`, both in seconds."""
         raw_s, remote_s = remote_s, self._unwrapped(remote_s)
         self.rate = self.known_rate or self._arrivals.rate
         before_s = self.offset_at_s(now_s)
@@ -226,14 +231,14 @@ class Timebase:
         return StampReading(min(now_s, remote_s + offset_s), step)
 
     def _is_new_clock(self, remote_s: float, now_s: float) -> bool:
-        """Whether a stamp that went back confirms that there is a new clock."""
+        """Return True if a stamp that went back confirms a new clock."""
         if self._new_clock is None or not self._new_clock.continues_with(remote_s, now_s):
             self._new_clock = _NewClock(remote_s, now_s, now_s - remote_s)
             return False
         return self._new_clock.take(remote_s, now_s)
 
     def _unwrapped(self, remote_s: float) -> float:
-        """The stamp without the wraps of its counter; one from before the last wrap may be late.
+        """Return the stamp without wraps of its counter; one from before the last wrap may be late.
 
         Only a step back by almost exactly one wrap is one: a sender that falls from Unix time to
         its time since boot goes back much further, and has restarted.
@@ -251,40 +256,40 @@ class Timebase:
 
 
 class SenderClock:
-    """Converts one sender's stamps to local time.
+    """Converter of one sender's stamps to local time.
 
-    `Timebase` knows a restart by a stamp that goes back. After a silence longer than the sender's
-    former uptime the stamps of the new clock are ahead of the old ones, and every reading would
-    be late, for good: that is a restart too, unless the link itself is as late.
+    `Timebase` detects a restart by a stamp that goes back. After a silence longer than the sender's
+    former uptime the stamps of the new clock are ahead of the old ones, and every reading would be
+    late permanently: that is a restart too, unless the link itself is as late.
     """
 
     def __init__(self, timebase: Timebase | None = None) -> None:
         self.timebase = timebase or Timebase()
-        """Begun anew by a clock that did so without a stamp that goes back."""
+        """Replaced when a clock restarts without a stamp that goes back."""
         self._late_since_s: float | None = None
         self._prompt_s: float | None = None
-        """When a stamp came last that was not late."""
+        """Arrival of the latest stamp that was not late."""
         self._gains: deque[tuple[float, float]] = deque()
-        """When the clock gained on ours, and how much."""
+        """Times and sizes of the clock's gains on ours."""
 
     @property
     def is_wild(self) -> bool:
-        """Whether it runs so fast that its stamps say nothing about the present."""
+        """True if it runs too fast for its stamps to be used."""
         return self.gained_s > MAX_GAIN_S
 
     @property
     def gained_s(self) -> float:
-        """How much it gained on ours lately."""
+        """Recent gain on our clock, seconds."""
         return sum(gain_s for _, gain_s in self._gains)
 
     def calm(self) -> None:
-        """What it gained was a slip."""
+        """Clear the gains, because they were a slip."""
         self._gains.clear()
 
     def read(
         self, remote_s: float, now_s: float, *, late_confirm_s: float = LATE_CONFIRM_S
     ) -> StampReading:
-        """Local time of a remote stamp that arrived at `now_s`, both in seconds.
+        """Return the local time of a remote stamp that arrived at `now_s`, both in seconds.
 
         Args:
             late_confirm_s: How long stamps must be late before they are those of a new clock.
@@ -319,11 +324,12 @@ class SenderClock:
 
 
 CLOCK_TOLERANCE_S = 0.03
+"""Tolerance of comparisons between stamps and exchange."""
 ONE_SLIP_S = 5.0
-"""Stamps and exchange show the same slip within this time, unless the stamps gained so much again
-that the clock is wild: that is another slip."""
+"""Time within which stamps and exchange show the same slip, unless the stamps gained so much again
+that the clock is unusable: that is another slip."""
 LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
-"""How long stamps that are late are a slow link's before they are a restarted autopilot's."""
+"""Time for which late stamps are attributed to a slow link before a restarted autopilot."""
 
 
 class VehicleClock:
@@ -336,23 +342,23 @@ class VehicleClock:
     def __init__(self, sync: ClockSync) -> None:
         self.sync = sync
         self.slips = 0
-        """How often it slipped; whoever shares this clock begins anew then."""
+        """Number of slips; sources that share this clock resynchronise then."""
         self._stamps = SenderClock()
         self._is_same_clock = False
-        """Whether the exchange was once of the clock that stamps."""
+        """True if the exchange was once of the clock that stamps."""
         self._delay_s = 0.0
-        """The shortest way of a stamp, when both agreed last; negative where answers are dated
+        """Shortest delay of a stamp when both last agreed; negative where answers are dated
         back."""
         self._apart_since_s: float | None = None
         self._resets = sync.resets
         self._slipped_s = -math.inf
-        """When a slip was told last."""
+        """Time of the latest reported slip."""
 
     def offset_at_s(self, now_s: float) -> float | None:
-        """Local time minus the autopilot's at a local time; None before its first stamp.
+        """Return local time minus the autopilot's at a local time; None before its first stamp.
 
-        By arrival it is too large by the shortest delay. The exchange of times knows that delay,
-        and is believed if one way takes no longer than both: otherwise it is of another clock.
+        By arrival it is too large by the shortest delay. The exchange of times measures that delay,
+        and is used if one way takes no longer than both: otherwise it is of another clock.
         """
         by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
         by_exchange_s = self.sync.offset_at_s(now_s)
@@ -362,17 +368,17 @@ class VehicleClock:
 
     @property
     def wild_rate(self) -> Rate | None:
-        """Its rate by the exchange of times, where arrivals alone cannot show it; else None."""
+        """Rate by the exchange of times, where arrivals alone cannot show it; else None."""
         rate = self._stamps.timebase.known_rate
         return rate if rate is not None and abs(rate.growth) > MAX_RATE else None
 
     @property
     def is_wild(self) -> bool:
-        """Whether it runs so fast that its stamps say nothing about the present."""
+        """True if it runs too fast for its stamps to be used."""
         return self._stamps.is_wild
 
     def read(self, remote_s: float, now_s: float) -> StampReading:
-        """Local time of one of its stamps that arrived at `now_s`, both in seconds."""
+        """Return the local time of one of its stamps that arrived at `now_s`, both in seconds."""
         has_slipped = self._follow_exchange(now_s)
         lateness = self.sync.lateness(now_s)
         is_prompt = self.sync.round_trip_s is not None and lateness is Lateness.NONE
@@ -402,10 +408,10 @@ class VehicleClock:
         return round_trip_s is not None and 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
 
     def _follow_exchange(self, now_s: float) -> bool:
-        """Begin anew where exchanges show that the clock slipped; whether they do.
+        """Resynchronise where exchanges show that the clock slipped; return True if they do.
 
-        An exchange is wrong by at most half of its round trip. What is apart by more than that and
-        a way, while five exchanges agree with each other, are stamps of another time than before.
+        An exchange is wrong by at most half of its round trip. Stamps that differ by more than that
+        and one way, while five exchanges agree with each other, are of another time than before.
         """
         by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
         offset_s, round_trip_s = self.sync.offset_at_s(now_s), self.sync.round_trip_s
@@ -435,13 +441,13 @@ class VehicleClock:
         return True
 
     def _note_gain(self, now_s: float) -> bool:
-        """Whether the exchange shows a slip ahead, which the stamps had followed at once."""
+        """Return True if the exchange shows a slip ahead, which the stamps already followed."""
         if self._resets == self.sync.resets:
             return False
         self._resets = self.sync.resets
         least_s = MAX_GAIN_S if now_s - self._slipped_s <= ONE_SLIP_S else BACKWARD_S
         if self._stamps.gained_s <= least_s:
-            return False  # a link that is late one way only shifts the exchange, not the stamps
+            return False  # a link that is late one way shifts the exchange, not the stamps
         self._stamps.calm()
         self._slipped_s = now_s
         return True
