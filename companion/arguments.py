@@ -85,11 +85,12 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_flight(parser)
     _add_web(parser.add_argument_group("live map (extra web)"))
     commands = parser.add_subparsers(
-        dest="command", metavar="{demo,setup,doctor,replay,report,radio,tiles,config,warm-up}"
+        dest="command", metavar="{demo,setup,doctor,replay,report,area,radio,tiles,config,warm-up}"
     )
     _add_demo(commands)
     _add_replay(commands)
     _add_report(commands)
+    _add_area(commands)
     _add_doctor(commands)
     _add_radio(commands)
     _add_config(commands)
@@ -281,6 +282,26 @@ def _add_report(commands: Commands) -> None:
     _file(report, "flight", "its folder, or a file in it", "FLIGHT")
     _file(report, "--output", "instead of report.html there")
     _tiles(report)
+
+
+def _add_area(commands: Commands) -> None:
+    area = commands.add_parser(
+        "area",
+        help="show what flights have searched, and combine it",
+        description="What a flight that heard nothing has searched: in a sentence, and of several "
+        "flights together.",
+    )
+    parts = area.add_subparsers(dest="area_command", metavar="{show,merge}", required=True)
+    text = "print what a flight has searched"
+    show = parts.add_parser("show", help=text, description=f"{text.capitalize()}.")
+    _file(show, "flight", "its folder", "FLIGHT")
+    _switch(show, "--json", "print the figures as JSON")
+    text = "combine what flights have searched over the area of the first one"
+    merge = parts.add_parser("merge", help=text, description=f"{text.capitalize()}.")
+    _file(merge, "flights", "their folders", "FLIGHT", nargs="+")
+    _file(
+        merge, "--out", "folder for the files (default: searched)", "DIR", default=Path("searched")
+    )
 
 
 def number_in(

@@ -46,10 +46,15 @@ from companion.web.settings import WebSettings, check_tiles, web_settings
 
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
+EXIT_NOT_FOUND = 3
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command: 0 is success, 1 a failed run, 2 bad input or a link that does not open."""
+    """Run the command, and return the exit code.
+
+    0 is success, 1 a failed run, 2 bad input or a link that does not open, 3 a search that came to
+    its end with nothing heard.
+    """
     try:
         try:
             return _run(argv)
@@ -69,26 +74,19 @@ def _run(argv: Sequence[str] | None) -> int:
     arguments = argument_parser().parse_args(argv)
     _set_up_logging(quiet=arguments.quiet)
     check_place_of_options(arguments)
-    match arguments.command:
-        case "demo":
-            return _demo(arguments)
-        case "replay":
-            return _replay(arguments)
-        case "report":
-            return _report(arguments)
-        case "doctor":
-            return _doctor(arguments)
-        case "radio":
-            return _radio(arguments)
-        case "config":
-            return _config(arguments)
-        case "setup":
-            return _setup(arguments)
-        case "tiles":
-            return _tiles(arguments)
-        case "warm-up":
-            return _warm_up(arguments)
-    return _fly(arguments)
+    commands = {
+        "demo": _demo,
+        "replay": _replay,
+        "report": _report,
+        "area": _area,
+        "doctor": _doctor,
+        "radio": _radio,
+        "config": _config,
+        "setup": _setup,
+        "tiles": _tiles,
+        "warm-up": _warm_up,
+    }
+    return commands.get(arguments.command, _fly)(arguments)
 
 
 def _web_settings(arguments: argparse.Namespace) -> WebSettings | None:
@@ -145,6 +143,9 @@ def _fly(arguments: argparse.Namespace) -> int:
         at_end=partial(_report_flight, arguments.fly_web_tiles),
     )
     endpoint = fly(config, links, clock_of(arguments.fly_speed or 1.0), options)
+    if arguments.once and endpoint.session.is_search_over and endpoint.session.result is None:
+        print("companion: the search is over, nothing heard", file=sys.stderr)
+        return EXIT_NOT_FOUND
     if arguments.once and endpoint.session.result is None:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED
@@ -201,6 +202,12 @@ def _console_view() -> FlightView:
 
 def _radio(arguments: argparse.Namespace) -> int:
     from companion.radio_tools.radio_commands import run
+
+    return run(arguments)
+
+
+def _area(arguments: argparse.Namespace) -> int:
+    from companion.report.searched_area import run
 
     return run(arguments)
 

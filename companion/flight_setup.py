@@ -19,6 +19,7 @@ import numpy as np
 from companion import __version__
 from companion.config.radios import RadioConfig, radio_setups
 from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
+from companion.config.search_files import read_search_site
 from companion.config.tunables import Tunables
 from companion.config.versions import renew
 from companion.errors import ConfigError
@@ -31,6 +32,7 @@ from companion.estimation.antenna import (
 from companion.guard.gate import Guard
 from companion.guidance.session import GuidanceSession
 from companion.guidance.tracking.emitters import EmitterQueue
+from companion.guidance.tracking.searching import Searching
 from companion.io.files import FLIGHT, write_bytes_atomic
 from companion.io.links.radio_lines import radio_link
 from companion.io.links.transports import FlightLink, parse_flight_link
@@ -57,6 +59,7 @@ from companion.planning.search import (
     SearchThenCross,
 )
 from companion.planning.views import Antenna
+from companion.search.search_site import SearchSite
 
 ROWS: dict[AntennaKind, int] = {"auto": 0, "azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}
 """Number of direction rows for the choice of crossings; 0: as in the paper."""
@@ -134,7 +137,14 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",
         fence_plan=config.limits.fence_plan(),
+        searching=Searching(config.search, search_site(config)),
     )
+
+
+def search_site(config: CompanionConfig) -> SearchSite | None:
+    """Return the areas of the configured file; None: the emitter may be anywhere in the fence."""
+    path = config.search.area_file
+    return None if path is None else read_search_site(Path(path))
 
 
 def radio_links(radios: Sequence[RadioConfig]) -> list[FlightLink]:

@@ -45,6 +45,7 @@ from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
 from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
 from companion.process.persistence import ParameterKeeper, RestartKeeper
+from companion.process.search_keeper import SearchKeeper
 from companion.process.watchdog import STOPPING, Supervisor, Watchdog
 from companion.warm_up import warm_up
 
@@ -74,6 +75,8 @@ class PeriodicTasks:
 
 CLOSE_S = 0.25
 """Time for the disk to take the last checkpoint, and again for the last part of the log."""
+SEARCHED_S = 2.0
+"""Time to write the last state of the searched area."""
 SILENCE_HINT_S = 10.0
 """Time without an autopilot after which the operator is shown the address we listen on."""
 
@@ -299,6 +302,9 @@ class _Flight:
         ]
         self._watch = LinkWatch(self._shell.links, self._journal)
         self._supervisor = Supervisor(os.environ)
+        self._searched: SearchKeeper | None = None
+        if isinstance(self._journal, FlightJournal):
+            self._searched = SearchKeeper(self.endpoint.session, self._journal)
         self._tasks = self._gather_tasks()
         self._hints = 0
         self._ticks = 0
@@ -327,6 +333,8 @@ class _Flight:
         tasks["watchdog"] = lambda now_s: watchdog.run(now_s, time.monotonic())
         if self._restart is not None:
             tasks["checkpoints"] = self._restart.run
+        if self._searched is not None:
+            tasks["searched area"] = self._searched.run
         return PeriodicTasks(self.endpoint, tasks)
 
     @property
@@ -347,6 +355,8 @@ class _Flight:
             if self._restart is not None:
                 self._restart.close(CLOSE_S)
             self._parameters.close(CLOSE_S)
+            if self._searched is not None:
+                self._searched.close(SEARCHED_S)
             self._journal.close(CLOSE_S)
             self._supervisor.close()
 

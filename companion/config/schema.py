@@ -17,6 +17,7 @@ import msgspec
 from companion.config.fence_files import read_fence
 from companion.config.loader import load_yaml
 from companion.config.radios import RadioConfig, flown_radios, is_uncalibrated
+from companion.config.search_files import read_search_site
 from companion.config.versions import SCHEMA_VERSION, renew
 from companion.domain import Distance, NonNegative, Params, Positive
 from companion.errors import ConfigError
@@ -39,6 +40,7 @@ from companion.planning.search import (
     LawnmowerParams,
     SectorParams,
 )
+from companion.search.searched_flight import SearchAreaParams
 
 Speed = Annotated[float, msgspec.Meta(ge=0.1, le=20.0)]
 """m/s; within the range of the autopilot's own limit (ArduPilot: WPNAV_SPEED 0.1 to 20 m/s, PX4:
@@ -214,6 +216,7 @@ class CompanionConfig(Params, frozen=True):
     """The emitter to search for; null: the first one heard."""
     emitters: QueueParams = QueueParams()
     estimation: TrackerParams = TrackerParams()
+    search: SearchAreaParams = SearchAreaParams()
     planner: PlannerConfig = PlannerConfig()
     limits: LimitsConfig = LimitsConfig()
     vehicle: VehicleParams = VehicleParams()
@@ -244,6 +247,14 @@ def load_config(path: Path | None) -> CompanionConfig:
             limits.fence_plan()
         except ConfigError as error:
             raise ConfigError(f"{path}: $.limits.fence_file: {error}") from None
+    if config.search.area_file is not None:
+        site = path.parent / config.search.area_file
+        search = msgspec.structs.replace(config.search, area_file=str(site))
+        config = msgspec.structs.replace(config, search=search)
+        try:
+            read_search_site(site)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: $.search.area_file: {error}") from None
     problem = inconsistency(config)
     if problem is not None:
         raise ConfigError(f"{path}: {problem}")

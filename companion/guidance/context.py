@@ -46,6 +46,7 @@ from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.messages import FindingMessages, RateLimited, StateMessages
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.guidance.tracking.emitters import EmitterQueue
+from companion.guidance.tracking.searching import Searching
 from companion.planning.planner import Planner
 
 ERROR_HOLD_S = 1.0
@@ -116,6 +117,7 @@ class SessionContext:
         fencing: Fencing,
         *,
         needs_origin: bool,
+        searching: Searching | None = None,
     ) -> None:
         self.params = params
         self.emitters = emitters
@@ -127,6 +129,7 @@ class SessionContext:
         self.authority = Authority()
         self.containment = Containment()
         self.passing = PassingHold()
+        self.searching = searching or Searching()
         self.estimate: TargetEstimate | None = None
         self.states = StateMessages()
         """Of the estimate, as announced."""

@@ -60,6 +60,8 @@ class Reporting:
         """Time at which the battery was found low, and the waypoint of that leg."""
         self._final: tuple[FlightMode, float] | None = None
         """Mode after the last report, and the time of its request; None: no request is pending."""
+        self.is_search_over = False
+        """The search ended without contact."""
 
     def tick(self, now_s: float) -> None:
         """Report an emitter if a report is due."""
@@ -84,8 +86,46 @@ class Reporting:
         elif self._is_battery_end(now_s):
             self._battery.note_mission_end()
             self._report_rest(now_s)
-            is_landing = params.on_localised == "land"
-            self._finish(FlightMode.LAND if is_landing else FlightMode.RETURN, now_s)
+            self._finish(self._low_battery_mode, now_s)
+        elif context.phase in FLYING:
+            self._end_search(now_s)
+
+    @property
+    def _low_battery_mode(self) -> FlightMode:
+        is_landing = self._context.params.on_localised == "land"
+        return FlightMode.LAND if is_landing else FlightMode.RETURN
+
+    def _end_search(self, now_s: float) -> None:
+        """End a search without contact that is complete, or has no charge left to search with."""
+        context, searching = self._context, self._context.searching
+        if searching.contact_s is not None or not context.vehicle.mode_watch.may_be_asked(now_s):
+            return
+        mode = FlightMode(context.params.on_localised)
+        why = searching.end(now_s, context.flight_plan.sweeps)
+        if why is None and self._is_charge_spent():
+            why, mode = "remaining charge is for the way home", self._low_battery_mode
+        if why is None:
+            return
+        self.is_search_over = True
+        context.announce(Severity.NOTICE, f"SEARCH OVER, nothing heard: {why}")
+        self._announce_searched(now_s)
+        self._finish(mode, now_s)
+
+    def _is_charge_spent(self) -> bool:
+        """Return True if the vehicle is as far from home as the charge above the reserve lasts."""
+        reserve, motion = self._context.guard.limits.reserve, self._context.vehicle.motion
+        if reserve is None or motion is None or motion.battery_pct is None:
+            return False
+        if not self._context.searching.is_worth_telling:
+            return False
+        away_m = math.dist(motion.position_enu_m[:2], motion.home_enu_m[:2])
+        return away_m >= reserve.reach_m(motion.battery_pct)
+
+    def _announce_searched(self, now_s: float) -> None:
+        """Announce the searched area in the sentence for the radio."""
+        text = self._context.searching.statement(now_s)
+        if text is not None:
+            self._context.announce(Severity.NOTICE, text)
 
     def _head(
         self, flown: TargetEstimate | None, heard_s: float | None, now_s: float
@@ -129,6 +169,8 @@ class Reporting:
         emitters.reported.update(t.emitter_id for t, _ in known if t.emitter_id is not None)
         if not known:
             self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} no emitter found")
+            self.is_search_over = self._context.searching.contact_s is None
+            self._announce_searched(now_s)
 
     def _report(self, tracker: TargetTracker, estimate: TargetEstimate, head: str) -> None:
         context = self._context
@@ -188,7 +230,7 @@ class ControlTick:
         self._watches = watches
         self._handover = handover
         self._scheduler = scheduler
-        self._reporting = Reporting(context, watches.battery, scheduler)
+        self.reporting = Reporting(context, watches.battery, scheduler)
         self._permit = LaunchPermit(context)
         self._waiting = WaitingReason(context.vehicle, context.authority, context.fencing)
         self._guard_messages = GuardMessages()
@@ -208,6 +250,7 @@ class ControlTick:
         dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
         self._tick_s = now_s
         self._watches.tick(now_s)
+        self._search(now_s)
         self._advance_phase(now_s)
         fence = self._fence_messages.record(context.guard.limits.fence)
         if fence is not None:
@@ -233,6 +276,18 @@ class ControlTick:
             self._announce_guard_reasons(context.steering.reasons, now_s)
         context.send(SendSetpoint(setpoint))
         self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
+
+    def _search(self, now_s: float) -> None:
+        """Count the time in which the radio listens, until there is contact."""
+        context, fence = self._context, self._context.guard.limits.fence
+        problem = context.searching.tick(
+            now_s,
+            context.vehicle,
+            None if fence is None else tuple(fence.polygon_enu_m),
+            is_heard=context.emitters.accepted > 0 or context.estimate is not None,
+        )
+        if problem is not None:
+            context.warn(f"no searched area: {problem}")
 
     def _announce_stop(self, now_s: float, *, is_stopping: bool) -> None:
         """Announce why setpoints stop, or control is unavailable, unless a finding does."""
@@ -295,7 +350,7 @@ class ControlTick:
                 self._apply_finding(now_s)
             case Phase.HANDBACK:
                 self._handover.continue_hand_back(now_s)
-        self._reporting.tick(now_s)
+        self.reporting.tick(now_s)
         self._scheduler.announce()
 
     def _wait(self, now_s: float, severity: Severity = Severity.INFO) -> None:

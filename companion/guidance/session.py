@@ -29,6 +29,7 @@ from companion.guidance.recovery import Recollection, memory_of
 from companion.guidance.session_params import SessionParams, When
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.measurements import EmitterScheduler, Measuring
+from companion.guidance.tracking.searching import Searching
 from companion.planning.planner import Planner
 
 
@@ -108,10 +109,17 @@ class GuidanceSession:
         *,
         needs_origin: bool = False,
         fence_plan: FencePlan | None = None,
+        searching: Searching | None = None,
     ) -> None:
         fencing = Fencing(guard, fence_plan)
         self.context = context = SessionContext(
-            params, emitters, planner, guard, fencing, needs_origin=needs_origin
+            params,
+            emitters,
+            planner,
+            guard,
+            fencing,
+            needs_origin=needs_origin,
+            searching=searching,
         )
         self.vehicle, self.fencing, self.authority = context.vehicle, fencing, context.authority
         self.flight_plan, self.steering = context.flight_plan, context.steering
@@ -212,6 +220,16 @@ class GuidanceSession:
     def has_found_all(self) -> bool:
         """True if something was reported and no other emitter is left."""
         return self.result is not None and self.context.emitters.are_all_reported
+
+    @property
+    def searching(self) -> Searching:
+        """Record of the search until contact."""
+        return self.context.searching
+
+    @property
+    def is_search_over(self) -> bool:
+        """True if the search ended without contact, and the flight with it."""
+        return self._control.reporting.is_search_over
 
     @property
     def phase(self) -> Phase:

@@ -170,6 +170,7 @@ class CompanionEndpoint:
                 continue
             if self._recorder is not None:
                 self._recorder.raw(data, chunk.link, chunk.peer, now_s)
+            self.session.searching.is_radio_heard = True
             self._receive_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
 
     def handle_timer(self, now_s: float) -> None:
@@ -263,6 +264,7 @@ class CompanionEndpoint:
 
     def _receive_ranging(self, measurements: list[RangingMeasurement], now_s: float) -> None:
         for measurement in measurements:
+            self.session.searching.is_radio_heard = True
             self.executor.handle(events.RangingReceived(now_s, measurement), now_s)
 
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:

@@ -125,7 +125,8 @@ class RestartKeeper:
     def close(self, timeout_s: float) -> None:
         """Save the memory of a mission that goes on without the companion, else delete it."""
         session = self._endpoint.session
-        is_over = session.has_found_all or not session.vehicle.is_armed
+        is_over = session.has_found_all or session.is_search_over
+        is_over = is_over or not session.vehicle.is_armed
         is_known = self._endpoint.is_finished and self._endpoint.binding.is_bound
         if is_known and not is_over and self._pending is None:
             self._save()

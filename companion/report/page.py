@@ -46,6 +46,7 @@ from companion.report.flight_summary import (
     radii_of_line,
     summarize_events,
 )
+from companion.report.searched_area import report_of
 
 LEAST_M = 1e-3
 """A logarithmic axis has no zero."""
@@ -133,9 +134,16 @@ def render_page(
 
 
 def report_page(
-    summary: FlightSummary, facts: FlightFacts, name: str, tiles: Path | None = None
+    summary: FlightSummary,
+    facts: FlightFacts,
+    name: str,
+    tiles: Path | None = None,
+    searched: tuple[str, str] | None = None,
 ) -> str:
-    """Return the page of a recorded flight as text, its map on the `tiles` of a folder."""
+    """Return the page of a recorded flight as text, its map on the `tiles` of a folder.
+
+    `searched` is the sentence about the searched area, and its map as a data URL.
+    """
     fence, keep_outs = fence_of(summary, facts.config)
     pictures = no_pictures
     if tiles is not None and summary.origin is not None:
@@ -165,6 +173,7 @@ def report_page(
     return render_page(
         page,
         "flight.html.j2",
+        searched=searched,
         guard=summary.guard.most_common(),
         link_rows=_rows(summary.links[-1]) if summary.links else [],
         radios=[(str(line.get("name")), _rows(line)) for line in summary.radios.values()],
@@ -343,7 +352,8 @@ def write_report(
         if damaged:
             say(damage_text(part, "line", damaged))
     name = found.directory.resolve().name
-    page = report_page(summarize_events(lines), found.facts, name, tiles)
+    searched = report_of(found.directory)
+    page = report_page(summarize_events(lines), found.facts, name, tiles, searched)
     path = found.path(REPORT) if output is None else output
     write_text_atomic(path, page)
     return path

@@ -132,6 +132,17 @@ def _cross(starts: Floats, ends: Floats, a: Floats, b: Floats) -> NDArray[np.boo
 NODE_SIGMAS = 0.25
 """Step of the quadrature over a cell's offset, in its own standard deviations."""
 MOST_SIGMAS = 3.0
+
+
+def _normal_weights(sigmas: Floats) -> Floats:
+    density = np.exp(-0.5 * sigmas**2)
+    weights: Floats = density / density.sum()
+    return weights
+
+
+_HALF = round(MOST_SIGMAS / NODE_SIGMAS)
+NODE_WEIGHTS = _normal_weights(NODE_SIGMAS * np.arange(-_HALF, _HALF + 1, dtype=float))
+"""Of the offsets of a cell, in its own standard deviations; the same for all models."""
 MARGIN_STEPS = 16
 """Steps of the table's margin to a step of the quadrature."""
 FADING_DB = 25.0
@@ -144,15 +155,13 @@ LEAST_LOG = -60.0
 class MissTable:
     """Log probability that one answer is missed, by margin and by offset of cell and path.
 
-    Offsets are on one grid: a cell's `nodes` (standard deviations), and those of the path, whose
-    `path_weights` lie about each node.
+    Offsets are on one grid: those of a cell, by `NODE_WEIGHTS`, and those of the path, whose
+    `path_weights` lie about each of them.
     """
 
     def __init__(self, model: DetectionModel) -> None:
         self.step_db = NODE_SIGMAS * model.cell_sigma_db
-        half = round(MOST_SIGMAS / NODE_SIGMAS)
-        self.nodes: Floats = NODE_SIGMAS * np.arange(-half, half + 1, dtype=float)
-        self.node_weights = _normal_weights(self.nodes)
+        half = _HALF
         path_half = math.ceil(MOST_SIGMAS * model.path_sigma_db / self.step_db)
         path_db: Floats = self.step_db * np.arange(-path_half, path_half + 1, dtype=float)
         self.path_weights = _normal_weights(path_db / max(model.path_sigma_db, self.step_db))
@@ -177,16 +186,10 @@ class MissTable:
 
     def spread_matrix(self) -> NDArray[np.float32]:
         """(offsets, nodes): weights of the path's offsets about every node of the cell's."""
-        matrix = np.zeros((2 * self._half + 1, len(self.nodes)), dtype=np.float32)
-        for node in range(len(self.nodes)):
+        matrix = np.zeros((2 * self._half + 1, len(NODE_WEIGHTS)), dtype=np.float32)
+        for node in range(len(NODE_WEIGHTS)):
             matrix[node : node + len(self.path_weights), node] = self.path_weights
         return matrix
-
-
-def _normal_weights(sigmas: Floats) -> Floats:
-    density = np.exp(-0.5 * sigmas**2)
-    weights: Floats = density / density.sum()
-    return weights
 
 
 POISSON_TERMS = 120

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from companion.domain import PositionEnu
 from companion.search.detection_model import (
     LEAST_LOG,
+    NODE_WEIGHTS,
     DetectionModel,
     MissTable,
     look_spacing_m,
@@ -97,7 +98,7 @@ class SearchedArea:
         self._spread = self._table.spread_matrix()
         self._centres = grid.centres_enu_m
         cells = len(grid.poa)
-        self._left = np.zeros((cells, len(self._table.nodes)), dtype=np.float32)
+        self._left = np.zeros((cells, len(NODE_WEIGHTS)), dtype=np.float32)
         """(cells, nodes) log probability of a miss, of all places that were left."""
         self._here = np.zeros((cells, self._spread.shape[0]), dtype=np.float32)
         """(cells, offsets) of the place that is listened from."""
@@ -190,18 +191,16 @@ class SearchedArea:
         counted: Floats32 = np.log(np.maximum(missed, np.float32(math.exp(LEAST_LOG))))
         return counted
 
-    def missed(self) -> Floats:
-        """(cells,) probability that an emitter in the cell was missed so far.
+    def log_missed(self) -> Floats32:
+        """(cells, nodes) log probability that an emitter was missed, for each offset of its cell.
 
         Of a place that is entered again, what it counted for before stays until it was taken back.
         """
         left = self._left
         square = self._here_square
         if square is not None and not self._places[square].is_counted:
-            left = left + self._counted()
-        weights = self._table.node_weights.astype(np.float32)
-        missed: Floats = (np.exp(left) @ weights).astype(float)
-        return np.clip(missed, 0.0, 1.0)
+            return left + self._counted()
+        return left.copy()
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,9 +235,13 @@ class SearchState:
 
 
 def state_of(*areas: SearchedArea) -> SearchState:
-    """The state of one search, or of several of the same grid whose shadowing is independent."""
-    missed = np.prod([area.missed() for area in areas], axis=0)
-    return SearchState(areas[0].grid, 1.0 - missed)
+    """The state of one search, or of several over the same grid.
+
+    Where they assume different models, the errors of their reaches are taken as one: what one
+    overstates the others overstate, too.
+    """
+    missed = np.exp(sum(area.log_missed() for area in areas)) @ NODE_WEIGHTS
+    return SearchState(areas[0].grid, 1.0 - np.clip(missed.astype(float), 0.0, 1.0))
 
 
 def _key_of(place_m: PositionEnu, spacing_m: float) -> tuple[int, int, int]:

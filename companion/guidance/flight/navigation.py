@@ -19,6 +19,7 @@ from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner, PlanRequest
+from companion.planning.search import SearchMemory
 
 PLAN_PERIOD_S = 0.2
 """Longest age of a plan, with or without a measurement: the vehicle moves."""
@@ -61,6 +62,12 @@ class FlightPlan:
         if estimate is None or heard_s is None or after_s == 0.0:
             return True
         return now_s - heard_s > after_s
+
+    @property
+    def sweeps(self) -> int:
+        """Number of times the search pattern was completed."""
+        search = getattr(self._memory, "search", self._memory)
+        return search.sweep if isinstance(search, SearchMemory) else 0
 
     def is_due(self, now_s: float) -> bool:
         """Return True if the plan is too old."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import shutil
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -90,7 +91,7 @@ class FlightJournal(BlackBox):
         mcap: McapLog | None = None,
     ) -> None:
         self.directory = directory
-        self._started_unix_s = started_unix_s
+        self.started_unix_s = started_unix_s
         events_bytes = None if max_bytes is None else int(EVENTS_SHARE * max_bytes)
         inputs_bytes = None if max_bytes is None else int(INPUTS_SHARE * max_bytes)
         kept = (events_bytes or 0) + (inputs_bytes or 0)
@@ -102,10 +103,12 @@ class FlightJournal(BlackBox):
         self.inputs: InputLog = InputLog(directory / INPUTS, inputs_bytes, also)
         self._results = BackgroundReplacer("write result.json")
         self._handoff = HandoffFiles()
+        self._lock = threading.Lock()
+        self._is_reported = False
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Record a raw frame."""
-        self._tlog.write(data, self._started_unix_s + now_s)
+        self._tlog.write(data, self.started_unix_s + now_s)
         if self._mcap is not None:
             self._mcap.frame(data, now_s)
 
@@ -138,13 +141,21 @@ class FlightJournal(BlackBox):
             "bearing_offset_rad": estimate.bearing_offset_rad,
             "measurements": estimate.measurements,
             "time_s": now_s,
-            "unix_s": self._started_unix_s + now_s,
+            "unix_s": self.started_unix_s + now_s,
         }
         self.record("result", value, now_s)
         text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
-        self._results.replace(self.directory / RESULT, text.encode())
-        for name, content in self._handoff.files(report, self._started_unix_s + now_s).items():
+        with self._lock:
+            self._is_reported = True
+            self._results.replace(self.directory / RESULT, text.encode())
+        for name, content in self._handoff.files(report, self.started_unix_s + now_s).items():
             self._results.replace(self.directory / name, content.encode())
+
+    def result_of_search(self, content: bytes) -> None:
+        """Write `result.json` of a flight without a report; one that was made stays. Any thread."""
+        with self._lock:
+            if not self._is_reported:
+                self._results.replace(self.directory / RESULT, content)
 
     @property
     def health(self) -> WriterHealth:

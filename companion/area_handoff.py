@@ -1,0 +1,222 @@
+"""What was searched, for ground teams: GeoJSON, KML with an image, PNG, GPX and one sentence.
+
+GeoJSON (RFC 7946) has the outlines of 50, 80 and 95 % probability of detection, gaps and the
+track; CalTopo and ATAK read it. The KML 2.2 document lays `searched_area.png` on the ground
+(GroundOverlay, OGC 07-147r2, 11.2), for Google Earth. GPX 1.1 has the track for handheld receivers.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import msgspec
+import numpy as np
+
+from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import Corners
+from companion.handoff import NAMESPACE, utc_text
+from companion.search.outlines import gaps_of, outlines
+from companion.search.searched_area import SearchState
+from companion.search.searched_flight import GOOD_POD, SearchedFlight, statement
+
+RECORD, GEOJSON, KML = "searched_area.json", "searched_area.geojson", "searched_area.kml"
+PNG, GPX, TEXT = "searched_area.png", "searched_area.gpx", "searched_area.txt"
+LEVELS = (0.5, 0.8, 0.95)
+DECIMALS = 7
+
+
+def area_files(flight: SearchedFlight, state: SearchState | None) -> dict[str, bytes]:
+    """Return the files' contents by name; those on the Earth only where the origin is known."""
+    files = {
+        RECORD: msgspec.json.encode(flight) + b"\n",
+        TEXT: (statement(flight, state) + "\n").encode(),
+    }
+    if state is not None:
+        files[PNG] = png_of(state)
+    if flight.origin is not None:
+        files[GEOJSON] = geojson_of([flight], state, flight.origin).encode()
+        files[GPX] = gpx_of(flight).encode()
+        if state is not None:
+            files[KML] = kml_of(flight, state, flight.origin).encode()
+    return files
+
+
+def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str, object]:
+    """Return `result.json` of a flight that has reported no emitter."""
+    gaps = [] if state is None else gaps_of(state)
+    return {
+        "state": "not_found" if flight.contact_unix_s is None else "heard",
+        "statement": statement(flight, state),
+        "pos": None if state is None else round(state.pos, 4),
+        "share_searched": None if state is None else round(state.share_at(GOOD_POD), 4),
+        "area_m2": None if state is None else state.area_m2,
+        "gaps": [
+            {"name": g.name, "share_of_area": round(g.share_of_area, 4), "poa": round(g.poa, 4)}
+            for g in gaps
+        ],
+        "began": utc_text(flight.began_unix_s),
+        "ended": utc_text(flight.ended_unix_s),
+        "contact": None if flight.contact_unix_s is None else utc_text(flight.contact_unix_s),
+        "listened_s": flight.listened_s,
+        "is_radio_heard": flight.is_radio_heard,
+        "assumptions": None if flight.detection is None else msgspec.to_builtins(flight.detection),
+        "reach_source": None if flight.detection is None else "configured: search.detection",
+        "track": _track(flight),
+        "unix_s": flight.ended_unix_s,
+    }
+
+
+def _track(flight: SearchedFlight) -> list[list[float]]:
+    """Longitude, latitude and seconds after the beginning; without an origin east and north."""
+    origin = flight.origin
+    if origin is None:
+        return [[east, north, t_s] for t_s, east, north, _ in flight.track]
+    places = [origin.geodetic_from_enu(point[1:]) for point in flight.track]
+    return [
+        [round(lon, DECIMALS), round(lat, DECIMALS), point[0]]
+        for (lat, lon, _), point in zip(places, flight.track, strict=True)
+    ]
+
+
+def geojson_of(
+    flights: Sequence[SearchedFlight], state: SearchState | None, origin: LocalOrigin
+) -> str:
+    """Return a feature collection: outlines of POD, gaps, and the track of each flight."""
+    features = [] if state is None else list(_areas(state, origin))
+    for flight in flights:
+        line = [place[:2] for place in _track(flight)]
+        if flight.origin is not None and len(line) >= 2:
+            about = {
+                "kind": "track",
+                "began": utc_text(flight.began_unix_s),
+                "ended": utc_text(flight.ended_unix_s),
+                "listened_s": flight.listened_s,
+            }
+            features.append(_feature("LineString", line, about))
+    collection: dict[str, object] = {"type": "FeatureCollection", "features": features}
+    return json.dumps(collection, indent=1) + "\n"
+
+
+def _areas(state: SearchState, origin: LocalOrigin) -> Iterator[dict[str, object]]:
+    grid = state.grid
+    for level in LEVELS:
+        about: dict[str, object] = {"kind": "pod", "pod_at_least": level}
+        about["share_of_area"] = round(state.share_at(level), 4)
+        yield _polygons(grid_shapes(state, level, origin), about)
+    for gap in gaps_of(state):
+        shapes = [_shape(o.outside_enu_m, o.holes_enu_m, origin) for o in outlines(grid, gap.cells)]
+        about = {"kind": "gap", "name": gap.name, "poa": round(gap.poa, 4)}
+        yield _polygons(shapes, about | {"share_of_area": round(gap.share_of_area, 4)})
+
+
+def grid_shapes(state: SearchState, level: float, origin: LocalOrigin) -> list[Any]:
+    """Return the polygons, in degrees, of the cells with at least this POD."""
+    found = outlines(state.grid, state.pod >= level)
+    return [_shape(each.outside_enu_m, each.holes_enu_m, origin) for each in found]
+
+
+def _shape(outside: Corners, holes: Sequence[Corners], origin: LocalOrigin) -> list[Any]:
+    rings = []
+    for ring in (outside, *holes):
+        places = [origin.geodetic_from_enu((*corner, 0.0)) for corner in (*ring, ring[0])]
+        rings.append([[round(lon, DECIMALS), round(lat, DECIMALS)] for lat, lon, _ in places])
+    return rings
+
+
+def _polygons(shapes: list[Any], about: Mapping[str, object]) -> dict[str, object]:
+    return _feature("MultiPolygon", shapes, about)
+
+
+def _feature(kind: str, coordinates: list[Any], about: Mapping[str, object]) -> dict[str, object]:
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": dict(about)}
+
+
+LEAST_PIXELS = 400
+"""Of the longer side, so that cells stay sharp in viewers that smooth what they enlarge."""
+POOR, GOOD = np.array((213.0, 94.0, 0.0)), np.array((0.0, 114.0, 178.0))
+"""Vermilion and blue of M. Okabe and K. Ito, "Color Universal Design": readable to everybody."""
+OPACITY = 150
+
+
+def png_of(state: SearchState) -> bytes:
+    """Return the map of POD, north up: from vermilion, not searched, to blue, searched."""
+    pod = state.grid.on_map(state.pod)
+    colours = POOR + pod[..., None] * (GOOD - POOR)
+    alpha = np.where(state.grid.inside, OPACITY, 0)[..., None]
+    pixels = np.concatenate((colours, alpha), axis=2).astype(np.uint8)[::-1]
+    scale = max(1, LEAST_PIXELS // max(pod.shape))
+    return encoded_png(pixels.repeat(scale, axis=0).repeat(scale, axis=1))
+
+
+def encoded_png(pixels: np.typing.NDArray[np.uint8]) -> bytes:
+    """Return (rows, columns, 4) RGBA pixels as PNG (ISO/IEC 15948), without filters."""
+    rows, columns, _ = pixels.shape
+    lines = np.zeros((rows, 1 + 4 * columns), dtype=np.uint8)
+    lines[:, 1:] = pixels.reshape(rows, -1)
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        check = zlib.crc32(name + data)
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", check)
+
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 6, 0, 0, 0)
+    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines.tobytes(), 6))
+    return b"\x89PNG\r\n\x1a\n" + body + chunk(b"IEND", b"")
+
+
+def kml_of(flight: SearchedFlight, state: SearchState, origin: LocalOrigin) -> str:
+    """Return a document with the map laid on the ground and the track."""
+    root = ET.Element("kml", xmlns=NAMESPACE)
+    document = ET.SubElement(root, "Document")
+    _text(document, "name", "Searched area")
+    _text(document, "description", statement(flight, state))
+    overlay = ET.SubElement(document, "GroundOverlay")
+    _text(overlay, "name", "Probability of detection")
+    _text(ET.SubElement(overlay, "Icon"), "href", PNG)
+    grid = state.grid
+    rows, columns = grid.inside.shape
+    corners = [
+        origin.geodetic_from_enu((grid.west_m + x * grid.cell_m, grid.south_m + y * grid.cell_m, 0))
+        for x, y in ((0, 0), (columns, 0), (columns, rows), (0, rows))
+    ]
+    latitudes, longitudes = [c[0] for c in corners], [c[1] for c in corners]
+    box = ET.SubElement(overlay, "LatLonBox")
+    # Middles of the sides: over 2 km local axes turn against the meridian by less than a cell.
+    for name, value in (
+        ("north", 0.5 * (latitudes[2] + latitudes[3])),
+        ("south", 0.5 * (latitudes[0] + latitudes[1])),
+        ("east", 0.5 * (longitudes[1] + longitudes[2])),
+        ("west", 0.5 * (longitudes[0] + longitudes[3])),
+    ):
+        _text(box, name, f"{value:.7f}")
+    placemark = ET.SubElement(document, "Placemark")
+    _text(placemark, "name", "Track")
+    line = ET.SubElement(placemark, "LineString")
+    places = " ".join(f"{lon:.7f},{lat:.7f}" for lon, lat, _ in _track(flight))
+    _text(line, "coordinates", places)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _text(parent: ET.Element, tag: str, text: str) -> None:
+    ET.SubElement(parent, tag).text = text
+
+
+def gpx_of(flight: SearchedFlight) -> str:
+    """Return the track as GPX 1.1, with times."""
+    root = ET.Element(
+        "gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="companion"
+    )
+    track = ET.SubElement(root, "trk")
+    _text(track, "name", f"Search {utc_text(flight.began_unix_s)}")
+    segment = ET.SubElement(track, "trkseg")
+    for longitude, latitude, t_s in _track(flight):
+        point = ET.SubElement(segment, "trkpt", lat=f"{latitude:.7f}", lon=f"{longitude:.7f}")
+        _text(point, "time", utc_text(flight.began_unix_s + t_s))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

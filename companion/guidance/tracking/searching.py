@@ -1,0 +1,180 @@
+"""What the radio has listened for since take-off, until the first measurement is accepted.
+
+It counts whoever flies: the radio listens in the pilot's hands, too. What counts is time in the air
+with a current position that is trusted. Positions are kept in the frame of the first origin. The
+work on the cells is done in pieces, one a control tick.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.domain import LandedState, PositionEnu
+from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import Corners
+from companion.guidance.flight.vehicle import VehicleView
+from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
+from companion.search.search_site import SearchSite, grid_of_site
+from companion.search.searched_area import SearchedArea, SearchState, state_of
+from companion.search.searched_flight import (
+    SearchAreaParams,
+    SearchedFlight,
+    StoredGrid,
+    statement,
+)
+
+LONGEST_GAP_S = 1.0
+"""After a longer pause between two control ticks nothing is known of the time between."""
+TRACK_STEP_M = 5.0
+WORTH_TELLING_S = 10.0
+"""Contact that comes sooner was no search."""
+STATE_EVERY_S = 2.0
+"""How often what was searched is looked at, for the end of the search."""
+
+
+class Searching:
+    """Accumulates the searched area of one flight; without a model of detection, its track."""
+
+    def __init__(
+        self, params: SearchAreaParams | None = None, site: SearchSite | None = None
+    ) -> None:
+        self.params = params or SearchAreaParams()
+        self._site = site
+        self._area: SearchedArea | None = None
+        self._origin: LocalOrigin | None = None
+        self._problem: str | None = None
+        self._ticked_s = -math.inf
+        self._began_s: float | None = None
+        self._track: list[tuple[float, float, float, float]] = []
+        self._state: tuple[float, SearchState] | None = None
+        self.listened_s = 0.0
+        """Time in the air that counts."""
+        self.ended_s = 0.0
+        """When it was listened for last."""
+        self.contact_s: float | None = None
+        """When the first measurement was accepted."""
+        self.is_radio_heard = False
+        """Whether the radio has sent anything at all."""
+
+    @property
+    def is_worth_telling(self) -> bool:
+        """True if there was a search."""
+        return self.listened_s >= WORTH_TELLING_S
+
+    def tick(
+        self, now_s: float, vehicle: VehicleView, fence_enu_m: Corners | None, *, is_heard: bool
+    ) -> str | None:
+        """Count the time since the last control tick; return a problem with the area, once."""
+        passed_s, self._ticked_s = now_s - self._ticked_s, now_s
+        if is_heard:
+            if self.contact_s is None:
+                self.contact_s = now_s
+            return None
+        if self._area is not None:
+            self._area.advance()
+        place, height_m = vehicle.position_enu_m, vehicle.height_m
+        is_airborne = vehicle.is_armed and vehicle.landed is LandedState.IN_AIR
+        is_placed = vehicle.is_position_fresh(now_s) and vehicle.track.is_trusted_at(now_s)
+        if self.contact_s is not None or not (is_airborne and is_placed):
+            return None
+        if place is None or height_m is None or passed_s > LONGEST_GAP_S:
+            return None
+        if self._began_s is None:
+            self._began_s, self._origin = now_s, vehicle.frame
+        self._count(now_s, passed_s, (*self._in_first_frame(place, vehicle)[:2], height_m))
+        if self._area is None and self._problem is None:
+            return self._begin(fence_enu_m)
+        return None
+
+    def _count(self, now_s: float, passed_s: float, place_m: PositionEnu) -> None:
+        assert self._began_s is not None
+        self.listened_s += passed_s
+        self.ended_s = now_s
+        if not self._track or math.dist(place_m, self._track[-1][1:]) >= TRACK_STEP_M:
+            self._track.append((round(now_s - self._began_s, 2), *_rounded(place_m)))
+        if self._area is not None:
+            self._area.listen(place_m, passed_s)
+
+    def _in_first_frame(self, place: PositionEnu, vehicle: VehicleView) -> PositionEnu:
+        frame, first = vehicle.frame, self._origin
+        if frame is None or first is None or frame == first:
+            return place
+        return first.enu_from_geodetic(*frame.geodetic_from_enu(place))
+
+    def _begin(self, fence_enu_m: Corners | None) -> str | None:
+        """Lay the grid; a text about why there is none."""
+        detection = self.params.detection
+        if detection is None:
+            return None
+        try:
+            grid = self._grid(fence_enu_m)
+        except ValueError as error:
+            self._problem = str(error)
+            return self._problem
+        if grid is not None:
+            self._area = SearchedArea(grid, detection)
+        return None
+
+    def _grid(self, fence_enu_m: Corners | None) -> SearchGrid | None:
+        if self._site is not None:
+            if self._origin is None:
+                return None
+            return grid_of_site(self._site, self._origin, self.params.cell_m)
+        if fence_enu_m is None:
+            return None
+        return grid_over([WeightedArea(tuple(fence_enu_m))], self.params.cell_m)
+
+    def state(self, now_s: float) -> SearchState | None:
+        """Return what was searched, of the last seconds; None: that cannot be stated."""
+        if self._area is None:
+            return None
+        if self._state is None or now_s - self._state[0] >= STATE_EVERY_S:
+            self._state = (now_s, state_of(self._area))
+        return self._state[1]
+
+    def finish(self) -> None:
+        """Count everything in, at the end of the flight."""
+        if self._area is not None:
+            self._area.finish()
+            self._state = None
+
+    def end(self, now_s: float, sweeps: int) -> str | None:
+        """Return why a search that heard nothing may end, in words; None: it goes on."""
+        params = self.params
+        if self.contact_s is not None or not self.is_worth_telling:
+            return None
+        if params.stop_sweeps is not None and sweeps >= params.stop_sweeps:
+            return "the area is done"
+        if params.stop_pos is None:
+            return None
+        state = self.state(now_s)
+        if state is None or state.pos < params.stop_pos:
+            return None
+        return f"POS {100.0 * state.pos:.0f} % reached"
+
+    def statement(self, now_s: float) -> str | None:
+        """Return the searched area in the sentence for the radio, or None without a state."""
+        flight, state = self.flight(0.0), self.state(now_s)
+        return None if flight is None or state is None else statement(flight, state)
+
+    def flight(self, zero_unix_s: float) -> SearchedFlight | None:
+        """Return the record of this flight, or None if there was no search worth telling."""
+        if self._began_s is None or not self.is_worth_telling:
+            return None
+        looks = [] if self._area is None else self._area.looks
+        return SearchedFlight(
+            began_unix_s=zero_unix_s + self._began_s,
+            ended_unix_s=zero_unix_s + self.ended_s,
+            listened_s=round(self.listened_s, 2),
+            contact_unix_s=None if self.contact_s is None else zero_unix_s + self.contact_s,
+            is_radio_heard=self.is_radio_heard,
+            origin=self._origin,
+            detection=self.params.detection,
+            grid=None if self._area is None else StoredGrid.of(self._area.grid),
+            looks=[(*_rounded(look.place_m), round(look.answers, 3)) for look in looks],
+            track=list(self._track),
+        )
+
+
+def _rounded(place_m: PositionEnu) -> PositionEnu:
+    return (round(place_m[0], 2), round(place_m[1], 2), round(place_m[2], 2))

@@ -1,0 +1,94 @@
+"""Where the emitter may be, in degrees: weighted polygons, or a raster of weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.polygons import Corners
+from companion.search.search_grid import (
+    Floats,
+    SearchGrid,
+    WeightedArea,
+    grid_of_weights,
+    grid_over,
+)
+
+LatLon = tuple[float, float]
+MOST_AWAY_M = 20_000.0
+"""Farther from the vehicle's origin than any flight: the file is of another place."""
+
+
+@dataclass(frozen=True, slots=True)
+class SiteArea:
+    """A polygon in degrees, its holes, and its chance against the other polygons."""
+
+    corners_deg: tuple[LatLon, ...]
+    weight: float = 1.0
+    holes_deg: tuple[tuple[LatLon, ...], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SiteRaster:
+    """Weights on a grid in degrees."""
+
+    west_deg: float
+    south_deg: float
+    step_deg: float
+    weights: Floats
+    """(rows, columns) from the south-west; NaN: outside of the area."""
+
+
+SearchSite = tuple[SiteArea, ...] | SiteRaster
+
+
+def grid_of_site(site: SearchSite, origin: LocalOrigin, cell_m: float) -> SearchGrid:
+    """Return the grid about a local origin.
+
+    Raises:
+        ValueError: it is more than 20 km away, has too many cells, or nothing has a weight.
+    """
+    if isinstance(site, SiteRaster):
+        return _of_raster(site, origin, cell_m)
+    areas = [
+        WeightedArea(
+            _local(each.corners_deg, origin),
+            each.weight,
+            tuple(_local(hole, origin) for hole in each.holes_deg),
+        )
+        for each in site
+    ]
+    return grid_over(areas, cell_m)
+
+
+def _local(corners_deg: tuple[LatLon, ...], origin: LocalOrigin) -> Corners:
+    corners = tuple(origin.enu_from_geodetic(*each, origin.altitude_m)[:2] for each in corners_deg)
+    _check_distance(corners)
+    return corners
+
+
+def _check_distance(corners: Corners) -> None:
+    away_m = max(abs(value) for corner in corners for value in corner)
+    if away_m > MOST_AWAY_M:
+        raise ValueError(f"a corner is {away_m / 1000.0:.0f} km from the vehicle's origin")
+
+
+def _of_raster(site: SiteRaster, origin: LocalOrigin, cell_m: float) -> SearchGrid:
+    """Cells of the local frame with the weights of the raster cells that hold their centres."""
+    rows, columns = site.weights.shape
+    east_deg, north_deg = (
+        site.west_deg + columns * site.step_deg,
+        site.south_deg + rows * site.step_deg,
+    )
+    box = _local(((site.south_deg, site.west_deg), (north_deg, east_deg)), origin)
+    (west_m, south_m), (east_m, north_m) = box
+    whole = ((west_m, south_m), (east_m, south_m), (east_m, north_m), (west_m, north_m))
+    shape = grid_over([WeightedArea(whole)], cell_m)
+    places = shape.centres_enu_m
+    row = np.clip(rows * (places[:, 1] - south_m) / (north_m - south_m), 0, rows - 1).astype(int)
+    column = np.clip(columns * (places[:, 0] - west_m) / (east_m - west_m), 0, columns - 1)
+    sampled = site.weights[row, column.astype(int)]
+    weights = shape.on_map(sampled, float("nan"))
+    return grid_of_weights(shape.west_m, shape.south_m, shape.cell_m, weights)

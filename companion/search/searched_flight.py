@@ -1,0 +1,138 @@
+"""What one flight has searched, as it is configured, kept in a file and said on the radio."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from companion.domain import Params, PositionEnu, Positive
+from companion.geometry.coordinates import LocalOrigin
+from companion.search.detection_model import DetectionModel
+from companion.search.outlines import gaps_of
+from companion.search.search_grid import SearchGrid
+from companion.search.searched_area import Look, SearchedArea, SearchState, state_of
+
+Probability = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
+GOOD_POD = 0.8
+"""An area counts as searched from here on."""
+
+
+class SearchAreaParams(Params, frozen=True):
+    """What is searched, how far the radio is heard, and when that is enough."""
+
+    detection: DetectionModel | None = None
+    """Null: how far the radio is heard is not known, and no probability is stated."""
+    area_file: str | None = None
+    """Where the emitter may be, relative to this file: GeoJSON polygons or an ASCII grid, in
+    degrees; null: anywhere in the fence."""
+    cell_m: Positive = 20.0
+    """Side of a cell."""
+    stop_pos: Probability | None = None
+    """The search ends, with nothing heard, at this probability of success; null: it goes on."""
+    stop_sweeps: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
+    """It ends after a pattern was flown to its end so often; null: it goes on."""
+
+
+class StoredGrid(msgspec.Struct, frozen=True):
+    """A search grid as JSON has it."""
+
+    west_m: float
+    south_m: float
+    cell_m: Positive
+    poa: list[list[float | None]]
+    """Rows from the south; null outside of the area."""
+
+    @classmethod
+    def of(cls, grid: SearchGrid) -> StoredGrid:
+        """The same."""
+        rows = grid.on_map(grid.poa, math.nan).tolist()
+        poa = [[None if math.isnan(value) else value for value in row] for row in rows]
+        return cls(grid.west_m, grid.south_m, grid.cell_m, poa)
+
+    def grid(self) -> SearchGrid:
+        """The grid; a `ValueError` where rows differ in length or nothing is inside."""
+        poa = np.array(
+            [[math.nan if value is None else value for value in row] for row in self.poa], float
+        )
+        inside = np.isfinite(poa)
+        if poa.ndim != 2 or not inside.any():
+            raise ValueError("the grid has no cells")
+        mass = poa[inside]
+        return SearchGrid(self.west_m, self.south_m, self.cell_m, inside, mass / mass.sum())
+
+
+class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
+    """`searched_area.json`: everything that the other files are made of."""
+
+    version: int = 1
+    began_unix_s: float
+    ended_unix_s: float
+    listened_s: float
+    """Time in the air with a position, without contact."""
+    contact_unix_s: float | None = None
+    """First measurement that was accepted; nothing is counted from then on."""
+    is_radio_heard: bool
+    """Whether the radio sent anything at all in this flight; if not, perhaps it never listened."""
+    origin: LocalOrigin | None
+    detection: DetectionModel | None = None
+    grid: StoredGrid | None = None
+    looks: list[tuple[float, float, float, float]] = []
+    """East, north, height and number of answers."""
+    track: list[tuple[float, float, float, float]] = []
+    """Seconds after the beginning, east, north and height above home."""
+
+
+def searched_again(flights: Sequence[SearchedFlight]) -> SearchState | None:
+    """Return what flights have searched together, over the grid of the first one.
+
+    None: nothing can be stated, because it has no grid or model. Flights of other origins are moved
+    by the difference of the origins.
+    """
+    first = flights[0]
+    if first.grid is None:
+        return None
+    grid = first.grid.grid()
+    areas: dict[DetectionModel, SearchedArea] = {}
+    for flight in flights:
+        if flight.detection is None:
+            continue
+        if flight.detection not in areas:
+            areas[flight.detection] = SearchedArea(grid, flight.detection)
+        shift = _shift_m(flight.origin, first.origin)
+        areas[flight.detection].take(
+            Look(east + shift[0], north + shift[1], up, answers)
+            for east, north, up, answers in flight.looks
+        )
+    return state_of(*areas.values()) if areas else None
+
+
+def _shift_m(origin: LocalOrigin | None, base: LocalOrigin | None) -> PositionEnu:
+    if origin is None or base is None:
+        return (0.0, 0.0, 0.0)
+    place = origin.geodetic_from_enu((0.0, 0.0, 0.0))
+    return base.enu_from_geodetic(*place)
+
+
+def statement(flight: SearchedFlight, state: SearchState | None) -> str:
+    """Return what to say on the radio, in a sentence or two."""
+    heard = "Nothing heard." if flight.contact_unix_s is None else "Searched before contact:"
+    if not flight.is_radio_heard:
+        heard += " The radio sent nothing at all: check that it listened."
+    if state is None:
+        minutes = flight.listened_s / 60.0
+        return f"{heard} {minutes:.0f} min listened; no probability: the radio's reach is unknown."
+    gaps = gaps_of(state)
+    named = ", ".join(gap.name for gap in gaps) if gaps else "none"
+    return (
+        f"{heard} {_percent(state.share_at(GOOD_POD))} of the planned area searched at 80 % or "
+        f"more; POS {_percent(state.pos)}; gaps: {named}."
+    )
+
+
+def _percent(share: float) -> str:
+    """Whole per cent, rounded down: 99.6 % are not everything."""
+    return f"{math.floor(100.0 * share + 1e-9)} %"

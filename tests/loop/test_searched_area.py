@@ -1,0 +1,111 @@
+"""What a search without contact has covered, how it ends, and that contact changes nothing."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
+from companion.domain import FlightMode
+from companion.guidance.authority.state_machine import Phase
+from companion.guidance.session_params import SessionParams
+from companion.planning.search import LawnmowerParams
+from companion.search.detection_model import DetectionModel
+from companion.search.searched_flight import SearchAreaParams
+from sim_link.autopilot.scenario import PayloadParams, Scenario
+from sim_link.world.environment import EmitterParams
+from tests.loop.loop_helpers import Loop
+
+FENCE = ((-5.0, -5.0), (65.0, -5.0), (65.0, 65.0), (-5.0, 65.0))
+DETECTION = DetectionModel(reach_m=30.0, reach_sigma_db=3.0)
+
+
+def flown(search: SearchAreaParams, reach_m: float = 1.0, **limits: float) -> Loop:
+    """A search by one companion of a vehicle whose radio reaches so far."""
+    config = CompanionConfig(
+        mission=SessionParams(engage="auto", on_localised="land"),
+        limits=LimitsConfig(fence_enu_m=FENCE, **limits),  # type: ignore[arg-type]
+        planner=PlannerConfig(search="lawnmower", lawnmower=LawnmowerParams(spacing_m=25.0)),
+        search=search,
+    )
+    emitter = EmitterParams(position_enu_m=(50.0, 50.0))
+    return Loop(config, Scenario(emitter=emitter, payload=PayloadParams(max_range_m=reach_m)))
+
+
+def test_a_search_ends_at_its_pos_and_says_what_it_searched() -> None:
+    loop = flown(SearchAreaParams(detection=DETECTION, cell_m=5.0, stop_pos=0.5))
+    loop.run_until(lambda: loop.companion.session.is_search_over, 120.0)
+    assert loop.phase is Phase.FINISHED
+    assert loop.said("SEARCH OVER, nothing heard: POS ")
+    assert loop.said("Nothing heard. The radio sent nothing at all")
+    loop.run_until(lambda: loop.companion.session.vehicle.mode is FlightMode.LAND, 10.0)
+    searching = loop.companion.session.searching
+    assert searching.contact_s is None
+    flight = searching.flight(0.0)
+    assert flight is not None
+    assert len(flight.track) > 3
+    assert flight.looks
+
+
+def test_a_search_ends_when_its_area_is_done_without_any_reach() -> None:
+    loop = flown(SearchAreaParams(stop_sweeps=1))
+    loop.run_until(lambda: loop.companion.session.is_search_over, 200.0)
+    assert loop.said("SEARCH OVER, nothing heard: the area is done")
+    assert loop.companion.session.searching.state(1e9) is None
+
+
+def test_a_search_ends_where_the_charge_is_for_the_way_home() -> None:
+    loop = flown(
+        SearchAreaParams(detection=DETECTION), battery_pct_per_km=900.0, battery_reserve_pct=60.0
+    )
+    loop.run_until(lambda: loop.companion.session.is_search_over, 200.0)
+    assert loop.said("SEARCH OVER, nothing heard: remaining charge is for the way home")
+
+
+def test_contact_ends_the_count_and_the_flight_is_as_without_it() -> None:
+    """The same setpoints and estimates with a searched area as without one."""
+    with_area = flown(SearchAreaParams(detection=DETECTION, cell_m=5.0), reach_m=30.0)
+    without = flown(SearchAreaParams(), reach_m=30.0)
+    for loop in (with_area, without):
+        loop.run_until(lambda: bool(loop.notes.results), 240.0)  # noqa: B023
+    searching = with_area.companion.session.searching
+    assert searching.contact_s is not None
+    flight = searching.flight(0.0)
+    assert flight is not None
+    assert flight.contact_unix_s is not None
+    assert flight.ended_unix_s <= flight.contact_unix_s
+    assert [s.position_enu_m for s in with_area.setpoints] == [
+        s.position_enu_m for s in without.setpoints
+    ]
+    assert not with_area.companion.session.is_search_over
+
+
+def test_what_is_heard_at_once_was_no_search() -> None:
+    loop = flown(SearchAreaParams(detection=DETECTION), reach_m=500.0)
+    loop.run_until(lambda: bool(loop.notes.results), 240.0)
+    assert loop.companion.session.searching.flight(0.0) is None
+
+
+def test_an_area_that_cannot_be_laid_is_said_once() -> None:
+    loop = flown(SearchAreaParams(detection=DETECTION, cell_m=0.1))
+    loop.run(40.0)
+    warnings = [text for _, text in loop.notes.texts if text.startswith("no searched area: ")]
+    assert len(warnings) == 1
+    assert "at most 40000" in warnings[0]
+
+
+def test_a_replayed_record_states_the_same() -> None:
+    """`searched_area.json` alone gives the figures of the flight."""
+    from companion.search.searched_flight import SearchedFlight, searched_again
+
+    loop = flown(SearchAreaParams(detection=DETECTION, cell_m=5.0, stop_pos=0.5))
+    loop.run_until(lambda: loop.companion.session.is_search_over, 120.0)
+    searching = loop.companion.session.searching
+    searching.finish()
+    flight, state = searching.flight(0.0), searching.state(1e9)
+    assert flight is not None
+    assert state is not None
+    read = msgspec.json.decode(msgspec.json.encode(flight), type=SearchedFlight)
+    again = searched_again([read])
+    assert again is not None
+    assert again.pos == pytest.approx(state.pos, abs=0.005)
