@@ -171,9 +171,13 @@ def link_name(link: Transport) -> str:
 
 
 def is_handed_over(endpoint: CompanionEndpoint) -> bool:
-    """Return True if the target is reported and the vehicle no longer obeys us."""
+    """Return whether the flight is over and the vehicle no longer obeys us.
+
+    Between two control ticks an autopilot that lands may have ended the phase that follows.
+    """
     session = endpoint.session
-    return session.phase is Phase.FINISHED and not session.vehicle.is_ours
+    is_over = session.has_finished or session.phase is Phase.FINISHED
+    return is_over and not session.vehicle.is_ours
 
 
 class FlightView:

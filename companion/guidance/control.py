@@ -60,6 +60,8 @@ class Reporting:
         """Time at which the battery was found low, and the waypoint of that leg."""
         self._final: tuple[FlightMode, float] | None = None
         """Mode after the last report, and the time of its request; None: no request is pending."""
+        self.has_finished = False
+        """The mode after the last report, or after a search without contact, was requested."""
         self.is_search_over = False
         """The search ended without contact."""
 
@@ -98,7 +100,9 @@ class Reporting:
     def _end_search(self, now_s: float) -> None:
         """End a search without contact that is complete, or has no charge left to search with."""
         context, searching = self._context, self._context.searching
-        if searching.contact_s is not None or not context.vehicle.mode_watch.may_be_asked(now_s):
+        if searching.contact_s is not None or not context.vehicle.mode_watch.may_request_mode(
+            now_s
+        ):
             return
         mode = FlightMode(context.params.on_localised)
         why = searching.end(now_s, context.flight_plan.sweeps)
@@ -184,7 +188,7 @@ class Reporting:
 
     def _finish(self, mode: FlightMode, now_s: float) -> None:
         self._context.enter(Trigger.LOCALISED, now_s)
-        self._final = (mode, now_s)
+        self.has_finished, self._final = True, (mode, now_s)
         self._context.ask_mode(mode)
 
     def _ask_again(self, now_s: float) -> None:

@@ -227,6 +227,11 @@ class GuidanceSession:
         return self.context.searching
 
     @property
+    def has_finished(self) -> bool:
+        """True once the last report was made, or the search ended, and the vehicle was released."""
+        return self._control.reporting.has_finished
+
+    @property
     def is_search_over(self) -> bool:
         """True if the search ended without contact, and the flight with it."""
         return self._control.reporting.is_search_over

@@ -24,7 +24,7 @@ from tests.ports import free_port
 
 pytestmark = pytest.mark.slow
 SPEED = "2"
-FLIGHT_S = 300.0
+FLIGHT_S = 240.0
 CONFIG = """\
 mission: {engage: auto, on_localised: land}
 limits: {fence_enu_m: [[0, 0], [60, 0], [60, 60], [0, 60]], autopilot_fence: ignore}

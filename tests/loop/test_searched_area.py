@@ -10,6 +10,7 @@ from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.planning.search import LawnmowerParams
+from companion.run import is_handed_over
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
@@ -39,6 +40,8 @@ def test_a_search_ends_at_its_pos_and_says_what_it_searched() -> None:
     assert loop.said("SEARCH OVER, nothing heard: POS ")
     assert loop.said("Nothing heard. The radio sent nothing at all")
     loop.run_until(lambda: loop.companion.session.vehicle.mode is FlightMode.LAND, 10.0)
+    loop.run_until(lambda: loop.phase is Phase.YIELD, 30.0)
+    assert is_handed_over(loop.companion)  # though the landing has ended the phase of the report
     searching = loop.companion.session.searching
     assert searching.contact_s is None
     flight = searching.flight(0.0)
