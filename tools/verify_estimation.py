@@ -51,7 +51,7 @@ from tools.study.metrics import (
 from tools.study.reporting.study_tables import rmse_interval_m
 from tools.study.systems import FilterName, PlannerName, System
 from tools.study.trials import RunSeries, RunTally, joined_in_order, tally_of
-from tools.walks.walk_choice import left_out_lines, mixture_lines
+from tools.walks.walk_choice import left_out_lines
 from tools.walks.walk_figures import walk_lines
 
 Part = Literal["lawnmower", "bound", "honesty", "walks"]
@@ -312,8 +312,6 @@ def main() -> int:
             lines = walk_lines(arguments.walks, arguments.placed, arguments.seed)
             if arguments.leave_one_out:
                 lines += left_out_lines(arguments.walks, arguments.jobs, show_progress)
-            if arguments.mixture:
-                lines += mixture_lines(arguments.walks, arguments.jobs, show_progress)
             print("\n".join(lines))
         figures: list[Figure] = []
         if parts:
@@ -342,8 +340,6 @@ def parsed() -> argparse.Namespace:
         "choose Wi-Fi presets with each file left out in turn, too; half an hour of processor time"
     )
     parser.add_argument("--leave-one-out", action="store_true", help=text)
-    text = "walks also with the noise of each target learnt by EM"
-    parser.add_argument("--mixture", action="store_true", help=text)
     parser.add_argument("--runs", type=positive, default=200, help="of every system")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")

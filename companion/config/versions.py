@@ -12,8 +12,18 @@ from typing import Any
 
 from companion.errors import ConfigError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 KEY = "schema_version"
+
+
+@dataclass(frozen=True, slots=True)
+class Gone:
+    """A key without a successor."""
+
+    advice: str
+    """The advice to an operator whose file sets the key."""
+    default: object = None
+    """The former default: a copy of default.yaml may have it, and changes nothing by it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +33,20 @@ class Migration:
     to: int
     moved: Mapping[str, str] = field(default_factory=dict)
     """Earlier path to present one; the value is kept."""
-    gone: Mapping[str, str] = field(default_factory=dict)
-    """Earlier path to the remedy, in words; a file that has it is refused."""
+    gone: Mapping[str, Gone] = field(default_factory=dict)
+    """Earlier path to the remedy; a file that has another value there is refused."""
 
 
-MIGRATIONS: tuple[Migration, ...] = ()
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration(
+        2,
+        gone={
+            "estimation.adaptation": Gone(
+                "delete it: noise is no longer learnt by EM, R95 follows the innovations as before"
+            ),
+        },
+    ),
+)
 """In the order of their versions; the last one leads to `SCHEMA_VERSION`."""
 
 
@@ -62,9 +81,12 @@ def _version(raw: Mapping[str, Any], name: str, present: int) -> int:
 
 
 def _apply(migration: Migration, raw: dict[str, Any], name: str) -> None:
-    for path, words in migration.gone.items():
-        if _owner(raw, path) is not None:
-            raise ConfigError(f"{name}: $.{path}: gone since schema {migration.to}; {words}")
+    for path, gone in migration.gone.items():
+        owner = _owner(raw, path)
+        if owner is None:
+            continue
+        if owner.pop(path.rpartition(".")[2]) != gone.default:
+            raise ConfigError(f"{name}: $.{path}: gone since schema {migration.to}; {gone.advice}")
     for earlier, path in migration.moved.items():
         owner = _owner(raw, earlier)
         if owner is None:

@@ -27,7 +27,6 @@ from companion.domain import (
     RangingMeasurement,
     TargetEstimate,
 )
-from companion.estimation.antenna import ABOUT_VERTICAL
 from companion.estimation.belief import Belief, belief_of, hypotheses_of
 from companion.estimation.filter_bank import update_hypotheses
 from companion.estimation.filters.kalman import FilterKind, filter_of
@@ -48,8 +47,7 @@ from companion.estimation.hypotheses import (
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
 from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE, target_height_m
-from companion.estimation.noise.adaptation import AdaptationParams
-from companion.estimation.noise.innovations import InnovationNoise, NoiseLearner, TrackerHealth
+from companion.estimation.noise.innovations import InnovationNoise, TrackerHealth
 from companion.estimation.screening.measurement_screen import (
     AcceptanceParams,
     MeasurementScreen,
@@ -93,18 +91,11 @@ class TrackerParams(Params, frozen=True):
     that do so set it until their offset is configured."""
     initial_inflation: Positive = 4.0
     """Variance inflation that is assumed until it has been measured."""
-    adaptation: AdaptationParams | None = None
-    """On-line learning of noise and thresholds; null: they stay as configured."""
     range_gross_k: Positive | None = 6.0
     """Ranges shorter than predicted by more than this many sigma have a linear loss even where
     `filter.range_k_short` is null: noise does not produce them; null: quadratic at any size."""
     adapt_inflation: bool = True
     """True: the inflation is measured; false: it stays at 1, as in the paper's filter."""
-
-    def __post_init__(self) -> None:
-        """Reject adaptation for an array, whose noise depends on the direction of view."""
-        if self.adaptation is not None and self.filter.antenna.kind not in ABOUT_VERTICAL:
-            raise ValueError("adaptation needs filter.antenna.kind: azimuth")
 
     @property
     def believed(self) -> FilterParams:
@@ -155,8 +146,7 @@ class TargetTracker:
         self._told_antenna = ToldAntennaWatch()
         self._screen = MeasurementScreen(params.filter, params.acceptance)
         believed = params.believed
-        # adaptation learns the noise of an azimuth
-        if params.filter.antenna.kind == "auto" and params.adaptation is None:
+        if params.filter.antenna.kind == "auto":
             self.antenna = AntennaCheck(believed)
             believed = self.antenna.params
         self._filter = filter_of(params.kind, believed)
@@ -167,9 +157,6 @@ class TargetTracker:
         self._moves = 0
         """Number of frame shifts and resets; steps that began before the latest are abandoned."""
         self._noise = InnovationNoise.starting(params.initial_inflation)
-        self._learner: NoiseLearner | None = None
-        if params.adaptation is not None:
-            self._learner = NoiseLearner.starting(params.believed, params.adaptation)
 
     @property
     def rejected(self) -> Counter[RejectReason]:
@@ -208,8 +195,6 @@ class TargetTracker:
         self.accepted += 1
         self.last_accepted_s = now_s
         self._rate_own(own)
-        if report.update is not None and self._learner is not None:
-            self._learn(report.update, self._learner)
         if self.hypotheses and self._optimizer.is_due(self.accepted):
             yield 0
             yield from while_same(self.optimize.steps(), lambda: self._moves)
@@ -282,14 +267,6 @@ class TargetTracker:
         self._optimizer.begin_with_latest()
         self._start(measurement, sensor_enu_m)
         return FusionReport(None, None, restarted=True)
-
-    def _learn(self, report: UpdateReport, learner: NoiseLearner) -> None:
-        """Learn the noise, and periodically tune the filter to it."""
-        self._learner = learner.after(report)
-        if self._learner.is_due and self._learner.count > learner.count:
-            tuned = self._learner.tuned(self.params.believed)
-            self._filter = filter_of(self.params.kind, tuned)
-            self._optimizer.retune(self._filter.params)
 
     @Stepwise
     def optimize(self, fresh_starts: int | None = None) -> Steps[None]:

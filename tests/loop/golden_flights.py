@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
+from companion.config.versions import renew
 from companion.domain import FlightMode
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
@@ -168,6 +169,7 @@ def load(path: Path) -> Golden:
     believed.setdefault("antenna", {"kind": "azimuth"})
     # and when the first autopilot heard was bound at once, as one of a configured system still is
     raw["facts"]["config"]["vehicle"]["system_id"] = 1
+    renew(raw["facts"]["config"], str(path))
     return msgspec.convert(raw, Golden)
 
 

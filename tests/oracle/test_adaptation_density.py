@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -12,19 +11,14 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 from scipy.stats import exponnorm, norm
 
-from companion.estimation.noise.adaptation import AdaptationParams, RangeNoise
-from companion.estimation.noise.mixtures import (
+from companion.kernel import Vector
+from tools.study.noise_adaptation import AdaptationParams, RangeNoise
+from tools.study.noise_mixtures import (
     TAIL,
-    bearing_expectations,
-    huber_variance,
-    least_variance_k,
-    least_variance_k_long,
     mean_map_bias,
-    one_sided_huber_variance,
     range_expectations,
     truncated_normal,
 )
-from companion.kernel import Vector
 from tools.study.range_noise_fit import fit_range_noise, log_prior, summed_range_expectations
 
 ARGUMENTS = [
@@ -192,77 +186,3 @@ def test_the_mean_map_bias_is_its_integral(k: float, threshold: float, nlos_shar
     middle, end = threshold + 10.0, threshold + 60.0 + 40.0 / k
     expected = float(quad(integrand, threshold, middle)[0]) + float(quad(integrand, middle, end)[0])
     assert mean_map_bias(threshold, k, nlos_share) == pytest.approx(expected, rel=1e-7, abs=1e-12)
-
-
-@pytest.mark.parametrize("residual_rad", [0.0, 0.05, -0.4, 3.0])
-def test_the_bearing_density_is_scipys(residual_rad: float) -> None:
-    wide, log_density = bearing_expectations(residual_rad, 0.03, 0.3, 0.2)
-    narrow_part = 0.8 * float(norm.pdf(residual_rad, scale=0.03))
-    wide_part = 0.2 * float(norm.pdf(residual_rad, scale=0.3))
-    assert math.exp(log_density) == pytest.approx(narrow_part + wide_part, rel=1e-12)
-    assert wide == pytest.approx(wide_part / (narrow_part + wide_part), rel=1e-9)
-
-
-@pytest.mark.parametrize(("ratio", "share"), [(3.0, 0.1), (10.0, 0.3), (5.0, 0.9), (2.0, 0.0)])
-@pytest.mark.parametrize("k", [0.2, 1.0, 2.5])
-def test_hubers_variance_is_its_integral(ratio: float, share: float, k: float) -> None:
-    def density(u: float) -> float:
-        return float((1.0 - share) * norm.pdf(u) + share * norm.pdf(u, scale=ratio))
-
-    slope = 2.0 * float(quad(density, 0.0, k)[0])
-    square = 2.0 * float(quad(lambda u: u * u * density(u), 0.0, k)[0])
-    square += 2.0 * k * k * float(quad(density, k, k + 12.0 * ratio)[0])
-    assert huber_variance(k, ratio, share) == pytest.approx(square / slope**2, rel=1e-7)
-
-
-@pytest.mark.parametrize(("ratio", "share"), [(3.0, 0.05), (10.0, 0.3), (5.0, 0.9), (2.0, 0.0)])
-def test_no_threshold_has_noticeably_less_variance(ratio: float, share: float) -> None:
-    chosen = least_variance_k(ratio, share, 0.1, 5.0)
-    grid = np.geomspace(0.1, 5.0, 1000)
-    least = min(huber_variance(float(k), ratio, share) for k in grid)
-    assert 0.1 <= chosen <= 5.0
-    assert huber_variance(chosen, ratio, share) <= 1.005 * least
-
-
-MIXTURES = list(itertools.product([0.1, 0.3, 1.25, 3.0], [1e-6, 0.05, 0.3, 0.9, 1.0]))
-
-
-def _mixture_density(u: Vector, k: float, share: float) -> Vector:
-    """On an even grid, normalised there."""
-    density = (1.0 - share) * norm.pdf(u) + share * exponnorm.pdf(u, 1.0 / k)
-    return np.asarray(density / (np.sum(density) * (u[1] - u[0])))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("k", "share"), MIXTURES)
-@pytest.mark.parametrize("knot", [-1.0, 0.0, 0.4, 2.0, 5.0])
-def test_the_one_sided_variance_is_its_integral(knot: float, k: float, share: float) -> None:
-    u = np.linspace(-12.0, 400.0, 400_001)
-    step, density = u[1] - u[0], _mixture_density(u, k, share)
-    location = float(np.sum(np.minimum(u, knot) * density) * step)
-    square = float(np.sum((np.minimum(u, knot) - location) ** 2 * density) * step)
-    slope = float(np.sum(np.where(u < knot, 1.0, np.where(u == knot, 0.5, 0.0)) * density) * step)
-    variance, threshold = one_sided_huber_variance(knot, k, share)
-    assert threshold == pytest.approx(knot - location, abs=1e-5)
-    assert variance == pytest.approx(square / slope**2, rel=5e-3)
-
-
-@pytest.mark.parametrize(("k", "share"), MIXTURES)
-def test_no_one_sided_threshold_has_noticeably_less_variance(k: float, share: float) -> None:
-    found = [one_sided_huber_variance(float(t), k, share) for t in np.linspace(-2.0, 12.0, 1401)]
-    chosen = least_variance_k_long(k, share)
-    at_chosen = min(found, key=lambda row: abs(row[1] - chosen))[0]
-    assert at_chosen <= 1.01 * min(row[0] for row in found)
-
-
-@pytest.mark.parametrize("k", [0.1, 0.3, 1.25])
-def test_where_nearly_all_is_reflected_the_papers_threshold_wastes_nothing(k: float) -> None:
-    rows = [one_sided_huber_variance(float(t), k, 0.9) for t in np.linspace(-2.0, 12.0, 1401)]
-    at_papers = min(rows, key=lambda row: abs(row[1] - k))[0]
-    assert at_papers <= 1.03 * min(row[0] for row in rows)
-
-
-def test_where_little_is_reflected_the_papers_threshold_wastes_half() -> None:
-    rows = [one_sided_huber_variance(float(t), 0.1, 0.05) for t in np.linspace(-2.0, 12.0, 1401)]
-    at_papers = min(rows, key=lambda row: abs(row[1] - 0.1))[0]
-    assert at_papers > 2.0 * min(row[0] for row in rows)

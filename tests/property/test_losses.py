@@ -18,7 +18,6 @@ from companion.estimation.filters.robust_update import (
     asymmetric_huber_loss,
     asymmetric_huber_weight,
 )
-from companion.estimation.noise.adaptation import RangeNoise
 from tests.property.yardstick_losses import (
     RobustLoss,
     asymmetric_cauchy,
@@ -29,6 +28,7 @@ from tests.property.yardstick_losses import (
     smoothed_quantile,
     symmetric_huber,
 )
+from tools.study.noise_adaptation import RangeNoise
 from tools.study.printed_adaptation import map_bias_m
 
 residuals = st.floats(-1e4, 1e4)

@@ -185,7 +185,7 @@ def warm_everything_up() -> None:
 
 
 def configurations() -> Iterator[Any]:
-    """Yield the presets, and the defaults with every filter, planner and adaptation."""
+    """Yield the presets, and the defaults with every filter and planner."""
     from companion.config.schema import CompanionConfig, CrossingKind, load_config
     from companion.estimation.filters.kalman import FilterKind
 

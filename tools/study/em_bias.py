@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 from companion.entry import ignore_broken_pipe
-from companion.estimation.noise.adaptation import RangeNoise
 from tools.console import OneLineParser
+from tools.study.noise_adaptation import RangeNoise
 from tools.study.printed_adaptation import BiasComparison, compare_mean_bias
 
 MEAN_BIASES_M = (2.0, 5.0, 8.0, 15.0)

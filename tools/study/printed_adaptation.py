@@ -5,7 +5,7 @@ Theory of operation. The paper estimates each bias by its most probable value an
     b* = max(0, r - sigma^2 / m)        m <- mean b*        with m = 1/lambda
 
 That is not EM: the mode stands in for the mean of the posterior, and the update maximises neither
-likelihood nor posterior. For r of the mixture in `adaptation` (offset 0) the mean is closed form,
+likelihood nor posterior. For r of the mixture of `noise_adaptation` (offset 0) the mean is
 
     g(m) = sigma (phi(t) - t Phi(-t)) + p m0 (Phi(-t) + exp(k^2/2 - k t) Phi(t - k))
 
@@ -26,13 +26,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.estimation.noise.adaptation import (
+from companion.kernel import Vector
+from tools.study.noise_adaptation import (
     DEFAULTS,
     AdaptationParams,
     RangeNoise,
 )
-from companion.estimation.noise.mixtures import mean_map_bias
-from companion.kernel import Vector
+from tools.study.noise_mixtures import mean_map_bias
 from tools.study.range_noise_fit import fit_range_noise
 
 COLLAPSED = 0.05
@@ -44,38 +44,6 @@ SETTLED = 1e-10
 def map_bias_m(residual_m: float, rate_per_m: float, sigma_m: float) -> float:
     """Return the most probable bias b* = max(0, r - lambda sigma^2), metres. Paper: eq. (6)."""
     return max(0.0, residual_m - rate_per_m * sigma_m**2)
-
-
-@dataclass(frozen=True, slots=True)
-class PrintedMeanBias:
-    """The printed EM, measurement by measurement, with forgetting."""
-
-    sigma_m: float
-    forgetting: float
-    count: float
-    bias_m: float
-    """Sum of the most probable biases."""
-
-    @classmethod
-    def starting(
-        cls, mean_bias_m: float, sigma_m: float, params: AdaptationParams
-    ) -> PrintedMeanBias:
-        """Return a first guess that fades as measurements come in."""
-        count = params.tail_prior_count
-        return cls(sigma_m, params.forgetting, count, count * mean_bias_m)
-
-    @property
-    def mean_bias_m(self) -> float:
-        """1/lambda."""
-        return self.bias_m / self.count
-
-    def after(self, residual_m: float) -> PrintedMeanBias:
-        """Return the sums after one more residual, measured minus predicted range."""
-        mean_bias_m = self.mean_bias_m
-        has_collapsed = mean_bias_m < COLLAPSED * self.sigma_m
-        bias_m = 0.0 if has_collapsed else map_bias_m(residual_m, 1.0 / mean_bias_m, self.sigma_m)
-        count, total_m = self.forgetting * self.count, self.forgetting * self.bias_m
-        return PrintedMeanBias(self.sigma_m, self.forgetting, count + 1.0, total_m + bias_m)
 
 
 def printed_mean_bias_m(residuals_m: Vector, sigma_m: float, start_m: float) -> float:

@@ -1,21 +1,18 @@
-"""The batch fit of the range mixture by EM, for studies; a flight learns recursively.
-
-See `companion.estimation.noise.adaptation` for the mixture and its prior.
-"""
+"""Batch fit of the range mixture by EM; `noise_adaptation` has the mixture and its prior."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from companion.estimation.noise.adaptation import (
+from companion.kernel import Vector, kernel
+from tools.study.noise_adaptation import (
     DEFAULTS,
     AdaptationParams,
     RangeNoise,
     RangeSums,
 )
-from companion.estimation.noise.mixtures import range_expectations
-from companion.kernel import Vector, kernel
+from tools.study.noise_mixtures import range_expectations
 
 
 @kernel

@@ -16,7 +16,6 @@ from typing import TypeVar
 
 import msgspec
 
-from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.tracker import TrackerParams
 from sim_link.lab.pool import open_pool
 from tools.walks.walk_figures import (
@@ -143,53 +142,4 @@ def choices(results: Mapping[Job, list[TargetClaims]]) -> list[str]:
         pooled.setdefault(preset, []).extend(results[Job(left_out, best)])
     for preset, targets in pooled.items():
         lines += pooled_lines(f"{preset}, each file left out in turn", targets)
-    return lines
-
-
-LEARNT: dict[str, AdaptationParams | None] = {
-    "loss as shipped": None,
-    "mixture learnt": AdaptationParams(),
-    "mixture with its offset": AdaptationParams(estimate_offset=True),
-}
-"""What is learnt of each target's noise by EM."""
-
-
-@dataclass(frozen=True, slots=True)
-class LearningJob:
-    """One walk with a method of learning its noise."""
-
-    path: Path
-    learnt: str
-
-
-def learning(job: LearningJob) -> list[TargetClaims]:
-    """Return the claims of a job."""
-    params = msgspec.structs.replace(preset_of(job.path), adaptation=LEARNT[job.learnt])
-    return claims_of(job.path, params)
-
-
-def mixture_lines(
-    folder: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda _, __: None
-) -> list[str]:
-    """Return the pooled figures of every preset by learning method, and the other files' choice."""
-    work = [LearningJob(path, learnt) for path in walks_in(folder) for learnt in LEARNT]
-    return mixture_choices(results_of(learning, work, jobs, progress))
-
-
-def mixture_choices(results: Mapping[LearningJob, list[TargetClaims]]) -> list[str]:
-    """Return the lines of `mixture_lines` from the results of all jobs."""
-    files = by_preset(dict.fromkeys(job.path for job in results))
-
-    def on(paths: Sequence[Path], learnt: str) -> list[TargetClaims]:
-        return [target for path in paths for target in results[LearningJob(path, learnt)]]
-
-    lines: list[str] = []
-    for preset, paths in files.items():
-        for learnt in LEARNT:
-            lines += pooled_lines(f"{preset}, {learnt}", on(paths, learnt))
-        for left_out in paths if len(paths) > 1 else ():
-            others = [path for path in paths if path != left_out]
-            scores = {score(on(others, learnt)): learnt for learnt in reversed(LEARNT)}
-            best = scores[min(scores)]
-            lines.append(f"{left_out.stem}: the other files choose: {best}")
     return lines

@@ -1,1 +1,1 @@
-"""Learning the measurement noise of the run: mixtures, adaptation, innovations."""
+"""Learning the measurement noise of the run: innovations."""

@@ -12,13 +12,9 @@ measured on the innovations and applied to R in gain and covariance alike. With 
 noise c = 1. A consistent filter's NIS, y^T S^-1 y, is chi-square distributed with as many degrees
 of freedom as y has components; its mean lies in a band about that number.
 
-The learner retunes the filter to one emitter's noise by the on-line EM of `adaptation`; the radio's
-reported sigma is then ignored.
-
-Paper: section IV-C, "Path to Adaptive Estimation", per emitter. Sources: P. J. Huber, Robust
-Statistics (1981), chapter 6, for the sandwich; Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation
-with Applications to Tracking and Navigation (2001), section 5.4; E. B. Wilson and M. M. Hilferty,
-PNAS 17 (1931), for the quantile.
+Sources: P. J. Huber, Robust Statistics (1981), chapter 6, for the sandwich; Y. Bar-Shalom, X. R.
+Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4;
+E. B. Wilson and M. M. Hilferty, PNAS 17 (1931), for the quantile.
 """
 
 from __future__ import annotations
@@ -26,24 +22,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import msgspec
-
 from companion.estimation.filters.robust_update import asymmetric_huber_influence
 from companion.estimation.filters.target_filter import (
-    FilterParams,
     Inflation,
-    ModalityReport,
     UpdateReport,
 )
 from companion.estimation.measurement_model import MODALITIES
-from companion.estimation.noise.adaptation import (
-    AdaptationParams,
-    AdaptiveBearingNoise,
-    AdaptiveRangeNoise,
-    BearingNoise,
-    RangeNoise,
-    thresholds_of,
-)
 from companion.estimation.window.sandwich import (
     MAX_CORRELATION,
     SIGNIFICANT_SIGMAS,
@@ -257,71 +241,3 @@ class InnovationNoise:
             nlos_share=self.nlos_share,
             observability=observability,
         )
-
-
-RETUNE_EVERY = 50
-"""Measurements between two tunings of the filter."""
-FIRST_NLOS_SHARE = 0.5
-"""Prior share of reflections."""
-WIDE_RATIO = 3.0
-"""Prior ratio of the sigma of gross bearing errors to that of the others."""
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseLearner:
-    """On-line learner of one emitter's noise."""
-
-    ranges: AdaptiveRangeNoise
-    bearings: AdaptiveBearingNoise
-    params: AdaptationParams
-    count: int = 0
-
-    @classmethod
-    def starting(cls, believed: FilterParams, params: AdaptationParams) -> NoiseLearner:
-        """Return the learner before the first measurement; the parameters are its prior."""
-        k = believed.range_k_long or params.k_max
-        sigma_rad = math.radians(believed.bearing_sigma_deg)
-        ranges = RangeNoise(
-            sigma_m=believed.range_sigma_m,
-            mean_bias_m=believed.range_sigma_m / k,
-            nlos_share=FIRST_NLOS_SHARE,
-        )
-        bearings = BearingNoise(sigma_rad, WIDE_RATIO * sigma_rad, FIRST_NLOS_SHARE)
-        return cls(
-            AdaptiveRangeNoise.starting(ranges, params),
-            AdaptiveBearingNoise.starting(bearings, params),
-            params,
-        )
-
-    def after(self, report: UpdateReport) -> NoiseLearner:
-        """Return the learner after one more update."""
-        ranges, bearings = self.ranges, self.bearings
-        has_range, has_bearing = _is_noise(report.range), _is_noise(report.bearing)
-        if report.range is not None and has_range:
-            ranges = ranges.after(report.range.innovation)
-        if report.bearing is not None and has_bearing:
-            bearings = bearings.after(report.bearing.innovation)
-        return replace(
-            self, ranges=ranges, bearings=bearings, count=self.count + (has_range or has_bearing)
-        )
-
-    @property
-    def is_due(self) -> bool:
-        """True if the filter should be tuned to the learnt noise."""
-        return self.count > 0 and self.count % RETUNE_EVERY == 0
-
-    def tuned(self, believed: FilterParams) -> FilterParams:
-        """Return the filter's parameters with the learnt noise."""
-        found = thresholds_of(self.ranges.noise, self.bearings.noise, self.params)
-        return msgspec.structs.replace(
-            believed,
-            range_sigma_m=found.range_sigma_m,
-            range_k_long=found.range_k_least_variance if believed.range_k_long else None,
-            bearing_sigma_deg=math.degrees(found.bearing_sigma_rad),
-            bearing_k=found.bearing_k if believed.bearing_k else None,
-            use_reported_sigma=False,
-        )
-
-
-def _is_noise(report: ModalityReport | None) -> bool:
-    return report is not None and report.prior_share <= MAX_PRIOR_SHARE

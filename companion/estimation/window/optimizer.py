@@ -19,14 +19,13 @@ from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
-from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE
+from companion.estimation.measurement_model import AZIMUTH, BEARING
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.antenna_check import rows_as
 from companion.estimation.window.map_kernels import (
     ARRAY_COLUMNS,
     COLUMNS,
     SEQUENCE,
-    SIGMAS,
     VALUES,
     Row,
     row_vector,
@@ -213,14 +212,6 @@ class WindowOptimizer:
         self._filter_params = filter_params
         self.map = WindowMap(filter_params)
         self._older = OlderEvidence.none(self.map.size)
-
-    def retune(self, filter_params: FilterParams) -> None:
-        """Use other noise and thresholds, also for earlier measurements."""
-        self._filter_params = self.kept_as = filter_params
-        self.map = WindowMap(filter_params)
-        rows = self.window.rows
-        rows[:, SIGMAS + RANGE] = filter_params.range_sigma_m
-        rows[:, SIGMAS + BEARING] = math.radians(filter_params.bearing_sigma_deg)
 
     def add(
         self,

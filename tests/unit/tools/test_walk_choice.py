@@ -8,13 +8,10 @@ import pytest
 
 from companion.domain import EstimateState
 from tools.walks.walk_choice import (
-    LEARNT,
     TRIED,
     Job,
-    LearningJob,
     choices,
     jobs_in,
-    mixture_choices,
     score,
     variants_of,
     varied,
@@ -59,16 +56,3 @@ def test_a_walk_without_another_of_its_kind_cannot_be_left_out(tmp_path: Path) -
     for name in ("rtt_1.csv", "wsr_1.csv", "wsr_2.csv", "uwb_1.csv"):
         (tmp_path / name).touch()
     assert {job.path.stem for job in jobs_in(tmp_path)} == {"wsr_1", "wsr_2"}
-
-
-def test_a_mixture_is_chosen_by_the_files_that_are_not_judged() -> None:
-    results = {LearningJob(path, learnt): targets(1.0) for path in (A, B) for learnt in LEARNT}
-    shipped, learnt, _ = LEARNT
-    results[LearningJob(A, learnt)] = targets(0.5)
-    results[LearningJob(B, learnt)] = targets(3.0)
-    lines = mixture_choices(results)
-    assert lines[-2:] == [
-        f"wsr_a: the other files choose: {shipped}",
-        f"wsr_b: the other files choose: {learnt}",
-    ]
-    assert sum(line.startswith("wifi_aoa, ") for line in lines) == len(LEARNT)

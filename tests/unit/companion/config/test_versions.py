@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from companion.config.schema import load_config
-from companion.config.versions import MIGRATIONS, SCHEMA_VERSION, Migration, renew
+from companion.config.versions import MIGRATIONS, SCHEMA_VERSION, Gone, Migration, renew
 from companion.errors import ConfigError
 from companion.io.logs.log_files import FAMILY, FORMAT
 from companion.io.logs.radio_recording import VERSION as RECORDING_VERSION
@@ -21,7 +21,9 @@ from companion.mav.dialect import (
 INVENTED = (
     Migration(2, moved={"mission.height_m": "mission.altitude_m", "seek": "planner.search"}),
     Migration(
-        3, moved={"planner.search": "search.pattern"}, gone={"log.gzip": "compress yourself"}
+        3,
+        moved={"planner.search": "search.pattern"},
+        gone={"log.gzip": Gone("compress yourself", default=False)},
     ),
 )
 
@@ -39,6 +41,21 @@ def test_a_file_without_a_version_is_of_the_first_and_takes_every_step() -> None
         "planner": {},
         "search": {"pattern": "sector"},
     }
+
+
+def test_a_copy_of_the_former_defaults_is_read() -> None:
+    assert renewed("log: {gzip: false, max_mb: 5}")["log"] == {"max_mb": 5}
+
+
+def test_a_section_that_is_gone_says_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_text("estimation: {adaptation: null}\n")
+    assert load_config(path) == load_config(None)
+    path.write_text("estimation: {adaptation: {}}\n")
+    with pytest.raises(
+        ConfigError, match=r"estimation\.adaptation: gone since schema 2; delete it"
+    ):
+        load_config(path)
 
 
 def test_a_file_of_a_later_version_takes_only_the_steps_after_it() -> None:

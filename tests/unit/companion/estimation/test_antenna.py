@@ -12,7 +12,6 @@ from companion.domain import Attitude, RangingMeasurement
 from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import jacobian, variances
-from companion.estimation.noise.adaptation import AdaptationParams
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
 
@@ -190,9 +189,3 @@ def test_what_a_planar_array_says_from_right_above_is_no_wrong_unit() -> None:
         told = RangingMeasurement(1, at_s, bearing_body_rad=float(rng.uniform(-3.1, 3.1)))
         tracker.fuse(seen_in_enu(told, LEVEL, antenna), (0.05 * index, 0.0, 20.0), at_s)
     assert tracker.rejected[RejectReason.WRONG_UNIT] == 0
-
-
-def test_the_noise_of_an_array_is_not_learnt() -> None:
-    array = FilterParams(antenna=AntennaParams(kind="planar"))
-    with pytest.raises(ValueError, match="adaptation needs"):
-        TrackerParams(filter=array, adaptation=AdaptationParams())

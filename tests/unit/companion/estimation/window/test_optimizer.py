@@ -291,18 +291,6 @@ def test_what_was_measured_can_be_forgotten() -> None:
     assert _optimized(optimizer, hypotheses) is hypotheses
 
 
-def test_other_noise_is_believed_of_what_was_measured_already() -> None:
-    rows = walk(np.random.default_rng(1))
-    optimizer = _fed(rows)
-    (before,) = _optimized(optimizer)
-    held = optimizer.window.rows.copy()
-    optimizer.retune(params(range_sigma_m=5.0, bearing_sigma_deg=20.0))
-    held[:, 6], held[:, 7] = 5.0, math.radians(20.0)
-    np.testing.assert_array_equal(optimizer.window.rows, held)
-    (after,) = _optimized(optimizer)
-    assert _sigma_m(after) > 1.5 * _sigma_m(before)
-
-
 def test_it_tells_what_the_track_can_tell() -> None:
     straight = _fed(walk(np.random.default_rng(1), straight=True)).observability(START)
     bent = _fed(walk(np.random.default_rng(1))).observability(START)

@@ -1,4 +1,4 @@
-"""Densities and posterior moments of the noise mixtures that `adaptation` fits, as kernels.
+"""Densities and posterior moments of the noise mixtures that `noise_adaptation` fits, as kernels.
 
 Theory of operation. The posterior of a bias given its residual is a unit normal N(z, 1) truncated
 below 0. With phi and Phi of the standard normal and h = phi(z) / Phi(z),
@@ -90,21 +90,6 @@ def range_expectations(
 
 
 @kernel
-def bearing_expectations(
-    residual_rad: float, sigma_rad: float, wide_sigma_rad: float, wide_share: float
-) -> tuple[float, float]:
-    """Return the probability that a bearing residual is of the wide normal, and its log density.
-
-    The density is per radian.
-    """
-    narrow, wide = residual_rad / sigma_rad, residual_rad / wide_sigma_rad
-    log_narrow = math.log1p(-wide_share) - math.log(sigma_rad) - 0.5 * narrow * narrow
-    log_wide = math.log(wide_share) - math.log(wide_sigma_rad) - 0.5 * wide * wide
-    log_density = max(log_narrow, log_wide) + math.log1p(math.exp(-abs(log_wide - log_narrow)))
-    return math.exp(log_wide - log_density), log_density - HALF_LOG_2_PI
-
-
-@kernel
 def mean_map_bias(threshold: float, k: float, nlos_share: float) -> float:
     """Return E[max(0, u - threshold)] of a residual of the range mixture, everything in sigma.
 
@@ -115,64 +100,3 @@ def mean_map_bias(threshold: float, k: float, nlos_share: float) -> float:
     thermal = normal_density(t) - t * normal_cdf(-t)
     beyond = normal_cdf(-t) + math.exp(k * (0.5 * k - t) + truncated_normal(t - k)[0])
     return thermal + nlos_share * beyond / k
-
-
-@kernel
-def one_sided_huber_variance(knot: float, k: float, nlos_share: float) -> tuple[float, float]:
-    """Return n times the variance of the one-sided Huber location, and its threshold, in sigma.
-
-    Residuals of the range mixture have their influence clipped at `knot`. The location converges to
-    the mean of min(u, knot), which the filter's range offset absorbs; the threshold is knot -
-    location.
-
-    The moments of (knot - u)+ follow from those of u and of (u - knot)+; for a reflection the
-    second moment of the latter is the normal's plus 2 / k times its first.
-    """
-    t, p = knot, nlos_share
-    over = mean_map_bias(t, k, p)
-    reflected_over = mean_map_bias(t, k, 1.0)
-    over2 = (1.0 + t * t) * normal_cdf(-t) - t * normal_density(t) + 2.0 * p / k * reflected_over
-    below = t - p / k + over
-    below2 = 1.0 + 2.0 * p / (k * k) - 2.0 * t * p / k + t * t - over2
-    slope = normal_cdf(t) - p * math.exp(k * (0.5 * k - t) + truncated_normal(t - k)[0])
-    return (below2 - below * below) / (slope * slope), below
-
-
-@kernel
-def least_variance_k_long(k: float, nlos_share: float) -> float:
-    """Return the one-sided threshold, in sigma, of about least variance under the range mixture."""
-    best, least = 0.0, math.inf
-    for step in range(61):
-        variance, threshold = one_sided_huber_variance(-1.0 + 0.1 * step, k, nlos_share)
-        if variance < least:
-            best, least = threshold, variance
-    return best
-
-
-@kernel
-def huber_variance(k: float, wide_ratio: float, wide_share: float) -> float:
-    """Return n times the variance of Huber's location estimate, E psi^2 / E[psi']^2.
-
-    In squares of the narrow sigma: 1 is what least squares has without the wide normal of the
-    mixture, which is `wide_ratio` as wide. The threshold k is on both sides, in narrow sigma.
-    """
-    slope, square = 0.0, 0.0
-    for scale, share in ((1.0, 1.0 - wide_share), (wide_ratio, wide_share)):
-        a = k / scale
-        inside = 2.0 * normal_cdf(a) - 1.0
-        slope += share * inside
-        quadratic = scale * scale * (inside - 2.0 * a * normal_density(a))
-        square += share * (quadratic + 2.0 * k * k * normal_cdf(-a))
-    return square / (slope * slope)
-
-
-@kernel
-def least_variance_k(wide_ratio: float, wide_share: float, k_min: float, k_max: float) -> float:
-    """Return the threshold in [k_min, k_max] of least `huber_variance`, to about 5 %."""
-    best, least, steps = k_max, huber_variance(k_max, wide_ratio, wide_share), 40
-    for step in range(steps):
-        k = k_min * (k_max / k_min) ** (step / steps)
-        variance = huber_variance(k, wide_ratio, wide_share)
-        if variance < least:
-            best, least = k, variance
-    return best
