@@ -63,7 +63,7 @@ more:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the simulator until it is stopped, or a subcommand; the exit code.
+    """Run the simulator until it is stopped, or a subcommand; return the exit code.
 
     0 after a stop, 1 after an interrupt before the start, 2 for bad input or a port that is taken.
     """
@@ -201,7 +201,7 @@ def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
 
 
 def _scenario(arguments: argparse.Namespace) -> Scenario:
-    """The scenario of the command line, which has the last word."""
+    """Return the scenario of the command line, which has the last word."""
     scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
     vehicles, ready_after_s = arguments.vehicles, arguments.ready_after
     given = {"flavour": arguments.autopilot, "ready_after_s": ready_after_s}
@@ -234,7 +234,7 @@ def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], no
 
 
 def _link(text: str) -> tuple[Transport, LinkMode | None]:
-    """A link and, behind `#`, whom it is for."""
+    """Return a link and, behind `#`, whom it is for."""
     url, mark, name = text.partition("#")
     modes: dict[str, LinkMode] = {mode: mode for mode in get_args(LinkMode)}
     if mark and name not in modes:

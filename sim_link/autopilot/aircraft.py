@@ -100,7 +100,7 @@ class Area:
     radius_m: float | None = None
 
     def depth_m(self, place: Point) -> float:
-        """Distance to the boundary of the area; negative outside."""
+        """Return the distance to the boundary of the area; negative outside."""
         if self.radius_m is None:
             return depth_m(self.corners_enu_m, place)
         return self.radius_m - math.dist(place, self.corners_enu_m[0])
@@ -122,7 +122,7 @@ class Geofence:
         return not (self._inclusions or self._exclusions)
 
     def margin_m(self, place: PositionEnu) -> float:
-        """Distance to the nearest breach, negative in one; infinite without a fence."""
+        """Return the distance to the nearest breach, negative in one; infinite without a fence."""
         point = place[:2]
         margin = math.inf
         if self._inclusions:
@@ -133,7 +133,7 @@ class Geofence:
 def areas_from_items(
     items: Sequence[PlanItem], enu_from_e7: Callable[[int, int], Point]
 ) -> list[Area]:
-    """The areas of an uploaded fence, in order of upload; a return point (5000) is passed over.
+    """Return the areas of an uploaded fence, in order; a return point (5000) is skipped.
 
     Args:
         items: Whole, as they are checked before they are stored (`plan_rules`).
@@ -282,7 +282,10 @@ class Aircraft:
         self.origin_changes += 1
 
     def up_from(self, altitude_m: float, frame: int) -> float | None:
-        """Height in the world's frame of an altitude in a MAV_FRAME; None if not one of ours."""
+        """Return the height in the world's frame of an altitude in a MAV_FRAME.
+
+        None if not one of ours.
+        """
         if frame in AMSL_FRAMES:
             return altitude_m - self.estimator.world_origin.altitude_m
         if frame in RELATIVE_FRAMES:
@@ -305,7 +308,7 @@ class Aircraft:
         origin = self.estimator.world_origin
 
         def enu_from_e7(lat_e7: int, lon_e7: int) -> Point:
-            """A place in 1e-7 degrees, local east and north."""
+            """Return a place in 1e-7 degrees, local east and north."""
             return origin.enu_from_geodetic(lat_e7 / 1e7, lon_e7 / 1e7, origin.altitude_m)[:2]
 
         self.fence = Geofence(areas_from_items(items, enu_from_e7))

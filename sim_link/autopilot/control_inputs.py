@@ -82,12 +82,12 @@ class SetpointMonitor:
         self.arrived_s = now_s
 
     def is_alive(self, now_s: float, timeout_s: float) -> bool:
-        """True if the newest valid setpoint is younger than `timeout_s`."""
+        """Return True if the newest valid setpoint is younger than `timeout_s`."""
         return self.arrived_s is not None and now_s - self.arrived_s < timeout_s
 
 
 def bits_of_no_numbers(message: PositionTarget, position: tuple[float, float, float]) -> int:
-    """The POSITION_TARGET_TYPEMASK bits of the fields that are NaN or infinite."""
+    """Return the POSITION_TARGET_TYPEMASK bits of the fields that are NaN or infinite."""
     velocity = (message.vx, message.vy, message.vz)
     acceleration = (message.afx, message.afy, message.afz)
     values = (*position, *velocity, *acceleration, message.yaw, message.yaw_rate)
@@ -96,19 +96,22 @@ def bits_of_no_numbers(message: PositionTarget, position: tuple[float, float, fl
 
 
 def enu_of(x: float, y: float, z: float, heading_rad: float | None) -> tuple[float, float, float]:
-    """A vector east, north and up, from forward, right, down of a heading; None: of north."""
+    """Return a vector east, north and up, from forward, right, down of a heading.
+
+    None: of north.
+    """
     if heading_rad is None or not (math.isfinite(x) and math.isfinite(y)):
         return (float(y), float(x), -float(z))
     return (*turned(x, y, heading_rad), -float(z))
 
 
 def is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:
-    """True if latitude and longitude in 1e-7 degrees are in range."""
+    """Return True if latitude and longitude in 1e-7 degrees are in range."""
     return abs(latitude_e7) <= MAX_LATITUDE_E7 and abs(longitude_e7) <= MAX_LONGITUDE_E7
 
 
 def turned(forward: float, right: float, yaw_ned_rad: float) -> Point:
-    """East and north of a vector that is given forward and right of a heading."""
+    """Return east and north of a vector that is given forward and right of a heading."""
     cos_yaw, sin_yaw = math.cos(yaw_ned_rad), math.sin(yaw_ned_rad)
     return (forward * sin_yaw + right * cos_yaw, forward * cos_yaw - right * sin_yaw)
 
@@ -143,7 +146,7 @@ THROTTLE_DOWN = Sticks(up=-1.0)
 
 
 def sticks_from(message: mavlink.MAVLink_manual_control_message) -> Sticks:
-    """The deflections of MANUAL_CONTROL; an axis beyond its range is not there, and centred.
+    """Return the deflections of MANUAL_CONTROL; an axis beyond its range is not there, and centred.
 
     Source: MAVLink common, MANUAL_CONTROL (INT16_MAX: the axis is invalid; z is thrust, 500 is
     half); PX4 `handle_message_manual_control` takes no axis beyond 1000 either.
@@ -177,23 +180,23 @@ class StickInput:
         self._lost_pulses: Sticks | None = None
 
     def take_joystick(self, sticks: Sticks, now_s: float) -> None:
-        """Deflections from MANUAL_CONTROL or RC_CHANNELS_OVERRIDE."""
+        """Take deflections from MANUAL_CONTROL or RC_CHANNELS_OVERRIDE."""
         self._joystick = sticks
         self._joystick_s = now_s
 
     def move(self, sticks: Sticks, until_s: float) -> None:
-        """The pilot holds the transmitter's sticks like this for some time."""
+        """Hold the transmitter's sticks at a deflection for some time."""
         self._moved, self._moved_until_s = sticks, until_s
 
     def lose(self, until_s: float, pulses: Sticks | None = None) -> None:
-        """The transmitter is not heard for some time; its receiver may output a failsafe position.
+        """Lose the transmitter for some time; its receiver may output a failsafe position.
 
         The autopilot never takes these pulses for the pilot's, but it reports them.
         """
         self._lost_until_s, self._lost_pulses = until_s, pulses
 
     def is_joystick_alive(self, now_s: float) -> bool:
-        """True if a station's joystick still reports."""
+        """Return True if a station's joystick still reports."""
         return self._joystick_s is not None and now_s - self._joystick_s < JOYSTICK_TIMEOUT_S
 
     def pulses(self, now_s: float) -> Sticks | None:
@@ -202,7 +205,7 @@ class StickInput:
         return self._lost_pulses if held is None and now_s < self._lost_until_s else held
 
     def read(self, now_s: float) -> Sticks | None:
-        """The deflections, or None if there are no sticks."""
+        """Return the deflections, or None if there are no sticks."""
         if self.is_joystick_alive(now_s):
             return self._joystick
         if now_s < self._lost_until_s:

@@ -168,7 +168,7 @@ class SimEndpoint:
                 )
 
     def _obey_station(self, incident: StationRecord, boot_s: float) -> None:
-        """Another ground station orders something, over its own line or that of all others."""
+        """Execute an order of another ground station, on its own link or that of all others."""
         is_about_lines = isinstance(incident, StationRates)
         channels = list(self._services.requests.channels) if is_about_lines else [CHANNEL]
         for message in station_orders(incident, self.vehicle):
@@ -223,12 +223,12 @@ class SimEndpoint:
         return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)
 
     def next_timer_s(self) -> float:
-        """The time of the next physics step or answer; never before the end of a stall."""
+        """Return the time of the next physics step or answer; never before the end of a stall."""
         next_s = min(self._next_step * STEP_S, self._services.clocks.next_s())
         return max(self._started_s + next_s, self._stalled_until_s)
 
     def take_output(self) -> list[Chunk]:
-        """The frames to send, in order; taken once."""
+        """Return the frames to send, in order; taken once."""
         output, self._output = self._output, []
         if not self._sole_peers:
             return output
@@ -236,7 +236,7 @@ class SimEndpoint:
         return [c.readdressed(c.link, peers.get(c.link, c.peer)) for c in output]
 
     def take_occurrences(self) -> list[Occurrence]:
-        """Mode changes and other events since the last call."""
+        """Return mode changes and other events since the last call."""
         return self.recorder.take_occurrences()
 
     def request_stop(self, now_s: float) -> None:  # noqa: ARG002  the protocol gives the time

@@ -192,12 +192,12 @@ class Estimator:
         self.set_origin(LocalOrigin(*place, self.world_origin.projection))
 
     def local_from_world(self, enu_m: PositionEnu) -> PositionEnu:
-        """About the EKF origin, from the world's frame; the bias is left out."""
+        """Return a local position about the EKF origin from the world's frame, without the bias."""
         (e, n, u), (oe, on, ou) = enu_m, self._origin_enu_m
         return (e - oe, n - on, u - ou)
 
     def shown_from_world(self, enu_m: PositionEnu) -> PositionEnu:
-        """Estimated local position of a place; inverse of `world_from_local`."""
+        """Return the estimated local position of a place; inverse of `world_from_local`."""
         (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self._shift_enu_m
         return (e - oe + be, n - on + bn, u - ou + bu)
 

@@ -39,7 +39,7 @@ class FaultRecord(Params, frozen=True, tag_field="kind"):
         return self.start_s + self.duration_s
 
     def is_active(self, time_s: float) -> bool:
-        """True if it acts at a time since the schedule began."""
+        """Return True if it acts at a time since the schedule began."""
         return self.start_s <= time_s < self.end_s
 
 

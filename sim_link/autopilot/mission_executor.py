@@ -79,14 +79,14 @@ class MissionRun:
         self.rewind()
 
     def rewind(self) -> None:
-        """Back to the start."""
+        """Go back to the start."""
         self._go_to(0 if not self.has_items else self._first)
         self._jumps.clear()
         self._speed_mps = None
         self.state = MissionState.NOT_STARTED if self.has_items else MissionState.NO_MISSION
 
     def set_current(self, index: int) -> bool:
-        """Fly on at an item; whether there is one."""
+        """Fly on at an item; return True if there is one."""
         if not 0 <= index < len(self.items):
             return False
         self._go_to(index)
@@ -102,7 +102,7 @@ class MissionRun:
             self.state = MissionState.ACTIVE
 
     def finish_leg(self) -> None:
-        """The current item is done, whatever it asks for."""
+        """Finish the current item, whatever it is."""
         self._done()
         if self.current >= len(self.items):
             self._complete()
@@ -142,7 +142,7 @@ class MissionRun:
     def _leg_of(
         self, item: PlanItem, place: PositionEnu, is_on_ground: bool, now_s: float
     ) -> MissionLeg | None:
-        """The leg of an item, or None if it is done (the run has moved on then)."""
+        """Return the leg of an item, or None if it is done (the run has moved on then)."""
         hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
         match item.command:
             case mavlink.MAV_CMD_NAV_LAND:

@@ -33,27 +33,27 @@ UNKNOWN_COVARIANCE = [math.nan] + [0.0] * 20
 
 
 def boot_ms(vehicle: SimVehicle) -> int:
-    """Milliseconds since boot by its own clock, which start again at zero after 49.7 days."""
+    """Return milliseconds since boot by its own clock, which wraps after 49.7 days."""
     return round(1e3 * vehicle.stamp_s) & UINT32_MAX
 
 
 def boot_us(vehicle: SimVehicle) -> int:
-    """Microseconds since boot by its own clock."""
+    """Return microseconds since boot by its own clock."""
     return round(1e6 * vehicle.stamp_s)
 
 
 def to_int16(value: float) -> int:
-    """Rounded, and limited to what the field holds."""
+    """Return the rounded value, limited to the field's range."""
     return round(min(INT16_MAX, max(-INT16_MAX, value)))
 
 
 def to_int32(value: float) -> int:
-    """Rounded, and limited to what the field holds."""
+    """Return the rounded value, limited to the field's range."""
     return round(min(2**31 - 1, max(-(2**31 - 1), value)))
 
 
 def to_e7(place: tuple[float, float, float]) -> tuple[int, int, int]:
-    """1e-7 degrees and millimetres of degrees and metres."""
+    """Return 1e-7 degrees and millimetres from degrees and metres."""
     return (to_int32(place[0] * 1e7), to_int32(place[1] * 1e7), to_int32(place[2] * 1e3))
 
 
@@ -62,7 +62,7 @@ def _centidegrees(angle_rad: float) -> int:
 
 
 def local_position_ned(vehicle: SimVehicle) -> Fields | None:
-    """About the EKF origin; None without an estimate."""
+    """Return the position about the EKF origin; None without an estimate."""
     if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     place = ned_from_enu(vehicle.estimator.local_enu_m)
@@ -70,12 +70,12 @@ def local_position_ned(vehicle: SimVehicle) -> Fields | None:
 
 
 def _roll_and_pitch(vehicle: SimVehicle) -> tuple[float, float]:
-    """The true ones: levelling is what inertial sensors do well."""
+    """Return the true roll and pitch, which inertial sensors estimate well."""
     return vehicle.body.attitude[:2]
 
 
 def attitude(vehicle: SimVehicle) -> Fields:
-    """Roll and pitch of the acceleration and of the wind, no rates."""
+    """Return roll and pitch of the acceleration and of the wind, no rates."""
     return (boot_ms(vehicle), *_roll_and_pitch(vehicle), vehicle.aircraft.heading_ned_rad, *STILL)
 
 
@@ -96,12 +96,12 @@ def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
 
 
 def attitude_quaternion(vehicle: SimVehicle) -> Fields:
-    """The same, w first."""
+    """Return the same, w first."""
     return (boot_ms(vehicle), *_quaternion(vehicle), *STILL)
 
 
 def odometry(vehicle: SimVehicle) -> Fields | None:
-    """Position in LOCAL_NED, velocity in BODY_FRD; None without an estimate."""
+    """Return the position in LOCAL_NED, velocity in BODY_FRD; None without an estimate."""
     if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
@@ -120,7 +120,7 @@ def odometry(vehicle: SimVehicle) -> Fields | None:
 
 
 def global_position_int(vehicle: SimVehicle) -> Fields | None:
-    """None without an estimate."""
+    """Return GLOBAL_POSITION_INT; None without an estimate."""
     if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     lat, lon, alt = to_e7(vehicle.geodetic)
@@ -131,7 +131,7 @@ def global_position_int(vehicle: SimVehicle) -> Fields | None:
 
 
 def gps_raw_int(vehicle: SimVehicle) -> Fields:
-    """A good fix (horizontal and vertical dilution 0.9 and 1.2, 14 satellites), or none.
+    """Return a good fix (horizontal and vertical dilution 0.9 and 1.2, 14 satellites), or none.
 
     Accuracies are one sigma, in millimetres; 0 is unknown.
     """
@@ -147,7 +147,10 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
 
 
 def gps2_raw(vehicle: SimVehicle) -> Fields | None:
-    """The second receiver, which sees what the first one does; None where it is not fitted."""
+    """Return the second receiver, which sees what the first one does.
+
+    None where it is not fitted.
+    """
     has_fix = vehicle.estimator.receiver_has_fix(1)
     if has_fix is None:
         return None
@@ -159,7 +162,7 @@ def gps2_raw(vehicle: SimVehicle) -> Fields | None:
 
 
 def altitude(vehicle: SimVehicle) -> Fields:
-    """Above sea level, the origin, home and the flat ground."""
+    """Return altitudes above sea level, the origin, home and the flat ground."""
     up_m = vehicle.estimator.reported_enu_m[2]
     amsl_m = vehicle.estimator.world_origin.altitude_m + up_m
     local_m, above_home_m = vehicle.estimator.local_enu_m[2], up_m - vehicle.home_enu_m[2]
@@ -169,7 +172,7 @@ def altitude(vehicle: SimVehicle) -> Fields:
 
 
 def vfr_hud(vehicle: SimVehicle) -> Fields:
-    """Speeds, heading, throttle, altitude and climb."""
+    """Return speeds, heading, throttle, altitude and climb."""
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
     speed = math.hypot(v_east, v_north)
     throttle = 0 if not vehicle.is_armed else (10 if vehicle.body.is_on_ground else 50)
@@ -179,7 +182,7 @@ def vfr_hud(vehicle: SimVehicle) -> Fields:
 
 
 def nav_controller_output(vehicle: SimVehicle) -> Fields:
-    """Distance and direction to where it goes."""
+    """Return the distance and direction to where it goes."""
     pilot, place = vehicle.aircraft.pilot, vehicle.aircraft.motion.position_enu_m
     goal = pilot.goal_enu_m or pilot.hold_enu_m
     bearing = round(math.degrees(math.atan2(goal[0] - place[0], goal[1] - place[1])))
@@ -189,7 +192,7 @@ def nav_controller_output(vehicle: SimVehicle) -> Fields:
 
 
 def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
-    """The target that is flown; None where none is."""
+    """Return the target that is flown; None where none is."""
     echo = vehicle.flavour.echo()
     if echo is None:
         return None
@@ -203,7 +206,7 @@ def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
 
 
 def position_target_global_int(vehicle: SimVehicle) -> Fields | None:
-    """The same above sea level; None where no place is flown to."""
+    """Return the same above sea level; None where no place is flown to."""
     echo = vehicle.flavour.echo()
     place = None if echo is None else echo.whole_place
     if echo is None or place is None or any(abs(value) > FARTHEST_M for value in place):
@@ -247,12 +250,12 @@ def _thrust_share(vehicle: SimVehicle) -> float:
 
 
 def attitude_target(vehicle: SimVehicle) -> Fields:
-    """A point mass has the attitude that it wants."""
+    """Return the present attitude, which a point mass attains at once."""
     return (boot_ms(vehicle), 0, list(_quaternion(vehicle)), *STILL, _thrust_share(vehicle))
 
 
 def servo_output_raw(vehicle: SimVehicle) -> Fields:
-    """Four motors that turn alike."""
+    """Return four motors that turn alike."""
     pulse_us = MOTOR_OFF_US
     if vehicle.is_armed:
         pulse_us = round(MOTOR_IDLE_US + _thrust_share(vehicle) * MOTOR_RANGE_US)
@@ -278,14 +281,14 @@ def _pressure_hpa(vehicle: SimVehicle) -> float:
 
 
 def highres_imu(vehicle: SimVehicle) -> Fields:
-    """The thrust as specific force, no rates, a field to the north and down."""
+    """Return the thrust as specific force, no rates, a field to the north and down."""
     force = (0.0, 0.0, -_specific_force_mps2(vehicle))
     air = (_pressure_hpa(vehicle), 0.0, _amsl_m(vehicle), TEMPERATURE_C)
     return (boot_us(vehicle), *force, *STILL, *_field_gauss(vehicle), *air, ALL_IMU_FIELDS)
 
 
 def raw_imu(vehicle: SimVehicle) -> Fields:
-    """In ArduPilot's units: thousandths of g, and of gauss."""
+    """Return readings in ArduPilot's units: thousandths of g, and of gauss."""
     force_mg = to_int16(-1e3 * _specific_force_mps2(vehicle) / GRAVITY_MPS2)
     field = [to_int16(1e3 * axis) for axis in _field_gauss(vehicle)]
     temperature = round(1e2 * TEMPERATURE_C)
@@ -293,34 +296,34 @@ def raw_imu(vehicle: SimVehicle) -> Fields:
 
 
 def scaled_imu2(vehicle: SimVehicle) -> Fields:
-    """Any further sensor shows what the first one does."""
+    """Return the first sensor's readings for any further one."""
     _, *axes, _, temperature = raw_imu(vehicle)
     return (boot_ms(vehicle), *axes, temperature)
 
 
 def scaled_pressure(vehicle: SimVehicle) -> Fields:
-    """Of the standard atmosphere."""
+    """Return the pressure of the standard atmosphere."""
     return (boot_ms(vehicle), _pressure_hpa(vehicle), 0.0, round(1e2 * TEMPERATURE_C))
 
 
 def terrain_report(vehicle: SimVehicle) -> Fields:
-    """No data of the terrain are loaded."""
+    """Return a report without terrain data."""
     lat, lon, _ = to_e7(vehicle.geodetic)
     return (lat, lon, 0, 0.0, 0.0, 0, 0)
 
 
 def power_status(_vehicle: SimVehicle) -> Fields:
-    """Always a good supply."""
+    """Return a good supply."""
     return (RAIL_MV, RAIL_MV, mavlink.MAV_POWER_STATUS_BRICK_VALID)
 
 
 def vibration(vehicle: SimVehicle) -> Fields:
-    """A point mass has none."""
+    """Return zeros: a point mass does not vibrate."""
     return (boot_us(vehicle), *STILL, 0, 0, 0)
 
 
 def distance_sensor(vehicle: SimVehicle) -> Fields:
-    """A laser that looks down; beyond its reach one centimetre more than that."""
+    """Return a laser that looks down; beyond its reach one centimetre more than that."""
     range_cm = min(round(1e2 * vehicle.body.height_m), RANGE_MAX_CM + 1)
     reach = (RANGE_MIN_CM, RANGE_MAX_CM, max(RANGE_MIN_CM, range_cm))
     kind = (mavlink.MAV_DISTANCE_SENSOR_LASER, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270)

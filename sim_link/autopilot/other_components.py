@@ -60,7 +60,7 @@ class OtherComponentSender:
         self._heartbeat_s = self._stream_s = began_s
 
     def frames(self, now_s: float) -> list[bytes]:
-        """The frames that are due."""
+        """Return the frames that are due."""
         due: list[Message] = []
         if now_s >= self._heartbeat_s:
             self._heartbeat_s = now_s + HEARTBEAT_S

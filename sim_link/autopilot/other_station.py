@@ -31,7 +31,7 @@ FENCE = mavlink.MAV_MISSION_TYPE_FENCE
 
 
 def station_orders(incident: StationRecord, vehicle: SimVehicle) -> list[Message]:
-    """The messages of the station, as the vehicle receives them, in order."""
+    """Return the messages of the station, as the vehicle receives them, in order."""
     target = (vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
     orders: list[Message] = []
     match incident:
@@ -57,7 +57,7 @@ def station_orders(incident: StationRecord, vehicle: SimVehicle) -> list[Message
 
 
 def _fence(incident: StationFence, vehicle: SimVehicle, target: tuple[int, int]) -> list[Message]:
-    """An upload, or the clearing of the fence."""
+    """Return an upload, or the clearing of the fence."""
     half_m = incident.half_side_m
     if half_m is None:
         return [mavlink.MAVLink_mission_clear_all_message(*target, FENCE)]
@@ -81,7 +81,7 @@ def _fence(incident: StationFence, vehicle: SimVehicle, target: tuple[int, int])
 def _parameter(
     incident: StationParameter, vehicle: SimVehicle, target: tuple[int, int]
 ) -> list[Message]:
-    """A PARAM_SET; none of a parameter that the autopilot does not have."""
+    """Return a PARAM_SET; none of a parameter that the autopilot does not have."""
     store = vehicle.flavour.parameters
     index = store.index_of(incident.name)
     if index is None or not math.isfinite(incident.value):

@@ -94,7 +94,7 @@ class Pilot:
         """The velocity that the task wanted last."""
 
     def enter(self, task: Task, body: Kinematics) -> None:
-        """A new task begins."""
+        """Begin a new task."""
         self.task = task
         self._stay(body)
         self._is_staying = False
@@ -115,13 +115,13 @@ class Pilot:
         self.hold_speed_mps, self.hold_yaw_ned_rad = speed_mps, yaw
 
     def has_taken_off(self, body: Kinematics) -> bool:
-        """True if the takeoff height is reached."""
+        """Return True if the takeoff height is reached."""
         return body.position_enu_m[2] >= self.takeoff_up_m - REACHED_M
 
     def command(
         self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: Kinematics
     ) -> PositionEnu:
-        """The velocity that the task wants now, local east-north-up.
+        """Return the velocity that the task wants now, local east-north-up.
 
         None, where a parameter that is no number makes nonsense of it.
         """
@@ -159,7 +159,10 @@ class Pilot:
     def yaw_ned_rad(
         self, setpoint: Setpoint, sticks: Sticks | None, heading_rad: float
     ) -> float | None:
-        """The heading that the task wants, clockwise from north; None keeps the present one."""
+        """Return the heading that the task wants, clockwise from north.
+
+        None keeps the present one.
+        """
         match self.task:
             case Task.FOLLOW:
                 if setpoint.yaw_ned_rad is None and setpoint.yaw_rate_ned_radps is not None:
@@ -182,7 +185,7 @@ class Pilot:
         self._holds_the_ground = body.is_on_ground
 
     def _come_to_rest(self, body: Kinematics) -> PositionEnu:
-        """To where it stays since nothing is asked."""
+        """Come to rest and return the position."""
         if not self._is_staying:
             self._stay(body)
             self._is_staying = True
@@ -213,7 +216,7 @@ class Pilot:
         return self._towards(leg.goal_enu_m, body, leg.speed_mps)
 
     def _circle(self, body: Kinematics) -> PositionEnu:
-        """Along the circle, pulled back to its radius; the centre is where the nose pointed."""
+        """Fly along the circle, pulled back to its radius; the centre is where the nose pointed."""
         (east, north, _), (centre_e, centre_n) = body.position_enu_m, self._circle_centre
         angle = math.atan2(east - centre_e, north - centre_n)
         radius_m, speed_mps = self.circle_radius_m, self.circle_radius_m * self.circle_rate_radps
@@ -240,13 +243,13 @@ class Pilot:
         return self._towards((*self.home_enu_m[:2], self._cruise_up_m), body)
 
     def _is_over_home(self, body: Kinematics) -> bool:
-        """True if it is over home, or as near as the wind lets it come."""
+        """Return True if it is over home, or as near as the wind lets it come."""
         distance_m = math.dist(body.position_enu_m[:2], self.home_enu_m[:2])
         slack_mps = body.drift_mps + self._vehicle.position_gain_per_s * HOME_REACHED_M
         return approach_speed_mps(distance_m, self._vehicle) <= slack_mps
 
     def _fly_by_sticks(self, sticks: Sticks, body: Kinematics) -> PositionEnu:
-        """Velocities by deflection; let go, it stays where it comes to rest."""
+        """Return velocities by deflection; let go, it stays where it comes to rest."""
         vehicle, speed_mps = self._vehicle, self._vehicle.max_speed_mps
         if sticks.deflection <= DEAD_ZONE:
             return self._come_to_rest(body)
@@ -273,7 +276,7 @@ class Pilot:
         return (to_goal[0] + forward_east, to_goal[1] + forward_north, climb_mps)
 
     def _accelerate(self, acceleration_enu_mps2: PositionEnu) -> PositionEnu:
-        """A velocity that grows by what is asked, up to the vehicle's limits."""
+        """Return a velocity that grows by what is asked, up to the vehicle's limits."""
         self._is_staying = False
         limit = self._vehicle.max_speed_mps
         ve, vn, vu = (

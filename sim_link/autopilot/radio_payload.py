@@ -99,7 +99,7 @@ class RadioPayload:
 
 
 def reject_command(message: Message, system_id: int) -> Message | None:
-    """The ACK of a command for the payload, which knows none; None if it is none for it.
+    """Return the ACK of a command for the payload, which knows none; None if it is none for it.
 
     Source: MAVLink developer guide, "Command Protocol": every command is acknowledged.
     """
@@ -113,6 +113,6 @@ def reject_command(message: Message, system_id: int) -> Message | None:
 
 
 def payload_heartbeat() -> Message:
-    """The HEARTBEAT of a radio payload."""
+    """Return the HEARTBEAT of a radio payload."""
     kind = (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)
     return mavlink.MAVLink_heartbeat_message(*kind, 0, 0, mavlink.MAV_STATE_ACTIVE, MAVLINK_VERSION)

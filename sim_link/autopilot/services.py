@@ -80,7 +80,7 @@ def reject_unsupported_service(message: Message, partner: Partner) -> list[Outgo
 
 
 def _no_such_file(request: bytes, partner: Partner) -> Message | None:
-    """The NAK of an FTP request; None for what is a reply itself."""
+    """Return the NAK of an FTP request; None for what is a reply itself."""
     opcode = request[3]
     if opcode >= FTP_ACK:
         return None
@@ -116,7 +116,7 @@ class SensorCalibration:
         return CommandResult.IN_PROGRESS
 
     def step(self, now_s: float) -> list[Outgoing]:
-        """Progress, and the end."""
+        """Return the messages on progress and end."""
         if now_s < self._report_s or not self._commands.is_running(CALIBRATION_COMMAND):
             return []
         self._report_s = now_s + CALIBRATION_REPORT_S
@@ -189,7 +189,7 @@ class Services:
         flavour, clocks = self._vehicle.flavour, self.clocks
 
         def take_setpoint(message: TargetMessage, _partner: Partner, now_s: float) -> None:
-            """A setpoint is for the flavour."""
+            """Pass a setpoint to the flavour."""
             flavour.take_setpoint(message, now_s)
 
         return {
@@ -224,7 +224,7 @@ class Services:
         return outgoing + reject_unsupported_service(message, partner) + self.announcements()
 
     def _is_for_nobody(self, message: Message) -> bool:
-        """True if it is a command that addresses neither us nor a component that was heard."""
+        """Return True for a command to neither this vehicle nor a component that was heard."""
         if not isinstance(message, COMMANDS[:2]):
             return False
         target = (message.target_system, message.target_component)
@@ -238,7 +238,7 @@ class Services:
         return outgoing + self.announcements()
 
     def announcements(self) -> list[Outgoing]:
-        """Texts, and messages that are sent on change."""
+        """Return texts, and messages that are sent on change."""
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
         texts, aircraft.texts = aircraft.texts, []
         messages = [each for text in texts for each in self._texts.messages(*text)]
@@ -252,7 +252,7 @@ class Services:
         return owed + [Outgoing(message) for message in messages + self._changed_places()]
 
     def _changed_places(self) -> list[Message]:
-        """Home and origin when they move, and ArduPilot's HEARTBEAT on a change of mode."""
+        """Return home and origin when they move, and ArduPilot's HEARTBEAT on a mode change."""
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
         if not vehicle.flavour.has_home(vehicle.time_s):
             return []
@@ -309,7 +309,7 @@ class Services:
         )
 
     def _reboot(self, command: Command) -> int:
-        """Refused while armed; only the autopilot itself, and no shutdown."""
+        """Reboot the autopilot itself, unless armed; a shutdown is refused."""
         if self._vehicle.is_armed:
             return self._firmware.busy
         if command.params[0] != 1.0:
@@ -337,7 +337,7 @@ class Services:
         return PlanItem(*what, lat, lon, alt / 1e3)
 
     def _fly_to(self, item: PlanItem) -> PlanResult:
-        """A "guided" mission item: ArduPilot flies there in GUIDED."""
+        """Return a "guided" mission item: ArduPilot flies there in GUIDED."""
         command = Command(
             mavlink.MAV_CMD_DO_REPOSITION,
             (-1.0, 0.0, 0.0, math.nan, float(item.x), float(item.y), item.z),

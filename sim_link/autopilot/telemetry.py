@@ -52,14 +52,14 @@ BLIND_ESTIMATE = flags_of("ESTIMATOR", "ATTITUDE VELOCITY_VERT POS_VERT_ABS CONS
 
 
 def heartbeat(vehicle: SimVehicle) -> Fields:
-    """Of the autopilot."""
+    """Return the autopilot's HEARTBEAT."""
     vehicle_type = MAV_TYPE[vehicle.scenario.autopilot.vehicle_type]
     kind = (vehicle_type, vehicle.flavour.firmware.autopilot)
     return (*kind, *vehicle.flavour.heartbeat_state(vehicle.time_s), MAVLINK_VERSION)
 
 
 def sys_status(vehicle: SimVehicle) -> Fields:
-    """The prearm bit is healthy while arming would be accepted."""
+    """Return SYS_STATUS, whose prearm bit is healthy while arming would be accepted."""
     now_s, battery = vehicle.time_s, vehicle.battery
     present = INERTIAL_SENSORS | GPS | AHRS | BATTERY | PREARM
     health = INERTIAL_SENSORS
@@ -82,27 +82,27 @@ def sys_status(vehicle: SimVehicle) -> Fields:
 
 
 def system_time(vehicle: SimVehicle) -> Fields:
-    """The Unix time stays 0 (unknown), so that a run depends on its seed only."""
+    """Return the Unix time stays 0 (unknown), so that a run depends on its seed only."""
     return (0, boot_ms(vehicle))
 
 
 def timesync(vehicle: SimVehicle) -> Fields:
-    """A request of its own."""
+    """Return a TIMESYNC request."""
     return (0, max(1, round(NS_PER_S * vehicle.stamp_s)))
 
 
 def ping(vehicle: SimVehicle) -> Fields:
-    """A request to everybody, numbered by its second."""
+    """Return a broadcast PING request, numbered by its second."""
     return (boot_us(vehicle), int(vehicle.time_s), 0, 0)
 
 
 def extended_sys_state(vehicle: SimVehicle) -> Fields:
-    """Landed state."""
+    """Return the landed state."""
     return (mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.flavour.landed_state.value)
 
 
 def battery_status(vehicle: SimVehicle) -> Fields:
-    """A four-cell pack that only flying empties."""
+    """Return a four-cell pack that only flying empties."""
     battery = vehicle.battery
     kind = (mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_TYPE_LIPO)
     if not battery.is_known:
@@ -119,7 +119,7 @@ def battery_status(vehicle: SimVehicle) -> Fields:
 
 
 def home_position(vehicle: SimVehicle) -> Fields | None:
-    """With its place about the EKF origin."""
+    """Return HOME_POSITION with its local position about the EKF origin."""
     if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     local = ned_from_enu(vehicle.estimator.local_from_world(vehicle.home_enu_m))
@@ -129,7 +129,7 @@ def home_position(vehicle: SimVehicle) -> Fields | None:
 
 
 def gps_global_origin(vehicle: SimVehicle) -> Fields | None:
-    """The zero of LOCAL_POSITION_NED, to the last digit as it was set."""
+    """Return the zero of LOCAL_POSITION_NED, to the last digit as it was set."""
     if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     origin = vehicle.origin
@@ -138,7 +138,7 @@ def gps_global_origin(vehicle: SimVehicle) -> Fields | None:
 
 
 def autopilot_version(vehicle: SimVehicle) -> Fields:
-    """Flight and middleware software alike; no hashes."""
+    """Return AUTOPILOT_VERSION, without hashes."""
     firmware = vehicle.flavour.firmware
     versions = (firmware.version, firmware.version, 0, 0)
     uid = vehicle.scenario.autopilot.uid
@@ -160,12 +160,12 @@ def mission_progress(vehicle: SimVehicle) -> MissionProgress:
 
 
 def mission_current(vehicle: SimVehicle) -> Fields:
-    """Progress of the mission."""
+    """Return MISSION_CURRENT."""
     return mission_progress(vehicle).fields
 
 
 def estimator_status(vehicle: SimVehicle) -> Fields:
-    """PX4's."""
+    """Return PX4's ESTIMATOR_STATUS."""
     is_good, ratio = vehicle.estimator.is_position_valid, vehicle.estimator.test_ratio
     ratios = (ratio("velocity"), ratio("position"), ratio("height"), ratio("compass"))
     flags = GOOD_ESTIMATE if is_good else BLIND_ESTIMATE
@@ -175,13 +175,16 @@ def estimator_status(vehicle: SimVehicle) -> Fields:
 
 
 def ekf_status_report(vehicle: SimVehicle) -> Fields:
-    """ArduPilot's."""
+    """Return ArduPilot's EKF_STATUS_REPORT."""
     _, flags, velocity, position, height, compass, *_ = estimator_status(vehicle)
     return (flags, velocity, position, height, compass, 0.0)
 
 
 def rc_channels(vehicle: SimVehicle) -> Fields | None:
-    """Roll, pitch, throttle and yaw; None without a transmitter or pulses of its receiver."""
+    """Return roll, pitch, throttle and yaw.
+
+    None without a transmitter or pulses of its receiver.
+    """
     sticks = vehicle.sticks.pulses(vehicle.time_s)
     if sticks is None:
         return None
@@ -191,7 +194,7 @@ def rc_channels(vehicle: SimVehicle) -> Fields | None:
 
 
 def fence_status(vehicle: SimVehicle) -> Fields:
-    """Breach state of the fence; breaches are not counted."""
+    """Return the breach state of the fence; breaches are not counted."""
     is_breached = vehicle.flavour.fence_state(vehicle.aircraft.motion.position_enu_m).is_breached
     kind = mavlink.FENCE_BREACH_BOUNDARY if is_breached else mavlink.FENCE_BREACH_NONE
     return (int(is_breached), int(is_breached), kind, boot_ms(vehicle) if is_breached else 0)
@@ -229,7 +232,7 @@ BUILDERS = {int(message.id): (message, build) for message, build in _CLASSES.ite
 
 
 def build_message(vehicle: SimVehicle, number: int) -> Message | None:
-    """The message with id `number`, or None if it is unknown or has nothing to say now."""
+    """Return the message with id `number`, or None if it is unknown or has nothing to say now."""
     if number not in BUILDERS or number not in vehicle.flavour.firmware.streams.default_rates_hz:
         return None
     message, build = BUILDERS[number]

@@ -131,12 +131,12 @@ class IncidentSchedule:
         self._coming = sorted(incidents, key=lambda incident: incident.start_s, reverse=True)
 
     def add(self, incident: Incident) -> None:
-        """One more."""
+        """Add an incident."""
         self._coming.append(incident)
         self._coming.sort(key=lambda each: each.start_s, reverse=True)
 
     def take_due(self, now_s: float) -> list[Incident]:
-        """Those whose time has come, `now_s` seconds since the simulator began."""
+        """Return the incidents that are due `now_s` seconds after the simulator began."""
         due = []
         while self._coming and self._coming[-1].start_s <= now_s + 0.5 * STEP_S:
             due.append(self._coming.pop())
@@ -228,6 +228,6 @@ class FlightRecorder:
         vehicle.flavour.occurrences.clear()
 
     def take_occurrences(self) -> list[Occurrence]:
-        """The occurrences since the last call."""
+        """Return the occurrences since the last call."""
         fresh, self._fresh = self._fresh, []
         return fresh

@@ -43,15 +43,15 @@ class AskedModule(Emulator):
 
     @abstractmethod
     def answer(self, command: str) -> list[str]:
-        """The lines that answer a request."""
+        """Return the lines that answer a request."""
 
     @classmethod
     @abstractmethod
     def asks(cls, name: str) -> bytes:
-        """The request for a range to the emitter of a name."""
+        """Return the request for a range to the emitter of a name."""
 
     def encode(self, asked: Round) -> bytes:
-        """Nothing; it is kept for the next request."""
+        """Keep the round for the next request; return nothing."""
         self._fresh = {
             self.name_on_wire(each.emitter_id): Fresh(
                 each.range_m, self.device_ms(asked.sent_at_s), round(each.power_dbm)
@@ -83,7 +83,7 @@ class Ryuw122(AskedModule):
     VERSION = "+VER=RYUW122_V1.0.21"
 
     def answer(self, command: str) -> list[str]:
-        """`+OK` at once; what the tag sent back, and the distance, once it has answered."""
+        """Return `+OK` at once; what the tag sent back, and the distance, once it has answered."""
         if command == "AT+VER?":
             return [self.VERSION, "+OK"]
         if not command.startswith("AT+ANCHOR_SEND="):
@@ -96,12 +96,12 @@ class Ryuw122(AskedModule):
 
     @classmethod
     def asks(cls, name: str) -> bytes:
-        """Four bytes for it."""
+        """Return its four bytes."""
         return f"AT+ANCHOR_SEND={name},4,PING\r\n".encode()
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """Eight characters."""
+        """Return eight characters."""
         return f"TAG{emitter_id:05d}"
 
 
@@ -113,7 +113,7 @@ class Bu03(AskedModule):
     request = b"AT+DISTANCE\r\n"
 
     def answer(self, command: str) -> list[str]:
-        """The distance and OK."""
+        """Return the distance and OK."""
         if command != "AT+DISTANCE":
             return ["OK" if command == "AT" else "ERR"]
         fresh = self._fresh.pop("", None)
@@ -121,12 +121,12 @@ class Bu03(AskedModule):
 
     @classmethod
     def asks(cls, name: str) -> bytes:  # noqa: ARG003  it has one partner
-        """The same for every emitter."""
+        """Return the same for every emitter."""
         return cls.request
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it has one partner
-        """None."""
+        """Return nothing: the format has no name for emitters."""
         return ""
 
 
@@ -144,7 +144,7 @@ class Pozyx(AskedModule):
         self._last = bytes(10)
 
     def answer(self, command: str) -> list[str]:
-        """Of DO_RANGING whether it began, of GETRANGEINFO what the last one gave."""
+        """Return the answer to DO_RANGING (started) or GETRANGEINFO (the last result)."""
         if command == "R,0,1":
             return [self.WHO_AM_I]
         parts = command.split(",")
@@ -162,11 +162,11 @@ class Pozyx(AskedModule):
 
     @classmethod
     def asks(cls, name: str) -> bytes:
-        """Range, and fetch it."""
+        """Return the requests to range, and to read the range."""
         swapped = name[4:] + name[2:4]
         return f"F,b5,{swapped},1\rF,c7,{swapped},11\r".encode()
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """Its network id."""
+        """Return its network id."""
         return f"0x{emitter_id:04x}"

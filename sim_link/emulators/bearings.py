@@ -98,7 +98,7 @@ class Kraken(Emulator):
         """By frequency."""
 
     def encode(self, asked: Round) -> bytes:
-        """The whole table."""
+        """Return the whole table."""
         self._update(asked)
         return "".join(found.row + " \n" for found in self._found.values()).encode()
 
@@ -109,7 +109,7 @@ class Kraken(Emulator):
                 self._found[found.frequency_hz] = found
 
     def _direction(self, answer: Answer, asked: Round) -> KrakenDirection:
-        """Its time is that of the end; the middle is half the latency earlier."""
+        """Return the result; its time is the end, half the latency after the middle."""
         theta_deg = round(-math.degrees(answer.azimuth_rad or 0.0)) % 360
         confidence = max(MOST_CONFIDENCE * answer.quality, 1.0)
         return KrakenDirection(
@@ -123,7 +123,7 @@ class Kraken(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """Megahertz."""
+        """Return the frequency in megahertz."""
         return f"{frequency_hz(emitter_id) / 1e6:g}"
 
 
@@ -137,7 +137,7 @@ class KrakenSuite(Kraken):
     title = "KrakenSDR suite of 2026, DOA_value.html"
 
     def encode(self, asked: Round) -> bytes:
-        """The whole table, as of now."""
+        """Return the whole table, as of now."""
         self._update(asked)
         epoch_ms = self.device_ms(asked.sent_at_s)
         return "".join(
@@ -146,7 +146,7 @@ class KrakenSuite(Kraken):
 
 
 def _suite_row(found: KrakenDirection, epoch_ms: int) -> str:
-    """A row; its spectrum has the noise of its own result."""
+    """Return a row; its spectrum has the noise of its own result."""
     bearing_deg = (360 - found.theta_deg) % 360
     noise = np.random.default_rng(found.epoch_ms).uniform(0.0, 0.05, len(RING))
     spectrum = ", ".join(
@@ -169,7 +169,7 @@ class KrakenXml(Kraken):
     most = 1
 
     def encode(self, asked: Round) -> bytes:
-        """The whole document."""
+        """Return the whole document."""
         self._update(asked)
         return "".join(found.xml for found in self._found.values()).encode()
 
@@ -180,7 +180,7 @@ def frequency_hz(emitter_id: int) -> int:
 
 
 def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, tail: str) -> str:
-    """`+UUDF:`; `tail` is everything from the second power on."""
+    """Return `+UUDF:`; `tail` is everything from the second power on."""
     angles = f"{azimuth_deg},{elevation_deg}"
     return f"+UUDF:{tag},{rssi_dbm},{angles},{tail}"
 
@@ -200,11 +200,11 @@ class Uudf(Emulator):
     CHANNELS = (37, 38, 39)
 
     def boot(self) -> bytes:
-        """It has started."""
+        """Return the start-up message."""
         return lines(["+STARTUP"])
 
     def encode(self, asked: Round) -> bytes:
-        """A line for each tag whose advertisement was heard."""
+        """Return a line for each tag whose advertisement was heard."""
         clock_ms = self.device_ms(asked.sent_at_s)
         return lines([self._line(answer, clock_ms) for answer in asked.heard if _in_front(answer)])
 
@@ -219,12 +219,15 @@ class Uudf(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """The tag's address without colons."""
+        """Return the tag's address without colons."""
         return f"02000000{emitter_id:04X}"
 
 
 def turned_rad(answer: Answer) -> float:
-    """The azimuth about the board's upright; of two arcsines what they leave for the third."""
+    """Return the azimuth about the board's upright.
+
+    Of two arcsines what they leave for the third.
+    """
     azimuth_rad, heard = answer.azimuth_rad or 0.0, answer.heard
     if heard is None or not heard.is_array_angle:
         return azimuth_rad

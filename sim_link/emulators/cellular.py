@@ -26,12 +26,12 @@ PREAMBLES = 64
 
 
 def steps_of(range_m: float, step_m: float) -> int:
-    """Whole steps of the timing advance; never negative."""
+    """Return whole steps of the timing advance; never negative."""
     return max(0, int(range_m // step_m))
 
 
 def rach_line(tti: int, preamble: int, offset: int, crnti: int) -> str:
-    """Console and MAC log of srsRAN 4G."""
+    """Return the console and MAC log of srsRAN 4G."""
     return (
         f"RACH:  tti={tti}, cc=0, pci=1, preamble={preamble}, offset={offset}, "
         f"temp_crnti=0x{crnti:x}"
@@ -47,11 +47,11 @@ class Srsran4g(Emulator):
     ids = range((1 << 16) - FIRST_CRNTI)
 
     def boot(self) -> bytes:
-        """A cell that is up."""
+        """Return the log of a cell that starts."""
         return lines(["", "==== eNodeB started ===", "Type <t> to view trace"])
 
     def encode(self, asked: Round) -> bytes:
-        """A line for each whose random access was heard, and that it is connected."""
+        """Return a line for each whose random access was heard, and that it is connected."""
         tti = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
         texts = []
         for answer in asked.heard:
@@ -63,12 +63,12 @@ class Srsran4g(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """The temporary identity."""
+        """Return the temporary identity."""
         return f"0x{crnti_of(emitter_id):x}"
 
 
 def crnti_of(emitter_id: int) -> int:
-    """Counts up from srsRAN's first."""
+    """Return the temporary identity, counted up from srsRAN's first."""
     return FIRST_CRNTI + emitter_id
 
 
@@ -82,7 +82,7 @@ class Srsran(Emulator):
     epoch_s = SIMULATION_BEGAN_S
 
     def encode(self, asked: Round) -> bytes:
-        """A report with everybody in it; 0.0: not observed."""
+        """Return a report with all phones; 0.0: not observed."""
         ues = [self._ue(number, answer) for number, answer in enumerate(asked.answers)]
         cell = {"cell_metrics": {"pci": 1}, "ue_list": ues}
         report = {"timestamp": round(self.device_s(asked.sent_at_s), 3), "cells": [cell]}
@@ -94,7 +94,7 @@ class Srsran(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """The temporary identity."""
+        """Return the temporary identity."""
         return str(FIRST_RNTI + emitter_id)
 
 
@@ -110,7 +110,7 @@ class Oai(Emulator):
     most = 1
 
     def encode(self, asked: Round) -> bytes:
-        """A line for who was heard."""
+        """Return a line for each phone that was heard."""
         subframe = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
         frame, slot = subframe // SUBFRAMES, 2 * (subframe % SUBFRAMES) + 1
         texts = []
@@ -125,12 +125,12 @@ class Oai(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
-        """None."""
+        """Return nothing: the format has no name for emitters."""
         return ""
 
 
 def raproc_line(when: str, preamble: int, energy_tenths: int, delay: int) -> str:
-    """MAC log of the gNB."""
+    """Return the MAC log of the gNB."""
     energy = f"{energy_tenths // 10}.{energy_tenths % 10}"
     return (
         f"[RAPROC] {when} Initiating RA procedure with preamble {preamble}, energy {energy} dB "
@@ -139,7 +139,7 @@ def raproc_line(when: str, preamble: int, energy_tenths: int, delay: int) -> str
 
 
 def msg2_line(when: str, preamble: int, delay: int) -> str:
-    """MAC log of a gNB of 2024 and later; its metres are those of 3e8 m/s."""
+    """Return the MAC log of a gNB of 2024 and later; its metres are those of 3e8 m/s."""
     distance_m = 3e8 / 2.0 * 16.0 / 30.72e6 / 2.0 * delay
     return (
         f"[NR_MAC] UE 4f1c: {when} Generating RA-Msg2 DCI, RA RNTI 0x10b, state 1, CoreSetType 0, "

@@ -22,7 +22,7 @@ HISS_MAGNITUDE = 80
 
 
 def c_sentence(azimuth_deg: float, magnitude: int, tone_peak: int, epoch_ms: int) -> str:
-    """26 characters of fixed width."""
+    """Return a sentence of 26 characters, fixed width."""
     tenths = round(10.0 * azimuth_deg) % 3600
     return f"C{tenths:04d}{magnitude:03d}{tone_peak:03d}{epoch_ms:015d}"
 
@@ -40,7 +40,7 @@ class Kn5r(Emulator):
     epoch_s = SIMULATION_BEGAN_S
 
     def encode(self, asked: Round) -> bytes:
-        """One in any case."""
+        """Return a sentence in any case."""
         epoch_ms = self.device_ms(asked.sent_at_s)
         return lines([self._sentence(answer, epoch_ms) for answer in asked.answers])
 
@@ -56,7 +56,7 @@ class Kn5r(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  none is named
-        """None."""
+        """Return nothing: the format has no name for emitters."""
         return ""
 
 

@@ -148,25 +148,25 @@ class Emulator(ABC):
         return self.epoch_s + self._clock_s + sent_at_s
 
     def device_ms(self, sent_at_s: float) -> int:
-        """The same in whole milliseconds."""
+        """Return the same in whole milliseconds."""
         return round(1e3 * self.device_s(sent_at_s))
 
     def next_number(self, modulus: int = U32) -> int:
-        """Of the round: counts from 0, and starts again."""
+        """Return the round's number, which wraps to 0."""
         self._count = (self._count + 1) % modulus
         return self._count
 
 
 def lines(texts: Sequence[str]) -> bytes:
-    """Text as a serial port carries it."""
+    """Return text as a serial port carries it."""
     return "".join(text + LINE_END for text in texts).encode("ascii")
 
 
 def mac_of(emitter_id: int) -> str:
-    """A locally administered address."""
+    """Return a locally administered address."""
     return f"02:00:00:00:{emitter_id >> 8:02x}:{emitter_id & 0xFF:02x}"
 
 
 def clamped(value: float, low: int, high: int) -> int:
-    """The nearest whole number that a field holds."""
+    """Return the nearest whole number that a field holds."""
     return max(low, min(high, round(value)))

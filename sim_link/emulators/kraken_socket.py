@@ -28,7 +28,7 @@ Spectrum = npt.NDArray[np.float64]
 
 
 def frame(opcode: int, payload: bytes) -> bytes:
-    """A whole message from a server: unmasked."""
+    """Return a whole message from a server: unmasked."""
     length = len(payload)
     if length < 126:
         return bytes([opcode, length]) + payload
@@ -38,14 +38,14 @@ def frame(opcode: int, payload: bytes) -> bytes:
 
 
 def band_message(centre_hz: float) -> bytes:
-    """The picture of the band: centre in MHz, then frequencies and two envelopes."""
+    """Return the picture of the band: centre in MHz, then frequencies and two envelopes."""
     head = struct.pack("<3I3f2I", TYPE_BAND, 5, 4, centre_hz / 1e6, 40.2, 0.3, 0x80, BAND_BINS)
     frequencies = np.linspace(-1.2, 1.2, BAND_BINS) + centre_hz / 1e6
     return head + frequencies.astype("<f4").tobytes() + bytes(2 * BAND_BINS)
 
 
 def spectrum_of(theta_deg: float, confidence: float, rng: np.random.Generator) -> Spectrum:
-    """Linear power by degree, counter-clockwise, whose peak stands out by the confidence."""
+    """Return linear power by degree, counter-clockwise; its peak stands out by the confidence."""
     away_deg = (np.arange(ANGLES) - theta_deg + 180.0) % 360.0 - 180.0
     peak = np.exp(-0.5 * (away_deg / BEAM_DEG) ** 2)
     mean, ratio = float(peak.mean()), 1.0 + 3.0 * confidence
@@ -74,7 +74,7 @@ class KrakenSocket(Kraken):
         return b"".join(frame(TEXT, text.encode()) for text in texts)
 
     def encode(self, asked: Round) -> bytes:
-        """All channels, new or not."""
+        """Return all channels, new or not."""
         for answer in asked.heard:
             if answer.azimuth_rad is not None:
                 self._spectra[frequency_hz(answer.emitter_id)] = self._spectrum(answer)

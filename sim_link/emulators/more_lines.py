@@ -16,7 +16,7 @@ TAGS = 8
 
 
 def mc_report(range_mm: int, tag: int, sequence: int, clock_ms: int) -> str:
-    """A tag's range to anchor 0, which prints it; anchors 1 to 3 are not there."""
+    """Return a tag's range to anchor 0, which prints it; anchors 1 to 3 are not there."""
     rest = " ".join(["00000000"] * 3)
     return (
         f"mc 01 {range_mm:08x} {rest} {sequence & 0xFFFF:04x} {sequence & 0xFF:02x} "
@@ -33,7 +33,7 @@ class Trek1000(Emulator):
     most = TAGS
 
     def encode(self, asked: Round) -> bytes:
-        """Both reports of each tag that answered."""
+        """Return both reports of each tag that answered."""
         texts = []
         for answer in asked.heard:
             if answer.range_m is not None:
@@ -53,11 +53,11 @@ class ChannelSounding(Emulator):
     most = 1
 
     def boot(self) -> bytes:
-        """The console of Zephyr."""
+        """Return the console of Zephyr."""
         return lines(["*** Booting nRF Connect SDK v3.0.1 ***", "I: Starting initiator sample"])
 
     def encode(self, asked: Round) -> bytes:
-        """A line for each antenna path."""
+        """Return a line for each antenna path."""
         return lines(
             [
                 f"I: Distance estimates on antenna path {path}: ifft: {answer.range_m:.6f}, "
@@ -84,7 +84,7 @@ class SilabsAoa(Emulator):
     measures = "bearing"
 
     def encode(self, asked: Round) -> bytes:
-        """An object for each tag, over its lines."""
+        """Return an object for each tag, over its lines."""
         heard = [answer for answer in asked.heard if answer.azimuth_rad is not None]
         return b"".join(self._object(answer) for answer in heard)
 
@@ -109,7 +109,7 @@ class SilabsAoa(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """The tag's address."""
+        """Return the tag's address."""
         return f"02000000{emitter_id:04X}"
 
 
@@ -122,11 +122,11 @@ class Bu01(Emulator):
     most = 4
 
     def hear(self, data: bytes) -> bytes:
-        """Ranging goes on already."""
+        """Return nothing: ranging goes on already."""
         return lines(["+switchdis=OK"]) if b"switchdis" in data else b""
 
     def encode(self, asked: Round) -> bytes:
-        """A line for each that answered."""
+        """Return a line for each that answered."""
         return lines(
             [
                 f"an{answer.emitter_id}:{answer.range_m:.2f}m"
@@ -144,7 +144,7 @@ class PozyxSketch(Emulator):
     most = 1
 
     def encode(self, asked: Round) -> bytes:
-        """A line in any case."""
+        """Return a line in any case."""
         clock_ms = self.device_ms(asked.sent_at_s) % U32
         return lines([self._line(answer, clock_ms) for answer in asked.answers])
 
@@ -174,7 +174,7 @@ class Lr11xx(Emulator):
         )
 
     def encode(self, asked: Round) -> bytes:
-        """A result, or that there was none."""
+        """Return a result, or that there was none."""
         return lines([self._line(answer) for answer in asked.answers])
 
     def _line(self, answer: Answer) -> str:

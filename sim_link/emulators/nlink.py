@@ -88,22 +88,22 @@ class NodeState:
 
 
 def int24(metres: float, scale: float = 1e3) -> bytes:
-    """Three bytes, two's complement."""
+    """Return three bytes, two's complement."""
     return clamped(scale * metres, -MOST_INT24, MOST_INT24).to_bytes(3, "little", signed=True)
 
 
 def with_sum(frame: bytes) -> bytes:
-    """With its checksum behind it."""
+    """Return the frame with its checksum appended."""
     return frame + bytes((sum(frame) & 0xFF,))
 
 
 def variable_frame(mark: int, body: bytes, head: int = 0x55) -> bytes:
-    """A frame that says its length."""
+    """Return a frame that says its length."""
     return with_sum(bytes((head, mark)) + struct.pack("<H", 5 + len(body)) + body)
 
 
 def aoa_frame(node: Node, peers: Sequence[Peer]) -> bytes:
-    """AOA_NodeFrame0: ranges and angles."""
+    """Return AOA_NodeFrame0: ranges and angles."""
     elements = (
         bytes((p.role, p.id)) + p.distance + centidegrees(p.left_deg) + p.powers + p.reserved
         for p in peers
@@ -112,13 +112,13 @@ def aoa_frame(node: Node, peers: Sequence[Peer]) -> bytes:
 
 
 def node_frame3(node: Node, peers: Sequence[Peer]) -> bytes:
-    """LinkTrack_NodeFrame3: ranges."""
+    """Return LinkTrack_NodeFrame3: ranges."""
     elements = (bytes((p.role, p.id)) + p.distance + p.powers for p in peers)
     return variable_frame(MARK_NODE3, _head_of(node, len(peers)) + b"".join(elements))
 
 
 def node_frame4(node: Node, tags: Sequence[tuple[bytes, float, Sequence[Peer]]]) -> bytes:
-    """LinkTrack_NodeFrame4: what an anchor knows of the tags' ranges: id and reserved, volts."""
+    """Return LinkTrack_NodeFrame4: an anchor's ranges of the tags: id and reserved, volts."""
     body = _head_of(node, len(tags))
     for id_and_reserved, voltage_v, peers in tags:
         body += id_and_reserved + bytes((clamped(20.0 * voltage_v, 0, 255), len(peers)))
@@ -127,7 +127,7 @@ def node_frame4(node: Node, tags: Sequence[tuple[bytes, float, Sequence[Peer]]])
 
 
 def node_frame5(node: Node, peers: Sequence[Peer]) -> bytes:
-    """LinkTrack_NodeFrame5: ranges of nodes with long ids."""
+    """Return LinkTrack_NodeFrame5: ranges of nodes with long ids."""
     body = struct.pack("<BI", node.role, node.id) + node.clocks + node.reserved
     body += node.millivolts + bytes((len(peers),))
     for p in peers:
@@ -136,7 +136,7 @@ def node_frame5(node: Node, peers: Sequence[Peer]) -> bytes:
 
 
 def node_frame2(node: Node, motion: NodeState, peers: Sequence[Peer]) -> bytes:
-    """LinkTrack_NodeFrame2: place and motion, and ranges."""
+    """Return LinkTrack_NodeFrame2: place and motion, and ranges."""
     body = struct.pack("<BBI", node.role, node.id, node.system_ms % U32) + motion.eop
     body += b"".join(int24(metres) for metres in motion.place_m)
     body += b"".join(int24(mps, 1e4) for mps in motion.velocity_mps) + motion.inertial
@@ -149,7 +149,7 @@ def node_frame2(node: Node, motion: NodeState, peers: Sequence[Peer]) -> bytes:
 
 
 def tag_frame0(node: Node, peers: Sequence[Peer]) -> bytes:
-    """LinkTrack_TagFrame0: 128 bytes, a distance for each of the anchors 0 to 7."""
+    """Return LinkTrack_TagFrame0: 128 bytes, a distance for each of the anchors 0 to 7."""
     frame = bytearray(TAG_FRAME_BYTES - 1)
     frame[0:4] = (0x55, MARK_TAG0, node.id, node.role)
     for peer in peers:
@@ -162,7 +162,7 @@ def tag_frame0(node: Node, peers: Sequence[Peer]) -> bytes:
 
 
 def iot_frame(node: Node, peers: Sequence[tuple[Peer, bytes]], io: int = 0) -> bytes:
-    """IoT_Frame0: ranges, azimuths and elevations, each with up to 15 bytes of a user."""
+    """Return IoT_Frame0: ranges, azimuths and elevations, each with up to 15 bytes of a user."""
     body = struct.pack("<IIBB", node.id, node.system_ms % U32, io, len(peers))
     for peer, data in peers:
         body += struct.pack("<I", peer.id) + peer.distance + centidegrees(peer.left_deg)
@@ -171,7 +171,7 @@ def iot_frame(node: Node, peers: Sequence[tuple[Peer, bytes]], io: int = 0) -> b
 
 
 def centidegrees(angle_deg: float | None) -> bytes:
-    """Two bytes; where none is measured, what a phase difference beyond its end gives."""
+    """Return two bytes; without a measurement, those of an invalid phase difference."""
     angle_deg = SATURATED_DEG if angle_deg is None else angle_deg
     return struct.pack("<h", clamped(100.0 * angle_deg, -18_000, 18_000))
 
@@ -189,16 +189,16 @@ class NLinkEmulator(Emulator):
     most = 40
 
     def encode(self, asked: Round) -> bytes:
-        """A frame; it lists no nodes if no emitter answered."""
+        """Return a frame; it lists no nodes if no emitter answered."""
         clock_ms = self.device_ms(asked.sent_at_s)
         return self.frame(self.node(clock_ms), [self.peer(answer) for answer in asked.heard])
 
     def node(self, clock_ms: int) -> Node:
-        """Of the tag at a time."""
+        """Return the tag's header at a time."""
         return Node(local_ms=clock_ms, system_ms=clock_ms)
 
     def peer(self, answer: Answer) -> Peer:
-        """An anchor that answered."""
+        """Return an anchor that answered."""
         heard = answer.heard
         is_blocked = heard is not None and heard.line_of_sight is False
         rx_dbm = answer.power_dbm
@@ -212,7 +212,7 @@ class NLinkEmulator(Emulator):
         )
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """Of what was heard."""
+        """Return the frame of the round's answers."""
         raise NotImplementedError
 
 
@@ -226,11 +226,11 @@ class NLinkAoa(NLinkEmulator):
     measures = "both"
 
     def node(self, clock_ms: int) -> Node:
-        """As it is there, the network's clock stands still."""
+        """Return the header; without a network its clock stands still."""
         return Node(local_ms=clock_ms)
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """All who answered."""
+        """Return a frame with all nodes that answered."""
         return aoa_frame(node, peers)
 
 
@@ -241,7 +241,7 @@ class NLinkNode3(NLinkEmulator):
     title = "Nooploop LinkTrack, NodeFrame3"
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """All who answered."""
+        """Return a frame with all nodes that answered."""
         return node_frame3(node, peers)
 
 
@@ -253,7 +253,7 @@ class NLinkNode5(NLinkEmulator):
     ids: ClassVar[range] = range(1 << 16)
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """All who answered."""
+        """Return a frame with all nodes that answered."""
         return node_frame5(node, peers)
 
 
@@ -264,7 +264,7 @@ class NLinkNode2(NLinkEmulator):
     title = "Nooploop LinkTrack, NodeFrame2"
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """All who answered."""
+        """Return a frame with all nodes that answered."""
         return node_frame2(node, NodeState(), peers)
 
 
@@ -277,7 +277,7 @@ class NLinkTag0(NLinkEmulator):
     most: ClassVar[int] = TAG_FRAME_ANCHORS
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """All who answered; the others are 0."""
+        """Return a frame with all nodes; 0 for those that did not answer."""
         return tag_frame0(node, peers)
 
 
@@ -292,5 +292,5 @@ class NLinkIot(NLinkEmulator):
     ids: ClassVar[range] = range(1 << 16)
 
     def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """All who answered."""
+        """Return a frame with all nodes that answered."""
         return iot_frame(node, [(peer, b"") for peer in peers])

@@ -18,7 +18,7 @@ RAW_STEP_M = 150.0 / (4.096 * BANDWIDTH_HZ / 1e3)
 
 
 def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
-    """RADIO_RANGING as JSON: what is unknown is left out."""
+    """Return RADIO_RANGING as JSON: what is unknown is left out."""
     heard = answer.heard
     assert heard is not None
     bearing_rad = heard.bearing_body_rad
@@ -53,11 +53,11 @@ class Ndjson(Emulator):
     document = "/"
 
     def boot(self) -> bytes:
-        """A comment."""
+        """Return a comment line."""
         return b"# a program that prints what its radio measures\n"
 
     def encode(self, asked: Round) -> bytes:
-        """A line for each that answered."""
+        """Return a line for each that answered."""
         time_usec = round(1e6 * self.device_s(asked.sent_at_s))
         objects = [ranging_object(answer, time_usec) for answer in asked.heard]
         texts = [json.dumps(each, separators=(",", ":")) + "\n" for each in objects]
@@ -71,7 +71,7 @@ class Lines(Emulator):
     title = "lines of one's own, `MAC,12.34 m, 82 ns, 90`"
 
     def encode(self, asked: Round) -> bytes:
-        """A line for each that answered."""
+        """Return a line for each that answered."""
         return lines([self._line(answer) for answer in asked.heard if answer.range_m is not None])
 
     def _line(self, answer: Answer) -> str:
@@ -82,12 +82,12 @@ class Lines(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """An address in capitals."""
+        """Return an address in capitals."""
         return mac_of(emitter_id).upper()
 
 
 def sx1280_valid(raw: int, rssi_dbm: int) -> str:
-    """A register in hexadecimal, and its metres to one place."""
+    """Return a register in hexadecimal, and its metres to one place."""
     rssi = f"RSSIReg,{clamped(-2.0 * rssi_dbm, 0, 255):X},RSSI,{rssi_dbm}dBm"
     return f"Valid,Register,{raw:X},Distance,{raw * RAW_STEP_M:.1f},{rssi}"
 
@@ -101,11 +101,11 @@ class Sx1280(Emulator):
     rate_hz = 5.0
 
     def boot(self) -> bytes:
-        """Banner, with the calibration in use."""
+        """Return the banner, with the calibration in use."""
         return lines(["54_Ranging_Master Starting", "", "LoRa Device found", "Calibration,11350"])
 
     def encode(self, asked: Round) -> bytes:
-        """A line in any case."""
+        """Return a line in any case."""
         return lines([self._line(answer) for answer in asked.answers])
 
     def _line(self, answer: Answer) -> str:
@@ -116,5 +116,5 @@ class Sx1280(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
-        """None."""
+        """Return nothing: the format has no name for emitters."""
         return ""

@@ -35,5 +35,5 @@ class PowerScan(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """An address."""
+        """Return an address."""
         return mac_of(emitter_id).upper()

@@ -50,12 +50,12 @@ class UciRecord:
 
 
 def q9_7(angle_deg: float) -> int:
-    """Degrees in 128ths."""
+    """Return degrees in 128ths."""
     return clamped(128.0 * angle_deg, -0x8000, 0x7FFF)
 
 
 def fom_angle(angle_deg: float | None, fom: int) -> bytes:
-    """An angle and how good it is."""
+    """Return an angle and how good it is."""
     if angle_deg is None:
         return b"\0\0\0"
     return struct.pack("<hB", q9_7(angle_deg), fom)
@@ -64,14 +64,17 @@ def fom_angle(angle_deg: float | None, fom: int) -> bytes:
 def session_info(
     sequence: int, records: Sequence[UciRecord], session: int = SESSION, interval_ms: int = 200
 ) -> bytes:
-    """SESSION_INFO_NTF of a round, in as many packets as it takes."""
+    """Return SESSION_INFO_NTF of a round, in as many packets as it takes."""
     head = struct.pack("<IIBIBBB", sequence, session, 0, interval_ms, 1, 0, 0)
     payload = head + bytes(8) + bytes((len(records),)) + b"".join(r.wire for r in records)
     return uci_packets(payload)
 
 
 def uci_packets(payload: bytes) -> bytes:
-    """A notification of the session group; all packets but the last say that more follows."""
+    """Return a notification of the session group.
+
+    All packets but the last say that more follows.
+    """
     pieces = [payload[at : at + MOST_PAYLOAD] for at in range(0, len(payload), MOST_PAYLOAD)]
     packets = b""
     for number, piece in enumerate(pieces, 1):
@@ -81,12 +84,12 @@ def uci_packets(payload: bytes) -> bytes:
 
 
 def path_of(answer: Answer) -> int:
-    """Line-of-sight flag; LOS where the radio does not report it."""
+    """Return the line-of-sight flag; LOS where the radio does not report it."""
     return NLOS if answer.heard is not None and answer.heard.line_of_sight is False else LOS
 
 
 def degrees_of(angle_rad: float | None) -> float | None:
-    """None stays None."""
+    """Return degrees, or None for None."""
     return None if angle_rad is None else math.degrees(angle_rad)
 
 
@@ -101,11 +104,11 @@ class FiraUci(Emulator):
     rate_hz = 5.0
 
     def boot(self) -> bytes:
-        """The device is ready."""
+        """Return the notification that the device is ready."""
         return UCI_BOOT
 
     def encode(self, asked: Round) -> bytes:
-        """A notification with everybody in it."""
+        """Return a notification with all peers."""
         return session_info(self.next_number(), [self._record(each) for each in asked.answers])
 
     def _record(self, answer: Answer) -> UciRecord:
@@ -163,7 +166,7 @@ class Sr150(Emulator):
     measures = "both"
 
     def encode(self, asked: Round) -> bytes:
-        """A frame for each peer."""
+        """Return a frame for each peer."""
         return b"".join(self._frame(answer).wire for answer in asked.answers)
 
     def _frame(self, answer: Answer) -> Sr150Frame:
@@ -205,7 +208,7 @@ LOC_GET, UNKNOWN_COMMAND = b"\x0c\x00", b"\x40\x01\x01"
 
 
 def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnchor]) -> bytes:
-    """The answer to `dwm_loc_get`: no error, the tag's place, its anchors."""
+    """Return the answer to `dwm_loc_get`: no error, the tag's place, its anchors."""
     place = struct.pack("<iiiB", *(round(1e3 * metres) for metres in place_m), quality)
     distances = bytes((len(anchors),)) + b"".join(anchor.wire for anchor in anchors)
     return b"\x40\x01\x00\x41\x0d" + place + bytes((0x49, len(distances))) + distances
@@ -225,7 +228,7 @@ class PansTlv(Emulator):
         self._request = b""
 
     def hear(self, data: bytes) -> bytes:
-        """An answer a request: tag, length, value."""
+        """Return an answer a request: tag, length, value."""
         answers, request = b"", self._request + data
         while len(request) >= 2 and len(request) >= 2 + request[1]:
             whole, request = request[: 2 + request[1]], request[2 + request[1] :]
@@ -234,7 +237,7 @@ class PansTlv(Emulator):
         return answers
 
     def encode(self, asked: Round) -> bytes:
-        """Nothing; it is kept for the next who asks."""
+        """Keep the round for the next request; return nothing."""
         anchors = [
             PansAnchor(
                 answer.emitter_id,
@@ -249,5 +252,5 @@ class PansTlv(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """Four hexadecimal digits, as PANS has them."""
+        """Return four hexadecimal digits, as PANS has them."""
         return f"{emitter_id:04X}"

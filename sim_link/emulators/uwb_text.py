@@ -55,18 +55,18 @@ class Pans(Emulator):
         self._typed = b""
 
     def boot(self) -> bytes:
-        """The shell's greeting."""
+        """Return the shell's greeting."""
         title = " DWM1001 TWR Real Time Location System"
         return lines(["", "", title, "", " Help      :  ? or help", ""]) + PROMPT.encode()
 
     def hear(self, data: bytes) -> bytes:
-        """Each carriage return ends a command, and the shell asks for the next."""
+        """Return the shell's prompt for every carriage return."""
         *typed, self._typed = (self._typed + data.replace(b"\n", b"\r"))[-256:].split(b"\r")
         self._is_on ^= typed.count(b"lec") % 2 == 1
         return (LINE_END + PROMPT).encode() * len(typed)
 
     def encode(self, asked: Round) -> bytes:
-        """A line, if it is to print any."""
+        """Return a line if the shell prints any."""
         nowhere = (0.0, 0.0, 0.0)
         anchors = [
             (self.name_on_wire(answer.emitter_id), nowhere, answer.range_m)
@@ -79,7 +79,7 @@ class Pans(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """Four hexadecimal digits."""
+        """Return four hexadecimal digits."""
         return f"{emitter_id:04X}"
 
 
@@ -100,7 +100,7 @@ class QorvoRecord:
 
 
 def session_info_ntf(block: int, records: Sequence[QorvoRecord]) -> str:
-    """Over one line more than it has peers."""
+    """Return the notification, one line longer than its peers."""
     head = f"SESSION_INFO_NTF: {{session_handle=1, sequence_number={block}, block_index={block}"
     return f"{head}, n_measurements={len(records)}\n " + ";\n ".join(r.text for r in records) + "}"
 
@@ -120,7 +120,7 @@ class QorvoCli(Emulator):
         return lines(["ok", 'SESSION_STATUS_NTF: {state="ACTIVE", reason="State change"}'])
 
     def encode(self, asked: Round) -> bytes:
-        """A notification with everybody in it."""
+        """Return a notification with all peers."""
         records = [self._record(answer) for answer in asked.answers]
         text = session_info_ntf(self.next_number(), records)
         return lines(text.split("\n"))
@@ -138,12 +138,12 @@ class QorvoCli(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """As it is printed."""
+        """Return the name as printed."""
         return f"0x{emitter_id:04x}"
 
 
 def js_frame(value: Mapping[str, object], *, after_colon: str = "") -> str:
-    """`JS`, the length in hexadecimal, JSON."""
+    """Return `JS`, the length in hexadecimal, JSON."""
     text = json.dumps(value, separators=(",", ":"))
     if after_colon:  # after the first colon there may be a space, and nowhere else
         text = text.replace(":", ":" + after_colon, 1)
@@ -160,11 +160,11 @@ class PdoaJs(Emulator):
     measures = "both"
 
     def boot(self) -> bytes:
-        """The node introduces itself."""
+        """Return the frame by which the node introduces itself."""
         return lines([js_frame({"SN": {"a16": "0001", "V": 1, "X": 12, "Y": -31, "Z": 1003}})])
 
     def encode(self, asked: Round) -> bytes:
-        """A frame for each tag that answered."""
+        """Return a frame for each tag that answered."""
         number, time_us = self.next_number(256), round(1e6 * asked.sent_at_s) % SUPERFRAME_US
         return lines(
             [
@@ -189,7 +189,7 @@ class PdoaJs(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """Four hexadecimal digits."""
+        """Return four hexadecimal digits."""
         return f"{emitter_id:04X}"
 
 
@@ -207,7 +207,7 @@ class AtRange:
 
     @property
     def text(self) -> str:
-        """As it is printed."""
+        """Return the name as printed."""
         text = f"AT+RANGE=tid:{self.tag},mask:{self.mask:02X},seq:{self.sequence}"
         text += f",range:({','.join(map(str, self.ranges_cm))})"
         if self.rssi_dbm is not None:
@@ -226,7 +226,7 @@ class MakerfabsAt(Emulator):
     ids = range(256)
 
     def encode(self, asked: Round) -> bytes:
-        """A line in any case: who did not answer is 0."""
+        """Return a line in any case; 0 for one that did not answer."""
         slots = enumerate(asked.answers)
         heard = {slot: answer for slot, answer in slots if answer.range_m is not None}
         ranges_cm = [0] * SLOTS
@@ -239,9 +239,9 @@ class MakerfabsAt(Emulator):
         return lines([line.text])
 
     def boot(self) -> bytes:
-        """Nothing but an answer to what was set."""
+        """Return the answers to the settings only."""
         return lines(["OK"])
 
     def hear(self, data: bytes) -> bytes:
-        """Every command is right."""
+        """Return OK for every command."""
         return lines(["OK"] * data.count(b"AT+"))

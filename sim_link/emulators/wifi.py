@@ -30,12 +30,12 @@ SIMULATION_BEGAN_S = 1_718_000_000.0
 
 
 def round_trip_s(range_m: float) -> float:
-    """There and back."""
+    """Return the round-trip time, s."""
     return 2.0 * range_m / LIGHT_MPS
 
 
 def esp_log(level: str, clock_ms: int | None, text: str, *, is_coloured: bool = True) -> str:
-    """A line of esp-idf's log: green for information, brown for warnings, red for errors."""
+    """Return a line of esp-idf's log: green for information, brown for warnings, red for errors."""
     stamp = "" if clock_ms is None else f"({clock_ms}) "
     line = f"{level} {stamp}{text}"
     colour = {"I": "32", "W": "33", "E": "31"}[level]
@@ -68,7 +68,7 @@ class Esp32Ftm(Emulator):
     rate_hz = 2.0
 
     def boot(self) -> bytes:
-        """Boot loader messages, the first of them at another baud rate."""
+        """Return boot loader messages, the first of them at another baud rate."""
         return b"\xe3\x9c\x00\xfe\r\n" + lines(
             [
                 "ESP-ROM:esp32s2-rc4-20191025",
@@ -81,7 +81,7 @@ class Esp32Ftm(Emulator):
         )
 
     def encode(self, asked: Round) -> bytes:
-        """A session with each."""
+        """Return a session with each."""
         clock_ms = self.device_ms(asked.sent_at_s) % U32
         texts: list[str] = []
         for answer in asked.answers:
@@ -108,7 +108,7 @@ class Esp32Ftm(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """The responder's address."""
+        """Return the responder's address."""
         return mac_of(emitter_id)
 
 
@@ -128,11 +128,11 @@ class Esp32Arduino(Emulator):
     most = 1
 
     def boot(self) -> bytes:
-        """Boot loader and connection messages."""
+        """Return boot loader and connection messages."""
         return lines(["ESP-ROM:esp32s2-rc4-20191025", "Connecting to FTM Access Point", "....."])
 
     def encode(self, asked: Round) -> bytes:
-        """A line in any case."""
+        """Return a line in any case."""
         ranges_m = [answer.range_m for answer in asked.answers]
         return lines(
             ["FTM Error: FAIL" if each is None else arduino_estimate(each) for each in ranges_m]
@@ -140,12 +140,12 @@ class Esp32Arduino(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
-        """None."""
+        """Return nothing: the format has no name for emitters."""
         return ""
 
 
 def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) -> str:
-    """Anchor, estimated and raw round-trip time in ns, centimetres, and of each frame ps, dBm."""
+    """Return anchor, estimated and raw round trip in ns, centimetres, and ps, dBm per frame."""
     cm = clamped(100.0 * range_m, 0, U32 - 1)
     rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
     row = f"{anchor_id},{rtt_ns},{rtt_ns},{cm},{len(frames)},"
@@ -160,7 +160,7 @@ class FtmCsv(Emulator):
     rate_hz = 2.0
 
     def encode(self, asked: Round) -> bytes:
-        """A row for each."""
+        """Return a row for each."""
         rows = []
         for answer in asked.heard:
             if answer.range_m is not None:
@@ -213,7 +213,7 @@ class IwFtm(Emulator):
     rate_hz = 1.0
 
     def encode(self, asked: Round) -> bytes:
-        """A run: its head, each peer, its end."""
+        """Return a run: its head, each peer, its end."""
         boot_ns = round(1e9 * self.device_s(asked.sent_at_s))
         cookie = self.next_number() + 1
         texts = [f"wdev 0x1 (phy #0): Peer measurements (cookie {cookie}):"]
@@ -234,7 +234,7 @@ class IwFtm(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """The responder's address."""
+        """Return the responder's address."""
         return mac_of(emitter_id)
 
 
@@ -274,11 +274,11 @@ class AndroidRtt(Emulator):
     ATTEMPTED = 8
 
     def boot(self) -> bytes:
-        """The header."""
+        """Return the header."""
         return lines([ANDROID_HEADER])
 
     def encode(self, asked: Round) -> bytes:
-        """A row for each, also for who did not answer."""
+        """Return a row for each, answered or not."""
         epoch_ms = self.device_ms(asked.sent_at_s)
         return lines([self._row(answer, epoch_ms).text for answer in asked.answers])
 
@@ -298,5 +298,5 @@ class AndroidRtt(Emulator):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """The access point's address."""
+        """Return the access point's address."""
         return mac_of(emitter_id)

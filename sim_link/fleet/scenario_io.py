@@ -13,12 +13,15 @@ from sim_link.autopilot.scenario import Scenario
 
 
 def load_scenario(path: Path) -> Scenario:
-    """The scenario of a YAML file, canonical where it says nothing; `ConfigError`: it is wrong."""
+    """Return the scenario of a YAML file, canonical where it says nothing.
+
+    `ConfigError`: it is wrong.
+    """
     return load_yaml(path, Scenario, renew_incidents)
 
 
 def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
-    """State and truth at the start: metres, degrees counter-clockwise, positions about `origin`."""
+    """Return state and truth at the start: metres, degrees counter-clockwise, about `origin`."""
     vehicle, scenario = endpoint.vehicle, endpoint.vehicle.scenario
     return {
         "version": 1,  # of this form
@@ -43,7 +46,7 @@ def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, ob
 
 
 def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
-    """The start report with `state` "ended" and what was flown."""
+    """Return the start report with `state` "ended" and what was flown."""
     vehicle, recorder = endpoint.vehicle, endpoint.recorder
     return start_report(endpoint, seed, speed) | {
         "state": "ended",

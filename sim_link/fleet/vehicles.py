@@ -102,7 +102,10 @@ class FleetOptions:
 
 
 def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
-    """One endpoint per vehicle; `ConfigError`: a parameter, its file, a key or an id is bad."""
+    """Return one endpoint per vehicle.
+
+    `ConfigError`: a parameter, its file, a key or an id is bad.
+    """
     scenario = options.scenario
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
@@ -138,7 +141,7 @@ def _signing(path: Path | None) -> Signing | None:
 
 
 def has_signing_ended(path: Path) -> bool:
-    """True if a client ended signing by SETUP_SIGNING: then the file holds the key of zeros."""
+    """Return True if a client ended signing: then the file holds the key of zeros."""
     try:
         return path.read_text(encoding="ascii").strip() == NO_KEY
     except (OSError, UnicodeDecodeError):
@@ -146,12 +149,12 @@ def has_signing_ended(path: Path) -> bool:
 
 
 def is_px4(options: FleetOptions) -> bool:
-    """True if PX4 is simulated."""
+    """Return True if PX4 is simulated."""
     return options.scenario.autopilot.flavour == "px4"
 
 
 def udp_ports(options: FleetOptions) -> list[tuple[LinkMode | None, int, tuple[Address, ...]]]:
-    """The UDP links of the first vehicle: whom for, the port that is bound, where it sends unasked.
+    """Return the first vehicle's UDP links: kind, bound port, and default destinations.
 
     PX4 has one for companions and one for each of `PX4_PORTS` that it is to send to.
     """
@@ -166,7 +169,10 @@ def udp_ports(options: FleetOptions) -> list[tuple[LinkMode | None, int, tuple[A
 
 
 def link_specs(options: FleetOptions, number: int) -> list[Transport]:
-    """The links of a vehicle; `ConfigError`: a port is too high, or a line is to serve several."""
+    """Return the links of a vehicle.
+
+    `ConfigError`: a port is too high, or a line is to serve several.
+    """
     specs: list[Transport] = []
     for _, port, addresses in udp_ports(options):
         remotes = tuple(
@@ -191,14 +197,17 @@ def _port(port: int) -> int:
 
 
 def numbered_path(path: Path | None, number: int) -> Path | None:
-    """The file of vehicle `number`: `report.json`, `report-2.json`, ..."""
+    """Return the file of vehicle `number`: `report.json`, `report-2.json`, ..."""
     if path is None or number == 0:
         return path
     return path.with_name(f"{path.stem}-{number + 1}{path.suffix}")
 
 
 def stored_parameters(path: Path | None) -> str:
-    """The text of a parameter file, empty without one; `ConfigError`: not to be read or written."""
+    """Return the text of a parameter file, empty without one.
+
+    `ConfigError`: not to be read or written.
+    """
     if path is None:
         return ""
     check_writable(path)
@@ -249,7 +258,7 @@ class FleetFiles:
                 self._saved[number] = text
 
     def _keep_key(self) -> None:
-        """A key that a client set up, or the end of signing, where there is a file."""
+        """Keep a client's key, or the end of signing, if there is a file."""
         for endpoint in self._endpoints:
             setup = endpoint.links.take_setup()
             path = self._options.signing_key

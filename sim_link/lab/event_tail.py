@@ -21,7 +21,10 @@ class EventTail:
         self._rest = b""
 
     def look_for_flight(self) -> bool:
-        """True if a new flight has begun since the last call; its log is read from now on."""
+        """Return True if a new flight has begun since the last call.
+
+        Its log is read from now on.
+        """
         for path in sorted(self._root.glob(LOGS)):
             if path not in self._seen:
                 self._seen.add(path)
@@ -30,7 +33,7 @@ class EventTail:
         return False
 
     def take(self) -> list[dict[str, Any]]:
-        """The events since the last call; a line that is not whole yet waits."""
+        """Return the events since the last call; a line that is not whole yet waits."""
         if self._path is None:
             return []
         with self._path.open("rb") as file:

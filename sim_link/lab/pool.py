@@ -83,7 +83,7 @@ class Pool:
     def results(
         self, work: Callable[[Item], Result], items: Sequence[Item]
     ) -> Generator[tuple[int, Result], None, None]:
-        """Results with their positions as they come; WorkerLostError or an interrupt ends them."""
+        """Yield results with their positions as they come, until an error or interrupt."""
         if self._workers is None:
             yield from ((position, work(item)) for position, item in enumerate(items))
             return
@@ -127,7 +127,7 @@ class Pool:
 
 @contextmanager
 def open_pool(backend: str = LOCAL, jobs: int = 1) -> Iterator[Pool]:
-    """This process, more of this machine, or dask://HOST:PORT (`ConfigError`: no answer)."""
+    """Yield this process, more of this machine, or dask://HOST:PORT (`ConfigError`: no answer)."""
     if backend != LOCAL:
         with _connected(backend) as cluster:
             yield Pool(cluster, AHEAD * cluster.size)
@@ -267,7 +267,7 @@ def _client(host: str, port: int) -> Any:
 
 
 def check_scheduler(host: str, port: int) -> None:
-    """An OSError unless something there speaks dask: with others its client waits for ever."""
+    """Raise an OSError unless the peer speaks dask, whose client would wait for ever."""
     with socket.create_connection((host, port), CONNECT_S) as connected:
         greeting = connected.recv(FRAME_COUNT.size, socket.MSG_WAITALL)
     if len(greeting) < FRAME_COUNT.size or FRAME_COUNT.unpack(greeting)[0] > MOST_FRAMES:
@@ -292,13 +292,13 @@ def _check_workers(client: Any, backend: str) -> None:
 
 
 def _work_if_same(digest: str, work: Callable[[Item], Result], item: Item) -> Result:
-    """On a worker, which may have come after those that were looked at."""
+    """Work on a worker that may have joined after the check."""
     check_sources(digest)
     return work(item)
 
 
 def check_sources(digest: str) -> None:
-    """A ConfigError unless this process would come to the results of another."""
+    """Raise a ConfigError unless this process would produce the same results as another."""
     if digest != sources_digest():
         raise ConfigError(
             "a worker has other sources or library versions than this machine, or compiles where "
@@ -309,7 +309,7 @@ def check_sources(digest: str) -> None:
 
 @lru_cache(maxsize=1)
 def sources_digest() -> str:
-    """A short name for all that results follow from, beside what is worked on."""
+    """Return a short name for all that results follow from, beside what is worked on."""
     digest = hashlib.sha256(f"{platform.python_version()} compiled {IS_COMPILED}\n".encode())
     for name in LIBRARIES:
         digest.update(f"{name} {version_of(name)}\n".encode())
@@ -319,7 +319,7 @@ def sources_digest() -> str:
 
 
 def version_of(library: str) -> str:
-    """The installed version of a library, or "none"."""
+    """Return the installed version of a library, or "none"."""
     try:
         return importlib.metadata.version(library)
     except importlib.metadata.PackageNotFoundError:

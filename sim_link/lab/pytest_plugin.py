@@ -38,7 +38,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """A test whose script lists several autopilots is one of each."""
+    """Make a test for each autopilot that the script lists."""
     marker = metafunc.definition.get_closest_marker(MARKER)
     flavours = () if marker is None else _listed(marker, metafunc.definition.path.parent)
     if len(flavours) > 1:
@@ -47,7 +47,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def _mission_autopilot(request: pytest.FixtureRequest) -> FlavourName | None:
-    """The one of several that the script lists, None where there are not several."""
+    """Return the one of several that the script lists, None where there are not several."""
     return getattr(request, "param", None)
 
 
@@ -55,7 +55,7 @@ def _mission_autopilot(request: pytest.FixtureRequest) -> FlavourName | None:
 def mission_result(
     request: pytest.FixtureRequest, _mission_autopilot: FlavourName | None
 ) -> MissionResult:
-    """The flight of the test's `@pytest.mark.mission("script.yaml")` beside it, met or not."""
+    """Return the flight of the test's `@pytest.mark.mission("script.yaml")`, passed or not."""
     markers = list(request.node.iter_markers_with_node(MARKER))
     if not markers:
         pytest.fail('mission_result needs @pytest.mark.mission("script.yaml")', pytrace=False)
@@ -72,14 +72,14 @@ def _marked_mission(
     request: pytest.FixtureRequest,
     _mission_autopilot: FlavourName | None,  # so that pytest knows it for every test
 ) -> None:
-    """A marked test flies, whether or not it wants to see the result."""
+    """Fly the mission of a marked test, whether or not it uses the result."""
     if request.node.get_closest_marker(MARKER) is not None:
         request.getfixturevalue("mission_result")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_call(item: pytest.Item) -> None:
-    """A marked test fails by the names of the expectations that were not met."""
+    """Fail a marked test with the names of the unmet expectations."""
     result = item.stash.get(FLIGHT, None)
     if result is not None and not result.is_passed:
         lines = [f"{verdict.name}: {verdict.found}" for verdict in result.failed]
@@ -89,7 +89,10 @@ def pytest_runtest_call(item: pytest.Item) -> None:
 def fly_marked(
     marker: pytest.Mark, folder: Path, flavour: FlavourName | None = None
 ) -> MissionResult:
-    """The flight that a marker asks for, of one of its autopilots; a wrong one fails the test."""
+    """Return the flight that a marker asks for, of one of its autopilots.
+
+    A wrong one fails the test.
+    """
     from sim_link.lab.mission.in_memory import fly_in_memory
 
     mission, seed, path = _or_fail(lambda: _wanted(marker, folder, flavour))
@@ -108,7 +111,7 @@ def _or_fail(find: Callable[[], T]) -> T:
 
 
 def _listed(marker: pytest.Mark, folder: Path) -> tuple[FlavourName, ...]:
-    """The autopilots that a marker leaves to its script; none if it is wrong."""
+    """Return the autopilots that a marker leaves to its script; none if it is wrong."""
     from companion.errors import CompanionError
     from sim_link.lab.mission.batch import flavours_of
     from sim_link.lab.mission.script_file import load_mission
@@ -122,7 +125,7 @@ def _listed(marker: pytest.Mark, folder: Path) -> tuple[FlavourName, ...]:
 
 
 def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
-    """Script, seed and autopilot of a marker; `TypeError`: its arguments are wrong."""
+    """Return the script, seed and autopilot of a marker; `TypeError`: its arguments are wrong."""
 
     def mission(
         script: str, seed: object = 0, autopilot: object = None
@@ -160,7 +163,7 @@ def _wanted(
 
 @pytest.fixture
 def faulty_link() -> FaultyLink:
-    """A wire without faults yet; `add(fault, began_s)` gives it some."""
+    """Return a wire without faults yet; `add(fault, began_s)` gives it some."""
     from sim_link.lab.faults.fault_models import Schedule
     from sim_link.lab.faults.faulty_link import FaultyLink
 
@@ -169,7 +172,7 @@ def faulty_link() -> FaultyLink:
 
 @pytest.fixture
 def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """A `sim-link` process of its own; the link on which it is heard, for `--connect`.
+    """Yield a `sim-link` process of its own; the link on which it is heard, for `--connect`.
 
     `@pytest.mark.sim_vehicle(scenario="calm.yaml", seed=3, autopilot="ardupilot", speed=4)` says
     what it flies; the scenario is looked for beside the test.
@@ -217,7 +220,7 @@ def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
 
 @pytest.fixture
 def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
-    """Starts `companion` with arguments; by default all its files are kept below `tmp_path`."""
+    """Yield a function that starts `companion`; by default its files are below `tmp_path`."""
     from companion.io.child_process import ChildProcess
 
     started: list[ChildProcess] = []
@@ -240,7 +243,7 @@ def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
 
 
 def _default_config(folder: Path) -> Path:
-    """A configuration that says no more than where things are kept."""
+    """Return a configuration with the storage locations only."""
     kept = {
         "log": {"directory": str(folder / "flights")},
         "process": {"state_directory": str(folder / "state")},

@@ -43,7 +43,7 @@ and for one that reads a radio of its own:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `radio`."""
+    """Add the arguments of `radio`."""
     add = parser.add_argument
     add("--follow", metavar="URL", required=True, help="the link on which the vehicle is heard")
     add(
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
-    """Of an emulated radio and of RADIO_RANGING: some exclude each other."""
+    """Check options of emulated radios and of RADIO_RANGING, some of which exclude each other."""
     if arguments.radio is None:
         for name, value in (("--to", arguments.to), ("--clock", arguments.clock)):
             if value is not None:
@@ -107,7 +107,7 @@ def _check_options(arguments: argparse.Namespace) -> None:
 
 
 def _speaker(arguments: argparse.Namespace) -> Callable[[str], None]:
-    """Prints texts for people, apart from the radio's output."""
+    """Return a function that prints texts, apart from the radio's output."""
     is_taken = arguments.to is not None and is_stdout(arguments.to)
     stream = sys.stderr if is_taken else sys.stdout
     return lambda text: print(f"sim-link: {text}", file=stream, flush=True)
@@ -155,7 +155,7 @@ def _follower(arguments: argparse.Namespace) -> RadioFollower:
 
 
 def parse_emitter(text: str, number: int) -> GeodeticEmitter:
-    """The emitter of `LAT,LON[,AMSL]`; `ConfigError`: it is none."""
+    """Return the emitter of `LAT,LON[,AMSL]`; `ConfigError`: it is none."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -185,7 +185,7 @@ def _stop_at_eof(shell: Shell) -> None:
 def _hints(
     follower: RadioFollower, link: str, say: Callable[[str], None]
 ) -> Callable[[float], None]:
-    """Says that a vehicle is heard, or that none is, once each."""
+    """Return a function that reports once that a vehicle is heard, or that none is."""
     said = ""
 
     def check(now_s: float) -> None:

@@ -57,7 +57,7 @@ class GeodeticEmitter:
     """Above mean sea level; None: at the height of the local origin."""
 
     def local(self, origin: LocalOrigin) -> Emitter:
-        """The same in the local frame."""
+        """Return the same in the local frame."""
         altitude_m = origin.altitude_m if self.altitude_m is None else self.altitude_m
         place = (self.latitude_deg, self.longitude_deg, altitude_m)
         east, north, up = origin.enu_from_geodetic(*place)
@@ -69,7 +69,7 @@ class GeodeticEmitter:
 
 
 def seen_from_nose(heard: RangingMeasurement, yaw_rad: float) -> RangingMeasurement:
-    """With a world's bearing as one from the nose of a vehicle that heads so."""
+    """Return the measurement with its bearing from north as one from the nose."""
     if heard.bearing_enu_rad is None:
         return heard
     body_rad = wrap_pi(bearing_ned_from_enu(heard.bearing_enu_rad) - yaw_rad)
@@ -226,7 +226,7 @@ class RadioFollower(OneShotEndpoint):
             self._output.append(Chunk(SEND, data))
 
     def handle_timer(self, now_s: float) -> None:
-        """Heartbeat, and ask for what is missing."""
+        """Send the heartbeat and missing requests."""
         super().handle_timer(now_s)
         if self._emulator is not None and not self._has_booted:
             self._has_booted = True

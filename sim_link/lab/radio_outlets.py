@@ -40,7 +40,7 @@ class PageAddress:
 
 
 def is_stdout(text: str) -> bool:
-    """True if `--to` is standard output, which then must not carry texts for people."""
+    """Return True if `--to` is standard output, which then must not carry texts for people."""
     return text.strip().partition(":")[0].lower() == "stdout"
 
 
@@ -71,7 +71,7 @@ def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
 
 
 def parse_page(text: str, kind: type[Emulator]) -> PageAddress:
-    """Of `http:HOST:PORT` or `ws:HOST:PORT`; a `ConfigError` shows a right one."""
+    """Return the address in `http:HOST:PORT` or `ws:HOST:PORT`; a `ConfigError` shows one."""
     scheme = text.partition(":")[0].lower()
     path = kind.socket if scheme == "ws" else kind.document
     if path is None:
@@ -96,7 +96,7 @@ class StdoutLink(Link):
         super().__init__("stdout", index, lambda _: None)
 
     async def open(self) -> None:
-        """It is open."""
+        """Do nothing: it is open."""
 
     def send(self, chunk: Chunk) -> None:
         """Write at once; a reader that went away is counted."""
@@ -109,7 +109,7 @@ class StdoutLink(Link):
             self.counters.last_error = str(error)
 
     def close(self) -> None:
-        """It stays open."""
+        """Do nothing: it stays open."""
 
 
 class SocketLink(Link):
@@ -206,7 +206,7 @@ class HttpLink(Link):
             raise LinkError(bind_problem("http", host, port, error)) from error
 
     def send(self, chunk: Chunk) -> None:
-        """From now on this is the document."""
+        """Serve this document from now on."""
         self._document = chunk.data
         self.counters.sent += 1
 
@@ -234,7 +234,7 @@ class HttpLink(Link):
 
 
 async def _path_asked(reader: asyncio.StreamReader) -> str:
-    """Of a GET; empty for anything else."""
+    """Return the path of a GET; empty for anything else."""
     words = (await reader.readline()).decode("latin-1").split()
     for _ in range(MOST_HEADERS):
         if not (await reader.readline()).strip():

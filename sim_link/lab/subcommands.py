@@ -13,7 +13,7 @@ from sim_link.lab.mission import mission_cli
 
 
 def run_subcommand(argv: Sequence[str]) -> int:
-    """Run it; the exit code. `CompanionError`: bad input, or something could not be done."""
+    """Run it; return the exit code. `CompanionError`: bad input, or something could not be done."""
     arguments = subcommand_parser().parse_args(argv)
     code: int = arguments.run(arguments)
     return code
@@ -37,7 +37,7 @@ def _add(
     summary: str,
     module: ModuleType,
 ) -> None:
-    """A subcommand by its module's DESCRIPTION, EPILOG, `add_arguments` and `run`."""
+    """Add a subcommand by its module's DESCRIPTION, EPILOG, `add_arguments` and `run`."""
     parser = commands.add_parser(
         name,
         help=summary,

@@ -60,14 +60,17 @@ class Printed(NamedTuple):
 
 
 def direction_enu(sensor_enu_m: PositionEnu, target_enu_m: PositionEnu) -> Components:
-    """Unit vector from sensor to target, east, north, up; straight up where they coincide."""
+    """Return the unit vector from sensor to target, east, north, up.
+
+    Straight up where they coincide.
+    """
     e, n, u = (t - s for t, s in zip(target_enu_m, sensor_enu_m, strict=True))
     length = math.sqrt(e * e + n * n + u * u)
     return (e / length, n / length, u / length) if length > 0.0 else (0.0, 0.0, 1.0)
 
 
 def bent(direction: Components, aside_rad: float, up_rad: float) -> Components:
-    """A direction (east, north, up) turned in space, horizontally to the left and upwards.
+    """Return a direction (east, north, up) turned in space, horizontally to the left and upwards.
 
     The angle is one in space: a bend to the left turns the azimuth by 1/cos(elevation) of it.
     """
@@ -88,7 +91,7 @@ def bent(direction: Components, aside_rad: float, up_rad: float) -> Components:
 
 
 def turned_about_vertical(direction: Components, angle_rad: float) -> Components:
-    """A direction (east, north, up) with its azimuth turned counter-clockwise."""
+    """Return a direction (east, north, up) with its azimuth turned counter-clockwise."""
     e, n, u = direction
     cos, sin = math.cos(angle_rad), math.sin(angle_rad)
     return (cos * e - sin * n, sin * e + cos * n, u)
@@ -97,7 +100,7 @@ def turned_about_vertical(direction: Components, angle_rad: float) -> Components
 def seen_by_antenna(
     direction: Components, attitude: EulerAngles, params: AntennaModelParams, offset_rad: float
 ) -> Components:
-    """Components along boresight, right and down of a direction given east, north, up.
+    """Return components along boresight, right and down of a direction given east, north, up.
 
     An offset (counter-clockwise positive, as the channel's) is an unknown error of the mount:
     the antenna stands that much farther clockwise about the body's vertical.
@@ -136,5 +139,5 @@ def printed(
 
 
 def _arcsine(component: float) -> float:
-    """Of what noise may have led beyond 1, as happens along the line."""
+    """Return the arcsine of a value that noise may have pushed beyond 1."""
     return math.asin(max(-1.0, min(1.0, component)))

@@ -27,7 +27,7 @@ LEVEL = EulerAngles()
 
 
 def seen_from(attitude: EulerAngles, outer: Components) -> Components:
-    """The components in the turned frame of a vector in the outer one: R transposed, times it."""
+    """Return the components of an outer vector in the turned frame: R transposed, times it."""
     x, y, z = outer
     cos, sin = math.cos(attitude.yaw_rad), math.sin(attitude.yaw_rad)
     x, y = cos * x + sin * y, cos * y - sin * x
@@ -38,7 +38,7 @@ def seen_from(attitude: EulerAngles, outer: Components) -> Components:
 
 
 def leaning(forward_mps2: float, right_mps2: float, down_mps2: float) -> tuple[float, float]:
-    """Roll and pitch of a multicopter whose thrust gives so much horizontal acceleration.
+    """Return roll and pitch of a multicopter whose thrust gives so much horizontal acceleration.
 
     `down_mps2` is what the thrust holds against, gravity in steady flight. The roll leaves out that
     the pitch has shortened the upright part of the thrust: 1 degree at 20 degrees of both.

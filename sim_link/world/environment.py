@@ -99,7 +99,7 @@ class FieldChannelParams(ChannelParams, frozen=True):
 
 
 def in_the_field(params: ChannelParams) -> FieldChannelParams:
-    """The same channel, as a record of the field."""
+    """Return the same channel, as a record of the field."""
     if isinstance(params, FieldChannelParams):
         return params
     return FieldChannelParams(**msgspec.structs.asdict(params))
@@ -132,11 +132,11 @@ class Emitter:
         self.position_enu_m: PositionEnu = (*params.position_enu_m, params.height_m)
 
     def slant_range_m(self, sensor_enu_m: PositionEnu) -> float:
-        """True distance from the sensor, metres. Paper: h of eq. (1) for ranges."""
+        """Return the true distance from the sensor, metres. Paper: h of eq. (1) for ranges."""
         return math.dist(self.position_enu_m, sensor_enu_m)
 
     def bearing_enu_rad(self, sensor_enu_m: PositionEnu) -> float:
-        """True azimuth from the sensor, counter-clockwise from east. Paper: h for bearings."""
+        """Return the true azimuth, counter-clockwise from east. Paper: h for bearings."""
         return math.atan2(
             self.position_enu_m[1] - sensor_enu_m[1], self.position_enu_m[0] - sensor_enu_m[0]
         )
@@ -216,7 +216,7 @@ NO_MEMORY = ShadowMemory(0.0, 0.0, 0.0, math.nan, math.nan, math.nan)
 def open_obstruction(
     uniform: float, exponential: float, normal: float, open_path: OpenPath
 ) -> tuple[float, float]:
-    """Range excess, metres, and bearing bias, radians, outside of all shadows.
+    """Return range excess, metres, and bearing bias, radians, outside of all shadows.
 
     The uniform draw is in [0, 1), the exponential of mean 1. Paper: b of eq. (1).
     """
@@ -229,7 +229,7 @@ def open_obstruction(
 def remembered(
     drawn: Drawn, place: PositionEnu, correlation_m: float, memory: ShadowMemory
 ) -> ShadowMemory:
-    """The correlated part, over so many metres (0: none), at the next shadowed measurement."""
+    """Return the part, correlated over so many metres (0: none), at the next measurement."""
     (uniform, exponential, normal), (e, n, up) = drawn, place
     kept = 0.0
     if correlation_m > 0.0 and not math.isnan(memory.east_m):
@@ -256,7 +256,7 @@ def obstruction(
     surroundings: Surroundings,
     memory: ShadowMemory,
 ) -> tuple[float, float, ShadowMemory]:
-    """Range excess, metres, never negative; bearing bias, radians; what to remember.
+    """Return range excess, metres, never negative; bearing bias, radians; what to remember.
 
     The place is the sensor's (height 0 in the plane); the memory of the measurement before is
     `NO_MEMORY` at first. Paper: b of eq. (1).
@@ -278,7 +278,7 @@ def obstruction(
 
 
 def shadow_of(params: ShadowParams) -> Shadow:
-    """The parameters as the kernels take them."""
+    """Return the parameters as the kernels take them."""
     return Shadow(
         params.detour_share,
         params.pull_share,
@@ -305,5 +305,8 @@ class Environment:
         self._corners = np.array(corners, dtype=np.float64).reshape(-1, 2)
 
     def around(self, emitter_enu_m: PositionEnu) -> Surroundings:
-        """An emitter in it; finds the ways from all corners to it, so keep what it returns."""
+        """Return an emitter in it.
+
+        Finds the ways from all corners to it, so keep what it returns.
+        """
         return line_of_sight.surroundings_of(emitter_enu_m, self.edges, self._corners)

@@ -68,7 +68,7 @@ def burial_excess_m(thickness_m: float, permittivity: float, up: float) -> float
 
 
 def link_margin_db(params: LossParams, slant_m: float, walls: int, body_down: float) -> float:
-    """By how much a packet is above the threshold, before shadowing and fading.
+    """Return a packet's margin above the threshold, before shadowing and fading.
 
     Args:
         body_down: Component of the direction along the vehicle's vertical.
@@ -80,7 +80,7 @@ def link_margin_db(params: LossParams, slant_m: float, walls: int, body_down: fl
 
 
 def is_within(share: float, normal: float) -> bool:
-    """True if a standard normal lies in the lower `share` of its distribution."""
+    """Return True if a standard normal lies in the lower `share` of its distribution."""
     return 0.5 * math.erfc(-normal / math.sqrt(2.0)) < share
 
 
@@ -92,7 +92,7 @@ class PlaceNormals:
         self._place: PositionEnu = (0.0, 0.0, 0.0)
 
     def move(self, fresh: list[float], place: PositionEnu, correlation_m: float) -> list[float]:
-        """Those of another place, some way on; a correlation of 0 forgets at once."""
+        """Return the draws at another place, some way on; a correlation of 0 forgets at once."""
         kept = 0.0
         if self._values and correlation_m > 0.0:
             kept = math.exp(-math.dist(place, self._place) / correlation_m)
@@ -165,14 +165,17 @@ class FieldRadio(RadioChannel):
         """Of the path that is being drawn."""
 
     def prepare(self, emitter: Emitter) -> None:
-        """As of any channel; what it tried is forgotten."""
+        """Prepare as any channel, and forget earlier trials."""
         super().prepare(emitter)
         self._paths.clear()
 
     def hear(
         self, emitter: Emitter, place: PositionEnu, time_s: float, attitude: EulerAngles = LEVEL
     ) -> RangingMeasurement | None:
-        """One measurement of `emitter` from a place, local east, north, up; None: it is lost."""
+        """Return one measurement of `emitter` from a place, local east, north, up.
+
+        None: it is lost.
+        """
         params = in_the_field(self._params_of(emitter))
         is_plain = self._antenna.kind == "ideal" and self._measures == "both"
         if is_plain and params.is_as_in_the_paper:
@@ -193,7 +196,7 @@ class FieldRadio(RadioChannel):
         attitude: EulerAngles,
         params: FieldChannelParams,
     ) -> _Moment:
-        """Always consumes the same amount of randomness, whatever the parameters."""
+        """Draw a moment; always consumes the same amount of randomness."""
         fresh = self._field_rng.standard_normal(PATH_NORMALS + GROSS_NORMALS + FREE_NORMALS)
         path_fresh, gross_fresh, free = (
             part.tolist() for part in np.split(fresh, (PATH_NORMALS, PATH_NORMALS + GROSS_NORMALS))
@@ -213,7 +216,7 @@ class FieldRadio(RadioChannel):
     def _obstruction(
         self, drawn: Drawn, emitter: Emitter, sensor_enu_m: PositionEnu
     ) -> tuple[float, float, ShadowMemory]:
-        """As of any channel, but in the open both stay with the place."""
+        """Return the obstruction, spatially correlated in the open."""
         correlation_m = in_the_field(self._params_of(emitter)).correlation_m
         if correlation_m == 0.0 or self._is_shaded(emitter, sensor_enu_m):
             return super()._obstruction(drawn, emitter, sensor_enu_m)
@@ -278,7 +281,7 @@ class FieldRadio(RadioChannel):
         return printed(u, self._antenna, self._sigma_rad(moment.emitter), noise)
 
     def _obstructed_direction(self, moment: _Moment) -> Components:
-        """Unit vector (east, north, up) of the arriving signal, deflected by obstacles."""
+        """Return the arriving signal's unit vector (east, north, up), deflected by obstacles."""
         draw, direction = moment.draw, moment.direction
         if draw.range_bias_m == 0.0 and draw.bearing_bias_rad == 0.0:
             return direction
@@ -302,7 +305,7 @@ class FieldRadio(RadioChannel):
     def _measurement(
         self, moment: _Moment, time_s: float, range_m: float | None, bearing: Printed | None
     ) -> RangingMeasurement:
-        """With the standard deviations of the data sheet: a radio knows no better."""
+        """Return the measurement with the data sheet's standard deviations."""
         measurement = RangingMeasurement(
             emitter_id=moment.emitter.emitter_id,
             measured_at_s=time_s,

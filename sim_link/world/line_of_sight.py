@@ -55,7 +55,7 @@ class Surroundings(NamedTuple):
 
 @kernel
 def side(ae: float, an: float, be: float, bn: float, e: float, n: float) -> float:
-    """Positive if (e, n) lies left of the line from a to b; exactly opposite from b to a."""
+    """Return a positive value if (e, n) lies left of the line from a to b; antisymmetric."""
     return (ae - e) * (bn - n) - (an - n) * (be - e)
 
 
@@ -78,7 +78,7 @@ def share_to_wall(ae: float, an: float, be: float, bn: float, index: int, edges:
 
 @kernel
 def is_left_of_wall(e: float, n: float, up: float, index: int, edges: Matrix) -> bool:
-    """True if a place is level with a wall, below its top and west of it."""
+    """Return True if a place is level with a wall, below its top and west of it."""
     pn, qn = edges[index, START_NORTH], edges[index, END_NORTH]
     if (pn > n) == (qn > n) or up >= edges[index, TOP]:
         return False
@@ -88,7 +88,7 @@ def is_left_of_wall(e: float, n: float, up: float, index: int, edges: Matrix) ->
 
 @kernel
 def is_inside(e: float, n: float, up: float, edges: Matrix) -> bool:
-    """True if a place is inside an obstacle, by the crossing number."""
+    """Return True if a place is inside an obstacle, by the crossing number."""
     odd = False
     for index in range(len(edges)):
         if odd and edges[index, OWNER] != edges[index - 1, OWNER]:
@@ -117,7 +117,7 @@ def holding(e: float, n: float, up: float, edges: Matrix) -> Flags:
 def is_blocked_in_space(
     target_e: float, target_n: float, target_up: float, e: float, n: float, up: float, edges: Matrix
 ) -> bool:
-    """True if an obstacle stands between target and sensor; symmetric in both ends."""
+    """Return True if an obstacle stands between target and sensor; symmetric in both ends."""
     if target_e > e or (target_e == e and target_n > n):
         target_e, target_n, target_up, e, n, up = e, n, up, target_e, target_n, target_up
     for index in range(len(edges)):
@@ -144,13 +144,13 @@ def walls_between(
 
 @kernel
 def is_blocked(target_e: float, target_n: float, e: float, n: float, edges: Matrix) -> bool:
-    """The same in the plane, where an obstacle of any height blocks."""
+    """Return the same in the plane, where an obstacle of any height blocks."""
     return is_blocked_in_space(target_e, target_n, 0.0, e, n, 0.0, edges)
 
 
 @kernel
 def is_cut(ae: float, an: float, be: float, bn: float, edges: Matrix, lets_out: Flags) -> bool:
-    """True if a leg in the plane meets a wall other than those in `lets_out`."""
+    """Return True if a leg in the plane meets a wall other than those in `lets_out`."""
     for index in range(len(edges)):
         if not lets_out[index] and share_to_wall(ae, an, be, bn, index, edges) != NOWHERE:
             return True
@@ -161,7 +161,7 @@ def is_cut(ae: float, an: float, be: float, bn: float, edges: Matrix, lets_out: 
 def ways_to(
     target_e: float, target_n: float, corners: Matrix, edges: Matrix, lets_out: Flags
 ) -> Vector:
-    """Lengths of the shortest ways from every corner to a target, (c,), metres; infinite: none.
+    """Return the shortest ways from every corner to a target, (c,), metres; infinite: none.
 
     Dijkstra's algorithm over the legs between corners (c, 2) that no wall (k, 6) cuts, each tested
     only if it would shorten a way. `lets_out` (k,) are walls about the target.
@@ -190,7 +190,7 @@ def ways_to(
 def way_around(
     e: float, n: float, surroundings: Surroundings, lets_out: Flags
 ) -> tuple[float, int]:
-    """Length of the shortest way in the plane, metres (infinite: none); its first corner, or -1.
+    """Return the shortest way in the plane, metres (infinite: none); its first corner, or -1.
 
     `lets_out` (k,) are walls of the obstacles that either end is inside of.
     """
@@ -212,7 +212,7 @@ def way_around(
 
 @kernel
 def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_up: float) -> float:
-    """Length of a taut string over roofs (k,) at ground distances and heights, metres."""
+    """Return the length of a taut string over roofs (k,) at distances and heights, metres."""
     if length_m == 0.0:
         return abs(end_up - start_up)
     string_m, here_m, up = 0.0, 0.0, start_up
@@ -230,7 +230,7 @@ def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_u
 
 @kernel
 def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out: Flags) -> float:
-    """Length of the shortest way straight over the roofs, metres; infinite: too high."""
+    """Return the shortest way straight over the roofs, metres; infinite: too high."""
     target_e, target_n, edges = surroundings.east_m, surroundings.north_m, surroundings.edges
     length_m = math.hypot(target_e - e, target_n - n)
     at_m, tops_m = np.empty(len(edges)), np.empty(len(edges))
@@ -269,12 +269,12 @@ def detour(e: float, n: float, up: float, surroundings: Surroundings) -> tuple[f
 
 
 def walls(polygon: Polygon, top_m: float, owner: int) -> list[tuple[float, ...]]:
-    """The rows of one obstacle."""
+    """Return the rows of one obstacle."""
     return [(*start, *end, top_m, float(owner)) for start, end in edges(polygon) if start != end]
 
 
 def turning_corners(polygon: Polygon) -> Iterator[Point]:
-    """The corners that a taut way can turn at, a hair outside the polygon."""
+    """Yield the corners that a taut way can turn at, a hair outside the polygon."""
     corners = [start for start, end in edges(polygon) if start != end]
     if signed_area_m2(corners) < 0.0:
         corners.reverse()
@@ -294,7 +294,7 @@ def turning_corners(polygon: Polygon) -> Iterator[Point]:
 def surroundings_of(
     target_enu_m: tuple[float, float, float], edges: Matrix, corners: Matrix
 ) -> Surroundings:
-    """An emitter among walls (k, 6) and corners (c, 2), the ways from every corner to it found."""
+    """Return an emitter among walls (k, 6) and corners (c, 2), with the ways from each corner."""
     east, north, up = target_enu_m
     lets_out = holding(east, north, up, edges)
     ways = ways_to(east, north, corners, edges, lets_out)

@@ -142,7 +142,7 @@ class PointMass:
         self._drift = self._drift_of_wind()
 
     def set_wind(self, wind: WindParams) -> None:
-        """Another wind; the present gust goes on."""
+        """Set another wind; the present gust goes on."""
         self.wind = wind
         self._drift = self._drift_of_wind()
 
@@ -229,7 +229,7 @@ class PointMass:
 
 
 def limited_velocity(velocity_enu_mps: PositionEnu, params: MulticopterParams) -> PositionEnu:
-    """The velocity within the vehicle's limits, its horizontal direction kept."""
+    """Return the velocity within the vehicle's limits, its horizontal direction kept."""
     ve, vn, vu = velocity_enu_mps
     speed = math.hypot(ve, vn)
     scale = 1.0 if speed <= params.max_speed_mps else params.max_speed_mps / speed
@@ -238,7 +238,7 @@ def limited_velocity(velocity_enu_mps: PositionEnu, params: MulticopterParams) -
 
 
 def approach_speed_mps(distance_m: float, params: MulticopterParams) -> float:
-    """Speed for closing a distance: proportional when near, limited by braking when far."""
+    """Return the approach speed: proportional when near, limited by braking when far."""
     gain = params.position_gain_per_s
     braking = BRAKING_SHARE * params.max_acceleration_mps2
     knee_m = braking / gain**2
@@ -250,7 +250,7 @@ def approach_speed_mps(distance_m: float, params: MulticopterParams) -> float:
 def approach_velocity(
     position_enu_m: PositionEnu, goal_enu_m: PositionEnu, params: MulticopterParams
 ) -> PositionEnu:
-    """The velocity command that flies to a goal and stops there, within the limits."""
+    """Return the velocity command that flies to a goal and stops there, within the limits."""
     e = goal_enu_m[0] - position_enu_m[0]
     n = goal_enu_m[1] - position_enu_m[1]
     u = goal_enu_m[2] - position_enu_m[2]

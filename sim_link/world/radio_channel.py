@@ -86,7 +86,7 @@ class RadioChannel:
         self._obstruction((0.5, 1.0, 0.0), emitter, emitter.position_enu_m)
 
     def draw(self, emitter: Emitter, sensor_enu_m: PositionEnu) -> ChannelDraw:
-        """The next random part; always consumes the same amount of randomness."""
+        """Return the next random part; always consumes the same amount of randomness."""
         uniform = float(self._rng.random())
         exponential = float(self._rng.standard_exponential())
         bend, range_noise, bearing_noise = self._rng.standard_normal(3).tolist()
@@ -144,7 +144,7 @@ class RadioChannel:
     def _obstruction(
         self, drawn: Drawn, emitter: Emitter, sensor_enu_m: PositionEnu
     ) -> tuple[float, float, ShadowMemory]:
-        """Range excess, bearing bias, and what to remember of the shadow."""
+        """Return range excess, bearing bias, and what to remember of the shadow."""
         place, open_path = emitter.position_enu_m, self._character(emitter).open_path
         memory = self._memories.get(place, NO_MEMORY)
         if self._environment is None:

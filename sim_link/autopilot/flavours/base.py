@@ -59,39 +59,39 @@ Handler = Callable[[Any, Command, float], int]
 
 
 def is_place(place: tuple[int, int]) -> bool:
-    """True if latitude and longitude are valid; 0/0 means unknown."""
+    """Return True if latitude and longitude are valid; 0/0 means unknown."""
     return place != (0, 0) and is_on_earth(*place)
 
 
 def is_altitude(altitude_m: float) -> bool:
-    """True if an altitude is finite and in range."""
+    """Return True if an altitude is finite and in range."""
     return abs(altitude_m) <= MAX_ALTITUDE_M
 
 
 def is_force(value: float) -> bool | None:
-    """True if ARM_DISARM's second parameter forces; None if it is invalid."""
+    """Return True if ARM_DISARM's second parameter forces; None if it is invalid."""
     if math.isnan(value) or value == 0.0:
         return False
     return True if value == FORCE_ARMING else None
 
 
 def may_change_mode(command: Command) -> bool:
-    """True if DO_REPOSITION may choose the mode that goes there."""
+    """Return True if DO_REPOSITION may choose the mode that goes there."""
     return bool((command.whole(2) or 0) & CHANGE_MODE_FLAG)
 
 
 def chooses(mode: object) -> Handler:
-    """The handler of a command that only chooses a mode."""
+    """Return the handler of a command that only chooses a mode."""
     return lambda flavour, _, now_s: int(flavour.choose(mode, now_s))
 
 
 def answers(result: CommandResult) -> Handler:
-    """The handler of a command that nothing comes of."""
+    """Return the handler of a command without effect."""
     return lambda *_: result
 
 
 def set_home(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int:
-    """DO_SET_HOME: here (first parameter 1), or at a place of any frame that the aircraft knows."""
+    """Handle DO_SET_HOME: here (first parameter 1), or at a position in a known frame."""
     aircraft, firmware = flavour.aircraft, flavour.firmware
     if command.params[0] == 1.0:
         aircraft.set_home(aircraft.motion.position_enu_m, is_given=False)
@@ -110,7 +110,7 @@ def set_home(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int:
 
 
 def terminate(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int:
-    """DO_FLIGHTTERMINATION."""
+    """Handle DO_FLIGHTTERMINATION."""
     if command.params[0] != 1.0:
         return flavour.firmware.refusal
     flavour.aircraft.say(*flavour.firmware.termination)
@@ -250,11 +250,11 @@ class AutopilotFlavour(ABC):
 
     @abstractmethod
     def arming_refusal(self, now_s: float) -> str | None:
-        """Reason why it could not be armed now, or None."""
+        """Return the reason why it could not be armed now, or None."""
 
     @abstractmethod
     def fence_margin_m(self, place: PositionEnu) -> float:
-        """Distance from a place to the nearest breach of the fence, negative in one."""
+        """Return the distance from a place to the nearest breach of the fence, negative in one."""
 
     @abstractmethod
     def fence_state(self, place: PositionEnu) -> FenceState:
@@ -266,27 +266,27 @@ class AutopilotFlavour(ABC):
 
     @abstractmethod
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
-        """The pilot turns the mode switch."""
+        """Handle the pilot's mode switch."""
 
     @abstractmethod
     def disarm(self, *, is_forced: bool) -> int:
-        """A request to disarm; forced, it stops the motors in the air. A MAV_RESULT."""
+        """Handle a request to disarm, forced also in the air; return a MAV_RESULT."""
 
     @abstractmethod
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT or SET_ATTITUDE_TARGET arrived."""
+        """Take SET_POSITION_TARGET_LOCAL_NED, _GLOBAL_INT or SET_ATTITUDE_TARGET."""
 
     @abstractmethod
     def echo(self) -> Echo | None:
-        """Target for POSITION_TARGET_*; None while none is sent."""
+        """Return the target for POSITION_TARGET_*; None while none is sent."""
 
     @abstractmethod
     def disarm_delay_s(self) -> float | None:
-        """Seconds that it stands armed on the ground before it disarms itself; None: for ever."""
+        """Return the seconds armed on the ground until it disarms itself; None: never."""
 
     @abstractmethod
     def _watch(self, now_s: float) -> None:
-        """Time-outs and failsafes."""
+        """Check time-outs and failsafes."""
 
     @abstractmethod
     def _after_flying(self, now_s: float) -> None:
@@ -298,11 +298,11 @@ class AutopilotFlavour(ABC):
         return ()
 
     def has_home(self, _now_s: float) -> bool:
-        """True if origin and home are known."""
+        """Return True if origin and home are known."""
         return True
 
     def has_position(self, _now_s: float) -> bool:
-        """True if the position is reported."""
+        """Return True if the position is reported."""
         return self.aircraft.estimator.is_position_valid
 
     @property
@@ -333,7 +333,7 @@ class AutopilotFlavour(ABC):
         self._watch_ground(now_s)
 
     def command(self, command: Command, now_s: float) -> int:
-        """A command arrived; a MAV_RESULT."""
+        """Handle a command; return a MAV_RESULT."""
         handler = self.handlers.get(command.number)
         result = UNSUPPORTED if handler is None else handler(self, command, now_s)
         self.settle(now_s, "commanded")
@@ -373,11 +373,11 @@ class AutopilotFlavour(ABC):
             self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"{prefix}: {why}")
 
     def note(self, now_s: float, text: str) -> None:
-        """Something happened."""
+        """Note an occurrence."""
         self.occurrences.append(Occurrence(now_s, self.mode, self.aircraft.is_armed, text))
 
     def _armed_changed(self, is_armed: bool) -> None:
-        """Home is where it is armed, unless a station set it."""
+        """Set home where it is armed, unless a station set it."""
         aircraft, here = self.aircraft, self.aircraft.motion.position_enu_m
         aircraft.has_flown, self._landed_s = False, None
         if not is_armed or aircraft.is_home_given:
@@ -387,7 +387,7 @@ class AutopilotFlavour(ABC):
             aircraft.set_home(here, is_given=False)
 
     def _leave_mission(self) -> None:
-        """A mission that is left goes on where it was; one that is done stays done."""
+        """Leave the mission, which continues where it was; a finished one stays finished."""
         if self.leg is None or self.leg.kind is not LegKind.RETURN:
             self.aircraft.mission.pause()
             self.leg = None

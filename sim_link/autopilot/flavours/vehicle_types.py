@@ -65,7 +65,7 @@ class WireMode(NamedTuple):
 
 
 def _table(text: str) -> dict[int, WireMode]:
-    """A table from `number:NAME=copter number` words."""
+    """Return a table from `number:NAME=copter number` words."""
     modes = {}
     for word in text.split():
         number, _, rest = word.partition(":")
@@ -107,7 +107,7 @@ IGNORES_LOCAL_SETPOINTS = frozenset({"plane", "quadplane", "tiltrotor", "tailsit
 
 
 def shown_number(vehicle_type: VehicleTypeName, copter_number: int, chosen: int | None) -> int:
-    """HEARTBEAT.custom_mode of an ArduPilot: as it was chosen, if that is what it still does."""
+    """Return ArduPilot's HEARTBEAT.custom_mode, as chosen while that mode lasts."""
     table = ARDUPILOT_TABLES.get(vehicle_type)
     if table is None:
         return copter_number

@@ -16,7 +16,7 @@ from companion.mav.endpoint import Address
 
 
 def flags_of(prefix: str, names: str) -> int:
-    """The bits of a MAVLink enum by their names, with blanks between."""
+    """Return the bits of a MAVLink enum by their names, with blanks between."""
     return sum(int(getattr(mavlink, f"{prefix}_{name}")) for name in names.split())
 
 
@@ -95,7 +95,7 @@ class Addressing:
     not; None: it does not."""
 
     def is_for_us(self, message: Message) -> bool:
-        """True if a message is a broadcast or names us."""
+        """Return True if a message is a broadcast or names us."""
         system_id = int(getattr(message, "target_system", 0))
         component_id = int(getattr(message, "target_component", 0))
         if system_id not in (0, self.system_id):
@@ -106,7 +106,7 @@ class Addressing:
 
 
 def partner_of(message: Message, channel: Channel) -> Partner:
-    """The sender of a received message."""
+    """Return the sender of a received message."""
     return Partner(channel, message.get_srcSystem(), message.get_srcComponent())
 
 
@@ -122,7 +122,7 @@ class StatusTexts:
         self._last_id = 0
 
     def messages(self, severity: int, text: str) -> list[Message]:
-        """STATUSTEXTs for a text of any length, beyond 255 chunks cut.
+        """Return the STATUSTEXTs of a text of any length, truncated after 255 chunks.
 
         What is not ASCII becomes `?`, which every client shows.
         """
@@ -139,6 +139,6 @@ class StatusTexts:
         ]
 
     def warn(self, partner: Partner, text: str) -> list[Outgoing]:
-        """A warning to one partner."""
+        """Return a warning to one partner."""
         messages = self.messages(mavlink.MAV_SEVERITY_WARNING, text)
         return [Outgoing(message, partner.channel) for message in messages]

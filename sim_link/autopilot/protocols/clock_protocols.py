@@ -49,7 +49,7 @@ class StampClock:
         return max(0.0, self._shown_s + self._rate * (now_s - self._since_s))
 
     def slip(self, step_s: float, now_s: float) -> None:
-        """Jump, ahead if positive."""
+        """Let the clock jump, ahead if positive."""
         self._set(now_s, self._rate, step_s)
 
     def run(self, rate: float, now_s: float, until_s: float) -> None:
@@ -113,7 +113,7 @@ class Clocks:
                 question.bytes_waiting += len(message.get_msgbuf())
 
     def timesync(self, message: Message, partner: Partner, now_s: float) -> Message | None:
-        """The answer to a TIMESYNC; None if it comes later, and for an answer to ours."""
+        """Return the answer to a TIMESYNC; None if it comes later, and for an answer to ours."""
         if not isinstance(message, mavlink.MAVLink_timesync_message) or message.tc1 != 0:
             return None
         system_id, component_id = targets_of_frame(bytes(message.get_msgbuf()))
@@ -127,11 +127,11 @@ class Clocks:
         return None
 
     def next_s(self) -> float:
-        """Seconds since boot at which the next answer that waits is due."""
+        """Return the time of the next waiting answer, seconds since boot."""
         return self._waiting[0].arrived_s + LOOP_S if self._waiting else math.inf
 
     def due(self, now_s: float) -> list[Outgoing]:
-        """Answers that waited for the autopilot's loop."""
+        """Return answers that waited for the autopilot's loop."""
         until_s = now_s + ROUNDING_S
         ready = [each for each in self._waiting if until_s >= each.arrived_s + LOOP_S]
         self._waiting = self._waiting[len(ready) :]
@@ -151,7 +151,10 @@ class Clocks:
         return TargetedTimesync(own_ns, request.ts1, *partner.ids)
 
     def ping(self, message: Message, partner: Partner) -> Message | None:
-        """The answer to a PING request; None for a PING with a target, which is an answer."""
+        """Return the answer to a PING request.
+
+        None for a PING with a target, which is an answer.
+        """
         if not self._answers_ping or not isinstance(message, mavlink.MAVLink_ping_message):
             return None
         if message.target_system != 0 or message.target_component != 0:

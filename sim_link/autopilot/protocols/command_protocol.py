@@ -75,7 +75,10 @@ class Command:
     """In place of its number, in the ACK."""
 
     def whole(self, place: int, default: int | None = None) -> int | None:
-        """A parameter that must be a whole number; None if it is not, `default` if it is NaN."""
+        """Return a parameter that must be a whole number.
+
+        None if it is not, `default` if it is NaN.
+        """
         value = self.params[place - 1]
         if math.isnan(value):
             return default
@@ -113,7 +116,7 @@ class CommandForms:
 def command_from(
     message: Message, partner: Partner, *, splits_custom_mode: bool = True
 ) -> Command | None:
-    """The command that a message is; None if it is none."""
+    """Return the command in a message, or None."""
     match message:
         case mavlink.MAVLink_command_long_message():
             four = (message.param1, message.param2, message.param3, message.param4)
@@ -182,7 +185,10 @@ class Commands:
     def answer(
         self, command: Command, result: int, now_s: float, *, progress: int = UNKNOWN_PROGRESS
     ) -> Outgoing:
-        """The ACK of a command; the result IN_PROGRESS leaves it open, at so many percent."""
+        """Return the ACK of a command.
+
+        The result IN_PROGRESS leaves it open, at so many percent.
+        """
         if result == CommandResult.IN_PROGRESS:
             if command.number in self._running or len(self._running) < MAX_RUNNING:
                 self._running[command.number] = _Running(command, progress)
@@ -194,13 +200,13 @@ class Commands:
 
     @staticmethod
     def reject(message: Message, partner: Partner) -> Outgoing:
-        """FAILED for a command that is for another component."""
+        """Return FAILED for a command that is for another component."""
         number, result = int(message.command), CommandResult.FAILED  # type: ignore[attr-defined]
         ack = mavlink.MAVLink_command_ack_message(number, result, 0, 0, *partner.ids)
         return Outgoing(ack, partner.channel)
 
     def report(self, number: int, progress: int, now_s: float) -> list[Outgoing]:
-        """IN_PROGRESS for a command that is under way; nothing if it is not."""
+        """Return IN_PROGRESS for a command that is under way; nothing if it is not."""
         running = self._running.get(number)
         if running is None:
             return []
@@ -208,12 +214,12 @@ class Commands:
         return [self.answer(running.command, result, now_s, progress=progress)]
 
     def finish(self, number: int, result: int, now_s: float) -> list[Outgoing]:
-        """The last ACK of a command that was under way, to its sender."""
+        """Return the last ACK of a command that was under way, to its sender."""
         running = self._running.get(number)
         return [] if running is None else [self.answer(running.command, result, now_s)]
 
     def is_running(self, number: int) -> bool:
-        """True if a command is under way."""
+        """Return True if a command is under way."""
         return number in self._running
 
     def _refusal(self, command: Command, now_s: float) -> CommandResult | None:
@@ -228,7 +234,7 @@ class Commands:
         return CommandResult.ACCEPTED if is_repeated else None
 
     def _is_repeated(self, command: Command, now_s: float) -> bool:
-        """True if it was accepted a moment ago and now has a higher confirmation number."""
+        """Return True if it was accepted a moment ago and now has a higher confirmation number."""
         last = self._answered.get(command.partner)
         return (
             last is not None
@@ -244,7 +250,7 @@ class Commands:
 
 
 def _key(command: Command) -> tuple[int, int | None, bytes]:
-    """Identity of a command for comparison; NaN equals NaN here."""
+    """Return the identity of a command for comparison; NaN equals NaN here."""
     return command.number, command.frame, repr(command.params).encode()
 
 

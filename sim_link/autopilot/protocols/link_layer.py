@@ -50,7 +50,7 @@ class FrameReceivers:
         self._streams: Newest[Channel, FrameSplitter] = Newest(MAX_STREAMS)
 
     def split(self, chunk: Chunk) -> tuple[list[bytes], list[bytes]]:
-        """The frames completed by a chunk: known ones, and those that can only be passed on."""
+        """Return the frames completed by a chunk: known ones, and those only to be forwarded."""
         splitter = self._datagrams if chunk.is_datagram else self._stream(chunk)
         frames = splitter.split(chunk.data, is_datagram=chunk.is_datagram)
         return frames, splitter.take_unknown()
@@ -80,7 +80,10 @@ class WireVersion:
         """Whether frames are to be sent in MAVLink 1."""
 
     def split_off(self) -> WireVersion:
-        """The version of a peer that leaves the shared link; what was heard so far was its own."""
+        """Return the version of a peer that leaves the shared link.
+
+        What was heard so far was its own.
+        """
         other = WireVersion()
         other._is_settled, other.is_mavlink1 = self._is_settled, self.is_mavlink1
         if self.is_mavlink1:
@@ -96,7 +99,7 @@ class WireVersion:
             self.is_mavlink1 = not self._is_settled
 
     def can_carry(self, message: Message) -> bool:
-        """True if a message has a form in the link's version."""
+        """Return True if a message has a form in the link's version."""
         return not self.is_mavlink1 or message.get_msgId() <= MAX_MAVLINK1_ID
 
 
@@ -123,7 +126,7 @@ class Router:
         self._boot_ms: Newest[Component, int] = Newest(MAX_COMPONENTS)
 
     def route(self, frame: bytes, channel: Channel) -> list[Chunk]:
-        """The chunks by which a received frame, of a known message or not, is passed on."""
+        """Return the chunks by which a received frame, of a known message or not, is passed on."""
         source = sender_of(frame)
         if source[0] == 0 or is_secret(frame):
             return []
@@ -141,7 +144,7 @@ class Router:
         ]
 
     def knows(self, system_id: int, component_id: int) -> bool:
-        """True if a component is ours, or was heard."""
+        """Return True if a component is ours, or was heard."""
         if system_id == self._system_id and component_id in self._own_components:
             return True
         return bool(self._channels_of(system_id, component_id))
@@ -154,7 +157,7 @@ class Router:
                 del self._routes[source]
 
     def _to_all(self, frame: bytes, channel: Channel) -> list[Chunk]:
-        """To the other peers of its own link, and to every other link."""
+        """Return chunks to the other peers of its own link, and to every other link."""
         chunks = [Chunk(each, frame) for each in self._links if each != channel.link]
         if channel.peer is not None:
             chunks.insert(0, Chunk(channel.link, frame, None, frozenset({channel.peer})))
@@ -265,7 +268,7 @@ class LinkLayer:
         return frames if dialect is None else [f for f in frames if message_id(f) in dialect]
 
     def send(self, outgoing: Outgoing, component_id: int | None = None) -> list[Chunk]:
-        """The chunks of a component's message (None: the autopilot's), for one link or all."""
+        """Return the chunks of a component's message (None: autopilot), on one link or all."""
         to = self._receivers_of(outgoing)
         component = self._component_ids[0] if component_id is None else component_id
         return [
@@ -282,7 +285,7 @@ class LinkLayer:
         ]
 
     def _receivers_of(self, outgoing: Outgoing) -> list[Channel]:
-        """An ACK is heard by all peers of its link: a companion learns of a mode change from it."""
+        """Return the receivers; an ACK is for all peers of its link, as it shows mode changes."""
         if outgoing.to is None:
             return list(self._versions)
         if isinstance(outgoing.message, mavlink.MAVLink_command_ack_message):

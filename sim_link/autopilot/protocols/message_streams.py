@@ -42,12 +42,12 @@ IDS = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 
 
 def message_id(name: str) -> int:
-    """The id of a message by its name."""
+    """Return the id of a message by its name."""
     return IDS[name]
 
 
 def message_ids(names: str) -> tuple[int, ...]:
-    """The ids of messages by their names, with blanks between."""
+    """Return the ids of messages by their names, with blanks between."""
     return tuple(map(message_id, names.split()))
 
 
@@ -92,7 +92,7 @@ class StreamTable:
             self._start(number, self._default_interval_s(number), started_s)
 
     def take_due(self, now_s: float) -> list[int]:
-        """Ids of the messages due at `now_s`, each once, whatever was missed before."""
+        """Return ids of the messages due at `now_s`, each once, whatever was missed before."""
         latest_s, streams = now_s + DUE_TOLERANCE_S, self._streams
         due = [(each.due_s, number) for number, each in streams.items() if each.due_s <= latest_s]
         due.sort()
@@ -103,15 +103,15 @@ class StreamTable:
         return [number for _, number in due]
 
     def knows(self, number: int) -> bool:
-        """True if the autopilot has such a message."""
+        """Return True if the autopilot has such a message."""
         return number in self._rules.default_rates_hz
 
     def can_change(self, number: int) -> bool:
-        """True if there is such a message, and its rate is not fixed."""
+        """Return True if there is such a message, and its rate is not fixed."""
         return self.knows(number) and number not in self._rules.fixed
 
     def interval_us(self, number: int) -> int:
-        """MESSAGE_INTERVAL.interval_us; 0 if there is no such message."""
+        """Return MESSAGE_INTERVAL.interval_us; 0 if there is no such message."""
         if not self.knows(number):
             return 0
         stream = self._streams.get(number)
@@ -174,7 +174,7 @@ SHORTHANDS = {
 
 
 def cast_to_uint32(value: float) -> int:
-    """As C casts it on the processors that autopilots run on; what is no number becomes 0."""
+    """Return the value as autopilots' processors cast it; NaN becomes 0."""
     return int(value) & 0xFFFF_FFFF if math.isfinite(value) else 0
 
 
@@ -255,7 +255,7 @@ class MessageRequests:
     def handle_command(
         self, command: Command, now_s: float
     ) -> tuple[CommandResult, list[Outgoing]] | None:
-        """Its result, and what to send before the ACK; None: it is not about messages."""
+        """Return the result and the messages before the ACK; None for other commands."""
         match command.number:
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 return self._request(command, now_s)
@@ -291,7 +291,7 @@ class MessageRequests:
     def _send_modes(
         self, index: int | None, partner: Partner
     ) -> tuple[CommandResult, list[Outgoing]]:
-        """All modes that the autopilot lists, or that of an index, from 1."""
+        """Return all modes that the autopilot lists, or that of an index, from 1."""
         wanted = self._modes if index == 0 else self._modes[index - 1 : index] if index else ()
         result = CommandResult.ACCEPTED if wanted else self._rules.no_message
         return result, [Outgoing(mode, partner.channel) for mode in wanted]

@@ -63,11 +63,11 @@ class PlanUploads:
         """The plan and last item of their last uploads, whose ACKs may have been lost."""
 
     def is_running(self, partner: Partner) -> bool:
-        """True if a partner is uploading."""
+        """Return True if a partner is uploading."""
         return partner in self._uploads
 
     def is_anyone_uploading(self, plan_type: PlanType, but: Partner | None = None) -> bool:
-        """True if a plan is being uploaded by any partner other than `but`."""
+        """Return True if a plan is being uploaded by any partner other than `but`."""
         return any(
             upload.plan_type is plan_type and partner != but
             for partner, upload in self._uploads.items()
@@ -212,7 +212,7 @@ class PlanDownloads:
         self._downloads: dict[Partner, Download] = {}
 
     def is_running(self, partner: Partner) -> bool:
-        """True if a partner still owes the ACK that ends its download."""
+        """Return True if a partner still owes the ACK that ends its download."""
         return partner in self._downloads
 
     def begin(self, plan_type: PlanType, partner: Partner, now_s: float) -> list[Outgoing]:
@@ -246,7 +246,7 @@ class PlanDownloads:
         return [Outgoing(message, partner.channel)]
 
     def end(self, partner: Partner) -> None:
-        """The partner sent its ACK, whatever it says."""
+        """Handle the partner's ACK, whatever its result."""
         self._downloads.pop(partner, None)
 
     def handle_timer(self, now_s: float) -> None:
@@ -339,7 +339,7 @@ class Plans:
         return ack(partner, PlanResult.ACCEPTED, mission_type)
 
     def _set_current(self, seq: int, partner: Partner) -> list[Outgoing]:
-        """The change itself is broadcast, by MISSION_CURRENT; see `mission_progress`."""
+        """Return a warning, or nothing: `mission_progress` broadcasts the change."""
         if self.store.choose(seq):
             return []
         return self._texts.warn(partner, f"there is no mission item {seq}")

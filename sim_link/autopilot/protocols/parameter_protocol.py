@@ -51,7 +51,7 @@ class ParameterProfile:
 
 
 def _wrapped(value: float, kind: ParamType) -> int:
-    """A finite number as C casts it to an integer type."""
+    """Return a finite number as C casts it to an integer type."""
     least, greatest = (int(bound) for bound in kind.bounds)
     return least + (int(value) - least) % (greatest - least + 1)
 
@@ -92,7 +92,7 @@ class Parameters:
         return []
 
     def handle_timer(self, now_s: float) -> list[Outgoing]:
-        """The values of running lists that are due."""
+        """Return the values of running lists that are due."""
         outgoing: list[Outgoing] = []
         for channel, listing in list(self._listings.items()):
             due = math.floor((now_s - listing.started_s) * self._rules.list_rate_hz) + 1
@@ -106,7 +106,7 @@ class Parameters:
         return outgoing
 
     def count_fence(self, items: int) -> list[Outgoing]:
-        """FENCE_TOTAL of an autopilot that has it, as it is sent to everyone when it is set."""
+        """Return FENCE_TOTAL of an autopilot that has it, broadcast when it is set."""
         index = self.store.index_of(FENCE_TOTAL)
         if index is None:
             return []

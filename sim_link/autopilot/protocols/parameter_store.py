@@ -41,7 +41,7 @@ class ParamSpec:
     """For clients; the vehicle itself may change it."""
 
     def problem_with(self, value: float) -> str | None:
-        """Reason why `value` is not allowed, in a few words; None if it is."""
+        """Return the reason why `value` is not allowed, in a few words; None if it is."""
         if not math.isfinite(value):
             return "not a number"
         if self.kind.is_integer and value != int(value):
@@ -62,13 +62,13 @@ class ParamSpec:
 
 
 def read_rows(package: str, name: str) -> list[dict[str, str]]:
-    """The rows of a CSV file of a package."""
+    """Return the rows of a CSV file of a package."""
     text = files(package).joinpath(name).read_text(encoding="utf-8")
     return list(csv.DictReader(text.splitlines()))
 
 
 def read_specs(package: str) -> tuple[ParamSpec, ...]:
-    """The parameters in a package's `parameters.csv`, in the order of their indices."""
+    """Return the parameters in a package's `parameters.csv`, in the order of their indices."""
     return tuple(
         ParamSpec(
             row["name"],
@@ -112,11 +112,11 @@ class ParameterStore:
         return len(self.specs)
 
     def __getitem__(self, name: str) -> float:
-        """The value of a parameter that exists; an `int` if its type is whole."""
+        """Return the value of a parameter that exists; an `int` if its type is whole."""
         return self._values[self._index[name]]
 
     def index_of(self, name: str) -> int | None:
-        """The index of a name; None if there is no such parameter."""
+        """Return the index of a name; None if there is no such parameter."""
         return self._index.get(name)
 
     def set(self, name: str, value: float) -> None:
@@ -128,11 +128,11 @@ class ParameterStore:
             self.revision += 1
 
     def raw_at(self, index: int, encoding: ParamEncoding) -> bytes:
-        """The four wire bytes of the value at an index."""
+        """Return the four wire bytes of the value at an index."""
         return raw_value(self._values[index], self.specs[index].kind, encoding)
 
     def hash(self) -> int:
-        """A 32-bit number that changes with any name or value, for PX4's `_HASH_CHECK`."""
+        """Return a 32-bit number that changes with any name or value, for PX4's `_HASH_CHECK`."""
         checksum = 0
         for index, spec in enumerate(self.specs):
             checksum = zlib.crc32(spec.name.encode("ascii"), checksum)
@@ -186,7 +186,7 @@ class ParameterStore:
 
 
 def _checked(spec: ParamSpec, value: float, where: str) -> float:
-    """The value as it is stored; `ConfigError`: it may not be."""
+    """Return the value as it is stored; `ConfigError`: it may not be."""
     problem = spec.problem_with(value)
     if problem is not None:
         raise ConfigError(f"{where}: {value:g} is {problem}")
@@ -198,7 +198,7 @@ def _stored(spec: ParamSpec, value: float) -> float:
 
 
 def _shortest(value: float) -> str:
-    """The fewest digits that are read back as the same single-precision number."""
+    """Return the fewest digits that are read back as the same single-precision number."""
     if isinstance(value, int):
         return str(value)
     if not math.isfinite(value):

@@ -78,7 +78,10 @@ ItemMessage = mavlink.MAVLink_mission_item_int_message | mavlink.MAVLink_mission
 
 
 def item_from(message: ItemMessage) -> PlanItem | PlanResult:
-    """The item that a message carries, not yet checked; or why its place cannot be integers."""
+    """Return the item that a message carries, not yet checked.
+
+    Or why its place cannot be integers.
+    """
     params = (message.param1, message.param2, message.param3, message.param4)
     if isinstance(message, mavlink.MAVLink_mission_item_int_message):
         x, y = message.x, message.y
@@ -106,7 +109,7 @@ def _scaled(value: float, scale: float) -> int | None:
 def item_message(
     item: PlanItem, seq: int, plan_type: PlanType, target: tuple[int, int], *, is_current: bool
 ) -> Message:
-    """MISSION_ITEM_INT."""
+    """Return the MISSION_ITEM_INT of an item."""
     flags = (int(is_current), int(item.continues))
     what = (*target, seq, item.frame, item.command, *flags)
     return mavlink.MAVLink_mission_item_int_message(
@@ -115,12 +118,12 @@ def item_message(
 
 
 def plan_type_of(mission_type: int) -> PlanType | None:
-    """The plan that a MAV_MISSION_TYPE names; None for "all" and unknown numbers."""
+    """Return the plan that a MAV_MISSION_TYPE names; None for "all" and unknown numbers."""
     return PlanType(mission_type) if mission_type in tuple(PlanType) else None
 
 
 def ack(partner: Partner, result: PlanResult, mission_type: int) -> Outgoing:
-    """MISSION_ACK to a partner."""
+    """Return a MISSION_ACK to a partner."""
     message = mavlink.MAVLink_mission_ack_message(*partner.ids, result, mission_type)
     return Outgoing(message, partner.channel)
 
@@ -156,7 +159,7 @@ class PlanStore:
         self._events: list[PlanEvent] = []
 
     def items(self, plan_type: PlanType) -> tuple[PlanItem, ...]:
-        """The items of a plan, in order."""
+        """Return the items of a plan, in order."""
         return self._plans[plan_type]
 
     @property
@@ -169,7 +172,7 @@ class PlanStore:
         return mission, fence, rally
 
     def home_at(self, plan_type: PlanType, seq: int) -> PlanItem | None:
-        """The vehicle's home where an item is that, and not the client's to choose."""
+        """Return the vehicle's home if it takes the place of a mission item, else None."""
         is_home = plan_type is PlanType.MISSION and seq == 0
         return self._home() if self._home is not None and is_home else None
 
@@ -247,7 +250,7 @@ class MissionAnnouncer:
         self._sent: MissionProgress | None = None
 
     def changed(self, progress: MissionProgress) -> Message | None:
-        """MISSION_CURRENT if anything in it is new."""
+        """Return MISSION_CURRENT if anything in it is new."""
         if progress == self._sent:
             return None
         self._sent = progress

@@ -36,7 +36,7 @@ DO_JUMP = mavlink.MAV_CMD_DO_JUMP
 
 
 def commands_named(names: str) -> frozenset[int]:
-    """MAV_CMDs by their names, with blanks between."""
+    """Return MAV_CMDs by their names, with blanks between."""
     return frozenset(getattr(mavlink, f"MAV_CMD_{name}") for name in names.split())
 
 
@@ -82,7 +82,7 @@ class PlanChecks:
     more_others: frozenset[int] = frozenset()
 
     def problem_with(self, item: PlanItem, plan_type: PlanType) -> PlanResult | None:
-        """Reason why an item is refused; None if it is accepted."""
+        """Return the reason why an item is refused; None if it is accepted."""
         if self.nan_fourth is not None and plan_type is PlanType.MISSION:
             checked = item.params[: 3 if item.command in self.nan_fourth else 4]
             for param, result in zip(checked, PARAM_RESULTS, strict=False):
@@ -101,7 +101,7 @@ class PlanChecks:
         return problem or _meaning_problem(item)
 
     def _has_position(self, command: int, plan_type: PlanType) -> bool | None:
-        """True if a command has a position; None if it does not belong into such a plan."""
+        """Return True if a command has a position; None if it does not belong into such a plan."""
         match plan_type:
             case PlanType.FENCE:
                 return True if command in FENCE_COMMANDS else None
@@ -143,7 +143,7 @@ def _meaning_problem(item: PlanItem) -> PlanResult | None:
 
 
 def plan_problem(items: Sequence[PlanItem], plan_type: PlanType) -> PlanResult | None:
-    """Reason why valid items make no valid plan: torn polygons, jumps beyond the end."""
+    """Return the reason why valid items make no valid plan: torn polygons, jumps beyond the end."""
     if plan_type is PlanType.FENCE:
         return _fence_problem(items)
     for item in items:

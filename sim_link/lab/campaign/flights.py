@@ -73,7 +73,7 @@ class TrialOutcome:
 
 
 def frames_each(frames: int) -> Callable[[float], tuple[int, float]]:
-    """Trials of about so many frames each, all of one size."""
+    """Return trials of about so many frames each, all of one size."""
 
     def split(amount: float) -> tuple[int, float]:
         count = -(-round(amount) // frames)
@@ -97,12 +97,12 @@ class Part:
     """So much of the part as a number of trials and the size of each."""
 
     def trials(self, amount: float, seed: int) -> list[Trial]:
-        """The trials of so much of it, each with a seed of its own."""
+        """Return the trials of a part, each with a seed of its own."""
         count, size = self.split(amount)
         return [Trial(self.name, seed * 1_000_000 + index, size) for index in range(count)]
 
     def cost(self, trial: Trial) -> float:
-        """About how many seconds of one core it takes."""
+        """Return the approximate seconds of one core."""
         return self.base_cost_s + self.cost_s * trial.size
 
 
@@ -123,7 +123,7 @@ class SignedPair:
     def companion(
         self, config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
     ) -> CompanionEndpoint:
-        """A companion that remembers what the one before stored at its end."""
+        """Return a companion that remembers what the one before stored at its end."""
         before = self._companion
         self._companion = Signing(KEY, before.timestamp, dict(before.streams), ONE_LINK_EACH)
         return build_endpoint(
@@ -131,7 +131,7 @@ class SignedPair:
         )
 
     def simulator(self, scenario: Scenario, seed: int, now_s: float) -> SimEndpoint:
-        """A vehicle that goes on from its newest timestamp."""
+        """Return a vehicle that goes on from its newest timestamp."""
         self._vehicle = Signing(KEY, self._vehicle.timestamp)
         security = LinkSecurity(self._vehicle, started_unix_s=STARTED_UNIX_S + now_s)
         return SimEndpoint(scenario, seed, now_s, security=security)
@@ -167,7 +167,7 @@ ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e
 
 
 def flavour_of(seed: int) -> FlavourName:
-    """Both autopilots by turns."""
+    """Return the two autopilots alternately."""
     return "px4" if seed % 2 else "ardupilot"
 
 
@@ -202,7 +202,10 @@ def monitored_flight(
     is_spoofing: bool | None = None,
     make_companion: MakeCompanion | None = None,
 ) -> Monitored:
-    """A flight that has not begun; attackers are spoofing by default where the link is signed."""
+    """Return a flight that has not begun.
+
+    Attackers are spoofing by default where the link is signed.
+    """
     pair = SignedPair() if is_signed else None
     key = KEY if is_signed else None
     notes, link = MemoryJournal(), FaultyLink(Schedule(), seed, key=key)
@@ -225,7 +228,7 @@ def monitored_flight(
 
 
 def launched_flight(seed: int, salt: int) -> tuple[Monitored, Dice]:
-    """A flight that the companion launches by itself, with either autopilot, and salted dice."""
+    """Return a flight that the companion launches, with either autopilot, and salted dice."""
     dice = Dice(np.random.default_rng((seed, salt)))
     scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
     return monitored_flight(ENDLESS, scenario, seed), dice
@@ -253,23 +256,23 @@ class Dice:
         self._rng = rng
 
     def number(self, low: float, high: float) -> float:
-        """A number, evenly."""
+        """Return a uniform random number."""
         return round(float(self._rng.uniform(low, high)), 3)
 
     def spread(self, low: float, high: float) -> float:
-        """A number, evenly by its logarithm."""
+        """Return a log-uniform random number."""
         return round(math.exp(float(self._rng.uniform(math.log(low), math.log(high)))), 3)
 
     def one(self, choices: Sequence[T]) -> T:
-        """One of these."""
+        """Return a random choice."""
         return choices[int(self._rng.integers(len(choices)))]
 
     def happens(self, share: float) -> bool:
-        """True so often."""
+        """Return True with a probability."""
         return float(self._rng.random()) < share
 
     def flavour(self) -> FlavourName:
-        """Either autopilot."""
+        """Return a random autopilot."""
         return "px4" if self.happens(0.5) else "ardupilot"
 
 
@@ -369,7 +372,7 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
 
 
 def random_fault(rng: np.random.Generator) -> Fault:
-    """Any fault, at any time of a flight."""
+    """Return a random fault at a random time of a flight."""
     dice = Dice(rng)
     fault = dice.one(DRAWS)(dice)
     times = {

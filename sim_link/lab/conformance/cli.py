@@ -60,7 +60,7 @@ MODULES = (
 
 
 def all_rules() -> list[rules.Rule]:
-    """Every rule of every role: first those that only ask, last those that fly."""
+    """Return every rule of every role: first those that only ask, last those that fly."""
     books = (getattr(each, "book", None) for module in MODULES for each in vars(module).values())
     found = {r.rule_id: r for book in books if isinstance(book, rules.RuleBook) for r in book.rules}
     order = list(rules.Effect)
@@ -126,7 +126,7 @@ class WireLink:
         self._wake.set()
 
     def another(self) -> WireLink | None:
-        """A second client, where the peer is reached by connecting to it."""
+        """Return a second client, where the peer is reached by connecting to it."""
         if not isinstance(self._spec, transports.UdpConnect | transports.TcpClient):
             return None
         other = WireLink(self._spec, self._loop)
@@ -211,7 +211,7 @@ exit code: 0 all that was tried passed; 3 it deviates, but only as the real PX4 
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Try the rules; the exit code is that of `EPILOG`."""
+    """Try the rules; return the exit code of `EPILOG`."""
     ignore_broken_pipe()
     try:
         return _run(parsed_arguments(argv))

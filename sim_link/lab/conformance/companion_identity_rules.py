@@ -239,6 +239,6 @@ class RequestRules(CompanionProbe):
         require(self.companion[0] == self.system_id, "it changed its system")
 
     def _accept_as_another_system(self, command: CommandMessage) -> int | None:
-        """A policy: the vehicle itself says nothing."""
+        """Acknowledge from another system; the vehicle itself stays silent."""
         self.send_as(mav.Ack(command.command, mav.ACCEPTED, 0, 0, 0, 0), 77, 1)
         return None

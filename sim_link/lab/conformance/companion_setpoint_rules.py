@@ -45,7 +45,7 @@ class SetpointRules(CompanionProbe):
     book = RuleBook("setpoints")
 
     def _require_rate(self) -> float:
-        """The stream must flow without gaps; its rate."""
+        """Require a stream without gaps; return its rate."""
         mark = self.mark
         self.run(LISTEN_S)
         times = self.times(SETPOINTS, mark)
@@ -70,7 +70,7 @@ class SetpointRules(CompanionProbe):
         return len(self.setpoints(mark))
 
     def _require_undisturbed(self, beat: Message, sender: tuple[int, int]) -> None:
-        """Setpoints must go on for 3 s in which another says a HEARTBEAT each second."""
+        """Require setpoints for 3 s while another system sends a HEARTBEAT each second."""
         self.give_control()
         mark = self.mark
         for _ in range(3):

@@ -112,7 +112,7 @@ class FrameSpec:
 
 
 def crc_x25(data: bytes) -> int:
-    """CRC-16/MCRF4XX."""
+    """Return CRC-16/MCRF4XX."""
     crc = 0xFFFF
     for byte in data:
         step = (byte ^ crc) & 0xFF
@@ -122,7 +122,7 @@ def crc_x25(data: bytes) -> int:
 
 
 def payload_of(message: Message) -> bytes:
-    """The message's payload in MAVLink 2, with all its trailing zeros."""
+    """Return the message's payload in MAVLink 2, with all its trailing zeros."""
     frame = message.pack(mavlink.MAVLink(None, 1, 1))
     cut = frame[10 : 10 + frame[1]]
     full = type(message).unpacker.size
@@ -130,12 +130,12 @@ def payload_of(message: Message) -> bytes:
 
 
 def base_length(message: Message) -> int:
-    """Payload length in MAVLink 1: the fields before the extensions."""
+    """Return the payload length in MAVLink 1: the fields before the extensions."""
     return int(message.pack(mavlink.MAVLink(None, 1, 1), force_mavlink1=True)[1])
 
 
 def build_frame(message: Message, spec: FrameSpec | None = None) -> bytes:
-    """The frame of a message, made as `spec` says."""
+    """Return the frame of a message, made as `spec` says."""
     spec = spec or FrameSpec()
     payload = payload_of(message)
     if spec.version == 1:
@@ -146,7 +146,7 @@ def build_frame(message: Message, spec: FrameSpec | None = None) -> bytes:
 
 
 def build_raw(message_id: int, payload: bytes, crc_extra: int, spec: FrameSpec) -> bytes:
-    """A frame of any message id, known or not."""
+    """Return a frame of any message id, known or not."""
     head = bytes((spec.sequence, spec.system_id, spec.component_id))
     if spec.version == 1:
         body = bytes((len(payload),)) + head + bytes((message_id,)) + payload
@@ -160,7 +160,10 @@ def build_raw(message_id: int, payload: bytes, crc_extra: int, spec: FrameSpec) 
 
 
 def sign(frame: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
-    """A frame built with `incompat` 1, completed by its signature; timestamps are as in signing."""
+    """Return a frame built with `incompat` 1, completed by its signature.
+
+    Timestamps are as in signing.
+    """
     tail = bytes((link_id,)) + timestamp.to_bytes(6, "little")
     return frame + tail + hashlib.sha256(key + frame + tail).digest()[:6]
 
@@ -184,7 +187,10 @@ def signature_of(frame: bytes, key: bytes) -> Signature | None:
 
 
 def cut(data: bytes) -> list[bytes]:
-    """The frames that bytes consist of, by the lengths in their headers; the rest is left out."""
+    """Return the frames that bytes consist of, by the lengths in their headers.
+
+    The rest is left out.
+    """
     frames = []
     start = 0
     while start + HEADER_LENGTH[MAGIC_V1] <= len(data):
@@ -209,13 +215,13 @@ CUSTOM = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
 def custom_mode(flavour: Flavour, mode: str) -> int:
-    """HEARTBEAT.custom_mode of a mode; KeyError: the autopilot has no such mode."""
+    """Return HEARTBEAT.custom_mode of a mode; KeyError if the autopilot has no such mode."""
     main, sub = autopilot_notes()[flavour].modes[mode]
     return main if flavour is Flavour.ARDUPILOT else main << 16 | sub << 24
 
 
 def set_mode_params(flavour: Flavour, mode: str) -> tuple[float, float, float]:
-    """Parameters 1 to 3 of MAV_CMD_DO_SET_MODE."""
+    """Return parameters 1 to 3 of MAV_CMD_DO_SET_MODE."""
     main, sub = autopilot_notes()[flavour].modes[mode]
     return (float(CUSTOM), float(main), float(sub))
 
@@ -251,7 +257,7 @@ class LocalSetpoint:
     frame: int = LOCAL_NED
 
     def message(self, target: tuple[int, int]) -> Message:
-        """The message for an autopilot."""
+        """Return the message for an autopilot."""
         motion = (*self.position_m, *self.velocity_mps, *self.acceleration_mps2)
         yaw = (self.yaw_rad, self.yaw_rate_radps)
         return LocalTarget(0, *target, self.frame, self.mask, *motion, *yaw)
@@ -268,19 +274,19 @@ class GlobalSetpoint:
     mask: int = POSITION
 
     def message(self, target: tuple[int, int]) -> Message:
-        """The message for an autopilot."""
+        """Return the message for an autopilot."""
         x, y, z = self.latitude_e7, self.longitude_e7, self.altitude_m
         return GlobalTarget(0, *target, self.frame, self.mask, x, y, z, *[0.0] * 8)
 
 
 def moved_e7(latitude_e7: int, longitude_e7: int, north_m: float, east_m: float) -> tuple[int, int]:
-    """A place some metres away; flat earth."""
+    """Return a place some metres away; flat earth."""
     east_scale = METRES_PER_E7 * math.cos(math.radians(latitude_e7 / 1e7))
     return (latitude_e7 + round(north_m / METRES_PER_E7), longitude_e7 + round(east_m / east_scale))
 
 
 def distance_m(start_e7: tuple[int, int], end_e7: tuple[int, int]) -> float:
-    """Distance between two places in m; flat earth."""
+    """Return the distance between two places in m; flat earth."""
     north_m = (end_e7[0] - start_e7[0]) * METRES_PER_E7
     east_m = (end_e7[1] - start_e7[1]) * METRES_PER_E7
     return math.hypot(north_m, east_m * math.cos(math.radians(start_e7[0] / 1e7)))

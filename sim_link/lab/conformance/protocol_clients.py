@@ -38,7 +38,7 @@ class ParameterClient(VehicleProbe):
         return "COM_OBL_RC_ACT" if self.is_px4 else "FS_GCS_ENABLE"
 
     def parameter(self, entry: Heard) -> Parameter:
-        """The parameter of a heard PARAM_VALUE."""
+        """Return the parameter of a heard PARAM_VALUE."""
         m = entry.message
         assert isinstance(m, mav.ParamValue)
         raw = entry.payload.ljust(4, b"\0")[:4]
@@ -47,7 +47,7 @@ class ParameterClient(VehicleProbe):
         return Parameter(m.param_id, m.param_type, raw, m.param_index, m.param_count, value)
 
     def values_since(self, mark: int, name: str | None = None) -> list[Parameter]:
-        """Parameters received since a mark."""
+        """Return the parameters received since a mark."""
         found = [
             self.parameter(entry)
             for entry in self.inbox[mark:]
@@ -56,14 +56,14 @@ class ParameterClient(VehicleProbe):
         return [p for p in found if name in (None, p.name)]
 
     def await_value(self, name: str) -> Parameter:
-        """Value of a parameter that is reported after a request."""
+        """Return the value of a parameter that is reported after a request."""
         mark = self.asked
         is_heard = self.run_until(lambda: bool(self.values_since(mark, name)), ANSWER_S)
         require(is_heard, f"no PARAM_VALUE of {name} within {ANSWER_S:g} s")
         return self.values_since(mark, name)[-1]
 
     def remember(self, name: str) -> Parameter:
-        """The parameter as it was before the rules, who ever touched it first."""
+        """Return the parameter's value before the rules."""
         known = self.baseline.parameters
         if name not in known:
             known[name] = self.read(name)
@@ -85,18 +85,18 @@ class ParameterClient(VehicleProbe):
         del self.baseline.parameters[name]
 
     def request_read(self, name: str, index: int = -1) -> None:
-        """PARAM_REQUEST_READ by name or index."""
+        """Send PARAM_REQUEST_READ by name or index."""
         self.send(mav.ParamRead(*self.target, name.encode(), index))
 
     def read(self, name: str) -> Parameter:
-        """A parameter, read by name."""
+        """Return a parameter, read by name."""
         self.request_read(name)
         return self.await_value(name)
 
     def write(
         self, name: str, value: float, kind: int, target: tuple[int, int] | None = None
     ) -> None:
-        """PARAM_SET, encoded as the flavour does."""
+        """Send PARAM_SET, encoded as the flavour does."""
         with suppress(Violation):  # there is no such parameter
             self.remember(name)
         if self.is_px4 and kind == mav.INT32 and math.isfinite(value):
@@ -104,7 +104,7 @@ class ParameterClient(VehicleProbe):
         self.send(mav.ParamSet(*(target or self.target), name.encode(), value, kind))
 
     def read_all(self) -> list[Parameter]:
-        """PARAM_REQUEST_LIST; every parameter once, by index."""
+        """Send PARAM_REQUEST_LIST; return every parameter once, by index."""
         seen: dict[int, Parameter] = {}
         self.send(mavlink.MAVLink_param_request_list_message(*self.target))
         cursor = self.asked
@@ -146,7 +146,7 @@ class MissionItem:
 
 
 def waypoint(lat_e7: int, lon_e7: int, height_m: float) -> MissionItem:
-    """NAV_WAYPOINT at a height above home."""
+    """Return NAV_WAYPOINT at a height above home."""
     return MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, x=lat_e7, y=lon_e7, z=height_m)
 
 
@@ -161,12 +161,12 @@ class PlanClient(ParameterClient):
                 plans[kind] = self.download(kind)
 
     def send_count(self, count: int, kind: int = mav.MISSION) -> None:
-        """MISSION_COUNT."""
+        """Send MISSION_COUNT."""
         self._remember_plan(kind)
         self.send(mav.Count(*self.target, count, kind))
 
     def next_step(self) -> mav.ItemRequest | mav.ItemIntRequest | mav.PlanAck:
-        """The vehicle's next request or ACK."""
+        """Return the vehicle's next request or ACK."""
         kinds = (*REQUESTS, mav.PlanAck)
         what = "request or MISSION_ACK"
         step = self.expect(kinds, mark=self.asked, within_s=STEP_TIMEOUT_S, what=what)
@@ -174,7 +174,7 @@ class PlanClient(ParameterClient):
         return step
 
     def await_request(self, sequence: int) -> mav.ItemRequest | mav.ItemIntRequest:
-        """The next request of an item, with either message."""
+        """Return the next request of an item, with either message."""
         step = self.next_step()
         if isinstance(step, mav.PlanAck):
             raise Violation(f"ACK {step.type} instead of a request")
@@ -182,7 +182,7 @@ class PlanClient(ParameterClient):
         return step
 
     def await_ack(self) -> int:
-        """The type of the next MISSION_ACK for us."""
+        """Return the type of the next MISSION_ACK for us."""
         ids = (0, self.system_id)
         ack = self.expect(
             mav.PlanAck, lambda m: m.target_system in ids, mark=self.asked, within_s=STEP_TIMEOUT_S
@@ -195,17 +195,17 @@ class PlanClient(ParameterClient):
         return self.await_ack()
 
     def send_item(self, item: MissionItem, sequence: int, kind: int = mav.MISSION) -> None:
-        """One item of an upload."""
+        """Send one item of an upload."""
         head = (sequence, item.frame, item.command, item.current, item.autocontinue)
         self.send(mav.Item(*self.target, *head, *item.params, item.x, item.y, item.z, kind))
 
     def begin_upload(self, count: int) -> None:
-        """MISSION_COUNT, and the request of the first item."""
+        """Send MISSION_COUNT, and wait for the request of the first item."""
         self.send_count(count)
         self.await_request(0)
 
     def upload(self, items: Sequence[MissionItem], kind: int = mav.MISSION) -> int:
-        """A whole upload; the type of its MISSION_ACK."""
+        """Upload a plan; return the type of its MISSION_ACK."""
         self.send_count(len(items), kind)
         for _ in range(20 * len(items) + 20):
             step = self.next_step()
@@ -216,12 +216,12 @@ class PlanClient(ParameterClient):
         raise Violation("the upload does not end")
 
     def require_upload(self, items: Sequence[MissionItem], kind: int = mav.MISSION) -> None:
-        """A whole upload, which must be accepted."""
+        """Upload a plan, which must be accepted."""
         result = self.upload(items, kind)
         require(result == 0, f"an upload of {len(items)} items of type {kind} gave ACK {result}")
 
     def begin_download(self, kind: int = mav.MISSION) -> int:
-        """MISSION_REQUEST_LIST; how many items there are."""
+        """Send MISSION_REQUEST_LIST; return the number of items."""
         answer = self.ask(
             mav.PlanRequest(*self.target, kind),
             mav.Count,
@@ -231,7 +231,7 @@ class PlanClient(ParameterClient):
         return int(answer.count)
 
     def request_item(self, sequence: int, kind: int = mav.MISSION) -> MissionItem:
-        """MISSION_REQUEST_INT; the item."""
+        """Send MISSION_REQUEST_INT; return the item."""
         m = self.ask(
             mav.ItemIntRequest(*self.target, sequence, kind),
             mav.Item,
@@ -242,31 +242,31 @@ class PlanClient(ParameterClient):
         return MissionItem(m.command, m.frame, params, m.x, m.y, m.z, m.current, m.autocontinue)
 
     def finish_download(self, kind: int = mav.MISSION) -> None:
-        """The client's ACK."""
+        """Send the client's ACK."""
         self.send(mav.PlanAck(*self.target, 0, kind))
 
     def download(self, kind: int = mav.MISSION) -> list[MissionItem]:
-        """A whole download, with the client's ACK at its end."""
+        """Download a plan, with the client's ACK at its end."""
         items = [self.request_item(sequence, kind) for sequence in range(self.begin_download(kind))]
         self.finish_download(kind)
         return items
 
     def clear(self, kind: int = mav.MISSION) -> int:
-        """MISSION_CLEAR_ALL; the type of its ACK."""
+        """Send MISSION_CLEAR_ALL; return the type of its ACK."""
         self._remember_plan(kind)
         return self.ack_of(mav.Clear(*self.target, kind))
 
     def with_home(self, items: Sequence[MissionItem]) -> list[MissionItem]:
-        """A mission as the flavour numbers it: ArduPilot's item 0 is home."""
+        """Return a mission as the flavour numbers it: ArduPilot's item 0 is home."""
         home = MissionItem(mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_FRAME_GLOBAL, (0.0,) * 4)
         return list(items) if self.is_px4 else [home, *items]
 
     def without_home(self, items: Sequence[MissionItem]) -> list[MissionItem]:
-        """A downloaded mission without ArduPilot's item 0."""
+        """Return a downloaded mission without ArduPilot's item 0."""
         return list(items if self.is_px4 else items[1:])
 
     def square(self, count: int = 4, height_m: float = 10.0) -> list[MissionItem]:
-        """Waypoints about home, 20 m apart; ArduPilot's home item first."""
+        """Return waypoints about home, 20 m apart; ArduPilot's home item first."""
         home = self.home()
         offsets = [(1_800, 0), (1_800, 2_600), (0, 2_600), (0, 0)]
         items = []
@@ -276,16 +276,16 @@ class PlanClient(ParameterClient):
         return self.with_home(items)
 
     def waypoint_home(self) -> MissionItem:
-        """A waypoint over home."""
+        """Return a waypoint over home."""
         home = self.home()
         return waypoint(home.latitude, home.longitude, 10.0)
 
     def stored(self) -> list[MissionItem]:
-        """The mission that the vehicle has, without ArduPilot's home item."""
+        """Return the mission that the vehicle has, without ArduPilot's home item."""
         return self.without_home(self.download())
 
     def require_stored(self, wanted: Sequence[MissionItem]) -> None:
-        """The vehicle must have this mission, ArduPilot's home item aside."""
+        """Require that the vehicle has this mission, ArduPilot's home item aside."""
         found, places = [item.place for item in self.stored()], [item.place for item in wanted]
         require(found == places, f"the mission is {found}, not {places}")
 
@@ -296,13 +296,13 @@ class PlanClient(ParameterClient):
         return self.without_home(items)
 
     def circle(self, radius_m: float = 500.0) -> list[MissionItem]:
-        """A circular inclusion fence about home."""
+        """Return a circular inclusion fence about home."""
         home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
         params = (radius_m, 0.0, 0.0, 0.0)
         return [MissionItem(command, self._fence_frame, params, home.latitude, home.longitude)]
 
     def polygon(self, stated: float = 4.0, half: int = 30_000) -> list[MissionItem]:
-        """A square inclusion fence about home, each vertex stating `stated` vertices."""
+        """Return a square inclusion fence about home, each vertex stating `stated` vertices."""
         home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
         params = (stated, 0.0, 0.0, 0.0)
         corners = ((-half, -half), (half, -half), (half, half), (-half, half))
@@ -315,7 +315,7 @@ class PlanClient(ParameterClient):
         return mavlink.MAV_FRAME_GLOBAL_INT if self.is_px4 else mavlink.MAV_FRAME_GLOBAL
 
     def rally(self) -> list[MissionItem]:
-        """One rally point near home."""
+        """Return one rally point near home."""
         home, command = self.home(), mavlink.MAV_CMD_NAV_RALLY_POINT
         frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
         if not self.is_px4:
@@ -354,7 +354,7 @@ class SetpointClient(VehicleProbe):
         return self.repeat(lambda: message, period_s)
 
     def enter_offboard(self, setpoint: Setpoint) -> Callable[[], None]:
-        """In the air: stream a setpoint and let the vehicle follow it; ends the stream."""
+        """Let the vehicle follow a streamed setpoint in the air; return what ends the stream."""
         stop = self.stream(setpoint)
         self.run(1.2)
         self.require_mode("offboard")
@@ -397,6 +397,6 @@ class SetpointClient(VehicleProbe):
         return speed
 
     def require_place(self, wanted: Triple, what: str) -> None:
-        """The vehicle must be at a place, to half a metre and what is left of the wind."""
+        """Require that the vehicle is at a position, to half a metre and the wind's effect."""
         off_m = math.dist(self.place(), wanted)
         require(off_m < 1.0, f"{what}: {off_m:.1f} m off")

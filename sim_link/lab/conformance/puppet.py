@@ -70,7 +70,7 @@ class CompanionProbe(Station):
         self.come_back()
 
     def come_back(self) -> None:
-        """Begin, or begin again, to send."""
+        """Start sending, or start again."""
         self.go_silent()
         upright = [1.0, 0.0, 0.0, 0.0]
         status = mav.SysStatus(SENSORS, SENSORS, SENSORS, 100, 16_000, 500, 90, 0, 0, 0, 0, 0, 0)
@@ -93,7 +93,7 @@ class CompanionProbe(Station):
             self._stops.pop()()
 
     def choose(self, mode: str) -> None:
-        """The operator chooses a mode; HEARTBEAT shows it at once."""
+        """Set the operator's mode; HEARTBEAT shows it at once."""
         self.mode = mode
         self.send(self._heartbeat())
 
@@ -120,15 +120,15 @@ class CompanionProbe(Station):
         self.run(SETTLE_S)
 
     def setpoints(self, mark: int = 0) -> list[SetpointMessage]:
-        """The setpoints that came since a mark."""
+        """Return the setpoints that came since a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, SETPOINTS)]
 
     def commands(self, mark: int = 0) -> list[CommandMessage]:
-        """The commands that came since a mark."""
+        """Return the commands that came since a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, COMMANDS)]
 
     def require_addressed(self, messages: Sequence[CommandMessage | SetpointMessage]) -> None:
-        """All must have the vehicle as their target."""
+        """Require that all have the vehicle as their target."""
         for message in messages:
             target = (message.target_system, message.target_component)
             require(target == (self.system_id, self.component_id), brief(message))
@@ -140,7 +140,7 @@ class CompanionProbe(Station):
         assume(are_heard, f"no setpoints within {within_s:g} s")
 
     def give_control(self) -> None:
-        """The operator gives the vehicle to the companion; `NotApplicable`: it streams nothing.
+        """Hand over to the companion; `NotApplicable` if it streams nothing.
 
         PX4 wants the stream to run before; ArduPilot does not, so a companion may begin with it.
         """
@@ -152,7 +152,7 @@ class CompanionProbe(Station):
         self.run(2.0)
 
     def ask_companion(self, target: tuple[int, int]) -> int | None:
-        """An unknown command, as forwarded for a ground station; its result, or None."""
+        """Send an unknown command, as for a ground station; return its result, or None."""
         mark = self.mark
         self.send_as(mav.CommandLong(*target, UNKNOWN_COMMAND, 0, *[0.0] * 7), 255, 190)
         self.run(1.0)

@@ -217,7 +217,7 @@ class RuleRun:
         return outcome
 
     def _attached(self, kind: type[Any]) -> Any:
-        """A probe that hears the peer, which is put in order if that is due.
+        """Return a probe that hears the peer, which is put in order if that is due.
 
         `NotApplicable`: it stays silent.
         """

@@ -93,7 +93,7 @@ class AutopilotNotes(msgspec.Struct, frozen=True):
 
 @cache
 def autopilot_notes() -> dict[Flavour, AutopilotNotes]:
-    """The notes of each flavour."""
+    """Return the notes of each flavour."""
     text = files("sim_link.lab.conformance").joinpath("autopilot_notes.yaml").read_bytes()
     return msgspec.yaml.decode(text, type=dict[Flavour, AutopilotNotes])
 
@@ -130,7 +130,10 @@ class Rule:
         return [*flags, HARM_FLAG] if self.harms else flags
 
     def deviation(self, flavour: Flavour) -> str:
-        """Known deviation of the real autopilot, with its version; empty: it keeps the rule."""
+        """Return the known deviation of the real autopilot, with its version.
+
+        Empty: it keeps the rule.
+        """
         notes = autopilot_notes()[flavour]
         text = notes.deviates.get(self.rule_id)
         return f"{flavour.value} {notes.version}: {text}" if text else ""
@@ -228,7 +231,7 @@ class RuleOutcome:
 
 
 def select(rules: Iterable[Rule], role: Role, pattern: str | None = None) -> list[Rule]:
-    """The rules of a role whose id matches a pattern (`*` and `?` are wildcards) or begins so."""
+    """Return the rules of a role whose id begins with or matches a pattern (`*`, `?`)."""
     begin = pattern or ""
     return [
         rule
@@ -259,7 +262,7 @@ def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
 
 
 def line(outcome: RuleOutcome) -> str:
-    """One rule: its verdict, id and source, and why it failed or was left out."""
+    """Return one rule: its verdict, id and source, and why it failed or was left out."""
     rule = outcome.rule
     text = f"{outcome.verdict.value}  {rule.rule_id}  [{rule.source}]"
     return f"{text}\n      {outcome.detail}" if outcome.detail else text
@@ -276,7 +279,7 @@ EXIT_PASSED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOTED = range(4)
 
 
 def exit_code(outcomes: Iterable[RuleOutcome], problems: Sequence[str] = ()) -> int:
-    """0: all that was tried passed; 3: it deviates, only as noted; 1: anything else."""
+    """Return 0 if everything passed, 3 for noted deviations only, 1 otherwise."""
     verdicts = {outcome.verdict for outcome in outcomes} - {RuleVerdict.PASS, RuleVerdict.SKIP}
     if problems or verdicts - {RuleVerdict.NOTED}:
         return EXIT_FAILED
@@ -284,7 +287,7 @@ def exit_code(outcomes: Iterable[RuleOutcome], problems: Sequence[str] = ()) -> 
 
 
 def summary(outcomes: Sequence[RuleOutcome]) -> str:
-    """The closing line."""
+    """Return the closing line."""
     counts = Counter(outcome.verdict for outcome in outcomes)
     text = f"{counts[RuleVerdict.PASS]} passed, {counts[RuleVerdict.FAIL]} failed"
     for verdict, words in FURTHER.items():
@@ -293,7 +296,7 @@ def summary(outcomes: Sequence[RuleOutcome]) -> str:
 
 
 def listing(rules: Iterable[Rule]) -> list[str]:
-    """The rules in words: what they ask, of whom, from where, and each flavour's deviation."""
+    """Return the rules in words, with their sources and each flavour's deviation."""
     lines = []
     for rule in rules:
         flavours = ", ".join(sorted(flavour.value for flavour in rule.flavours))
@@ -311,7 +314,7 @@ def listing(rules: Iterable[Rule]) -> list[str]:
 def record(
     outcomes: Sequence[RuleOutcome], peer: str, problems: Sequence[str] = ()
 ) -> dict[str, object]:
-    """All outcomes, and what is worth telling beside them, as JSON values."""
+    """Return all outcomes with their circumstances as JSON values."""
     return {
         "peer": peer,
         "summary": summary(outcomes),

@@ -43,7 +43,7 @@ class ProbeLink(Protocol):
         """Return the first data to arrive, in order; empty when there are none until `until_s`."""
 
     def another(self) -> ProbeLink | None:
-        """A second client of the same peer; None where the link has room for one only."""
+        """Return a second client of the same peer; None where the link has room for one only."""
 
     def close_others(self) -> None:
         """Close the connections made from this one: a server takes so many and no more."""
@@ -95,7 +95,7 @@ class Signer:
     link_id: int = 1
 
     def sign(self, frame: bytes) -> bytes:
-        """A frame with the signed flag, completed; the timestamp moves on."""
+        """Return a frame with the signed flag, completed; the timestamp moves on."""
         self.timestamp += 1
         return sign(frame, self.key, self.link_id, self.timestamp)
 
@@ -137,7 +137,7 @@ class Station:
 
     @contextmanager
     def silence(self) -> Iterator[None]:
-        """Our own heartbeat stops for a while."""
+        """Stop the station's own heartbeat for a while."""
         self._stop_heartbeat()
         try:
             yield
@@ -156,7 +156,7 @@ class Station:
             self._advance(until_s)
 
     def run_until(self, condition: Callable[[], bool], within_s: float) -> bool:
-        """Let time pass until a condition holds; whether it did in time."""
+        """Let time pass until a condition holds; return True if it did in time."""
         until_s = self.now_s + within_s
         while not condition():
             if self.now_s >= until_s:
@@ -165,11 +165,11 @@ class Station:
         return True
 
     def is_own(self, message: Message) -> bool:  # noqa: ARG002
-        """True if the peer itself sent it."""
+        """Return True if the peer itself sent it."""
         return True
 
     def is_heard(self, within_s: float) -> bool:
-        """Let time pass; whether the peer says anything."""
+        """Let time pass; return True if the peer says anything."""
         mark = self.mark
         return self.run_until(
             lambda: any(self.is_own(entry.message) for entry in self.inbox[mark:]), within_s
@@ -197,7 +197,7 @@ class Station:
         return self.signer.sign(build_frame(message, spec))
 
     def spec(self, *, version: int = 2, incompat: int = 0, compat: int = 0) -> FrameSpec:
-        """A frame of this station with the next sequence number."""
+        """Return a frame of this station with the next sequence number."""
         sequence, self._sequence = self._sequence, (self._sequence + 1) % 256
         return FrameSpec(self.system_id, self.component_id, sequence, version, incompat, compat)
 
@@ -236,7 +236,7 @@ class Station:
         return self.inbox[mark:]
 
     def heard(self, kind: type[M], mark: int = 0) -> list[M]:
-        """The messages of a kind that came after a mark."""
+        """Return the messages of a kind that came after a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, kind)]
 
     def times(self, kind: type[M] | tuple[type[M], ...], mark: int = 0) -> list[float]:
@@ -252,7 +252,7 @@ class Station:
         mark: int | None = None,
         what: str = "",
     ) -> M:
-        """The first message of a kind after `mark` (default: from now on)."""
+        """Return the first message of a kind after `mark` (default: from now on)."""
         found: list[M] = []
         cursor = self.mark if mark is None else mark
 
@@ -299,7 +299,7 @@ class Station:
                 raise Violation(f"{what or 'not to be sent'}: {brief(message)}")
 
     def frames_since(self, mark: int) -> list[bytes]:
-        """The frames in what arrived after so many pieces."""
+        """Return the frames in what arrived after so many pieces."""
         return cut(b"".join(self.datagrams[mark:]))
 
     def _advance(self, until_s: float) -> None:
@@ -327,25 +327,25 @@ class Station:
 
 
 def source_of(message: Message) -> tuple[int, int]:
-    """System and component of the sender."""
+    """Return the system and component of the sender."""
     return (message.get_srcSystem(), message.get_srcComponent())
 
 
 def heartbeat(kind: int, autopilot: int = mavlink.MAV_AUTOPILOT_INVALID) -> Message:
-    """HEARTBEAT of something that is no autopilot."""
+    """Return the HEARTBEAT of a component that is no autopilot."""
     return mavlink.MAVLink_heartbeat_message(
         kind, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, MAVLINK_VERSION
     )
 
 
 def name_of(kind: type[Message] | tuple[type[Message], ...]) -> str:
-    """A message class, or the first of several, as the protocol calls it."""
+    """Return a message class, or the first of several, as the protocol calls it."""
     first = kind[0] if isinstance(kind, tuple) else kind
     return str(getattr(first, "msgname", first.__name__))
 
 
 def brief(message: Message) -> str:
-    """A message in one line."""
+    """Return a message in one line."""
     source = "/".join(map(str, source_of(message)))
     text = str(message)
     return f"{text if len(text) < 160 else text[:157] + '...'} from {source}"

@@ -150,15 +150,15 @@ class VehicleProbe(Station):
         return (self.system_id, self.component_id)
 
     def is_own(self, message: Message) -> bool:
-        """True if the vehicle's autopilot sent it."""
+        """Return True if the vehicle's autopilot sent it."""
         return source_of(message) == self.target
 
     def from_vehicle(self, kind: type[M], mark: int = 0) -> list[M]:
-        """The vehicle's own messages of a kind."""
+        """Return the vehicle's own messages of a kind."""
         return [message for message in self.heard(kind, mark) if self.is_own(message)]
 
     def latest(self, kind: type[M]) -> M:
-        """The newest message of a kind; asked for if none came yet."""
+        """Return the newest message of a kind; asked for if none came yet."""
         return self._newest(kind) or self.request(kind)
 
     def _newest(self, kind: type[M]) -> M | None:
@@ -170,7 +170,7 @@ class VehicleProbe(Station):
     def another(
         self, system_id: int = 254, component_id: int = 190, kind: int | None = mavlink.MAV_TYPE_GCS
     ) -> Station:
-        """A second station, already heard; `NotApplicable`: the link has room for one client.
+        """Return a second station, already heard; `NotApplicable` on links for one client.
 
         A server may leave it waiting in its backlog, and a port may stick to its first peer.
         """
@@ -221,7 +221,7 @@ class VehicleProbe(Station):
         require(result in results, f"command {number} {params}: result {result}, not {wanted}")
 
     def request(self, kind: type[M], within_s: float = ACK_S) -> M:
-        """REQUEST_MESSAGE; the message."""
+        """Send REQUEST_MESSAGE; return the message."""
         self.require_result(mav.ACCEPTED, mav.REQUEST, float(kind.id))
         return self.expect(kind, self.is_own, within_s=within_s, mark=self.asked)
 
@@ -233,7 +233,7 @@ class VehicleProbe(Station):
         return self.expect(kind, where, mark=self.asked)
 
     def set_interval(self, kind: type[Message] | int, interval_s: float) -> int:
-        """SET_MESSAGE_INTERVAL (-1 stops, 0: the default) of a message or an id; its MAV_RESULT.
+        """Send SET_MESSAGE_INTERVAL (-1 stops, 0: the default); return its MAV_RESULT.
 
         The default is the mode's; what a start script of PX4 had set is read before and put back.
         """
@@ -254,7 +254,7 @@ class VehicleProbe(Station):
         self.baseline.intervals.clear()
 
     def _interval_s(self, number: int) -> float | None:
-        """The interval of a message now, -1: off, by MESSAGE_INTERVAL; None: it is not reported.
+        """Return a message's interval from MESSAGE_INTERVAL, -1: off; None: not reported.
 
         PX4 reports 0 for a stream that is off, as of a message that there is not.
         """
@@ -278,19 +278,19 @@ class VehicleProbe(Station):
         self.expect(kind, within_s=STREAM_S, mark=self.asked)
 
     def is_alive(self) -> bool:
-        """True if the vehicle still answers (TIMESYNC)."""
+        """Return True if the vehicle still answers (TIMESYNC)."""
         stamp = 1_000_000 + self.mark
         self.send(mav.Timesync(0, stamp))
         return self.is_synchronised(stamp, self.asked, ACK_S)
 
     def is_synchronised(self, stamp: int, mark: int, within_s: float) -> bool:
-        """Let time pass; whether a TIMESYNC with `ts1` = `stamp` comes after a mark."""
+        """Let time pass; return True if a TIMESYNC with `ts1` = `stamp` comes after a mark."""
         return self.run_until(
             lambda: any(m.ts1 == stamp for m in self.heard(mav.Timesync, mark)), within_s
         )
 
     def require_hearing(self) -> None:
-        """After a probe for silence: the vehicle must be silent by choice, not deaf."""
+        """Require, after a probe for silence, that the vehicle still hears the station."""
         require(self.is_alive(), "nothing is answered any more")
 
     def require_no_answer(
@@ -306,7 +306,7 @@ class VehicleProbe(Station):
         within_s: float = 3.0,
         what: str = "",
     ) -> mav.Heartbeat:
-        """A HEARTBEAT of the vehicle that is newer than this call."""
+        """Return a HEARTBEAT of the vehicle that is newer than this call."""
         return self.expect(
             mav.Heartbeat,
             lambda m: self.is_own(m) and (where is None or where(m)),
@@ -315,11 +315,11 @@ class VehicleProbe(Station):
         )
 
     def is_armed(self) -> bool:
-        """True if a new HEARTBEAT says armed."""
+        """Return True if a new HEARTBEAT says armed."""
         return bool(self.heartbeat().base_mode & mav.ARMED)
 
     def is_in(self, mode: str) -> bool:
-        """True if a new HEARTBEAT shows the mode."""
+        """Return True if a new HEARTBEAT shows the mode."""
         return bool(self.heartbeat().custom_mode == mav.custom_mode(self.flavour, mode))
 
     def await_mode(self, mode: str, within_s: float = 5.0) -> None:
@@ -332,7 +332,7 @@ class VehicleProbe(Station):
         self.heartbeat(lambda m: not m.base_mode & mav.ARMED, within_s, "of a disarmed vehicle")
 
     def set_mode(self, mode: str) -> int:
-        """DO_SET_MODE; its MAV_RESULT."""
+        """Send DO_SET_MODE; return its MAV_RESULT."""
         return self.command(mavlink.MAV_CMD_DO_SET_MODE, *mav.set_mode_params(self.flavour, mode))
 
     def require_mode(self, mode: str) -> None:
@@ -345,24 +345,24 @@ class VehicleProbe(Station):
         assume(not self.is_armed(), "the vehicle is armed")
 
     def place(self) -> Triple:
-        """North, east and down of the newest LOCAL_POSITION_NED, after a step of time."""
+        """Return north, east and down of the newest LOCAL_POSITION_NED, after a step of time."""
         report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.x, report.y, report.z)
 
     def speed(self) -> Triple:
-        """Velocity north, east and down of the newest LOCAL_POSITION_NED."""
+        """Return the velocity north, east and down of the newest LOCAL_POSITION_NED."""
         report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.vx, report.vy, report.vz)
 
     def set_home(self, place: tuple[int, int, float], frame: int = mavlink.MAV_FRAME_GLOBAL) -> int:
-        """DO_SET_HOME as COMMAND_INT; its MAV_RESULT."""
+        """Send DO_SET_HOME as COMMAND_INT; return its MAV_RESULT."""
         if self.baseline.home is None:
             home = self.home()
             self.baseline.home = (home.latitude, home.longitude, home.altitude / 1e3)
         return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, (0.0,) * 4, place)
 
     def home(self) -> mav.HomePosition:
-        """Home, asked for."""
+        """Request and return HOME_POSITION."""
         return self.request(mav.HomePosition)
 
     def get_ready(self) -> None:
@@ -477,24 +477,24 @@ class VehicleProbe(Station):
         return [*[0.0] * 6, height_m]
 
     def reposition(self, frame: int, place: tuple[int, int, float], flags: float = 1.0) -> int:
-        """DO_REPOSITION as COMMAND_INT; its MAV_RESULT."""
+        """Send DO_REPOSITION as COMMAND_INT; return its MAV_RESULT."""
         return self.command_int(
             mavlink.MAV_CMD_DO_REPOSITION, frame, (-1.0, flags, 0.0, mav.NAN), place
         )
 
     def where_e7(self) -> tuple[int, int]:
-        """Latitude and longitude, 1e-7 degrees, asked for."""
+        """Return latitude and longitude, 1e-7 degrees, asked for."""
         report = self.request(mav.GlobalPosition)
         return (report.lat, report.lon)
 
 
 def is_ready(status: mav.SysStatus) -> bool:
-    """True if SYS_STATUS says that it can be armed, or does not say that it cannot."""
+    """Return True if SYS_STATUS says that it can be armed, or does not say that it cannot."""
     is_reported = bool(status.onboard_control_sensors_present & mav.PREARM)
     return not is_reported or bool(status.onboard_control_sensors_health & mav.PREARM)
 
 
 def require_unmoved(before: Sequence[float], after: Sequence[float], limit_m: float) -> None:
-    """Two places must not differ by more than a limit."""
+    """Require that two positions differ by no more than a limit."""
     moved_m = math.dist(before, after)
     require(moved_m <= limit_m, f"moved by {moved_m:.1f} m")

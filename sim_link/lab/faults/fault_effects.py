@@ -98,7 +98,7 @@ class _Jitter(FaultEffect[faults.LinkJitter]):
 
 class _Duplicates(FaultEffect[faults.LinkDuplicates]):
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
-        """All of them, and then the copies."""
+        """Return all of them, and then the copies."""
         return deliveries + super().apply(deliveries, now_s)
 
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
@@ -131,7 +131,7 @@ class _RateCap(FaultEffect[faults.LinkRateCap]):
     _free_s = 0.0
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
-        """Each waits for what was sent before, and is lost where the queue is full."""
+        """Delay each frame behind earlier ones, and lose it if the queue is full."""
         bytes_per_s = self.fault.bits_per_s / 8.0
         through: list[Delivery] = []
         for due_s, data in deliveries:
@@ -168,7 +168,7 @@ _READER = MavCodec(9, 9)
 
 
 def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
-    """The frame after a change of its fields; unchanged if it cannot be read.
+    """Return the frame after a change of its fields; unchanged if it cannot be read.
 
     The key signs it again where it was signed; without it such a frame stays as it is.
     """
@@ -187,7 +187,7 @@ def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey |
 
 
 def _sign_like(packed: bytes, model: bytes, key: SigningKey) -> bytes:
-    """`packed` with the link id and timestamp of `model`'s signature."""
+    """Return `packed` with the link id and timestamp of `model`'s signature."""
     end = framing.HEADER_LENGTH[framing.MAGIC_V2] + packed[1]
     head = packed[:2] + bytes((packed[2] | framing.INCOMPAT_SIGNED,)) + packed[3:end]
     crc = framing.frame_crc(head, CRC_EXTRA_BY_ID[framing.message_id(packed)])
@@ -209,7 +209,7 @@ ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
 
 
 def _number_of(data: bytes) -> int | None:
-    """The message id; None where it is too short for a frame."""
+    """Return the message id; None where it is too short for a frame."""
     is_long = len(data) > framing.HEADER_LENGTH[framing.MAGIC_V2]
     return framing.message_id(data) if is_long else None
 

@@ -53,7 +53,7 @@ class FaultyLink:
             self.add(fault, 0.0)
 
     def add(self, fault: FaultRecord, began_s: float) -> None:
-        """One more fault, its times counted from `began_s`."""
+        """Add a fault, its times counted from `began_s`."""
         self._count += 1
         kind, seed = type(fault), (self._seed, self._count)
         if kind in fault_effects.CONTENT_EFFECTS:
@@ -99,7 +99,7 @@ class Attacker:
         self._heard.append(frame)
 
     def next(self, fault: faults.SecurityFault) -> bytes | None:
-        """The next frame of an attack, or None while nothing was heard yet."""
+        """Return the next frame of an attack, or None while nothing was heard yet."""
         if not self._heard:
             return None
         model = self._heard[int(self._rng.integers(len(self._heard)))]
@@ -120,7 +120,7 @@ class Attacker:
         return None
 
     def _lie(self, model: bytes) -> bytes:
-        """The same kind of frame, unsigned, with other content."""
+        """Return the same kind of frame, unsigned, with other content."""
         bare = without_signature(model, CRC_EXTRA_BY_ID.get(message_id(model)))
         return fault_effects.rewrite_frame(bare, self._change, None)
 

@@ -63,7 +63,7 @@ class Injector(Observer):
                 self._flight.at(start_s, partial(self._attack, fault, began_s + fault.end_s, 0.0))
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """The attacker hears everything."""
+        """Let the attacker hear a frame of the vehicle."""
         self._attacker.overhear(frame.data)
 
     def _happen(self, fault: VehicleFault | faults.ProcessFault) -> None:
@@ -86,7 +86,7 @@ class Injector(Observer):
                 flight.stop_companion()
 
     def _bring(self, fault: faults.OtherVehicle, end_s: float) -> None:
-        """Another vehicle comes into reach."""
+        """Bring another vehicle into reach."""
         flight = self._flight
         own = flight.scenario.autopilot.flavour
         setup = NeighbourSetup(

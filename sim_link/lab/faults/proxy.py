@@ -91,7 +91,7 @@ class FaultProxy(AbstractContextManager["FaultProxy"]):
         return str(host), int(port)
 
     def add(self, fault: FaultRecord) -> None:
-        """One more fault, its times counted from now."""
+        """Add a fault, its times counted from now."""
         self._link.add(fault, self._now_s())
 
     def run(self, duration_s: float) -> None:
@@ -200,7 +200,7 @@ examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument("--listen", default="127.0.0.1:14560", metavar="HOST:PORT")
     parser.add_argument("--companion", default="127.0.0.1:14550", metavar="HOST:PORT")
     parser.add_argument("--fault", action="append", default=[], metavar="MAPPING")

@@ -49,7 +49,7 @@ class MemoryJournal:
         self.results: list[tuple[float, ReportResult]] = []
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """Frames are recorded by the flight's observers."""
+        """Do nothing: the flight's observers record frames."""
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Keep an event."""
@@ -298,7 +298,7 @@ class Flight:
                 neighbour.sim.receive(Chunk(0, chunk.data, None), self.now_s)
 
     def add_neighbour(self, neighbour: Neighbour) -> None:
-        """Another vehicle is heard from now on, until its end."""
+        """Add another vehicle, heard until its end."""
         self.neighbours.append(neighbour)
         self.at(neighbour.end_s, lambda: self.neighbours.remove(neighbour))
 

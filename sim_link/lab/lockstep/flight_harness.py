@@ -105,7 +105,7 @@ class MemoryStore:
         self.slots.clear()
 
     def close(self, timeout_s: float) -> None:
-        """Everything is kept already."""
+        """Do nothing: everything is kept already."""
         del timeout_s
 
 
@@ -118,7 +118,7 @@ class FlightClock:
         self._flight = flight
 
     def now_s(self) -> float:
-        """Invented seconds."""
+        """Return the invented time, s."""
         return self._flight.now_s
 
 
@@ -147,12 +147,12 @@ class Checkpointing(Observer):
         )
 
     def companion_started(self, now_s: float) -> None:
-        """Another process: it looks back."""
+        """Handle the start of another process."""
         del now_s
         self._begin()
 
     def companion_ended(self, now_s: float) -> None:
-        """In order or not."""
+        """Handle the end of the companion, in order or not."""
         del now_s
         self._keeper.close(0.0)
 

@@ -81,7 +81,7 @@ class Neighbour:
         self._lift(up, now_s)
 
     def _ask(self, number: int, now_s: float) -> None:
-        """Its own companion asks for a stream, as ArduPilot wants it."""
+        """Request a stream for its own companion, as ArduPilot needs."""
         params = (float(number), 1e6 * STREAM_S, *(0.0,) * 5)
         command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         message = mavlink.MAVLink_command_long_message(self.setup.system_id, 1, command, 0, *params)
@@ -106,7 +106,7 @@ class Neighbour:
         self._stay(now_s)
 
     def _stay(self, now_s: float) -> None:
-        """A setpoint of its own companion: here."""
+        """Send a setpoint of its own companion at the present position."""
         north, east, down = ned_from_enu(self.setup.place_enu_m)
         message = mavlink.MAVLink_set_position_target_local_ned_message(
             round(now_s * 1e3),

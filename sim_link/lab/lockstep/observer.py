@@ -93,53 +93,53 @@ class Observer:
     """Watches a flight; a subclass overrides what it wants to see."""
 
     def sent(self, frame: Frame) -> None:
-        """The companion sent this."""
+        """Handle a frame that the companion sent."""
 
     def heard(self, frame: Frame) -> None:
-        """This reached the companion, which has not read it yet."""
+        """Handle a frame that reached the companion, still unread."""
 
     def read(self, frame: Frame) -> None:
-        """The companion has read what it heard."""
+        """Handle the companion's reading of a frame."""
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """The vehicle, or its radio, sent this."""
+        """Handle a frame of the vehicle or its radio."""
 
     def vehicle_heard(self, frame: Frame) -> None:
-        """This reached the vehicle, which has not read it yet."""
+        """Handle a frame that reached the vehicle, still unread."""
 
     def neighbour_heard(self, frame: Frame, neighbour: Neighbour) -> None:
-        """This reached another vehicle than ours."""
+        """Handle a frame that reached another vehicle."""
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
-        """The vehicle moved by a physics step."""
+        """Handle a physics step of the vehicle."""
 
     def ticked(self, now_s: float) -> None:
-        """The companion's control tick is over."""
+        """Handle the end of the companion's control tick."""
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """The companion wrote this into its journal; texts and results are kinds as well."""
+        """Handle a journal entry of the companion; texts and results are kinds as well."""
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process began, at the start or after a restart."""
+        """Handle the start or restart of the companion process."""
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:
-        """The companion process gets no time until then."""
+        """Handle a suspension of the companion process until then."""
 
     def companion_ended(self, now_s: float) -> None:
-        """The companion process ended or was killed."""
+        """Handle the end or kill of the companion process."""
 
     def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
-        """A person switched the mode: the pilot or the operator."""
+        """Handle a mode switch by the pilot or the operator."""
 
     def vehicle_rebooted(self, now_s: float) -> None:
-        """The vehicle reboots."""
+        """Handle a reboot of the vehicle."""
 
 
 T = TypeVar("T")
 
 
 def overriding(objects: Iterable[T], base: type[T], what: str) -> list[T]:
-    """Those objects whose class has a method of its own in place of the base's."""
+    """Return those objects whose class has a method of its own in place of the base's."""
     inherited = getattr(base, what)
     return [each for each in objects if getattr(type(each), what) is not inherited]
 
@@ -153,7 +153,7 @@ class Observers(list[Observer]):
         self._listeners: dict[str, list[Callable[..., None]]] = {}
 
     def of(self, what: str) -> list[Callable[..., None]]:
-        """The observers' methods of a name in `Observer`, in the order of the observers."""
+        """Return the observers' methods of a name in `Observer`, in the order of the observers."""
         if self._known != self:
             self._known = list(self)
             self._listeners.clear()
@@ -170,7 +170,7 @@ class Observers(list[Observer]):
 
 
 def frames_in(data: bytes) -> list[bytes]:
-    """The frames of a datagram: by the lengths in their headers, or, among junk, by their CRC."""
+    """Return the frames of a datagram, by the lengths in their headers or, among junk, by CRC."""
     frames = []
     start = 0
     while start + SHORTEST <= len(data) and data[start] in framing.HEADER_LENGTH:

@@ -92,7 +92,10 @@ class MissionBatch:
     connect: str | None = None
 
     def tasks(self) -> list[FlightTask]:
-        """Every flight, checked as far as can be without flying; CompanionError: one is wrong."""
+        """Return every flight, checked as far as can be without flying.
+
+        CompanionError: one is wrong.
+        """
         loaded = [(str(path), mission) for path in self.files for mission in self._load(path)]
         for file, mission in loaded:
             if not mission.misfit(mission.autopilot.flavour):
@@ -113,7 +116,7 @@ class MissionBatch:
         return tasks
 
     def _load(self, path: Path) -> list[Mission]:
-        """The script, once for every autopilot that it is to be flown on."""
+        """Return the script, once for every autopilot that it is to be flown on."""
         mission = load_mission(path)
         flavours = flavours_of(mission, str(path))
         if self.connect is not None:
@@ -123,7 +126,7 @@ class MissionBatch:
 
 
 def flavours_of(mission: Mission, name: str) -> tuple[FlavourName, ...]:
-    """The autopilots that a script is to be flown on; `ConfigError`: it lists one twice."""
+    """Return the autopilots that a script is to be flown on; `ConfigError`: it lists one twice."""
     flavours = tuple(mission.autopilots or (mission.autopilot.flavour,))
     for flavour in set(flavours):
         if flavours.count(flavour) > 1:
@@ -155,7 +158,7 @@ async def _check_link(text: str) -> None:
 
 
 def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:
-    """The mission on another autopilot."""
+    """Return the mission on another autopilot."""
     autopilot = msgspec.structs.replace(mission.autopilot, flavour=flavour)
     return msgspec.structs.replace(mission, autopilot=autopilot)
 

@@ -169,11 +169,11 @@ class Condition:
     _get: Getter
 
     def holds(self, situation: FlightSituation) -> bool:
-        """True if the condition holds now; an unknown value does not hold."""
+        """Return True if the condition holds now; an unknown value does not hold."""
         return self._get(situation) is True
 
     def is_false(self, situation: FlightSituation) -> bool:
-        """True if the condition is known not to hold."""
+        """Return True if the condition is known not to hold."""
         return self._get(situation) is False
 
 
@@ -191,7 +191,7 @@ class _Part:
 
 
 def parse_condition(text: str) -> Condition:
-    """The condition that a text says; `ConditionError`: it makes no sense."""
+    """Return the condition of a text; raises a `ConditionError` if it is invalid."""
     if len(text) > MAX_LENGTH:
         raise ConditionError(f"longer than {MAX_LENGTH} characters")
     try:
@@ -209,7 +209,7 @@ def parse_condition(text: str) -> Condition:
 
 
 def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
-    """The function of the parts' values; unknown where one of them is."""
+    """Return the function of the parts' values; unknown where one of them is."""
     getters = tuple(part.get for part in parts)
 
     def get(situation: FlightSituation) -> Value:
@@ -220,7 +220,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
 
 
 def _truth_of(node: ast.expr) -> _Part:
-    """A part that is true or false; `ConditionError`: it is something else."""
+    """Return a part that is true or false; `ConditionError`: it is something else."""
     return _part_of_kind(node, Kind.TRUTH, "compare it with something")
 
 
@@ -365,7 +365,7 @@ def _unknown(part: _Part) -> ConditionError:
 
 
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """A hint at the most similar of the known names; empty where none is."""
+    """Return a hint at the most similar of the known names; empty where none is."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {close[0]}?" if close else ""
 

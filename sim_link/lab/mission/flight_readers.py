@@ -81,7 +81,7 @@ class TelemetryReader:
             self._record.messages["companion", message.get_msgId()] += 1
 
     def _is_ours(self, message: Message) -> bool:
-        """True if the sender is on the vehicle that was heard first; its radio is, too."""
+        """Return True if the sender is on the vehicle that was heard first; its radio is, too."""
         match message:
             case mavlink.MAVLink_heartbeat_message() if self.system_id is None:
                 if autopilot_of(message) is not None:
@@ -102,7 +102,7 @@ class TelemetryReader:
                 self.throttle_us = message.chan3_raw
 
     def _hear(self, message: mavlink.MAVLink_statustext_message, now_s: float) -> None:
-        """A text of the autopilot; one that comes in pieces counts when it is whole."""
+        """Handle a text of the autopilot, once all of its pieces are there."""
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return
         text, number = str(message.text), message.id
@@ -162,14 +162,14 @@ class EventReader:
         self._ranging_heard_s: float | None = None
 
     def frame(self, data: bytes, now_s: float) -> None:
-        """Frames are watched on the wire."""
+        """Do nothing: frames are watched on the wire."""
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """A text for the operator."""
+        """Handle a text for the operator."""
         self.record("text", {"severity": severity.name.lower(), "text": text}, now_s)
 
     def result(self, report: ReportResult, now_s: float) -> None:
-        """A target that was found."""
+        """Handle a target that was found."""
         estimate = report.estimate
         east_m, north_m = estimate.position_enu_m
         fields = {
@@ -208,7 +208,7 @@ class EventReader:
             self._situation.companion.ranging_age_s = now_s - self._ranging_heard_s
 
     def restarted(self) -> None:
-        """The companion's process ended: what it said of itself is over."""
+        """Handle the end of the companion's process, which voids its own reports."""
         companion = self._situation.companion
         companion.phase = companion.is_in_control = companion.waypoint = None
 
@@ -278,17 +278,17 @@ class WireWatch:
         return self._machine_s + self._late_s
 
     def looked(self, now_s: float) -> None:
-        """The hub looks at the mission; its lateness shows how busy the machine is."""
+        """Record the hub's lateness, which shows how busy the machine is."""
         if self._looked_s is not None:
             self._late_s = max(self._late_s, now_s - self._looked_s - PERIOD_S)
         self._looked_s = now_s
 
     def noted(self, kind: str, fields: Mapping[str, Any], companion_s: float) -> None:
-        """The companion wrote this into its log, at its own time."""
+        """Handle a log entry of the companion, at its own time."""
         self._events.append((companion_s, kind, fields))
 
     def date_events(self, offset_s: float | None) -> None:
-        """The log of a process is complete; offset: the mission's time minus the companion's."""
+        """Date a complete log; the offset is the mission's time minus the companion's."""
         if offset_s is not None:
             for time_s, kind, fields in self._events:
                 self.recording.noted(kind, fields, time_s + offset_s)

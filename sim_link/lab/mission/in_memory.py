@@ -85,7 +85,7 @@ class _MissionFlight:
         self._slices = 0
 
     def fly(self, progress: Progress | None) -> None:
-        """From switching on to the last step."""
+        """Fly the mission, from switching on to the last step."""
         flight, runner = self._flight, self._runner
         while True:
             self._look()
@@ -128,7 +128,7 @@ class _MissionFlight:
 
 
 def _quiet(mission: Mission) -> Scenario:
-    """The scenario on a link that carries only what the companion asks for: it is all that counts.
+    """Return the scenario on a link that carries only the companion's requested streams.
 
     PX4's 340 messages per second, most of them never looked at, are what takes the time.
     """
@@ -148,11 +148,11 @@ class _Watcher(Observer):
         self._reader.restarted()
 
     def sent(self, frame: Frame) -> None:
-        """The companion sent this."""
+        """Handle a frame that the companion sent."""
         self._keep("companion", frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """The vehicle sent this."""
+        """Handle a frame that the vehicle sent."""
         self._keep("autopilot", frame)
         if frame.number != mavlink.MAVLINK_MSG_ID_STATUSTEXT:  # decoding all would take long
             return
@@ -188,7 +188,7 @@ class _Operator:
                 self._station.grant()
 
     def take_refusal(self) -> str | None:
-        """Refusals are seen in the autopilot's texts."""
+        """Return None: refusals are seen in the autopilot's texts."""
         return None
 
     def _take_off(self, height_m: float) -> None:

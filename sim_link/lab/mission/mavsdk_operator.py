@@ -81,7 +81,7 @@ class MavsdkOperator:
         return True
 
     def ask(self, action: Action) -> None:
-        """Begin; what was asked before is forgotten."""
+        """Begin a request; the previous one is forgotten."""
         if self._task is not None and not self._task.done():
             return  # still at it: MAVSDK repeats by itself
         self._task = asyncio.create_task(self._do(action))

@@ -52,7 +52,7 @@ class PlainProgress:
         self.say(f"{situation.mission.time_s:7.1f} s  step {number}/{total} {name}")
 
     def finished(self, result: MissionResult) -> None:
-        """A flight is over."""
+        """Handle the end of a flight."""
         self._done += 1
         self._step = 0
         self.say(flight_line(result, self._done, self._total))
@@ -131,7 +131,7 @@ def flight_line(result: MissionResult, number: int, total: int) -> str:
 
 
 def junit_xml(results: Sequence[MissionResult]) -> str:
-    """The document, its flights in the order of the results."""
+    """Return the document, its flights in the order of the results."""
     root = ElementTree.Element("testsuites", name="missions")
     for result in results:
         root.append(_suite(result))
@@ -183,7 +183,7 @@ def _case(
 
 
 def _count(result: MissionResult) -> int:
-    """Cases: every expectation, and what went wrong, or kept it from being flown, beside them."""
+    """Return the number of cases: expectations, errors and reasons for skipping."""
     return len(result.verdicts) + bool(result.error) + bool(result.record.skipped)
 
 
@@ -202,7 +202,7 @@ def _properties(result: MissionResult) -> dict[str, str]:
 
 
 def _clean(text: str) -> str:
-    """Without what XML 1.0 cannot hold."""
+    """Return the text without characters that XML 1.0 forbids."""
     return "".join(c if c.isprintable() else " " for c in text)
 
 
@@ -230,7 +230,7 @@ exit code: 0 every expectation is met, 1 one is not, or a flight came to no end 
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `run`."""
+    """Add the arguments of `run`."""
     add = parser.add_argument
     add("files", metavar="FILE", nargs="+", type=Path, help="mission scripts")
     add(
@@ -304,7 +304,7 @@ def _is_flown(
 def _in_order(
     tasks: Sequence[batch.FlightTask], results: dict[int, MissionResult]
 ) -> list[MissionResult]:
-    """One for every task, also for those that were not over when the campaign ended."""
+    """Return a result for every task, also for those that were not finished."""
     reason = "interrupted: the campaign ended before this flight was over"
     return [results.get(n) or batch.unflown(task, reason) for n, task in enumerate(tasks)]
 

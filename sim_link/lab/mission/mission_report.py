@@ -67,7 +67,7 @@ def _times(results: list[MissionResult]) -> tuple[float, float, float]:
 
 
 def report_page(result: MissionResult) -> str:
-    """The page as text."""
+    """Return the page as text."""
     page = FlightPage(
         kind="Mission report",
         name=result.title,
@@ -107,7 +107,7 @@ def _figures(result: MissionResult) -> list[tuple[str, str]]:
 
 
 def events_of(record: FlightRecord) -> list[EventRow]:
-    """The events that people want to read, in the order of time."""
+    """Return the events that people want to read, in the order of time."""
     rows = [
         EventRow(time_s, kind, _phrase(kind, fields))
         for time_s, kind, fields in record.events
@@ -131,7 +131,7 @@ def _phrase(kind: str, fields: Mapping[str, object]) -> str:
 
 
 def invariants_of(record: FlightRecord) -> list[tuple[str, str, int | None, str]]:
-    """Every invariant: name, title, how often it did not hold, how far that was judged.
+    """Return every invariant: name, title, how often it did not hold, how far that was judged.
 
     None: it was not judged, and why not.
     """

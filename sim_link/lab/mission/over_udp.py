@@ -137,7 +137,7 @@ class _UdpFlight:
         self._progress: Progress | None = None
 
     async def fly(self, progress: Progress | None) -> None:
-        """From starting the processes to the last step."""
+        """Fly the mission, from starting the processes to the last step."""
         self._progress = progress
         self._companion.start()
         words = "the companion"  # its flight's folder: it compiles before its clock starts
@@ -260,7 +260,7 @@ class _UdpFlight:
             self._begin_end(now_s)
 
     def _misfit(self, now_s: float) -> str | None:
-        """Reason why this script does not fit the vehicle; empty: it fits; None: not known yet.
+        """Return why this script does not fit the vehicle; empty: it fits; None: not known yet.
 
         A vehicle that is not ours keeps its pilot's transmitter: only the pilot can put the
         throttle where a mode for sticks neither climbs nor sinks; ArduPilot's simulator has it at
@@ -289,7 +289,7 @@ class _UdpFlight:
             self._progress(self._runner, self.record.situation)
 
     def _interrupt(self, now_s: float) -> None:
-        """A signal: leave the vehicle to its own hold, by way of the companion."""
+        """Handle a signal: let the companion leave the vehicle in its own hold."""
         if self._end_wall_s is None:
             self.record.is_interrupted = True
             self._runner.abandon("interrupted", now_s)

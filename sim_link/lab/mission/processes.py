@@ -107,7 +107,7 @@ class Hub:
             self._tick(now_s)
 
     def next_timer_s(self) -> float:
-        """Time of the next timer, s."""
+        """Return the time of the next timer, s."""
         return min(self._due_s, self._late[0][0]) if self._late else self._due_s
 
     def take_output(self) -> list[Chunk]:
@@ -207,7 +207,7 @@ def check_faults(mission: Mission, name: str) -> None:
 
 
 def vehicle_fault_of(mission: Mission) -> str:
-    """Reason why a script cannot fly a vehicle that is not ours; empty: none."""
+    """Return the reason why a script cannot fly a vehicle that is not ours; empty: none."""
     for number, (name, step) in enumerate(mission.named_steps, 1):
         if isinstance(step, VehicleFault):
             return f"step {number} {name}: a vehicle that is not ours cannot be broken"

@@ -67,7 +67,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class OperatorText:
-    """A text for the operator."""
+    """Handle a text for the operator."""
 
     time_s: float
     source: str
@@ -121,7 +121,7 @@ class FlightRecord:
     """Processor time that it took, where it was flown in one process; neither."""
 
     def last_estimate(self, emitter: int) -> EstimatePoint | None:
-        """The last one of an emitter while it was looked for, which ends when it is reported.
+        """Return the last estimate of an emitter before its report.
 
         On its way home a vehicle goes on measuring, low and behind whatever stands there. Whatever
         has no id is of every emitter.
@@ -134,11 +134,11 @@ class FlightRecord:
         return None
 
     def report_of(self, emitter: int) -> Report | None:
-        """The last report about an emitter."""
+        """Return the last report about an emitter."""
         return next((r for r in reversed(self.reports) if r.emitter in (emitter, None)), None)
 
     def without_history(self, emitter: int) -> FlightRecord:
-        """Its figures and the last estimate of an emitter: small enough to be kept of hundreds."""
+        """Return the figures and the last estimate of an emitter, small enough to keep hundreds."""
         last, report = self.last_estimate(emitter), self.report_of(emitter)
         return replace(
             self,
@@ -171,13 +171,13 @@ class ExpectationVerdict:
 
 
 def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerdict, ...]:
-    """The verdict on the steps first, then those on the expectations in the script's order."""
+    """Return the verdict on the steps, then those on the expectations in the script's order."""
     judged = (_judge(expectation, mission, record) for expectation in mission.expectations)
     return (_judge_steps(record), *judged)
 
 
 def true_places(mission: Mission) -> dict[int, Point]:
-    """True emitter positions by id, local ENU in m; the one that a script calls `emitter` first."""
+    """Return emitter positions by id, local ENU in m; the script's `emitter` first."""
     return {each.emitter_id: each.position_enu_m for each in (mission.emitter, *mission.emitters)}
 
 
@@ -205,7 +205,7 @@ Judged = tuple[bool, str]
 
 
 def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord, of: str) -> Judged:
-    """By one of the point's radii, "r95_m" or "absolute_r95_m", or by none."""
+    """Judge the error by one of the point's radii, "r95_m" or "absolute_r95_m", or by none."""
     emitter = _emitter_of(bound, mission)
     point = record.last_estimate(emitter)
     if point is None:
@@ -309,7 +309,7 @@ MAX_SLUG = 80
 
 
 def slug(name: str) -> str:
-    """A mission's name as part of a file name, cut to `MAX_SLUG`."""
+    """Return a mission's name as part of a file name, cut to `MAX_SLUG`."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-")[:MAX_SLUG].strip("-") or "mission"
 
 
@@ -319,7 +319,7 @@ def flight_name(mission: str, flavour: str, how: str, seed: int) -> str:
 
 
 def how_flown(speed: float | None, connect: str | None) -> str:
-    """`lockstep` (no speed), `speed 4`, or the link to a vehicle that is not ours."""
+    """Return `lockstep` (no speed), `speed 4`, or the link to a vehicle that is not ours."""
     if connect is not None:
         return connect
     return "lockstep" if speed is None else f"speed {speed:g}"
@@ -346,7 +346,7 @@ class MissionResult:
     """Why it did not come to an end, or has no report; empty: nothing went wrong."""
 
     def without_history(self) -> MissionResult:
-        """The figures of the flight only, small enough to be kept of hundreds."""
+        """Return the figures of the flight only, small enough to be kept of hundreds."""
         return replace(self, record=self.record.without_history(self.mission.emitter.emitter_id))
 
     @property
@@ -386,7 +386,7 @@ class MissionResult:
         return None if point is None else self.error_m(point)
 
     def error_m(self, point: EstimatePoint) -> float:
-        """Horizontal error of an estimate in m; without an id it is of the first emitter."""
+        """Return an estimate's horizontal error, m; by default of the first emitter."""
         truth = true_places(self.mission)
         first = truth[self.mission.emitter.emitter_id]
         emitter = point.emitter_id

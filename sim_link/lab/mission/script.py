@@ -43,7 +43,7 @@ class Bound(Params, frozen=True):
             raise ValueError("nothing is at least at_least and at most at_most: they are swapped")
 
     def holds(self, value: float) -> bool:
-        """True if a value is within the bounds."""
+        """Return True if a value is within the bounds."""
         is_low = self.at_most is None or value <= self.at_most
         return is_low and (self.at_least is None or value >= self.at_least)
 
@@ -54,7 +54,10 @@ class Bound(Params, frozen=True):
 
 
 def _one_given(record: Params, what: str) -> str:
-    """The one key of a record that is given, beside its name; `ValueError`: not exactly one is."""
+    """Return the one key of a record that is given, beside its name.
+
+    `ValueError`: not exactly one is.
+    """
     names = [name for name in record.__struct_fields__ if name != "name"]
     given = [name for name in names if getattr(record, name) is not UNSET]
     if len(given) != 1:
@@ -311,7 +314,7 @@ class Mission(Scenario, frozen=True, kw_only=True):
         return tuple(_named(step) for step in self.steps)
 
     def misfit(self, flavour: str) -> str:
-        """Reason why the script does not fit an autopilot; empty: it fits."""
+        """Return the reason why the script does not fit an autopilot; empty: it fits."""
         if not self.autopilots or flavour in self.autopilots:
             return ""
         return f"the script is for {' and '.join(self.autopilots)}, and this is {flavour}"
@@ -339,5 +342,5 @@ def _named(step: StepRecord | StepWord) -> tuple[str, Step]:
 
 @lru_cache(maxsize=1)
 def numbers_by_name() -> dict[str, int]:
-    """The message ids of the dialect, our own messages included."""
+    """Return the message ids of the dialect, our own messages included."""
     return {str(kind.msgname): int(number) for number, kind in mavlink.mavlink_map.items()}

@@ -46,12 +46,15 @@ Problem = tuple[str, str]
 
 
 def load_mission(path: Path) -> Mission:
-    """The mission of a YAML file, checked as a whole; `ConfigError`: one line says where."""
+    """Return the mission of a YAML file, checked as a whole; `ConfigError`: one line says where."""
     return parse_mission(read_text(path), str(path), path.parent)
 
 
 def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
-    """The mission in YAML text; files that it names are in the folder, errors call it by name."""
+    """Return the mission in YAML text.
+
+    Files that it names are in the folder, errors call it by name.
+    """
     try:
         mission = parse_yaml(text, Mission, name, lambda raw: _renew(raw, folder))
     except ConfigError as error:
@@ -68,7 +71,7 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
 
 
 def _renew(raw: dict[str, Any], folder: Path) -> None:
-    """Present names for old keys; what the scenario of a file has, where the script has not."""
+    """Rename old keys, and add the file's scenario where the script has none."""
     renew_incidents(raw)
     path = raw.pop("scenario", None)
     if isinstance(path, str):
@@ -79,7 +82,7 @@ def _renew(raw: dict[str, Any], folder: Path) -> None:
 
 
 def flown_config(mission: Mission) -> CompanionConfig:
-    """The companion's configuration with the script's search in it."""
+    """Return the companion's configuration with the script's search in it."""
     config = mission.config
     search = next((step for _, step in mission.named_steps if isinstance(step, SearchStep)), None)
     if search is None:
@@ -94,7 +97,7 @@ def flown_config(mission: Mission) -> CompanionConfig:
 
 
 def line_of(text: str, path: str) -> int | None:
-    """The line, from 1, of a path like `$.steps[3].limit_s`, or of what of it there is."""
+    """Return the line, from 1, of a path like `$.steps[3].limit_s`, or of what of it there is."""
     node = yaml.compose(text, Loader=yaml.SafeLoader)
     line = None
     for match in _TOKEN.finditer(path):
@@ -115,14 +118,14 @@ def line_of(text: str, path: str) -> int | None:
 
 
 def error_at(text: str, name: str, path: str, problem: str) -> ConfigError:
-    """The error at a path like `$.steps[3].limit_s` of a script (its file), with its line."""
+    """Return the error at a path like `$.steps[3].limit_s` of a script, with its line."""
     line = line_of(text, path)
     where = name if line is None else f"{name}:{line}"
     return ConfigError(f"{where}: {path}: {problem}")
 
 
 def _split_problems(message: str, name: str) -> list[Problem]:
-    """The problems of a message, a line each, but those that only follow from others."""
+    """Return the problems of a message, a line each, but those that only follow from others."""
     problems: list[Problem] = []
     for line in message.splitlines():
         match = _MESSAGE.match(line.removeprefix(f"{name}: "))
@@ -136,7 +139,7 @@ def _split_problems(message: str, name: str) -> list[Problem]:
 
 
 def _with_hint(path: str, problem: str) -> str:
-    """The problem, and what may have been meant where a name is not known."""
+    """Return the problem, and what may have been meant where a name is not known."""
     misspelt = _UNKNOWN_STEP.match(path)
     if misspelt is not None and problem.startswith("unknown key"):
         return _unknown("step", misspelt["name"], STEPS)

@@ -68,14 +68,14 @@ class OnlyWithAuthority(Invariant):
     _is_launching = False
 
     def started(self) -> None:
-        """A process that starts beside a vehicle in the air never takes it by itself."""
+        """Forbid a process started beside a flying vehicle to take it by itself."""
         self._was_ours, self._given_s = False, -1.0
         self._free()
         self._may_engage = not self.scene.is_flying
         self._is_launching = False
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
-        """Control that it gave up is lost until it is given again, even in its mode."""
+        """Mark control as lost until it is given again, even in its mode."""
         if kind != "phase":
             return
         self._is_launching = fields.get("new") == "launching"
@@ -95,7 +95,7 @@ class OnlyWithAuthority(Invariant):
         self._lost_s, self._aside_s, self._is_barred = None, None, False
 
     def mode_chosen(self, mode: FlightMode) -> None:
-        """An autopilot that returns to offboard by itself gives no control."""
+        """Handle a mode switch; a return to offboard by the autopilot gives no control."""
         self._given_s = self.scene.now_s if mode is FlightMode.OFFBOARD else -1.0
 
     def heard(self, frame: Frame) -> None:
@@ -142,7 +142,7 @@ class OnlyWithAuthority(Invariant):
             self._follow_loss(is_failsafe=is_failsafe)
 
     def _follow_loss(self, *, is_failsafe: bool) -> None:
-        """Another mode is shown while control is lost."""
+        """Handle another mode while control is lost."""
         now_s = self.scene.now_s
         self._lose(is_barred=is_failsafe)
         if is_failsafe:
@@ -227,7 +227,7 @@ class KeepsStreaming(Invariant):
             self._since_s = self.scene.now_s
 
     def started(self) -> None:
-        """A new process claims nothing yet."""
+        """Forget all claims at the start of a process."""
         self._is_in_control, self._last_s = False, None
         self._is_stalled, self._excused_s = False, -math.inf
 
@@ -280,7 +280,7 @@ class SilentWithoutTick(Invariant):
     _started_s = 0.0
 
     def started(self) -> None:
-        """The first tick is still to come."""
+        """Wait for the first tick of a new process."""
         self._started_s = self.scene.now_s
 
     def sent(self, frame: Frame) -> None:

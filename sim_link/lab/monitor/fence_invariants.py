@@ -36,7 +36,7 @@ class OwnJumps:
         self._is_reported = False
 
     def stepped(self) -> None:
-        """The vehicle moved, and so may have its error."""
+        """Handle a physics step, in which the vehicle's error may change."""
         scene, bias = self._scene, self._scene.vehicle.estimator.bias_enu_m
         before, self._bias = self._bias, bias
         if bias != before and math.dist(bias, before) > INWARDS_M:
@@ -47,7 +47,10 @@ class OwnJumps:
             self._seemed = None
 
     def chased_m(self, setpoint: SentSetpoint) -> float | None:
-        """Distance of a setpoint from the apparent vehicle position, m; None if free to move."""
+        """Return the distance of a setpoint from the apparent vehicle position, m.
+
+        None if free to move.
+        """
         observed = self._scene.observed.position_enu_m
         if self._seemed is None or observed is None or self._scene.is_lied_to:
             return None
@@ -56,7 +59,7 @@ class OwnJumps:
         return away_m if self._is_reported and away_m > self._scene.rules.step_m else None
 
     def _is_over(self) -> bool:
-        """True if the companion may fly again, does not fly, or could not see the jump."""
+        """Return True if the companion may fly again, does not fly, or could not see the jump."""
         scene, observed = self._scene, self._scene.observed
         if not observed.is_ours or not scene.is_companion_up or observed.position_s is None:
             return True
@@ -180,11 +183,11 @@ class InsideFence(SetpointsInside):
             self._has_yielded, self._has_left = fields.get("new") == "yield", False
 
     def started(self) -> None:
-        """A new process has yielded nothing yet."""
+        """Forget yields at the start of a process."""
         self._has_yielded = self._has_left = False
 
     def reached(self, frame: Frame) -> None:
-        """A frame of ours reached the vehicle."""
+        """Handle a frame of the companion that reached the vehicle."""
         self._reached += frame.number in SETPOINTS and frame.is_readable
 
     def _watch_others(self, taken: int) -> None:

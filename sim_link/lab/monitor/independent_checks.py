@@ -25,7 +25,7 @@ INWARDS_M = 2.0 * BORDER_M
 
 
 def _is_wound_around(corners: Corners, point: Point) -> bool:
-    """True if the border's winding number about a point is not zero."""
+    """Return True if the border's winding number about a point is not zero."""
     winding = 0
     north = point[1]
     a = corners[-1]
@@ -40,7 +40,7 @@ def _is_wound_around(corners: Corners, point: Point) -> bool:
 
 
 def border_distance_m(corners: Corners, point: Point) -> float:
-    """Distance of a point from a polygon's border, m."""
+    """Return the distance of a point from a polygon's border, m."""
     least_m = math.inf
     start = corners[-1]
     for end in corners:
@@ -52,7 +52,7 @@ def border_distance_m(corners: Corners, point: Point) -> float:
 
 
 def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float:
-    """Depth of a point inside the fence and outside all keep-outs, m; negative: violated."""
+    """Return a point's depth inside the fence and outside all keep-outs, m; negative: violated."""
     depth = _inside_m(fence, point)
     for keep_out in keep_outs:
         depth = min(depth, -_inside_m(keep_out, point))
@@ -60,7 +60,7 @@ def depth_m(fence: Corners, keep_outs: Sequence[Corners], point: Point) -> float
 
 
 def _inside_m(corners: Corners, point: Point) -> float:
-    """Depth of a point inside a polygon, m; negative: outside."""
+    """Return a point's depth inside a polygon, m; negative: outside."""
     away_m = border_distance_m(corners, point)
     return away_m if _is_wound_around(corners, point) else -away_m
 
@@ -68,13 +68,13 @@ def _inside_m(corners: Corners, point: Point) -> float:
 def is_moved_inwards(
     fence: Corners, keep_outs: Sequence[Corners], vehicle: Point, place: Point
 ) -> bool:
-    """True if a vehicle at a border, or beyond it, may stay at `place`."""
+    """Return True if a vehicle at a border, or beyond it, may stay at `place`."""
     depth = depth_m(fence, keep_outs, vehicle)
     return depth < BORDER_M and math.dist(vehicle, place) <= INWARDS_M
 
 
 def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
-    """True if the straight line between two points inside crosses no border."""
+    """Return True if the straight line between two points inside crosses no border."""
     return not any(
         _cross(start, end, corners[i - 1], corners[i])
         for corners in (fence, *keep_outs)
@@ -83,7 +83,7 @@ def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end
 
 
 def _side(a: Point, b: Point, p: Point) -> float:
-    """Positive if `p` is left of the line from `a` to `b`."""
+    """Return a positive value if `p` is left of the line from `a` to `b`."""
     return (b[0] - a[0]) * (p[1] - a[1]) - (p[0] - a[0]) * (b[1] - a[1])
 
 
@@ -122,7 +122,7 @@ class Proof:
         """Sender of the frame that was accepted last, and what was its newest before that."""
 
     def accepts(self, frame: bytes) -> bool:
-        """True if the frame is signed with the key and newer than all before of its sender."""
+        """Return True if the frame is signed with the key and newer than all of its sender."""
         self._before = None
         if frame[0] != MAGIC_V2 or not frame[2] & SIGNED_FLAG:
             return False
@@ -139,11 +139,11 @@ class Proof:
         return True
 
     def unreadable(self) -> None:
-        """An unreadable frame came."""
+        """Handle an unreadable frame."""
         self._before = None
 
     def dropped(self) -> None:
-        """The frame that came last was not read."""
+        """Handle that the last frame was not read."""
         if self._before is not None:
             sender, newest = self._before
             self._newest[sender] = newest
@@ -180,7 +180,7 @@ class Followed:
     place_s: float = 0.0
 
     def goes_on(self, frame: Frame) -> bool:
-        """True if a frame's stamp and place are such as the followed vehicle may have by now."""
+        """Return True if the followed vehicle may have a frame's stamp and position by now."""
         if self.clock_s is None:
             return True
         stamp_s, place = _sign_of(frame)
@@ -195,7 +195,7 @@ class Followed:
         )
 
     def is_restart(self, frame: Frame) -> bool:
-        """True if a frame may be of the followed vehicle after a restart."""
+        """Return True if a frame may be of the followed vehicle after a restart."""
         stamp_s, _ = _sign_of(frame)
         return stamp_s is not None and stamp_s <= frame.time_s - self.stamped_s + YOUNG_S
 
@@ -219,7 +219,7 @@ class Followed:
 
 
 def _sign_of(frame: Frame) -> tuple[float | None, tuple[float, float, float] | None]:
-    """Stamp and place in a frame, as far as it has them."""
+    """Return the stamp and place in a frame, as far as it has them."""
     message, place = frame.message, None
     if not isinstance(message, STAMPED) or not message.time_boot_ms:
         return None, None
@@ -253,7 +253,7 @@ class SenderTrust:
         return self._followed is not None and not self._followed.is_genuine
 
     def is_beside_unknown_peer(self, frame: Frame) -> bool:
-        """True if a frame is of a payload of the unknown peer that is followed, by its ids."""
+        """Return True if a frame's ids are of a payload of the unknown peer that is followed."""
         is_of_it = self._ids is not None and frame.sender[0] == self._ids[0]
         return self.follows_unknown_peer and is_of_it
 
@@ -265,11 +265,11 @@ class SenderTrust:
         return is_wanted and message.autopilot in FOLLOWED
 
     def restart(self) -> None:
-        """A restarted companion follows the first autopilot that it hears."""
+        """Follow the first autopilot that a restarted companion hears."""
         self._ids = self._followed = self._before = self.ticked_s = None
 
     def accepts(self, frame: Frame) -> bool:
-        """True if a readable frame of an autopilot had to be accepted."""
+        """Return True if a readable frame of an autopilot had to be accepted."""
         followed = self._before = self._followed
         if self._ids is None or followed is None:
             if not self._may_follow(frame):
@@ -287,6 +287,6 @@ class SenderTrust:
         return True
 
     def dropped(self) -> None:
-        """The frame that came last was not read."""
+        """Handle that the last frame was not read."""
         if self._before is not None:
             self._followed = self._before

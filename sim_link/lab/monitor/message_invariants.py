@@ -41,7 +41,7 @@ class WithinEnvelope(Invariant):
         """Reported vehicle position when the setpoint before was sent."""
 
     def started(self) -> None:
-        """A new process begins a new stream."""
+        """Begin a new stream at the start of a process."""
         self._last = None
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
@@ -106,7 +106,7 @@ class WithinEnvelope(Invariant):
         may_be_moved_along: bool,
         is_anew: bool,
     ) -> None:
-        """Faster by no more than the acceleration; stopping is allowed at once.
+        """Judge the change of speed against the acceleration; stopping at once is allowed.
 
         So is a new beginning at the very place of the vehicle, and moving along with one at a
         border, no farther than that did: the place nearest to it that is allowed.
@@ -136,7 +136,7 @@ class WithinEnvelope(Invariant):
             self.report("setpoint accelerates too fast", change_mps=change, dt_s=dt_s)
 
     def _is_here(self, setpoint: SentSetpoint) -> bool:
-        """True at the vehicle's position, or, at a border, where it may be moved to."""
+        """Return True at the vehicle's position, or, at a border, where it may be moved to."""
         if self.scene.is_lied_to:
             return True
         rules, place = self.scene.rules, setpoint.place_enu_m[:2]
@@ -160,7 +160,7 @@ class FreshState(Invariant):
     _last: SentSetpoint | None = None
 
     def started(self) -> None:
-        """A new process begins a new stream."""
+        """Begin a new stream at the start of a process."""
         self._last = None
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
@@ -389,6 +389,6 @@ class Repeatable(Invariant):
         return self._hash.hexdigest()
 
     def compare(self, other: str) -> None:
-        """With the digest of another flight of the same seed."""
+        """Compare with the digest of another flight of the same seed."""
         if self.digest != other:
             self.report("two flights of the same seed differ")

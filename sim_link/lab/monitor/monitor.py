@@ -67,7 +67,7 @@ class Scope:
     """Why not, by the invariant's name."""
 
     def unjudged_of(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Those among some that are not judged."""
+        """Return the given invariants that are not judged."""
         return tuple(name for name in names if name not in self.judged)
 
 
@@ -136,7 +136,7 @@ class FrameMonitor(Observer):
         return self._shared.violations
 
     def sent(self, frame: Frame) -> None:
-        """The companion sent this."""
+        """Handle a frame that the companion sent."""
         self._shared.now_s = frame.time_s
         setpoint = self._shared.setpoint_of(frame)
         self._show("sent", frame)
@@ -144,7 +144,7 @@ class FrameMonitor(Observer):
             self._show("setpoint", setpoint)
 
     def heard(self, frame: Frame) -> None:
-        """This reaches the companion."""
+        """Handle a frame that reaches the companion."""
         scene = self._shared
         scene.now_s = frame.time_s
         if self._proof is not None and not frame.is_readable:
@@ -166,16 +166,16 @@ class FrameMonitor(Observer):
         return frame.is_genuine or self._whose.is_beside_unknown_peer(frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """The vehicle sent this."""
+        """Handle a frame that the vehicle sent."""
         self._shared.remember(frame)
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """The companion wrote into its journal."""
+        """Handle a journal entry of the companion."""
         self._shared.now_s = now_s
         self._show("noted", kind, fields)
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process restarted."""
+        """Handle a restart of the companion process."""
         scene = self._shared
         scene.now_s, scene.tick_s = now_s, None
         scene.is_companion_up = True
@@ -184,20 +184,20 @@ class FrameMonitor(Observer):
         self._show("started")
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:  # noqa: ARG002
-        """The companion process gets no time."""
+        """Handle a suspension of the companion process."""
         self._shared.suspended_until_s = max(self._shared.suspended_until_s, until_s)
 
     def companion_ended(self, now_s: float) -> None:  # noqa: ARG002
-        """The companion process ended."""
+        """Handle the end of the companion process."""
         self._shared.is_companion_up = False
 
     def mode_chosen(self, mode: FlightMode, now_s: float) -> None:
-        """A person switched the mode."""
+        """Handle a mode switch by a person."""
         self._shared.now_s = now_s
         self._show("mode_chosen", mode)
 
     def vehicle_rebooted(self, now_s: float) -> None:
-        """The vehicle rebooted; its earlier reports are void."""
+        """Handle a reboot of the vehicle, which voids its earlier reports."""
         scene = self._shared
         scene.now_s = now_s
         scene.observed.position_boot_ms = -1
@@ -246,23 +246,23 @@ class Monitor(FrameMonitor):
         super().__init__(scene, invariants, key)
 
     def heard(self, frame: Frame) -> None:
-        """This reaches the companion."""
+        """Handle a frame that reaches the companion."""
         self._dropped_before = self._dropped()
         super().heard(frame)
 
     def read(self, frame: Frame) -> None:
-        """The companion has read it, or dropped it."""
+        """Handle a frame that the companion has read or dropped."""
         if self._dropped() > self._dropped_before:
             (self._proof or self._whose).dropped()
         if self._proved is not None:
             self._proved.read(frame)
 
     def vehicle_heard(self, frame: Frame) -> None:
-        """A frame of the companion reached the vehicle."""
+        """Handle a frame of the companion that reached the vehicle."""
         self.fence.reached(frame)
 
     def neighbour_heard(self, frame: Frame, neighbour: Neighbour) -> None:
-        """A setpoint or a request that another vehicle obeys is never right.
+        """Report a setpoint or a request that another vehicle would obey.
 
         Where one with our ids appears behind our own address, it takes a moment to be seen. With a
         key it is not seen at all, as all that it sends is refused: else any forged frame could end
@@ -282,12 +282,12 @@ class Monitor(FrameMonitor):
             self.scene.report("I3", "a setpoint or a request to another vehicle")
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:
-        """The vehicle moved."""
+        """Handle a physics step of the vehicle."""
         self.scene.now_s = now_s
         self.scene.look_at(vehicle)
         self._show("stepped")
 
     def ticked(self, now_s: float) -> None:
-        """The control tick is over."""
+        """Handle the end of a control tick."""
         self.scene.now_s = self.scene.tick_s = self._whose.ticked_s = now_s
         self._show("ticked")

@@ -64,7 +64,7 @@ class Rules(Params, frozen=True):
         return 3.0 * self.navigation_sigma_m
 
     def depth_m(self, place: Point) -> float:
-        """Depth inside the fence and outside all keep-outs, m; negative: violated."""
+        """Return the depth inside the fence and outside all keep-outs, m; negative: violated."""
         return independent_checks.depth_m(self.fence_enu_m, self.keep_out_enu_m, place)
 
 
@@ -103,7 +103,7 @@ MOST_OF_A_KIND = 20
 
 
 def is_offboard(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
-    """True if the mode obeys setpoints: PX4 main mode 6, ArduPilot mode 4."""
+    """Return True if the mode obeys setpoints: PX4 main mode 6, ArduPilot mode 4."""
     if heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4:
         return int(heartbeat.custom_mode) >> 16 & 0xFF == PX4_OFFBOARD_MAIN
     return int(heartbeat.custom_mode) == ARDUPILOT_GUIDED
@@ -185,14 +185,14 @@ class ObservedScene:
     _sent_count: int = 0
 
     def report(self, invariant: str, what: str, numbers: Mapping[str, float] | None = None) -> None:
-        """An invariant does not hold now."""
+        """Report that an invariant does not hold now."""
         kind = (invariant, what)
         self.counts[kind] = self.counts.get(kind, 0) + 1
         if self.counts[kind] <= MOST_OF_A_KIND:
             self.violations.append(InvariantViolation(self.now_s, invariant, what, numbers or {}))
 
     def remember(self, frame: Frame) -> None:
-        """The vehicle sent this."""
+        """Handle a frame that the vehicle sent."""
         self._sent_s.pop(frame.data, None)
         self._sent_count += 1
         self._sent_s[frame.data] = (frame.time_s, self._sent_count)
@@ -204,7 +204,7 @@ class ObservedScene:
         return self._sent_s.get(frame.data, (frame.time_s, self._sent_count))
 
     def is_of_autopilot(self, frame: Frame) -> bool:
-        """True if its sender ids are those of the vehicle's autopilot."""
+        """Return True if its sender ids are those of the vehicle's autopilot."""
         return frame.sender == (self.system_id, AUTOPILOT_COMPONENT)
 
     def observe(self, frame: Frame) -> None:
@@ -278,7 +278,7 @@ class ObservedScene:
         return tuple(places)
 
     def is_moved_inwards(self, place: Point) -> bool:
-        """True if a vehicle at a border, or beyond it, may stay at `place`."""
+        """Return True if a vehicle at a border, or beyond it, may stay at `place`."""
         observed, rules = self.observed.position_enu_m, self.rules
         return observed is not None and independent_checks.is_moved_inwards(
             rules.fence_enu_m, rules.keep_out_enu_m, observed[:2], place
@@ -290,7 +290,7 @@ class ObservedScene:
         return (enu_m[0] + origin[0], enu_m[1] + origin[1], enu_m[2] + origin[2])
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
-        """The setpoint in a frame that the companion sent, or None if it is none."""
+        """Return the setpoint in a frame that the companion sent, or None if it is none."""
         message = frame.message
         match message:
             case mavlink.MAVLink_set_position_target_local_ned_message():
@@ -318,7 +318,7 @@ class TrueScene(ObservedScene):
         self.look_at(self.vehicle)
 
     def look_at(self, vehicle: SimVehicle) -> None:
-        """The vehicle as it is now."""
+        """Take in the vehicle's present state."""
         self.vehicle = vehicle
         self.system_id = vehicle.system_id
         self.is_px4 = vehicle.scenario.autopilot.flavour == "px4"
@@ -343,29 +343,29 @@ class Invariant:
         self.scene = scene
 
     def report(self, what: str, **numbers: float) -> None:
-        """It does not hold now."""
+        """Report that it does not hold now."""
         self.scene.report(self.name, what, numbers)
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
-        """The companion sent a setpoint."""
+        """Handle a setpoint of the companion."""
 
     def sent(self, frame: Frame) -> None:
-        """The companion sent a frame, setpoints among them."""
+        """Handle a frame of the companion, setpoints included."""
 
     def heard(self, frame: Frame) -> None:
-        """A frame reached the companion; the scene knows of it."""
+        """Handle a frame that reached the companion, after the scene did."""
 
     def stepped(self) -> None:
-        """The vehicle moved."""
+        """Handle a physics step of the vehicle."""
 
     def ticked(self) -> None:
-        """The companion's control tick is over."""
+        """Handle the end of the companion's control tick."""
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
-        """The companion wrote something into its journal."""
+        """Handle a journal entry of the companion."""
 
     def started(self) -> None:
-        """The companion process began."""
+        """Handle the start of the companion process."""
 
     def mode_chosen(self, mode: FlightMode) -> None:
-        """A person switched the mode."""
+        """Handle a mode switch by a person."""

@@ -53,33 +53,33 @@ class Recording(Observer):
         self._seen.append((time_s, what, values))
 
     def sent(self, frame: Frame) -> None:
-        """The companion sent this."""
+        """Handle a frame that the companion sent."""
         self._keep(frame.time_s, "sent", frame)
 
     def heard(self, frame: Frame) -> None:
-        """This reaches the companion."""
+        """Handle a frame that reaches the companion."""
         if frame.number in TELLING:
             self._keep(frame.time_s, "heard", frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """The vehicle sent this."""
+        """Handle a frame that the vehicle sent."""
         if frame.number in TELLING:
             self._keep(frame.time_s, "vehicle_sent", frame)
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """The companion wrote into its journal."""
+        """Handle a journal entry of the companion."""
         self._keep(now_s, "noted", kind, fields, now_s)
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process restarted."""
+        """Handle a restart of the companion process."""
         self._keep(now_s, "companion_started", now_s)
 
     def companion_suspended(self, now_s: float, until_s: float) -> None:
-        """The companion process gets no time."""
+        """Handle a suspension of the companion process."""
         self._keep(now_s, "companion_suspended", now_s, until_s)
 
     def companion_ended(self, now_s: float) -> None:
-        """The companion process ended."""
+        """Handle the end of the companion process."""
         self._keep(now_s, "companion_ended", now_s)
 
 
@@ -92,7 +92,7 @@ RATES = ("sent_frames_per_s", "sent_bytes_per_s", "records_per_s")
 
 
 def widen_rules(rules: Rules, slack_s: float) -> Rules:
-    """The rules, where every frame may be late by so much."""
+    """Return the rules, where every frame may be late by so much."""
     late = {name: getattr(rules, name) + slack_s for name in TIMES}
     more = {name: getattr(rules, name) * (1.0 + slack_s) for name in RATES}
     return msgspec.structs.replace(rules, **late, **more)
@@ -109,7 +109,7 @@ class HeardScene(ObservedScene):
     """Recorder's time minus that of the setpoints' stamps."""
 
     def remember(self, frame: Frame) -> None:
-        """The vehicle sent this."""
+        """Handle a frame that the vehicle sent."""
         super(HeardScene, self).remember(frame)  # slots make another class of this one
         message = frame.message
         match message:
@@ -146,7 +146,7 @@ class HeardScene(ObservedScene):
         super(HeardScene, self).observe(frame)
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
-        """The setpoint in a frame that the companion sent, at the time of its stamp."""
+        """Return the setpoint in a frame that the companion sent, at the time of its stamp."""
         setpoint = super(HeardScene, self).setpoint_of(frame)
         if setpoint is None:
             return None
@@ -180,7 +180,7 @@ class WireMonitor(FrameMonitor):
         super().__init__(scene, invariants)
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """The vehicle sent this; a changed mode counts as given by an authorised person."""
+        """Handle a frame of the vehicle; a changed mode counts as set by an authorised person."""
         super().vehicle_sent(frame)
         message = frame.message
         if not isinstance(message, mavlink.MAVLink_heartbeat_message):
@@ -193,12 +193,12 @@ class WireMonitor(FrameMonitor):
             self.mode_chosen(FlightMode.OFFBOARD if now else FlightMode.UNKNOWN, frame.time_s)
 
     def heard(self, frame: Frame) -> None:
-        """This reaches the companion, and time has passed."""
+        """Handle a frame that reaches the companion at a later time."""
         super().heard(frame)
         self._stream.stepped()
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
-        """The companion wrote into its log."""
+        """Handle a log entry of the companion."""
         super().noted(kind, fields, now_s)
         if kind == "text" and str(fields["text"]).startswith(STALLED):
             self.companion_suspended(now_s, now_s)
@@ -207,13 +207,13 @@ class WireMonitor(FrameMonitor):
             self._covariance.ticked()
 
     def companion_started(self, now_s: float) -> None:
-        """The companion process restarted."""
+        """Handle a restart of the companion process."""
         self.scene.stamps_from_s = None  # another process stamps by another clock
         super().companion_started(now_s)
 
 
 def _estimate_from(fields: Mapping[str, Any], now_s: float) -> TargetEstimate:
-    """As far as its covariance is judged; a log has null for what is no number."""
+    """Return the parts for judging the covariance; a log has null for NaN."""
     a, b, c, d = (_number(each) for row in fields["covariance_m2"] for each in row)
     east_m, north_m = map(_number, fields["position_enu_m"])
     return TargetEstimate(

@@ -303,7 +303,7 @@ def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
 
 
 def _has_double(curve: Curve, curves: Sequence[Curve]) -> bool:
-    """True if another line of the same planner already names a bound."""
+    """Return True if another line of the same planner already names a bound."""
     bounds = [c for c in curves if c.is_bound and c.system.planner == curve.system.planner]
     return curve.is_bound and bounds[0] is not curve
 

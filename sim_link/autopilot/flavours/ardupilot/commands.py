@@ -89,7 +89,7 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
 def _set_class_mode(
     flavour: ArduPilotFlavour, table: Mapping[int, WireMode], number: int, now_s: float
 ) -> int:
-    """A mode by the number of a firmware that is not Copter."""
+    """Return a mode by the number of a firmware that is not Copter."""
     wanted = table.get(number)
     if wanted is None or wanted.copter_number is None:
         flavour.aircraft.say(WARNING, f"No such mode {number}")
@@ -101,7 +101,7 @@ def _set_class_mode(
 
 
 def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
-    """Above home; only in GUIDED, armed and on the ground."""
+    """Take off to a height above home; only in GUIDED, armed and on the ground."""
     if command.frame is not None and command.frame not in TAKEOFF_FRAMES:
         return UNSUPPORTED_MAV_FRAME
     asked_m, aircraft = command.params[6], flavour.aircraft
@@ -146,7 +146,7 @@ def _start_mission(flavour: ArduPilotFlavour, _command: Command, now_s: float) -
 
 
 def _change_speed(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
-    """Of a SPEED_TYPE, where the mode has such a speed."""
+    """Change the speed of a SPEED_TYPE, if the mode has one."""
     kind, speed_mps = command.params[:2]
     if flavour.copter_mode not in (GUIDED, AUTO, RTL) or not speed_mps > 0.0:
         return FAILED

@@ -64,7 +64,7 @@ class FailsafeEvent:
 
 
 def cleared(name: str) -> FailsafeEvent:
-    """A failsafe that ended."""
+    """Return the event of a failsafe that ended."""
     return FailsafeEvent(f"{name} Cleared")
 
 
@@ -79,7 +79,7 @@ class CopterFailsafes:
         self._bad_estimate_s = 0.0
 
     def clear(self) -> None:
-        """The vehicle disarmed."""
+        """Clear failsafes when the vehicle disarms."""
         self.active.clear()
         self._bad_estimate_s = 0.0
 
@@ -113,7 +113,7 @@ class CopterFailsafes:
                 yield event if is_under else cleared(name)
 
     def _watch_estimate(self, mode: CopterMode) -> Iterator[FailsafeEvent]:
-        """A failsafe only where the mode needs the position, or FS_EKF_ACTION says so."""
+        """Yield a failsafe only where the mode needs the position, or FS_EKF_ACTION says so."""
         estimator, value = self._aircraft.estimator, self._parameters
         is_bad = not estimator.is_position_valid or self._is_outvoted()
         change_s = STEP_S if is_bad else -STEP_S
@@ -135,7 +135,7 @@ class CopterFailsafes:
         return reactions[number] if 0 <= number < len(reactions) else None
 
     def _changes(self, name: str, is_present: bool) -> bool:
-        """Note whether a failsafe is active; whether that is news."""
+        """Note whether a failsafe is active; return True if that is news."""
         if is_present == (name in self.active):
             return False
         (self.active.add if is_present else self.active.discard)(name)

@@ -23,7 +23,7 @@ ARDUPILOT_PARAMETERS = read_specs(PACKAGE)
 
 
 def ardupilot_parameters(scenario: Scenario) -> ParameterStore:
-    """ArduCopter's parameters as a scenario has them.
+    """Return ArduCopter's parameters as a scenario has them.
 
     The voltages of the battery failsafe are those of the simulated four-cell pack at 15 and 7 %;
     what is done about it is ArduPilot's default: a text.

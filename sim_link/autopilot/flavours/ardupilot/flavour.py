@@ -115,16 +115,16 @@ class ArduPilotFlavour(AutopilotFlavour):
         return available_modes() if is_scripted else ()
 
     def has_home(self, now_s: float) -> bool:
-        """True once origin and home are known, some time before it can be armed in GUIDED."""
+        """Return True once origin and home are known, before it can be armed in GUIDED."""
         return now_s >= ATTITUDE_SHARE * self.aircraft.scenario.autopilot.ready_after_s
 
     def has_position(self, now_s: float) -> bool:
-        """True if the position is reported: not before the estimator has settled."""
+        """Return True if the position is reported: not before the estimator has settled."""
         is_settled = now_s >= self.aircraft.scenario.autopilot.ready_after_s
         return is_settled and self.aircraft.estimator.is_position_valid
 
     def arming_refusal(self, now_s: float) -> str | None:
-        """Reason why it could not be armed in the present mode, or None."""
+        """Return the reason why it could not be armed in the present mode, or None."""
         if not self.copter_mode.is_armable:
             return f"{self.copter_mode.name} mode not armable"
         if not self.has_home(now_s):
@@ -136,7 +136,10 @@ class ArduPilotFlavour(AutopilotFlavour):
         return None
 
     def fence_margin_m(self, place: PositionEnu) -> float:
-        """Distance to the nearest breach, negative in one; infinite while the fence is off."""
+        """Return the distance to the nearest breach, negative in one.
+
+        Infinite while the fence is off.
+        """
         value, home = self.parameters, self.aircraft.home_enu_m
         parts = int(value["FENCE_TYPE"]) if value["FENCE_ENABLE"] else 0
         margin = math.inf
@@ -149,7 +152,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return margin
 
     def fence_state(self, place: PositionEnu) -> FenceState:
-        """FENCE_TYPE says which parts there are, FENCE_ENABLE whether they are heeded."""
+        """Return the fence's state: FENCE_TYPE has its parts, FENCE_ENABLE activates them."""
         parts = int(self.parameters["FENCE_TYPE"])
         has_areas = bool(parts & POLYGON) and not self.aircraft.fence.is_empty
         is_present = has_areas or bool(parts & ~POLYGON)
@@ -172,14 +175,14 @@ class ArduPilotFlavour(AutopilotFlavour):
         return ACCEPTED
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
-        """The pilot turns the mode switch; what ArduPilot has no mode for changes nothing."""
+        """Handle the pilot's mode switch; modes unknown to ArduPilot change nothing."""
         wanted = BY_WHAT_IT_DOES.get(mode)
         if wanted is not None:
             self.choose(wanted, now_s)
             self.settle(now_s, "pilot")
 
     def _mode_refusal(self, mode: CopterMode, now_s: float) -> str | None:
-        """Disarmed, every mode can be chosen: what it needs is left to the arming checks."""
+        """Return why a mode is refused; disarmed, none is, as the arming checks follow."""
         if not self.is_armed:
             return None
         if mode.needs_position and not self.has_position(now_s):
@@ -194,7 +197,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return None
 
     def arm(self, now_s: float, *, is_forced: bool) -> int:
-        """A request to arm; a MAV_RESULT, and the reason as a text if refused."""
+        """Handle a request to arm; return a MAV_RESULT, and the reason as a text if refused."""
         if self.is_armed:
             return ACCEPTED
         is_refused = not self.copter_mode.is_armable or (
@@ -209,7 +212,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return ACCEPTED
 
     def disarm(self, *, is_forced: bool) -> int:
-        """A request to disarm; a MAV_RESULT."""
+        """Handle a request to disarm; return a MAV_RESULT."""
         if not self.is_armed:
             return ACCEPTED
         if not self.aircraft.body.is_on_ground and not is_forced:
@@ -221,7 +224,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return ACCEPTED
 
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
-        """Obeyed in GUIDED only, and never outside the fence: without a text, as the real one.
+        """Take a setpoint, in GUIDED only, and ignore it outside the fence, as the real one does.
 
         GUIDED's angles (SET_ATTITUDE_TARGET) are not simulated: nothing moves.
         """
@@ -243,7 +246,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         self.settle(now_s)
 
     def echo(self) -> Echo | None:
-        """The target of GUIDED, and nothing in any other mode."""
+        """Return the target of GUIDED, and nothing in any other mode."""
         if self.copter_mode is not GUIDED:
             return None
         return self.guided.echo(self.aircraft.pilot.goal_enu_m)
@@ -254,7 +257,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return self.guided.setpoint
 
     def disarm_delay_s(self) -> float | None:
-        """A second after LAND and RTL, DISARM_DELAY otherwise; never while it takes off."""
+        """Return a second after LAND and RTL, else DISARM_DELAY; None while it takes off."""
         if self.task is Task.TAKE_OFF:
             return None
         is_landing = self.copter_mode in (LAND, RTL) or self._is_mission_over
@@ -266,7 +269,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return delay_s + IDLE_DETECTION_S if delay_s > 0.0 else None
 
     def settle(self, now_s: float, why: str = "") -> None:
-        """As the base does, with the heights of a return known before it begins."""
+        """Settle as the base does, with the heights of a return known before it begins."""
         if self.task is Task.CIRCLE:
             self.aircraft.pilot.circle_radius_m = self.parameters["CIRCLE_RADIUS"] / 100.0
             rate_radps = math.radians(self.parameters["CIRCLE_RATE"])
@@ -311,7 +314,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
 
     def _speed_limits(self) -> SpeedLimits:
-        """As commanded, or WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
+        """Return the commanded speeds, or WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
         value, commanded_mps = self.parameters, self.commanded_mps
         home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
         across_cmps = home_cmps or value["WPNAV_SPEED"]
@@ -322,7 +325,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         )
 
     def _runs_into_the_fence(self) -> bool:
-        """True if the motion leads out of the fence: it is stopped FENCE_MARGIN inside."""
+        """Return True if the motion leads out of the fence: it is stopped FENCE_MARGIN inside."""
         if not self.parameters["FENCE_ENABLE"] or self.guided.is_latched:
             return False
         body, setpoint = self.aircraft.motion, self.guided.setpoint
@@ -338,7 +341,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return self.fence_margin_m(ahead) < self.fence_margin_m(place)
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
-        """State for HEARTBEAT: on the ground STANDBY, also when armed."""
+        """Return the state for HEARTBEAT: on the ground STANDBY, also when armed."""
         base_mode = self.copter_mode.flags | (
             mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.is_armed else 0
         )

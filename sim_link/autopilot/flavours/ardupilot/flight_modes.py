@@ -68,7 +68,7 @@ BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {
 
 
 def available_modes() -> list[Message]:
-    """AVAILABLE_MODES of all modes, a script's OFFBOARD last, as ArduCopter 4.7 lists them."""
+    """Return AVAILABLE_MODES of all modes, a script's OFFBOARD last, as ArduCopter 4.7."""
     names = [*((each.number, each.name) for each in _TABLE), (OFFBOARD_NUMBER, "OFFBOARD")]
     return [
         mavlink.MAVLink_available_modes_message(len(names), index, 0, number, 0, name.encode())

@@ -79,7 +79,7 @@ def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
 
 
 def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
-    """Anything but LOCAL_NED is an offset from the vehicle, its height too."""
+    """Return the position; any frame but LOCAL_NED is an offset from the vehicle."""
     z = max(-OUT_OF_SIGHT_M, min(OUT_OF_SIGHT_M, message.z))
     if message.coordinate_frame == LOCAL_NED:
         return aircraft.estimator.world_from_local(enu_from_ned((message.x, message.y, z)))
@@ -123,7 +123,7 @@ def target_from(message: PositionTarget, aircraft: Aircraft) -> Target | None:
 def _target(
     message: PositionTarget, place: PositionEnu | None, body_yaw_rad: float | None
 ) -> Target:
-    """The target at a place (None: none given), its vectors about a heading (None: north)."""
+    """Return the target at a place (None: not given), its vectors about a heading (None: north)."""
     mask = message.type_mask
     has_velocity = not mask & dialect.VELOCITY_IGNORE
     has_acceleration = not mask & dialect.ACCELERATION_IGNORE
@@ -152,7 +152,7 @@ def _target(
 
 
 def _run_on(setpoint: Setpoint, dt_s: float) -> Setpoint:
-    """A position that its velocity moves on; any other is as it was."""
+    """Return a position target moved on by its velocity; others unchanged."""
     place, velocity, up_m = setpoint.position_en_m, setpoint.velocity_en_mps, setpoint.up_m
     if place is None or velocity is None or up_m is None:
         return setpoint
@@ -198,7 +198,7 @@ class Guided:
         return is_following and self.setpoint.position_en_m is not None and not self._is_moving
 
     def echo(self, climb_goal_enu_m: PositionEnu | None) -> Echo:
-        """Target for POSITION_TARGET_*: a place, or a motion, which is 0 while it stays."""
+        """Return the target for POSITION_TARGET_*: a position, or a motion, 0 while it stays."""
         if self.state is GuidedState.CLIMBING and climb_goal_enu_m is not None:
             return Echo(climb_goal_enu_m)
         if self.state is not GuidedState.FOLLOWING:
@@ -216,16 +216,16 @@ class Guided:
         self.setpoint = Setpoint()
 
     def turn_to(self, yaw_ned_rad: float) -> None:
-        """Another heading for whatever is flown."""
+        """Set another heading."""
         self.setpoint = replace(self.setpoint, yaw_ned_rad=yaw_ned_rad, yaw_rate_ned_radps=None)
 
     def take_off(self) -> None:
-        """Climb, until the height is reached or a target takes over."""
+        """Climb until the height is reached or a target takes over."""
         self.state = GuidedState.CLIMBING
         self.setpoint = Setpoint()
 
     def take(self, target: Target, now_s: float, *, is_on_ground: bool) -> None:
-        """A target arrived; on the ground it has no effect, because a take-off comes first."""
+        """Take a target; it has no effect on the ground, because a take-off comes first."""
         if is_on_ground:
             return
         if target.setpoint is None:

@@ -153,20 +153,20 @@ class Px4Failsafes:
         return True
 
     def warn_of_battery(self) -> None:
-        """A text when the charge falls under BAT_LOW_THR."""
+        """Send a text when the charge falls below BAT_LOW_THR."""
         is_low = self._aircraft.battery.share <= self._parameters["BAT_LOW_THR"]
         if is_low and not self._has_warned:
             self._aircraft.say(mavlink.MAV_SEVERITY_WARNING, "Low battery level")
         self._has_warned = is_low
 
     def take_over(self) -> None:
-        """The operator chose a mode."""
+        """Handle the operator's choice of a mode."""
         self._taken_over |= self._active.keys()
         self._active.clear()
         self.delay_s = 0.0
 
     def clear(self) -> None:
-        """The vehicle disarmed."""
+        """Clear failsafes when the vehicle disarms."""
         self._active.clear()
         self._taken_over.clear()
         self.delay_s = 0.0

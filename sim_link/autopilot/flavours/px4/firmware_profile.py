@@ -28,13 +28,16 @@ OFFBOARD_LOSS_ACTION: dict[LossAction, int] = {
 
 
 def speed_limits(parameters: ParameterStore) -> SpeedLimits:
-    """Speed limits on the way to a place; the vehicle's own limits are no higher by default."""
+    """Return the speed limits on the way to a position."""
     names = ("MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN")
     return SpeedLimits(*(parameters[name] for name in names))
 
 
 def px4_parameters(scenario: Scenario) -> ParameterStore:
-    """PX4's parameters as a scenario has them; by default a low battery returns and lands."""
+    """Return PX4's parameters as a scenario has them.
+
+    By default a low battery returns and lands.
+    """
     autopilot = scenario.autopilot
     initial: dict[str, float] = {
         "COM_DISARM_LAND": autopilot.disarm_after_landing_s,
@@ -50,7 +53,7 @@ def px4_parameters(scenario: Scenario) -> ParameterStore:
 
 
 def _rates_hz(link: str) -> dict[int, float]:
-    """Of a kind of link by message id; 0 for what comes only on request."""
+    """Return the rates of a kind of link by message id; 0 for messages on request only."""
     rows = read_rows(PACKAGE, "streams.csv")
     return {message_id(row["message"]): float(row[f"{link}_hz"]) for row in rows}
 

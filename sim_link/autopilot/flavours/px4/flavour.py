@@ -110,7 +110,7 @@ class Px4Flavour(AutopilotFlavour):
         return TASKS.get(self.mode, Task.FLY_BY_STICKS)
 
     def arming_refusal(self, now_s: float) -> str | None:
-        """Reason why it could not be armed now, or None."""
+        """Return the reason why it could not be armed now, or None."""
         refusal = self._check_refusal(now_s)
         if refusal is not None or self.mode in (FlightMode.HOLD, FlightMode.TAKEOFF):
             return refusal
@@ -136,7 +136,7 @@ class Px4Flavour(AutopilotFlavour):
         return None
 
     def fence_margin_m(self, place: PositionEnu) -> float:
-        """Distance from a place to the nearest breach of the fence, negative in one."""
+        """Return the distance from a place to the nearest breach of the fence, negative in one."""
         margin = self.aircraft.fence.margin_m(place)
         home = self.aircraft.home_enu_m
         horizontal_m = self.parameters["GF_MAX_HOR_DIST"]
@@ -148,7 +148,7 @@ class Px4Flavour(AutopilotFlavour):
         return margin
 
     def fence_state(self, place: PositionEnu) -> FenceState:
-        """A fence is there once it is uploaded, or a distance is set."""
+        """Return the fence's state; it is present once uploaded, or a distance is set."""
         value = self.parameters
         has_limits = value["GF_MAX_HOR_DIST"] > 0.0 or value["GF_MAX_VER_DIST"] > 0.0
         is_present = has_limits or not self.aircraft.fence.is_empty
@@ -156,7 +156,7 @@ class Px4Flavour(AutopilotFlavour):
         return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
     def _choice_refusal(self, mode: FlightMode, now_s: float) -> str | None:
-        """Reason why an armed vehicle would refuse a mode now, or None."""
+        """Return the reason why an armed vehicle would refuse a mode now, or None."""
         if mode is FlightMode.OFFBOARD and not self._is_stream_alive(now_s):
             return "no setpoints"
         if mode is FlightMode.MISSION and not self.aircraft.mission.has_items:
@@ -166,7 +166,7 @@ class Px4Flavour(AutopilotFlavour):
         return None
 
     def choose(self, mode: FlightMode | None, now_s: float) -> int:
-        """The operator's choice of a mode (None: PX4 has no such mode); a MAV_RESULT."""
+        """Apply the operator's choice of a mode (None: unknown mode); return a MAV_RESULT."""
         if mode in (None, FlightMode.READY, FlightMode.UNKNOWN):
             return DENIED
         assert mode is not None
@@ -182,7 +182,7 @@ class Px4Flavour(AutopilotFlavour):
         return ACCEPTED
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
-        """The pilot turns the mode switch."""
+        """Handle the pilot's mode switch."""
         self.choose(mode, now_s)
         self.settle(now_s, "pilot")
 
@@ -191,7 +191,10 @@ class Px4Flavour(AutopilotFlavour):
         self.aircraft.say(CRITICAL, f"Switching to {name_of(mode)} not available: {why}")
 
     def arm(self, now_s: float) -> int:
-        """A request to arm, forced or not; a MAV_RESULT, and the reason as a text if refused."""
+        """Return a request to arm, forced or not.
+
+        A MAV_RESULT, and the reason as a text if refused.
+        """
         if not self.is_armed and self.arming_refusal(now_s) is not None:
             self.send_rejection("Arming denied", now_s)
             return TEMPORARILY_REJECTED
@@ -199,7 +202,7 @@ class Px4Flavour(AutopilotFlavour):
         return ACCEPTED
 
     def disarm(self, *, is_forced: bool) -> int:
-        """A request to disarm; a MAV_RESULT, and the reason as a text if refused."""
+        """Handle a request to disarm; return a MAV_RESULT, and the reason as a text if refused."""
         if self.is_armed:
             if not (self.aircraft.body.is_on_ground or is_forced):
                 self.aircraft.say(CRITICAL, "Disarming denied: not landed")
@@ -212,7 +215,7 @@ class Px4Flavour(AutopilotFlavour):
         return ACCEPTED
 
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
-        """Kept if it is valid, whatever the mode."""
+        """Keep a valid setpoint, whatever the mode."""
         is_flown = self.is_armed and self.mode is FlightMode.OFFBOARD
         self.setpoints.take(setpoint_from(message, self.aircraft), now_s, is_flown=is_flown)
 
@@ -222,7 +225,7 @@ class Px4Flavour(AutopilotFlavour):
         return self.setpoints.setpoint
 
     def echo(self) -> Echo | None:
-        """Target of the position controller; None in modes without one."""
+        """Return the target of the position controller; None in modes without one."""
         if not self.is_armed or self.mode in WITHOUT_POSITION_CONTROL:
             return None
         pilot, setpoint = self.aircraft.pilot, self.setpoints.setpoint
@@ -241,7 +244,7 @@ class Px4Flavour(AutopilotFlavour):
         )
 
     def disarm_delay_s(self) -> float | None:
-        """After a landing; OFFBOARD never ends by itself, as on PX4."""
+        """Return the delay after a landing; OFFBOARD never ends by itself, as on PX4."""
         if self.mode is FlightMode.OFFBOARD and self.aircraft.has_flown:
             return None
         is_landing = self.mode in (FlightMode.LAND, FlightMode.RETURN)
@@ -293,21 +296,24 @@ class Px4Flavour(AutopilotFlavour):
             self._reaction = None if reaction is None else reaction.mode
 
     def _tell(self, cause: str) -> None:
-        """Texts end with a tab, by which clients know that an EVENT has the same content."""
+        """Send a text with a trailing tab, which marks that an EVENT has the same content."""
         self.aircraft.say(CRITICAL, f"Failsafe: {cause}")
         delay_s = self._failsafes.delay_s
         wait = f", entering Hold for {delay_s:.0f} seconds" if delay_s > 0.0 else ""
         self.aircraft.say(CRITICAL, f"Failsafe activated{wait}\t")
 
     def settle(self, now_s: float, why: str = "") -> None:
-        """As the base does, with the height of a return known before it begins."""
+        """Settle as the base does, with the height of a return known before it begins."""
         if self.mode is FlightMode.RETURN:
             height_m = self.parameters["RTL_RETURN_ALT"]
             self.aircraft.pilot.return_up_m = self.aircraft.home_enu_m[2] + height_m
         super().settle(now_s, why)
 
     def _sticks_override(self) -> bool:
-        """True if moved sticks end the mode; a failsafe that waits in Hold ignores sticks."""
+        """Return True if moved sticks end the mode.
+
+        A failsafe that waits in Hold ignores sticks.
+        """
         if self._failsafes.delay_s > 0.0:
             return False
         bits = int(self.parameters["COM_RC_OVERRIDE"])
@@ -316,7 +322,7 @@ class Px4Flavour(AutopilotFlavour):
         return self.mode not in STICK_MODES and bool(bits & OVERRIDE_AUTO)
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:
-        """State for HEARTBEAT: disarmed, OFFBOARD without a stream has only the first flag."""
+        """Return the HEARTBEAT state; disarmed, without a stream, OFFBOARD has one flag only."""
         base_mode = CUSTOM_MODE_ENABLED
         if self.mode is not FlightMode.OFFBOARD:
             base_mode |= BASE_MODE_FLAGS.get(self.mode, AUTO_FLAGS)
@@ -332,5 +338,5 @@ class Px4Flavour(AutopilotFlavour):
 
 
 def name_of(mode: FlightMode) -> str:
-    """As PX4 and QGroundControl call it."""
+    """Return the name in PX4 and QGroundControl."""
     return mode.name.capitalize()

@@ -47,7 +47,7 @@ GLOBAL_FRAMES = (
 
 
 def setpoint_from_local(message: LocalTarget, aircraft: Aircraft) -> Setpoint | None:
-    """The setpoint of SET_POSITION_TARGET_LOCAL_NED, or None if it is refused.
+    """Return the setpoint of SET_POSITION_TARGET_LOCAL_NED, or None if it is refused.
 
     BODY_NED (8) is for velocities and accelerations only, forward, right and down of the nose.
     """
@@ -66,7 +66,7 @@ def setpoint_from_local(message: LocalTarget, aircraft: Aircraft) -> Setpoint | 
 
 
 def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint | None:
-    """The setpoint of SET_POSITION_TARGET_GLOBAL_INT, or None if it is refused.
+    """Return the setpoint of SET_POSITION_TARGET_GLOBAL_INT, or None if it is refused.
 
     Frame 5 has its altitude above sea level, frame 11 above the flat ground. Frame 6 should have it
     above home; PX4 1.15 adds the height of the origin above home instead of taking it off.
@@ -92,7 +92,10 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
 
 
 def effective_mask(message: PositionTarget, position: tuple[float, float, float]) -> int | None:
-    """The type mask with the bits of what is no number, too; None if the setpoint is refused."""
+    """Return the type mask with the bits of what is no number, too.
+
+    None if the setpoint is refused.
+    """
     mask = int(message.type_mask) | bits_of_no_numbers(message, position)
     is_empty = mask & MOTION_IGNORE == MOTION_IGNORE
     return None if mask & dialect.FORCE_SET or is_empty else mask
@@ -104,7 +107,7 @@ def _assemble(
     enu_m: PositionEnu | None,
     body_yaw_rad: float | None = None,
 ) -> Setpoint:
-    """The setpoint at a place (None: it gives none), its vectors about a heading (None: north)."""
+    """Return the setpoint at a place (None: not given), its vectors by heading (None: north)."""
     has_en = enu_m is not None and not mask & HORIZONTAL_POSITION_IGNORE
     has_up = enu_m is not None and not mask & dialect.Z_IGNORE
     has_velocity_en = not mask & HORIZONTAL_VELOCITY_IGNORE
@@ -140,7 +143,7 @@ SHORTEST_QUATERNION = 0.1
 
 
 def setpoint_from_attitude(message: AttitudeTarget) -> Setpoint | None:
-    """The setpoint of SET_ATTITUDE_TARGET, or None if it is refused."""
+    """Return the setpoint of SET_ATTITUDE_TARGET, or None if it is refused."""
     values = (*message.q, message.thrust)
     if message.type_mask & CANNOT_BE_LEFT_OUT or not all(map(math.isfinite, values)):
         return None
@@ -157,7 +160,7 @@ def setpoint_from_attitude(message: AttitudeTarget) -> Setpoint | None:
 
 
 def setpoint_from(message: TargetMessage, aircraft: Aircraft) -> Setpoint | None:
-    """The setpoint of a message, or None if it is refused."""
+    """Return the setpoint of a message, or None if it is refused."""
     if isinstance(message, LocalTarget):
         return setpoint_from_local(message, aircraft)
     if isinstance(message, GlobalTarget):

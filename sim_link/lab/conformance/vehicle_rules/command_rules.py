@@ -124,7 +124,7 @@ class CommandRules(VehicleProbe):
         self.require_sent(mav.HomePosition, mavlink.MAV_CMD_GET_HOME_POSITION)
 
     def _interval_us(self, number: int, first: float) -> int:
-        """MESSAGE_INTERVAL.interval_us of ATTITUDE, asked by a command."""
+        """Return MESSAGE_INTERVAL.interval_us of ATTITUDE, asked by a command."""
         self.require_result(mav.ACCEPTED, number, first, ATTITUDE_ID)
         reported = self.expect(Interval, lambda m: m.message_id == ATTITUDE_ID, mark=self.asked)
         return int(reported.interval_us)

@@ -218,7 +218,7 @@ class RoutingRules(ParameterClient):
         require(target == self.address, f"target {target}")
 
     def _companion(self) -> Station:
-        """A companion of the same vehicle, on a connection of its own."""
+        """Return a companion of the same vehicle, on a connection of its own."""
         return self.another(self.target[0], 191, ONBOARD)
 
     def _require_not_forwarded(
@@ -355,21 +355,21 @@ class RoutingRules(ParameterClient):
 
 
 def request_version(system: int, component: int) -> Message:
-    """A command that is harmless wherever it is obeyed."""
+    """Return a command that is harmless wherever it is obeyed."""
     return mav.CommandLong(system, component, mav.REQUEST, 0, mav.Version.id, *[0] * 6)
 
 
 def asks_for_message(ack: mav.Ack) -> bool:
-    """True if it acknowledges such a command."""
+    """Return True if it acknowledges such a command."""
     return bool(ack.command == mav.REQUEST)
 
 
 def text_message(text: bytes) -> Message:
-    """A STATUSTEXT, which is for everyone."""
+    """Return a STATUSTEXT, which is for everyone."""
     return mav.StatusText(6, text, 0, 0)
 
 
 def frames_at(station: Station, mark: int, containing: bytes) -> list[bytes]:
-    """The frames with certain bytes in them that a station got since `mark`."""
+    """Return the frames with certain bytes in them that a station got since `mark`."""
     station.run(SETTLE_S)
     return [frame for frame in station.frames_since(mark) if containing in frame]

@@ -109,7 +109,7 @@ class FlightRules(VehicleProbe):
         require(near, f"{self._distance_m(wanted):.1f} m away after 40 s")
 
     def _distance_m(self, wanted: tuple[int, int, float]) -> float:
-        """Distance of the newest GLOBAL_POSITION_INT from a place, metres; flat earth."""
+        """Return the newest GLOBAL_POSITION_INT's distance from a place, metres; flat earth."""
         here = self.expect(mav.GlobalPosition, within_s=3.0)
         return math.hypot(
             mav.distance_m((here.lat, here.lon), wanted[:2]), here.alt / 1e3 - wanted[2]

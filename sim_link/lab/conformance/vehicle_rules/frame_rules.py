@@ -24,13 +24,13 @@ class FrameProbe(VehicleProbe):
     """Asks by frames made by hand."""
 
     def question(self) -> mav.Timesync:
-        """A TIMESYNC request that no other was like."""
+        """Return a TIMESYNC request that no other was like."""
         return mav.Timesync(0, 7_000_000_000 + self.mark)
 
     def is_answered(
         self, data: bytes, asked: int, within_s: float = ACK_S, *, has_junk: bool = False
     ) -> bool:
-        """True if a TIMESYNC with `ts1` = `asked` comes back after `data` was sent."""
+        """Return True if a TIMESYNC with `ts1` = `asked` comes back after `data` was sent."""
         mark = self.mark
         self.send_raw(data)
         if has_junk:

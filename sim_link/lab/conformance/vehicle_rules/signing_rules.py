@@ -112,7 +112,7 @@ class SigningRules(FrameProbe):
         return self.signer
 
     def _is_taken(self, finish: Callable[[bytes], bytes], *, version: int = 2) -> bool:
-        """True if a request is answered, its unsigned frame completed by `finish`."""
+        """Return True if a request is answered, its unsigned frame completed by `finish`."""
         message = self.question()
         incompat = SIGNED if version == 2 else 0
         frame = mav.build_frame(message, self.spec(version=version, incompat=incompat))

@@ -186,7 +186,7 @@ class FenceRules(PlanClient):
     book = RuleBook("fences", CHANGES, begin=VehicleProbe.get_ready)
 
     def _require_fence_kept(self, wanted: list[MissionItem]) -> list[MissionItem]:
-        """A fence that is uploaded must come back; its items as downloaded."""
+        """Require that an uploaded fence comes back; return its items as downloaded."""
         self.require_upload(wanted, mav.FENCE)
         found = self.download(mav.FENCE)
         self.clear(mav.FENCE)
