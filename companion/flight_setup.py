@@ -50,7 +50,7 @@ from companion.link.interface import (
     LinkSpec,
 )
 from companion.mav.signing import Signing
-from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, Sight
+from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, SensorGeometry
 from companion.planning.fim import FimPlanner
 from companion.planning.planner import Planner
 from companion.planning.search import (
@@ -78,7 +78,7 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
     planner, noise = config.planner, config.estimation.filter
     match kind:
         case "latched_crossing":
-            return LatchedCrossing(planner.latched_crossing, _sight(config))
+            return LatchedCrossing(planner.latched_crossing, _sensor_geometry(config))
         case "reactive_crossing":
             return ReactiveCrossing(planner.reactive_crossing)
         case "fim":
@@ -90,17 +90,17 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
             return SearchPlanner(_pattern(kind, planner))
 
 
-def _sight(config: CompanionConfig) -> Sight:
+def _sensor_geometry(config: CompanionConfig) -> SensorGeometry:
     """Return the sensor geometry for the choice of crossings."""
     limits, noise = config.limits, config.estimation.filter
     lowest_m = limits.guard_limits().altitude_m[0]
-    return Sight(
+    return SensorGeometry(
         _antenna(noise.antenna),
         limits.speed_mps,
         limits.acceleration_mps2,
         lowest_m,
         config.mission.altitude_m - lowest_m,
-        is_height_told=noise.target_height_m != 0.0 or noise.target_height_sigma_m > 0.0,
+        is_height_configured=noise.target_height_m != 0.0 or noise.target_height_sigma_m > 0.0,
     )
 
 

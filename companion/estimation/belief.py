@@ -23,7 +23,7 @@ from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.kernel import Matrix
 
-DOUBT = 2.0
+RESTORED_VARIANCE_FACTOR = 2.0
 """Factor on every variance of a restored belief: standard deviations grow by 1.4."""
 DRIFT_M_PER_SQRT_S = 0.1
 """Random walk of a position without measurements, per axis: 1 m after 100 s."""
@@ -107,7 +107,7 @@ def hypotheses_of(
     walk = max(params.process_noise_m_per_sqrt_s, DRIFT_M_PER_SQRT_S)
     hypotheses = []
     for place in belief.places:
-        P = DOUBT * np.array(place.covariance)
+        P = RESTORED_VARIANCE_FACTOR * np.array(place.covariance)
         P[:2, :2] += walk**2 * max(age_s, 0.0) * np.eye(2)
         state = FilterState.of(now_s, np.array(place.mean), P)
         hypotheses.append(Hypothesis(place.log_weight, state))

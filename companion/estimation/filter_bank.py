@@ -120,8 +120,8 @@ def update_hypotheses(
     target_filter: TargetFilter,
     measurement: RangingMeasurement,
     sensor_enu_m: PositionEnu,
-    told: Inflation,
-    shown: Inflation,
+    filter_inflation: Inflation,
+    gate_inflation: Inflation,
 ) -> BankUpdate:
     """Return all hypotheses after a measurement.
 
@@ -131,18 +131,18 @@ def update_hypotheses(
     thresholds = target_filter.params.thresholds.tolist()
     for hypothesis in hypotheses:
         state = target_filter.predict(hypothesis.state, measurement.measured_at_s)
-        report = target_filter.update(state, measurement, sensor_enu_m, told)
+        report = target_filter.update(state, measurement, sensor_enu_m, filter_inflation)
         if not report.is_positive_definite:
             continue
         log_weight = hypothesis.log_weight
         before.append(log_weight)
         if len(hypotheses) > 1:  # a single hypothesis needs no weight
-            log_weight += log_likelihood(report, thresholds, told)
+            log_weight += log_likelihood(report, thresholds, filter_inflation)
         survivors.append(replace(hypothesis, log_weight=log_weight, state=report.state))
         reports.append(report)
     least = max(before, default=0.0) + LIKELY_LOG_RATIO
     judged = [
-        Gate.of(report, shown, target_filter.params.model.antenna)
+        Gate.of(report, gate_inflation, target_filter.params.model.antenna)
         for log_weight, report in zip(before, reports, strict=True)
         if log_weight >= least
     ]

@@ -222,10 +222,10 @@ def shift_hypothesis(hypothesis: Hypothesis, step: Vector, sigma_m: float) -> Hy
     state = hypothesis.state
     mean = state.mean + step
     mean[BEARING_OFFSET] = wrap_pi(float(mean[BEARING_OFFSET]))
-    doubt = np.where(step == 0.0, 0.0, sigma_m**2)
+    added_variance = np.where(step == 0.0, 0.0, sigma_m**2)
     if step[BEARING_OFFSET] != 0.0:
-        doubt[BEARING_OFFSET] = JUMP_SIGMA_RAD**2
-    covariance = state.covariance + np.diag(doubt)
+        added_variance[BEARING_OFFSET] = JUMP_SIGMA_RAD**2
+    covariance = state.covariance + np.diag(added_variance)
     return replace(hypothesis, state=FilterState.of(state.time_s, mean, covariance))
 
 

@@ -61,17 +61,17 @@ from companion.estimation.target_estimate import (
     position_covariance_m2,
     r95_of_covariance_m,
 )
-from companion.estimation.window.antenna_check import AntennaCheck, ToldAntennaWatch
+from companion.estimation.window.antenna_check import AntennaCheck, ConfiguredAntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, SharedSigmas
 from companion.estimation.window.window_map import WindowParams
 
-UNTOLD_HEIGHT_M, UNTOLD_LAG_S = 3.0, 0.15
+DEFAULT_HEIGHT_SIGMA_M, DEFAULT_LAG_SIGMA_S = 3.0, 0.15
 """Standard deviations of the ground's height and of the lag of a radio's stamps, if not
 configured."""
-BETWEEN_WALLS = 2.0
+URBAN_GNSS_FACTOR = 2.0
 """GNSS error over its reported accuracy between buildings, if the environment is not configured."""
-FIX_CHANGE = 2.0
+FIX_DEGRADED_RATIO = 2.0
 """Ratio of reported accuracies from which a fix counts as degraded: its error is another one."""
 
 
@@ -98,7 +98,7 @@ class TrackerParams(Params, frozen=True):
     """True: the inflation is measured; false: it stays at 1, as in the paper's filter."""
 
     @property
-    def believed(self) -> FilterParams:
+    def effective_filter(self) -> FilterParams:
         """Parameters of the tracker's filter: `filter` with ranges bounded on the short side."""
         if self.range_gross_k is None or self.filter.range_k_short is not None:
             return self.filter
@@ -143,15 +143,15 @@ class TargetTracker:
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
         """Identification of an antenna that is not configured; None: it is configured."""
-        self._told_antenna = ToldAntennaWatch()
+        self._configured_antenna = ConfiguredAntennaCheck()
         self._screen = MeasurementScreen(params.filter, params.acceptance)
-        believed = params.believed
+        filter_params = params.effective_filter
         if params.filter.antenna.kind == "auto":
-            self.antenna = AntennaCheck(believed)
-            believed = self.antenna.params
-        self._filter = filter_of(params.kind, believed)
-        kept_as = None if self.antenna is None else self._filter.params
-        self._optimizer = WindowOptimizer(self._filter.params, params.window, kept_as)
+            self.antenna = AntennaCheck(filter_params)
+            filter_params = self.antenna.params
+        self._filter = filter_of(params.kind, filter_params)
+        storage_params = None if self.antenna is None else self._filter.params
+        self._optimizer = WindowOptimizer(self._filter.params, params.window, storage_params)
         self._shared = NO_ERRORS
         self._kept_estimate = KeptEstimate()
         self._moves = 0
@@ -219,23 +219,25 @@ class TargetTracker:
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Fuse what passed the screen, unless the gate rejects it."""
         params, is_white = self._filter.params, self._noise.is_white
-        row = self._optimizer.kept_as.seen(measurement, sensor_enu_m)
+        storage = self._optimizer.storage_params
+        row = storage.kernel_row(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
-        seen = row if params is self._optimizer.kept_as else params.seen(measurement, sensor_enu_m)
+        seen = row if params is storage else params.kernel_row(measurement, sensor_enu_m)
         self.watch.add(measurement.measured_at_s, seen)
         if not self.hypotheses:
             self._optimizer.add(row, (), is_white=is_white, time_s=measurement.measured_at_s)
             self._start(measurement, sensor_enu_m)
             self.integrity.begin(measurement)
             return FusionReport(None)
-        shown, told = self._noise.inflation(self._optimizer.noise), self._told_inflation
-        judging = self.integrity.judging(shown)
+        measured = self._noise.inflation(self._optimizer.noise)
+        inflations = self._filter_inflation, self.integrity.gate_inflation(measured)
         is_proven = self.integrity.agreement.is_proven
         bank = update_hypotheses(
-            self.hypotheses, self._filter, measurement, sensor_enu_m, told, judging
+            self.hypotheses, self._filter, measurement, sensor_enu_m, *inflations
         )
         gate = bank.gate if is_proven else bank.gate.unarmed()
-        if not bank.reports or self.integrity.note(measurement, bank.reports[0], gate, judging):
+        update = self.integrity.update
+        if not bank.reports or update(measurement, bank.reports[0], gate, inflations[1]):
             return self._restart(measurement, sensor_enu_m)
         passed = gate.passed(measurement)
         if passed is not measurement:
@@ -243,11 +245,11 @@ class TargetTracker:
             if passed is None:
                 return FusionReport(gate.reject_reason)
             bank = update_hypotheses(
-                self.hypotheses, self._filter, passed, sensor_enu_m, told, judging
+                self.hypotheses, self._filter, passed, sensor_enu_m, *inflations
             )
             if not bank.reports:
                 return self._restart(measurement, sensor_enu_m)
-            row = self._optimizer.kept_as.seen(passed, sensor_enu_m)
+            row = storage.kernel_row(passed, sensor_enu_m)
         at_s = measurement.measured_at_s
         self._optimizer.add(row, self.hypotheses, is_white=is_white, time_s=at_s)
         several = len(bank.hypotheses) > 1
@@ -257,7 +259,7 @@ class TargetTracker:
 
     def _start(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
         self.hypotheses = first_hypotheses(
-            measurement, sensor_enu_m, self.params.believed, self.params.hypotheses
+            measurement, sensor_enu_m, self.params.effective_filter, self.params.hypotheses
         )
 
     def _restart(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
@@ -281,7 +283,7 @@ class TargetTracker:
         mean, rows = self.hypotheses[0].state.mean, self._optimizer.window.rows
         if self.antenna is not None and (yield from self.antenna.look.steps(rows, mean, inflation)):
             self._filter = filter_of(self.params.kind, self.antenna.params)
-            self._optimizer.believe(self._filter.params)
+            self._optimizer.switch_antenna(self._filter.params)
             self.watch.clear()
             fresh_starts = self.params.window.starts
         self.hypotheses = yield from self._optimizer.optimize.steps(
@@ -293,11 +295,11 @@ class TargetTracker:
         )
         self._shared = self._optimizer.shared(self.hypotheses[0], self._shared_sigmas)
         yield passes(SHARED_PASSES, len(rows))
-        is_told_array = self.antenna is None and self._filter.params.model.antenna != AZIMUTH
-        if is_told_array and len(self.hypotheses) == 1:
+        is_configured_array = self.antenna is None and self._filter.params.model.antenna != AZIMUTH
+        if is_configured_array and len(self.hypotheses) == 1:
             state, optimizer = self.hypotheses[0].state, self._optimizer
             scores = optimizer.map.scores(optimizer.rows, state.mean)
-            self._told_antenna.look(scores, state.time_s)
+            self._configured_antenna.look(scores, state.time_s)
 
     @property
     def _shared_sigmas(self) -> SharedSigmas:
@@ -305,15 +307,16 @@ class TargetTracker:
         params, own = self._filter.params, self.own or DEFAULT_ACCURACY
         if params.model.antenna == AZIMUTH and self.own is None:
             return SharedSigmas()  # as in the paper, where positions and heights are known
-        lag_s = params.stamp_lag_sigma_s
-        lag_s = (UNTOLD_LAG_S if self.antenna is not None else 0.0) if lag_s is None else lag_s
+        lag_s, is_auto = params.stamp_lag_sigma_s, self.antenna is not None
+        if lag_s is None:
+            lag_s = DEFAULT_LAG_SIGMA_S if is_auto else 0.0
         own_height_m = GNSS_ACCURACY_FACTOR * own.vertical_m if own.is_told else 0.0
-        height_m = math.hypot(UNTOLD_HEIGHT_M, own_height_m) if self.antenna is not None else 0.0
-        has_jumped = own.is_told and self._best_own_m * FIX_CHANGE <= own.horizontal_m
+        height_m = math.hypot(DEFAULT_HEIGHT_SIGMA_M, own_height_m) if is_auto else 0.0
+        has_jumped = own.is_told and self._best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
         jump_m = own.effective_m if has_jumped else 0.0
         own_m = own.effective_m
-        if self.antenna is not None and own_m > own.horizontal_m:
-            own_m = BETWEEN_WALLS * own.horizontal_m
+        if is_auto and own_m > own.horizontal_m:
+            own_m = URBAN_GNSS_FACTOR * own.horizontal_m
         return SharedSigmas(own_m, height_m, lag_s, jump_m)
 
     def reject(self, reason: RejectReason) -> FusionReport:
@@ -335,7 +338,7 @@ class TargetTracker:
         self._noise = InnovationNoise.starting(self.params.initial_inflation)
         self.integrity.forget()
         self.watch.clear()
-        self._told_antenna = ToldAntennaWatch()
+        self._configured_antenna = ConfiguredAntennaCheck()
         self._optimizer.clear()
 
     def move(self, shift_enu_m: PositionEnu, turn_rad: float, sigma_m: float = 0.0) -> None:
@@ -434,14 +437,14 @@ class TargetTracker:
         return abs(sensor_up_m - target_up_m)
 
     @property
-    def antenna_shown(self) -> str | None:
+    def identified_antenna(self) -> str | None:
         """Antenna kind that bearings identify, `contradicted` for a configured one, or None."""
         if self.antenna is not None:
-            return self.antenna.shown
-        return "contradicted" if self._told_antenna.is_contradicted else None
+            return self.antenna.identified
+        return "contradicted" if self._configured_antenna.is_contradicted else None
 
     @property
-    def _told_inflation(self) -> Inflation:
+    def _filter_inflation(self) -> Inflation:
         is_adapted = self.params.adapt_inflation
         return self._noise.inflation(self._optimizer.noise) if is_adapted else NO_INFLATION
 
@@ -449,12 +452,11 @@ class TargetTracker:
     def array_sigmas(self) -> tuple[float, float] | None:
         """Standard deviations of a range, m (infinite: none lately), and of a direction cosine.
 
-        They contain the measured inflation, and the range's the vehicle position error. A direction
-        may be out of view at present, and then has its configured sigma. None: no measurement yet.
+        With the measured inflation, and the position error in the range. None: no measurement yet.
         """
         if not self._optimizer.latest or not self.hypotheses:
             return None
-        params, inflation = self._filter.params, self._told_inflation
+        params, inflation = self._filter.params, self._filter_inflation
         sigmas = [math.inf, math.radians(params.bearing_sigma_deg)]
         missing = {RANGE, BEARING}
         for _, values, noise in reversed(self._optimizer.latest):
@@ -472,4 +474,4 @@ class TargetTracker:
         observability = None
         if self.hypotheses:
             observability = self._optimizer.observability(self.hypotheses[0].state.mean)
-        return self._noise.health(self._told_inflation, observability)
+        return self._noise.health(self._filter_inflation, observability)

@@ -105,14 +105,14 @@ class FreeSpace:
         """Return `point` if it is free, otherwise the nearest free one; None if there is none."""
         if self.allows(point):
             return point
-        legs, arcs = self.shore
-        ashore = [nearest_on_segment(*leg, point) for leg in legs]
-        ashore += [arc.nearest(point) for arc in arcs]
-        ashore.sort(key=lambda place: math.dist(place, point))
-        return next((place for place in ashore if self.allows(place)), None)
+        legs, arcs = self.boundary
+        nearest = [nearest_on_segment(*leg, point) for leg in legs]
+        nearest += [arc.nearest(point) for arc in arcs]
+        nearest.sort(key=lambda place: math.dist(place, point))
+        return next((place for place in nearest if self.allows(place)), None)
 
     @cached_property
-    def shore(self) -> tuple[tuple[Segment, ...], tuple[Arc, ...]]:
+    def boundary(self) -> tuple[tuple[Segment, ...], tuple[Arc, ...]]:
         """Boundary of free space, slightly inside the margin; empty if nothing is free."""
         return tuple(self._moved_edges()), tuple(self._arcs())
 
@@ -139,10 +139,12 @@ class FreeSpace:
 
     def _free_of(self, arc: Arc) -> Iterator[Arc]:
         cuts = {0.0, arc.turn_rad, *self._cuts(arc)}
-        for low, high in _runs(sorted(cuts), lambda turn_rad: self._is_ashore(arc.at(turn_rad))):
+        for low, high in _runs(
+            sorted(cuts), lambda turn_rad: self._is_on_boundary(arc.at(turn_rad))
+        ):
             yield Arc(arc.centre, arc.radius_m, arc.first_rad + low, high - low)
 
-    def _is_ashore(self, place: Point) -> bool:
+    def _is_on_boundary(self, place: Point) -> bool:
         """Return the result of `allows`, sooner where most points fail: at a single near edge."""
         is_near = (
             math.dist(nearest_on_segment(*edge, place), place) < self.margin_m
@@ -335,7 +337,7 @@ def _directions(arc: Arc, edge: Segment, keep_m: float) -> Iterator[float]:
             yield from (along_rad + math.asin(part), along_rad + math.pi - math.asin(part))
 
 
-def leashed(start: Point, goal: Point, home: Point, reach_m: float) -> Point:
+def limited_to_reach(start: Point, goal: Point, home: Point, reach_m: float) -> Point:
     """Return the farthest point towards a goal within reach of home, or nearer than the start."""
     radius_m = max(reach_m, math.dist(start, home))
     de, dn = goal[0] - start[0], goal[1] - start[1]

@@ -43,7 +43,7 @@ class Fence:
             raise ValueError(f"the margin of {self.margin_m:g} m leaves nothing of the fence")
         space = self.free_space(self.margin_m)
         object.__setattr__(self, "space", space)
-        if not any(space.shore):
+        if not any(space.boundary):
             rest = "its other borders" if self.also_inside_enu_m else "the keep-outs"
             raise ValueError(f"{rest} leave nothing of the fence")
 
@@ -71,5 +71,5 @@ class Fence:
     def nearest_allowed(self, point: Point) -> Point:
         """Return `point` if it is allowed, otherwise the nearest allowed one."""
         nearest = self.space.nearest_allowed(point)
-        assert nearest is not None  # the constructor has checked that there is a shore
+        assert nearest is not None  # the constructor has checked that there is free space
         return nearest

@@ -24,7 +24,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from companion.geometry.obstacles import FreeSpace, leashed
+from companion.geometry.obstacles import FreeSpace, limited_to_reach
 from companion.geometry.polygons import FARTHEST_M, Point
 from companion.guard.envelope import MAX_TICK_S, Envelope, Reserve, Stopping, ahead
 from companion.guard.fence import Fence
@@ -294,11 +294,11 @@ class Guard:
         limits, home, charge_pct = self.limits, step.motion.home_enu_m[:2], step.motion.battery_pct
         east, north = (min(max(at, -FARTHEST_M), FARTHEST_M) for at in step.goal_enu_m[:2])
         wanted = (east, north)
-        goal = leashed(step.start, wanted, home, limits.distance_home_m)
+        goal = limited_to_reach(step.start, wanted, home, limits.distance_home_m)
         if goal != wanted:
             step.reasons.append(GuardReason.LEASH)
         if limits.reserve is not None:
-            near = leashed(step.start, goal, home, limits.reserve.reach_m(charge_pct))
+            near = limited_to_reach(step.start, goal, home, limits.reserve.reach_m(charge_pct))
             if near != goal:
                 why = GuardReason.BATTERY_UNKNOWN if charge_pct is None else GuardReason.BATTERY
                 step.reasons.append(why)

@@ -402,7 +402,7 @@ class AutopilotQueries:
         self.modes = OfferedModes()
         self._asks_mode = False
         self._stale: tuple[str, ...] = ()
-        self._may_tell = RateLimit(TEXTS_PER_S)
+        self._text_limit = RateLimit(TEXTS_PER_S)
         self._next_pace_text_s = -math.inf
 
     def receive(self, message: Message, now_s: float) -> list[Announce]:
@@ -477,7 +477,7 @@ class AutopilotQueries:
         if is_silent or not stopped:
             self._stale = tuple(name for name in self._stale if name in stale)
             return []
-        if not self._may_tell.acquire(now_s):
+        if not self._text_limit.acquire(now_s):
             return []
         self._stale = stale
         return [Announce(Severity.WARNING, f"no {' and '.join(stopped)} any more: asking again")]

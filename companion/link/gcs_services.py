@@ -129,7 +129,7 @@ class ParameterServer:
             return
         end = min(first + VALUES_PER_TICK, len(self._book.specs))
         for index in range(first, end):
-            self._tell(index, now_s)
+            self._send_value(index, now_s)
         self._next_listed = end if end < len(self._book.specs) else None
 
     def _read(self, message: mavlink.MAVLink_param_request_read_message, now_s: float) -> None:
@@ -139,7 +139,7 @@ class ParameterServer:
         else:
             index = number if 0 <= number < len(self._book.specs) else None
         if index is not None:
-            self._tell(index, now_s)
+            self._send_value(index, now_s)
         elif message.target_component != ALL_COMPONENTS:
             name = message.param_id if number == -1 else ""
             self._refuse(message, name, number, DOES_NOT_EXIST, "there is no such one", now_s)
@@ -152,7 +152,7 @@ class ParameterServer:
                 self._refuse(message, name, -1, DOES_NOT_EXIST, "there is no such one", now_s)
             return
         refusal = self._change(index, message, now_s)
-        self._tell(index, now_s)
+        self._send_value(index, now_s)
         if refusal is not None:
             self._refuse(message, name, index, *refusal, now_s)
 
@@ -188,7 +188,7 @@ class ParameterServer:
         self._outlet.announce(Announce(Severity.NOTICE, text), now_s)
         return None
 
-    def _tell(self, index: int, now_s: float) -> None:
+    def _send_value(self, index: int, now_s: float) -> None:
         spec = self._book.specs[index]
         raw = raw_value(self._book.value_at(index), spec.kind, self.encoding)
         count = len(self._book.specs)

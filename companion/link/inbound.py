@@ -186,9 +186,9 @@ class VehicleInbound:
                 return []
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
             tilt = (message.roll, message.pitch)
-            is_told = all(abs(angle) <= MAX_YAW_RAD for angle in tilt)
+            has_tilt = all(abs(angle) <= MAX_YAW_RAD for angle in tilt)
             event = YawMeasured(
-                now_s, reading.time_s, message.yaw, tilt if is_told else None, order=number
+                now_s, reading.time_s, message.yaw, tilt if has_tilt else None, order=number
             )
         else:
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
@@ -243,13 +243,13 @@ class VehicleInbound:
         if origin is None:
             return []
         self._note_frame(origin, number, now_s)
-        if self._geodesy is None or self._geodesy.told != origin:
+        if self._geodesy is None or self._geodesy.reported != origin:
             self._geodesy = GeodesyFit(origin)
         return self._origin_events(self._geodesy, now_s)
 
     def _origin_events(self, geodesy: GeodesyFit, now_s: float) -> list[Event]:
         self._origin = geodesy.origin
-        is_fitted = self._origin != geodesy.told
+        is_fitted = self._origin != geodesy.reported
         off_m = geodesy.off_m if is_fitted else 0.0
         return [OriginSet(now_s, self._origin, off_m), *self._home_events(now_s)]
 

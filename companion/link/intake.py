@@ -237,7 +237,7 @@ class Authenticity:
     def __init__(self, signing: Signing | None = None, unix_minus_local_s: float = 0.0) -> None:
         self._signing = signing
         self._unix_minus_local_s = unix_minus_local_s
-        self._told: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
+        self._announced: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
         self._next_report_s = -math.inf
 
     @property
@@ -276,13 +276,13 @@ class Authenticity:
         if self._signing is None or now_s < self._next_report_s:
             return []
         news = {
-            verdict: count - self._told[verdict]
+            verdict: count - self._announced[verdict]
             for verdict, count in self._signing.verdicts.items()
-            if not verdict.is_accepted and count > self._told[verdict]
+            if not verdict.is_accepted and count > self._announced[verdict]
         }
         if not news:
             return []
-        self._told = dict(self._signing.verdicts)
+        self._announced = dict(self._signing.verdicts)
         self._next_report_s = now_s + REPORT_PERIOD_S
         severity = Severity.ERROR if ALARMS & news.keys() else Severity.WARNING
         hints = {verdict: f" ({hint})" for verdict, hint in HINTS.items()}

@@ -148,7 +148,7 @@ class Outlet:
         """System and component id of our frames."""
         self._binding = binding
         self._journal = journal
-        self._is_conflict_told = False
+        self._is_conflict_announced = False
         self._heard_ids: set[tuple[int, int]] = set()
         """Ids of other received components."""
         self._neighbour_s = -math.inf
@@ -231,8 +231,8 @@ class Outlet:
         if may_move and free and not self._is_rival:
             self._move_aside(free[0], now_s)
             return False
-        if not self._is_conflict_told:
-            self._is_conflict_told = True
+        if not self._is_conflict_announced:
+            self._is_conflict_announced = True
             text = f"someone else sends as {sender[0]}/{sender[1]}: two companions, one vehicle?"
             self.announce(Announce(Severity.ERROR, text), now_s)
         return True

@@ -58,7 +58,7 @@ class Presence:
 
     def tick(self, now_s: float) -> None:
         """Send the reports that are due."""
-        self._tell_phase(now_s)
+        self._announce_phase(now_s)
         if now_s < self._next_s:
             return
         self._next_s = now_s + PERIOD_S
@@ -82,7 +82,7 @@ class Presence:
                 icon = icon_message(emitter.emitter_id, emitter.estimate, origin, now_s)
                 self._outlet.send_to_stations(icon)
 
-    def _tell_phase(self, now_s: float) -> None:
+    def _announce_phase(self, now_s: float) -> None:
         phase, texts = self._session.phase, self._outlet.texts_sent
         if phase is not self._phase and texts == self._texts:
             words = PHASE_WORDS.get(phase, phase.value)

@@ -254,18 +254,18 @@ class FloodShield:
 ALARM_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S
 
 
-class CounterNews:
+class CounterIncrement:
     """Increments of a counter since the last announcement."""
 
     def __init__(self) -> None:
-        self._told = 0
-        self._may_tell = RateLimit(ALARM_TEXTS_PER_S)
+        self._announced = 0
+        self._text_limit = RateLimit(ALARM_TEXTS_PER_S)
 
     def take(self, count: int, now_s: float) -> int:
         """Return the increment to announce now, of a counter that is at `count`."""
-        if count <= self._told or not self._may_tell.acquire(now_s):
+        if count <= self._announced or not self._text_limit.acquire(now_s):
             return 0
-        more, self._told = count - self._told, count
+        more, self._announced = count - self._announced, count
         return more
 
 
@@ -276,7 +276,8 @@ class LinkAlarms:
         self._binding = binding
         self._intakes = intakes
         self._others: set[int] = set()
-        self._moves, self._senders, self._floods = CounterNews(), CounterNews(), CounterNews()
+        self._moves, self._senders = CounterIncrement(), CounterIncrement()
+        self._floods = CounterIncrement()
 
     def tick(self, now_s: float) -> list[Announce]:
         """Return the alarms that are due."""
@@ -362,9 +363,9 @@ class RadioWatch:
         self._is_silent = False
         self._is_offset_said = False
         self._restarts = 0
-        self._told: Counter[str] = Counter()
-        self._told_of = 0
-        self._may_tell = RateLimit(REFUSAL_TEXTS_PER_S)
+        self._announced: Counter[str] = Counter()
+        self._announced_of = 0
+        self._text_limit = RateLimit(REFUSAL_TEXTS_PER_S)
 
     def tick(self, now_s: float) -> list[Announce]:
         """Return the texts that are due."""
@@ -445,11 +446,12 @@ class RadioWatch:
 
     def _refusals(self, now_s: float) -> list[tuple[Severity, str]]:
         refused = self.stage.all_refused
-        more = refused - self._told
+        more = refused - self._announced
         count = more.total()
-        seen = count + self.stage.measured - self._told_of
-        if count < MANY_REFUSALS or count < MANY_SHARE * seen or not self._may_tell.acquire(now_s):
+        seen = count + self.stage.measured - self._announced_of
+        is_many = count >= MANY_REFUSALS and count >= MANY_SHARE * seen
+        if not (is_many and self._text_limit.acquire(now_s)):
             return []
-        self._told, self._told_of = refused, self.stage.measured
+        self._announced, self._announced_of = refused, self.stage.measured
         words = ", ".join(f"{reason} ({number})" for reason, number in more.most_common(3))
         return [(Severity.WARNING, f"{count} readings were refused: {words}")]

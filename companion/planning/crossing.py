@@ -127,7 +127,7 @@ class LatchedCrossingParams(Params, frozen=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class SensorGeometry:
     """Antenna, dynamics and heights by which the information of a leg is computed."""
 
     antenna: Antenna
@@ -137,7 +137,7 @@ class Sight:
     """Lowest height that may be flown: above home, and above the target."""
     room_m: float
     """Search altitude less that height."""
-    is_height_told: bool
+    is_height_configured: bool
     """True if the target's configured height differs from the origin's, which makes ranges
     oblique."""
 
@@ -148,13 +148,13 @@ class Sight:
 
 
 class LatchedCrossing:
-    """Default planner; without a `Sight` it ignores heights and antennas."""
+    """Default planner; without a `SensorGeometry` it ignores heights and antennas."""
 
     search_after_s: float | None = None
 
-    def __init__(self, params: LatchedCrossingParams, sight: Sight | None = None) -> None:
+    def __init__(self, params: LatchedCrossingParams, sensor: SensorGeometry | None = None) -> None:
         self.params = params
-        self._sight = sight
+        self._sensor = sensor
         self._rule = params.rule()
 
     def plan(self, request: PlanRequest, memory: Latch | None) -> Plan[Latch | None]:
@@ -165,12 +165,12 @@ class LatchedCrossing:
         (a, b), (_, c) = request.estimate.covariance_m2
         over_m = overshoot_m(a, b, c, request.baseline_m, self._rule)
         before, rule = NO_LATCH if memory is None else memory, self._rule
-        sight, sigmas_m = self._sight_for(request), rule.overshoot_sigmas * worst_sigma_m(a, b, c)
-        if sight is not None:
-            over_m = self._reach_m(request, sight, before, sigmas_m)
-            early_m = min(0.5 * sight.turn_m, TURN_SHARE * over_m)
+        sensor, sigmas_m = self._sensor_for(request), rule.overshoot_sigmas * worst_sigma_m(a, b, c)
+        if sensor is not None:
+            over_m = self._reach_m(request, sensor, before, sigmas_m)
+            early_m = min(0.5 * sensor.turn_m, TURN_SHARE * over_m)
             rule = rule._replace(arrival_radius_m=max(early_m, rule.arrival_radius_m))
-            bent = self._bent_approach(request, sight, over_m) if before.crossings <= 0 else None
+            bent = self._bent_approach(request, sensor, over_m) if before.crossings <= 0 else None
             if bent is not None and sigmas_m > rule.overshoot_min_m:
                 return Plan(bent, None)
         behind_m = over_m if memory is None else max(over_m, memory.pushed_m)
@@ -179,33 +179,37 @@ class LatchedCrossing:
         if memory is not None and verdict == KEPT:
             return Plan(self._waypoint(request, memory), memory)
         heading = next_direction(before, verdict, vehicle, target)
-        if sight is not None:
-            descent_m = self._descent_m(request, sight, before, over_m, sigmas_m)
+        if sensor is not None:
+            descent_m = self._descent_m(request, sensor, before, over_m, sigmas_m)
             before = before._replace(descent_m=descent_m)
             ahead = before._replace(direction=heading)
-            over_m = self._reach_m(request, sight, ahead, sigmas_m)
+            over_m = self._reach_m(request, sensor, ahead, sigmas_m)
         chosen = self._best_point(request, target, heading, over_m)
         if chosen is None:
             return Plan(hold_position(request, "no way to any side of the estimate"), memory)
         latch = new_latch(before, verdict, *chosen, vehicle, target, over_m, rule)
         return Plan(self._waypoint(request, latch), latch)
 
-    def _sight_for(self, request: PlanRequest) -> Sight | None:
+    def _sensor_for(self, request: PlanRequest) -> SensorGeometry | None:
         """Return the geometry for choosing by information; None: cross as in the paper."""
-        sight = self._sight
-        if sight is None or request.sigmas is None:
+        sensor = self._sensor
+        if sensor is None or request.sigmas is None:
             return None
-        is_array, has_directions = sight.antenna.rows > 0, request.baseline_m == 0.0
-        is_oblique = sight.is_height_told or self.params.descend
-        return sight if is_array or (is_oblique and not has_directions) else None
+        is_array, has_directions = sensor.antenna.rows > 0, request.baseline_m == 0.0
+        is_oblique = sensor.is_height_configured or self.params.descend
+        return sensor if is_array or (is_oblique and not has_directions) else None
 
-    def _reach_m(self, request: PlanRequest, sight: Sight, latch: Latch, sigmas_m: float) -> float:
+    def _reach_m(
+        self, request: PlanRequest, sensor: SensorGeometry, latch: Latch, sigmas_m: float
+    ) -> float:
         """Return the overshoot of greatest rate, not less than the position's sigmas."""
         most_m = self.params.overshoot_max_m
-        leg = _leg(request, sight, latch.direction, latch.descent_m)
+        leg = _leg(request, sensor, latch.direction, latch.descent_m)
         return max(best_reach_m(leg, self.params.overshoot_min_m, most_m), min(sigmas_m, most_m))
 
-    def _bent_approach(self, request: PlanRequest, sight: Sight, over_m: float) -> Waypoint | None:
+    def _bent_approach(
+        self, request: PlanRequest, sensor: SensorGeometry, over_m: float
+    ) -> Waypoint | None:
         """Return an approach to the side of a far target, or None.
 
         None: it is near, or there are no ranges with an array, or no leg is clear. The point is
@@ -215,9 +219,9 @@ class LatchedCrossing:
         assert request.sigmas is not None
         vehicle, target = request.vehicle_enu_m, request.estimate.position_enu_m
         distance_m = math.dist(vehicle, target)
-        bend_rad = min(BEND_RAD, sight.antenna.half_view_rad - VIEW_MARGIN_RAD)
-        is_told_by_ranges = math.isfinite(request.sigmas[0]) and sight.antenna.rows > 0
-        if distance_m <= BENT_BEYOND * over_m or bend_rad <= 0.0 or not is_told_by_ranges:
+        bend_rad = min(BEND_RAD, sensor.antenna.half_view_rad - VIEW_MARGIN_RAD)
+        has_ranges_and_array = math.isfinite(request.sigmas[0]) and sensor.antenna.rows > 0
+        if distance_m <= BENT_BEYOND * over_m or bend_rad <= 0.0 or not has_ranges_and_array:
             return None
         aside = _far_point(
             vehicle, turned(direction(vehicle, target), bend_rad), distance_m * math.cos(bend_rad)
@@ -228,7 +232,12 @@ class LatchedCrossing:
         return bent if route_to(request, bent) == bent else None
 
     def _descent_m(
-        self, request: PlanRequest, sight: Sight, before: Latch, over_m: float, sigmas_m: float
+        self,
+        request: PlanRequest,
+        sensor: SensorGeometry,
+        before: Latch,
+        over_m: float,
+        sigmas_m: float,
     ) -> float:
         """Return the descent to the lowest height, if it pays at the present overshoot, else 0.
 
@@ -241,10 +250,10 @@ class LatchedCrossing:
         assert request.estimate is not None
         above_m = request.height_m - request.altitude_offset_m
         above_m -= HEIGHT_SIGMAS * (request.estimate.height_sigma_m or 0.0)
-        descent_m = min(sight.room_m, above_m - sight.lowest_m)
+        descent_m = min(sensor.room_m, above_m - sensor.lowest_m)
         if descent_m < LEAST_DESCENT_M:
             return 0.0
-        high, low = (_leg(request, sight, before.direction, each) for each in (0.0, descent_m))
+        high, low = (_leg(request, sensor, before.direction, each) for each in (0.0, descent_m))
         pays = is_low or rate(over_m, low) > DESCENT_GAIN * rate(over_m, high)
         return descent_m if pays else 0.0
 
@@ -295,7 +304,7 @@ class LatchedCrossing:
         return route_to(request, waypoint)
 
 
-def _leg(request: PlanRequest, sight: Sight, along: Point, descent_m: float) -> LegView:
+def _leg(request: PlanRequest, sensor: SensorGeometry, along: Point, descent_m: float) -> LegView:
     """Return a leg in a direction at the height of a descent; the first one along the way."""
     assert request.estimate is not None
     assert request.sigmas is not None
@@ -305,7 +314,7 @@ def _leg(request: PlanRequest, sight: Sight, along: Point, descent_m: float) -> 
     if request.yaw_enu_rad is not None:
         yaw_rad = request.yaw_enu_rad - math.atan2(along[1], along[0])
     height_m = request.height_m - (request.altitude_offset_m or 0.0) - descent_m
-    return leg_over(height_m, sight.turn_m, request.sigmas, sight.antenna, yaw_rad)
+    return leg_over(height_m, sensor.turn_m, request.sigmas, sensor.antenna, yaw_rad)
 
 
 def _far_point(anchor: Point, heading: Point, over_m: float) -> Point:

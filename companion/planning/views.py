@@ -138,24 +138,24 @@ def _directions_to(angle_rad: float, leg: LegView) -> float:
     s, c = math.sin(angle_rad), math.cos(angle_rad)
     double, c2 = 2.0 * s * c, c * c
     fourfold = 2.0 * double * (c2 - s * s)
-    told = leg.across2 * angle_rad - 0.5 * leg.ahead_up * c2 * c2
-    told += leg.ahead2 * (0.375 * angle_rad + 0.25 * double + fourfold / 32.0)
-    return told + leg.up2 * (0.125 * angle_rad - fourfold / 32.0)
+    total = leg.across2 * angle_rad - 0.5 * leg.ahead_up * c2 * c2
+    total += leg.ahead2 * (0.375 * angle_rad + 0.25 * double + fourfold / 32.0)
+    return total + leg.up2 * (0.125 * angle_rad - fourfold / 32.0)
 
 
 @kernel
 def information(reach_m: float, leg: LegView) -> float:
     """Return the information of a leg of `reach_m` to either side of the target, m / m^2."""
     most = math.atan2(reach_m, leg.height_m)
-    told = 2.0 * leg.per_range_m2 * (reach_m - leg.height_m * most)
+    total = 2.0 * leg.per_range_m2 * (reach_m - leg.height_m * most)
     if leg.per_cosine > 0.0:
         for turn in range(-1, 2):
             middle = leg.middle_rad + math.pi * turn
             low, high = max(-most, middle - leg.half_rad), min(most, middle + leg.half_rad)
             if high > low:
                 seen = _directions_to(high, leg) - _directions_to(low, leg)
-                told += leg.per_cosine / leg.height_m * seen
-    return told
+                total += leg.per_cosine / leg.height_m * seen
+    return total
 
 
 @kernel
@@ -163,14 +163,14 @@ def marginal(reach_m: float, leg: LegView) -> float:
     """Return the information of one more metre at both ends: the derivative of `information`."""
     angle, slant_m = math.atan2(reach_m, leg.height_m), math.hypot(reach_m, leg.height_m)
     s, c = reach_m / slant_m, leg.height_m / slant_m
-    told = 2.0 * leg.per_range_m2 * s * s
+    total = 2.0 * leg.per_range_m2 * s * s
     for side in (-1.0, 1.0):
         off = (side * angle - leg.middle_rad) % math.pi
         if leg.per_cosine > 0.0 and min(off, math.pi - off) <= leg.half_rad:
             along = leg.ahead2 * c * c + 2.0 * side * leg.ahead_up * c * s + leg.up2 * s * s
             seen = (leg.across2 + along * c * c) * c * c
-            told += leg.per_cosine * seen / (leg.height_m * leg.height_m)
-    return told
+            total += leg.per_cosine * seen / (leg.height_m * leg.height_m)
+    return total
 
 
 @kernel
@@ -199,7 +199,7 @@ def best_reach_m(leg: LegView, least_m: float, most_m: float) -> float:
         if index > 1:  # the edges of the field of view
             edge = leg.middle_rad + (leg.half_rad if index == 2 else -leg.half_rad)
             reach_m = leg.height_m * abs(math.tan(edge))
-        told = rate(min(max(reach_m, least_m), most_m), leg)
-        if told > greatest:
-            best, greatest = min(max(reach_m, least_m), most_m), told
+        total = rate(min(max(reach_m, least_m), most_m), leg)
+        if total > greatest:
+            best, greatest = min(max(reach_m, least_m), most_m), total
     return best

@@ -175,7 +175,7 @@ def test_an_elevation_tells_the_height(make: MakeFilter) -> None:
     report = make(SPACE).update(state, seen_at(0.0, None, None, up_rad), place)
     precise = msgspec.structs.replace(SPACE, elevation_sigma_deg=0.005)
     reported = replace(seen_at(0.0, None, None, up_rad), elevation_sigma_rad=1e-4)
-    assert precise.seen_sigmas(reported)[2] == 1e-4
+    assert precise.effective_sigmas(reported)[2] == 1e-4
     sharp = make(precise).update(state, reported, place)
     assert 3.0 < report.state.mean[4] < sharp.state.mean[4]
     assert sharp.state.mean[4] == pytest.approx(5.0, abs=0.2)

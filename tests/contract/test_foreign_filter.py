@@ -45,7 +45,7 @@ class InformationFilter:
         inflation: Inflation = NO_INFLATION,
     ) -> UpdateReport:
         p = self.params
-        pose, z, sigma = p.seen(measurement, sensor_enu_m)
+        pose, z, sigma = p.kernel_row(measurement, sensor_enu_m)
         place = np.array(pose)
         y = z - predicted(state.mean, place, p.model)
         y[1] = math.remainder(y[1], math.tau)

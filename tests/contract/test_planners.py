@@ -23,7 +23,7 @@ from companion.planning.crossing import (
     LatchedCrossingParams,
     ReactiveCrossing,
     ReactiveCrossingParams,
-    Sight,
+    SensorGeometry,
 )
 from companion.planning.fim import FimParams, FimPlanner
 from companion.planning.planner import NO_ROOM, SLACK_M, START_TOLERANCE_M, Planner, PlanRequest
@@ -39,7 +39,7 @@ from companion.planning.views import Antenna
 HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
 
 DOWN = Antenna((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), 2, False, math.pi / 3.0)
-SIGHT = Sight(DOWN, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_told=True)
+SIGHT = SensorGeometry(DOWN, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_configured=True)
 
 
 def as_configured(kinds: object) -> dict[str, Planner[Any]]:
@@ -50,7 +50,7 @@ def as_configured(kinds: object) -> dict[str, Planner[Any]]:
 
 CROSSING: dict[str, Planner[Any]] = as_configured(CrossingKind) | {
     "reactive, parking": ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=500.0)),
-    "latched, without a sight": LatchedCrossing(LatchedCrossingParams()),
+    "latched, without a sensor": LatchedCrossing(LatchedCrossingParams()),
     "latched, tight": LatchedCrossing(
         LatchedCrossingParams(overshoot_max_m=2.0, arrival_radius_m=0.1)
     ),

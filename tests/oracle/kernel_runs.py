@@ -29,7 +29,7 @@ from companion.estimation.window.map_kernels import (
     map_cost,
     map_descent,
     map_step,
-    measured_offs,
+    measured_innovations,
     normal_equations,
     row_partials,
     row_residuals,
@@ -147,7 +147,10 @@ def windows(name: str, params: FilterParams) -> Results:
         information = np.diag(1.0 / params.prior[1] ** 2)
         pull = 0.1 * np.diag(information)
         sigmas = row_sigmas(rows, start, model)
-        u, offs = row_residuals(rows, start, sigmas, model), measured_offs(rows, start, model)
+        u, offs = (
+            row_residuals(rows, start, sigmas, model),
+            measured_innovations(rows, start, model),
+        )
         yield f"{name} {seed} sigmas", sigmas
         yield f"{name} {seed} residuals", u
         yield f"{name} {seed} influences", clipped(u, thresholds)

@@ -40,7 +40,7 @@ from companion.estimation.window.map_kernels import (
     MAX_ITERATIONS,
     map_descent,
     map_step,
-    measured_offs,
+    measured_innovations,
 )
 from companion.kernel import Matrix, Vector, kernel
 from tools.study.case import (
@@ -280,7 +280,7 @@ def stepped_often(
         moved, *_ = map_step(
             rows,
             start,
-            measured_offs(rows, start, belief.model),
+            measured_innovations(rows, start, belief.model),
             DAMPING_START,
             belief.thresholds,
             belief.bounds,

@@ -51,7 +51,7 @@ class FilterpyEkf:
     ) -> target_filter.UpdateReport:
         """Return the state after a measurement; see `TargetFilter.update`."""
         sensor = np.array(sensor_enu_m)
-        _, z, sigma = self.params.seen(measurement, sensor_enu_m)
+        _, z, sigma = self.params.kernel_row(measurement, sensor_enu_m)
         rows = np.flatnonzero(~np.isnan(z)).tolist()
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
         noise = self._variances(state, sensor, sigma, late_s)

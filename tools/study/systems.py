@@ -193,7 +193,7 @@ def belief_of(case: Case, system: System) -> WalkFilter:
     target_filter = recursive_filter_of(case, system)
     params = target_filter.params
     mean, sigmas = params.prior
-    sigma = np.array(params.seen_sigmas(RangingMeasurement(emitter_id=0, measured_at_s=0.0)))
+    sigma = np.array(params.effective_sigmas(RangingMeasurement(emitter_id=0, measured_at_s=0.0)))
     weights = 1.0 / sigmas**2
     weights[:RANGE_OFFSET] = 0.0
     iterations, penalty = 0, 1.0

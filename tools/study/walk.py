@@ -47,7 +47,7 @@ from companion.estimation.window.map_kernels import (
     DAMPING_START,
     MAX_ITERATIONS,
     map_step,
-    measured_offs,
+    measured_innovations,
     normal_equations,
     row_sigmas,
 )
@@ -238,7 +238,7 @@ def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) ->
     information, pull = belief.information, belief.pull
     tolerance_m = EARLY_TOLERANCE_M if rows.shape[0] < EARLY_COUNT else LATE_TOLERANCE_M
     mean: Vector = np.minimum(np.maximum(start, bounds[0]), bounds[1])
-    damping, offs = DAMPING_START, measured_offs(rows, mean, model)
+    damping, offs = DAMPING_START, measured_innovations(rows, mean, model)
     for _ in range(MAX_ITERATIONS):
         moved, offs, damping, *_ = map_step(
             rows, mean, offs, damping, limits, bounds, information, pull, model
@@ -274,7 +274,7 @@ def solved(rows: Matrix, mean: Vector, turn: int, belief: WalkFilter) -> tuple[V
 def curvature_at(rows: Matrix, mean: Vector, belief: WalkFilter) -> tuple[Matrix, float]:
     """Return curvature (4, 4) and cost of the objective at `mean`."""
     sigmas = row_sigmas(rows, mean, belief.model)
-    offs = measured_offs(rows, mean, belief.model)
+    offs = measured_innovations(rows, mean, belief.model)
     curvature, _, cost = normal_equations(
         rows, mean, offs, sigmas, belief.thresholds, belief.information, belief.pull, belief.model
     )

@@ -76,7 +76,7 @@ class RecursiveFilter:
         self._walk = params.process_noise_m_per_sqrt_s
         self.settings = (params.thresholds, params.bounds, params.model, *options)
         """Last arguments of the kernel, the same for every measurement."""
-        self._seen: tuple[object, object, tuple[Vector, ...]] = (None, None, ())
+        self._latest: tuple[object, object, tuple[Vector, ...]] = (None, None, ())
         """Latest measurement, sensor position and kernel arguments, reused for all hypotheses."""
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
@@ -105,13 +105,13 @@ class RecursiveFilter:
         left out, which makes the filter slightly conservative.)
         """
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
-        if self._seen[0] is not measurement or self._seen[1] is not sensor_enu_m:
-            pose, z, sigma = self.params.seen(measurement, sensor_enu_m)
-            self._seen = measurement, sensor_enu_m, (np.array(pose), z, sigma)
+        if self._latest[0] is not measurement or self._latest[1] is not sensor_enu_m:
+            pose, z, sigma = self.params.kernel_row(measurement, sensor_enu_m)
+            self._latest = measurement, sensor_enu_m, (np.array(pose), z, sigma)
         mean, P, rows, is_sane = self.kernel(
             state.mean,
             state.covariance,
-            *self._seen[2],
+            *self._latest[2],
             self._walk**2 * late_s,
             np.array(inflation),
             *self.settings,
@@ -120,9 +120,9 @@ class RecursiveFilter:
             mean.setflags(write=False)
             P.setflags(write=False)
             state = FilterState(state.time_s, mean, P)
-        told = rows.tolist()
-        ranged, borne, elevated = (ModalityReport.of_row(row[:-1]) for row in told)
-        nis = sum(row[-1] for row in told if not math.isnan(row[-1]))
+        reports = rows.tolist()
+        ranged, borne, elevated = (ModalityReport.of_row(row[:-1]) for row in reports)
+        nis = sum(row[-1] for row in reports if not math.isnan(row[-1]))
         return UpdateReport(state, ranged, borne, elevated, nis, is_sane)
 
 

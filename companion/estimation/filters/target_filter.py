@@ -124,7 +124,7 @@ class TargetFilter(Protocol):
 
 NO_AXES = (0.0,) * 6
 """Placeholder axes of a measurement without a direction."""
-VAGUEST = (MOST, math.pi, math.pi)
+MAX_SIGMAS = (MOST, math.pi, math.pi)
 """Largest standard deviations of a range (m), a bearing and an elevation (rad) that are used: half
 a turn is no information about a direction."""
 FLOAT32_STEP = 2.0**-23
@@ -288,7 +288,7 @@ class FilterParams(Params, frozen=True, dict=True):
         ranges = (threshold(self.range_k_long), threshold(self.range_k_short))
         return np.array([ranges, (angle, angle), (angle, angle)])
 
-    def seen(
+    def kernel_row(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu
     ) -> tuple[Pose, Vector, Vector]:
         """Return a measurement for the kernels: the sensor's pose, values and sigmas, each (3,)."""
@@ -306,31 +306,31 @@ class FilterParams(Params, frozen=True, dict=True):
                 values = (m.range_m, m.array.first, m.array.second)
                 pose = (*sensor_enu_m, *m.array.first_axis_enu, *m.array.second_axis_enu)
         z = np.array([math.nan if v is None else v for v in values])
-        return pose, z, np.array(self.seen_sigmas(m))
+        return pose, z, np.array(self.effective_sigmas(m))
 
-    def seen_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
+    def effective_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
         """Return the standard deviations of range, bearing and elevation that are used.
 
         A range's is at least its quantisation error, and a reported one at least the configured
         one.
         """
         m, least_m = measurement, self.step_sigma_m
-        believed = (
+        configured = (
             max(self.range_sigma_m, least_m),
             math.radians(self.bearing_sigma_deg),
             math.radians(self.elevation_sigma_deg),
         )
         if self.model.antenna == COSINES:  # one array measures both components alike
-            believed = (*believed[:2], believed[1])
+            configured = (*configured[:2], configured[1])
         if not self.use_reported_sigma:
-            return believed
+            return configured
         reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
         if reported == (None, None, None):
-            return believed
+            return configured
         ranged, borne, elevated = (
             _within(sigma, own if least is None else least, most, own)
             for sigma, least, most, own in zip(
-                reported, m.least_sigmas, VAGUEST, believed, strict=True
+                reported, m.least_sigmas, MAX_SIGMAS, configured, strict=True
             )
         )
         return (max(ranged, least_m), borne, elevated)

@@ -50,24 +50,24 @@ MIN_COUNT, MAX_COUNT = 20, 512
 """Fewest measurements in a test, and most that are kept."""
 EVERY_S, EVERY_COUNT = 1.0, 5
 """Least time and least number of measurements between two tests."""
-CALM_EVERY_COUNT = 10
+IDLE_EVERY_COUNT = 10
 """Measurements between two tests while nothing indicates motion."""
-NEAR = 3.0
+TESTED_R95_RATIO = 3.0
 """R95 over the localised R95 up to which the target is tested."""
-SIGNIFICANT = 60.0
+SIGNIFICANT_CHI2 = 60.0
 """Statistic of a significant motion: ten times the 95 % quantile of chi-square with 2 degrees of
 freedom, because errors that persist for half a minute or depend on the position occasionally reach
 55."""
-LOST_SIGNIFICANT = 180.0
+LOST_SIGNIFICANT_CHI2 = 180.0
 """The same for a target whose position was known and is no longer: reflections can do that as
 well."""
-IN_A_ROW = 2
+CONFIRMING_TESTS = 2
 """Consecutive significant tests that confirm a motion."""
-CALM = 18.4
+CLEARED_CHI2 = 18.4
 """Statistic below which nothing indicates motion: probability 1e-4 for a stationary target."""
-CALM_COUNT = 10
+CLEARED_COUNT = 10
 """Consecutive tests below that level that end a reported motion."""
-WORTH_A_LOOK = 9.2
+SCREENING_CHI2 = 9.2
 """Statistic of a first step (probability 0.01) below which the second fit is skipped."""
 MAX_SPEED_MPS = 3.0
 """Prior standard deviation of each component of the velocity."""
@@ -99,8 +99,8 @@ class MotionWatch:
     """Monitor that keeps the measurements of the last seconds and tests them periodically."""
 
     def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
-        self._is_wanted = filter_params.process_noise_m_per_sqrt_s == 0.0
-        self._near_m = NEAR * localised_r95_m
+        self._is_enabled = filter_params.process_noise_m_per_sqrt_s == 0.0
+        self._near_m = TESTED_R95_RATIO * localised_r95_m
         self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
         self._due_s = -math.inf
         self._left = 0
@@ -112,7 +112,7 @@ class MotionWatch:
     @property
     def motion(self) -> TargetMotion | None:
         """Motion of the target, confirmed by two consecutive tests; None: stationary."""
-        return self.suspected if self._is_seen else None
+        return self.suspected if self._is_confirmed else None
 
     def clear(self) -> None:
         """Forget everything."""
@@ -121,14 +121,14 @@ class MotionWatch:
         self._reset()
 
     def _reset(self) -> None:
-        self._significant = self._calm = 0
-        self._is_seen = False
+        self._significant = self._cleared = 0
+        self._is_confirmed = False
         self.suspected: TargetMotion | None = None
         """Motion that the latest tests indicate, confirmed or not; None: stationary."""
 
     def add(self, time_s: float, row: Row) -> None:
         """Take in a measurement."""
-        if self._is_wanted:
+        if self._is_enabled:
             self._rows.append(row_vector(row, time_s))
             self._left -= 1
 
@@ -155,18 +155,18 @@ class MotionWatch:
         if self.suspected is None and not self._was_near:
             return
         found = yield from self._likeliest_motion.steps(window_map, mean)
-        least = SIGNIFICANT if is_near or self.suspected is not None else LOST_SIGNIFICANT
+        least = SIGNIFICANT_CHI2 if is_near or self.suspected is not None else LOST_SIGNIFICANT_CHI2
         if found is not None and found.significance >= least:
             self.suspected = found
             self._significant += 1
-            self._calm = 0
-            self._is_seen = self._is_seen or self._significant >= IN_A_ROW
+            self._cleared = 0
+            self._is_confirmed = self._is_confirmed or self._significant >= CONFIRMING_TESTS
             return
-        is_calm = found is None or found.significance < CALM
-        self._left = CALM_EVERY_COUNT if is_calm else EVERY_COUNT
-        self._calm = self._calm + 1 if is_calm else 0
+        is_clear = found is None or found.significance < CLEARED_CHI2
+        self._left = IDLE_EVERY_COUNT if is_clear else EVERY_COUNT
+        self._cleared = self._cleared + 1 if is_clear else 0
         self._significant = 0
-        if not self._is_seen or self._calm >= CALM_COUNT:
+        if not self._is_confirmed or self._cleared >= CLEARED_COUNT:
             self._reset()
 
     def _spans(self) -> list[Matrix]:
@@ -191,29 +191,29 @@ class MotionWatch:
                 continue
             if best is None or motion.significance > best.significance:
                 best = motion
-            if best.significance >= SIGNIFICANT:
+            if best.significance >= SIGNIFICANT_CHI2:
                 break
         return best
 
 
 def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[TargetMotion | None]:
     """Return the motion of a target near `mean` (k,), or None. Rows end with their time."""
-    still, walk = (yield from window_map.solve.steps(rows, mean)), _Walk(window_map, rows)
+    still, fit = (yield from window_map.solve.steps(rows, mean)), _MotionFit(window_map, rows)
     if still is None:
         return None
     place = np.concatenate([still[0], np.zeros(2)])
     try:
         with np.errstate(all="ignore"):
-            may_begin = walk.may_begin(place)
+            is_promising = fit.is_promising(place)
         yield passes(COVARIANCE_PASSES, len(rows))
-        if not may_begin:
+        if not is_promising:
             return None
-        walking = yield from walk.minimum(np.concatenate([mean, np.zeros(2)]))
+        moving = yield from fit.minimum(np.concatenate([mean, np.zeros(2)]))
         with np.errstate(all="ignore"):
-            covariance, inflation = walk.covariance(walking)
-            velocity = walking[-2:]
+            covariance, inflation = fit.covariance(moving)
+            velocity = moving[-2:]
             significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
-            fall = 2.0 * (walk.cost(place) - walk.cost(walking)) / inflation
+            fall = 2.0 * (fit.cost(place) - fit.cost(moving)) / inflation
     except np.linalg.LinAlgError:
         return None
     if not math.isfinite(fall + significance):
@@ -221,7 +221,7 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[Target
     return TargetMotion(velocity_mps=velocity, significance=min(fall, significance))
 
 
-class _Place(NamedTuple):
+class _Linearised(NamedTuple):
     """State, the problem linearised there, and its cost."""
 
     state: Vector
@@ -229,7 +229,7 @@ class _Place(NamedTuple):
     cost: float
 
 
-class _Walk:
+class _MotionFit:
     """Problem of the window with the state [..., east velocity, north velocity] at the end."""
 
     def __init__(self, window_map: WindowMap, rows: Matrix) -> None:
@@ -277,11 +277,11 @@ class _Walk:
                 break
         return at.state
 
-    def _at(self, state: Vector) -> _Place:
+    def _at(self, state: Vector) -> _Linearised:
         scores = self.scores(state)
-        return _Place(state, scores, self._cost(scores, state))
+        return _Linearised(state, scores, self._cost(scores, state))
 
-    def _moved(self, at: _Place, damping: float) -> tuple[_Place | None, float, int]:
+    def _moved(self, at: _Linearised, damping: float) -> tuple[_Linearised | None, float, int]:
         """Return a state of lower cost, if any, the next damping, and the number of tries."""
         A, descent = self._system(at.scores, at.state)
         hold_at_bounds(A, descent, at.state, self._bounds)
@@ -306,21 +306,21 @@ class _Walk:
         descent: Vector = scores.H.T @ scores.psi.reshape(-1) + self._pull
         return descent - self._information @ state
 
-    def may_begin(self, still: Vector) -> bool:
+    def is_promising(self, still: Vector) -> bool:
         """Return True if a first step from rest, with white noise, justifies the second fit."""
         scores = self.scores(still)
         A_inverse = np.asarray(np.linalg.inv(curvature(scores) + self._information))
         last = A_inverse[-2:]
         velocity = last @ self._descent(scores, still)
 
-        def is_worth(variability: Matrix) -> bool:
+        def is_significant(variability: Matrix) -> bool:
             covariance = last @ (variability + self._information) @ last.T
-            return float(velocity @ np.linalg.solve(covariance, velocity)) >= WORTH_A_LOOK
+            return float(velocity @ np.linalg.solve(covariance, velocity)) >= SCREENING_CHI2
 
         # this lower bound nearly always suffices to decline, at half the cost
-        if not is_worth(least_variability(scores)):
+        if not is_significant(least_variability(scores)):
             return False
-        return is_worth(pooled_variability(scores, A_inverse, np.ones(3)))
+        return is_significant(pooled_variability(scores, A_inverse, np.ones(3)))
 
     def covariance(self, state: Vector) -> tuple[Matrix, float]:
         """Return the state's covariance, (k + 2, k + 2), and the inflation over thermal noise."""

@@ -89,7 +89,7 @@ PROVEN_COUNT = 40
 """Measurements that agreed before an estimate may reject outliers."""
 LOST_SHARE, FOUND_SHARE = 0.2, 0.5
 """Share of the window below which agreement is lost, and share at which it is regained."""
-HOPELESS_S, HOPELESS_COUNT = 5.0, 20
+TRACK_LOSS_S, TRACK_LOSS_COUNT = 5.0, 20
 """Time and number of measurements without agreement after which the track is lost."""
 
 
@@ -105,7 +105,7 @@ class Agreement:
         """True if enough measurements agreed since the estimate began."""
         self.is_lost = False
         """True if hardly any measurement agrees with the estimate."""
-        self.is_hopeless = False
+        self.is_track_lost = False
         """True if agreement was lost for so long that the track should be discarded."""
 
     def add(self, time_s: float, *, agrees: bool) -> None:
@@ -123,8 +123,8 @@ class Agreement:
         if not was_lost:
             self._lost_s, self._since_lost = time_s, 0
         self._since_lost += 1
-        has_lasted = time_s - self._lost_s >= HOPELESS_S and self._since_lost >= HOPELESS_COUNT
-        self.is_hopeless = self.is_lost and has_lasted
+        has_lasted = time_s - self._lost_s >= TRACK_LOSS_S and self._since_lost >= TRACK_LOSS_COUNT
+        self.is_track_lost = self.is_lost and has_lasted
 
 
 CONTRADICTION_COUNT = 40
@@ -132,7 +132,7 @@ CONTRADICTION_COUNT = 40
 CONTRADICTION_U = 3.0
 """Whitened innovation of a contradiction: a bearing off to the same side, or a range too short."""
 
-BEHIND = 3.0
+OPPOSITE = 3.0
 """Value of `Contradiction.side` for a bearing that points the other way, neither +1 nor -1."""
 
 
@@ -142,7 +142,7 @@ class Contradiction:
 
     bearings: int = 0
     side: float = 0.0
-    """Direction in which those bearings are off: +-1 or `BEHIND`."""
+    """Direction in which those bearings are off: +-1 or `OPPOSITE`."""
     ranges: int = 0
     """Ranges that are too short; long ones do not contradict, because reflections make them."""
     rejected_ranges: int = 0
@@ -174,8 +174,8 @@ def _side(report: ModalityReport, inflation: float) -> float:
     u = _whitened(report, inflation)
     if abs(u) <= CONTRADICTION_U:
         return 0.0
-    is_behind = abs(report.innovation) > 0.5 * math.pi
-    return BEHIND if is_behind else math.copysign(1.0, u)
+    is_opposite = abs(report.innovation) > 0.5 * math.pi
+    return OPPOSITE if is_opposite else math.copysign(1.0, u)
 
 
 def _whitened(report: ModalityReport, inflation: float) -> float:
@@ -257,7 +257,7 @@ def _is_reflected(report: UpdateReport) -> bool:
 
 DETOUR_S = 15.0
 """Longest shadow in which contradicting measurements are not held against the estimate."""
-KNOWN_RAD = math.radians(5.0)
+CONFIDENT_BEARING_RAD = math.radians(5.0)
 """Predicted bearing sigma up to which the estimate takes precedence over a bearing."""
 
 
@@ -268,7 +268,7 @@ def _is_detour(report: UpdateReport, gate: Gate) -> bool:
     long for any reflection does not qualify, nor does the prediction of a vague estimate.
     """
     row = report.bearing
-    if row is None or row.noise_sigma * math.sqrt(row.prior_share) > KNOWN_RAD:
+    if row is None or row.noise_sigma * math.sqrt(row.prior_share) > CONFIDENT_BEARING_RAD:
         return False
     return _is_reflected(report) and gate.agrees_in_range and not gate.agrees_in_bearing
 
@@ -296,7 +296,7 @@ class TrackIntegrity:
         self._inflation_at_loss: Inflation | None = None
         """Measured inflation when agreement was lost; None: it is not lost."""
 
-    def judging(self, shown: Inflation) -> Inflation:
+    def gate_inflation(self, measured: Inflation) -> Inflation:
         """Return the inflation that the gate works with.
 
         Once agreement is lost, the disagreement itself raises the measured inflation, until
@@ -304,16 +304,20 @@ class TrackIntegrity:
         the loss.
         """
         if self._inflation_at_loss is None:
-            return shown
-        range_, bearing, elevation = map(min, shown, self._inflation_at_loss)
+            return measured
+        range_, bearing, elevation = map(min, measured, self._inflation_at_loss)
         return (range_, bearing, elevation)
 
     def begin(self, measurement: RangingMeasurement) -> None:
         """Count the first measurement of an estimate, which agrees by definition."""
         self.contact = self.contact.after(measurement, OPEN)
 
-    def note(
-        self, measurement: RangingMeasurement, report: UpdateReport, gate: Gate, judging: Inflation
+    def update(
+        self,
+        measurement: RangingMeasurement,
+        report: UpdateReport,
+        gate: Gate,
+        gate_inflation: Inflation,
     ) -> bool:
         """Count how a measurement agrees; return True if the track should be discarded."""
         at_s = measurement.measured_at_s
@@ -325,13 +329,13 @@ class TrackIntegrity:
         if self._detour_since_s is not None and at_s - self._detour_since_s < DETOUR_S:
             return False
         self.agreement.add(at_s, agrees=gate.agrees)
-        self._contradiction = self._contradiction.after(report, judging, gate)
-        is_out_of_band = self._nis.add(report, judging, at_s)
+        self._contradiction = self._contradiction.after(report, gate_inflation, gate)
+        is_out_of_band = self._nis.add(report, gate_inflation, at_s)
         if not self.agreement.is_lost:
             self._inflation_at_loss = None
         elif self._inflation_at_loss is None:
-            self._inflation_at_loss = judging
-        is_conclusive = self._contradiction.is_conclusive or self.agreement.is_hopeless
+            self._inflation_at_loss = gate_inflation
+        is_conclusive = self._contradiction.is_conclusive or self.agreement.is_track_lost
         return is_conclusive or is_out_of_band
 
     def give_up(self, time_s: float, accepted: int) -> None:

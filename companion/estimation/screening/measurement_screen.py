@@ -409,6 +409,6 @@ class MeasurementScreen:
         is_flat = m.range_m is not None and m.range_m > STEEP_RATIO * height_m
         # without a range only azimuths about the vertical can be tested: the steepness is unknown
         if is_flat or (m.range_m is None and m.array is None):
-            _, sigma_rad, _ = self._params.seen_sigmas(m)
+            _, sigma_rad, _ = self._params.effective_sigmas(m)
             self._bearings.add(m.measured_at_s, raw_rad, sigma_rad, sensor_enu_m)
         return RejectReason.WRONG_UNIT if self._bearings.is_rejected else None

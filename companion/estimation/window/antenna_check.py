@@ -11,14 +11,14 @@ estimated as well, so that reflections have little weight and no noise needs to 
     cost = sum of log(sigma_i scale) + |u_i| / scale,    scale = mean |u_i|
 
 with u the whitened residuals; ranges add their robust loss. Another antenna is accepted when the
-difference of the costs to every other candidate is `DECIDED`, and more than `DECIDED_SIGMAS` of its
-scatter by noise, with the correlation of neighbours. Until then the planar array is assumed, which
-claims the least information. An angle beyond a right one rules out a line at once. A bearing beside
-a range that is too long came by reflection or around an edge, and is no evidence. A planar array is
-reported only where an azimuth's errors grow with the steepness: errors around an edge are as large
-from aside. Accurate bearings right above prove an azimuth for good, and shadows and reflections
-only degrade them: so an azimuth is dropped only when the evidence against it exceeds the most that
-there was for it.
+difference of the costs to every other candidate is `DECISION_LOG_ODDS`, and more than
+`DECISION_SIGMAS` of its scatter by noise, with the correlation of neighbours. Until then the planar
+array is assumed, which claims the least information. An angle beyond a right one rules out a line
+at once. A bearing beside a range that is too long came by reflection or around an edge, and is no
+evidence. A planar array is reported only where an azimuth's errors grow with the steepness: errors
+around an edge are as large from aside. Accurate bearings right above prove an azimuth for good, and
+shadows and reflections only degrade them: so an azimuth is dropped only when the evidence against
+it exceeds the most that there was for it.
 
 Source: Q. H. Vuong, Econometrica 57 (1989), for the comparison of models that need not be true.
 """
@@ -49,15 +49,15 @@ from companion.kernel import Matrix, Vector
 
 MIN_BEARINGS = 40
 """Fewest bearings for a comparison."""
-DECIDED, DECIDED_ALONE = math.log(1000.0), 4.0 * math.log(1000.0)
+DECISION_LOG_ODDS, BEARINGS_ONLY_LOG_ODDS = math.log(1000.0), 4.0 * math.log(1000.0)
 """Log odds between two antennas, and without ranges, where each antenna finds a position that suits
 it."""
-DECIDED_SIGMAS = 3.0
+DECISION_SIGMAS = 3.0
 """Standard deviations of the cost difference by noise."""
 EVERY = 4
 """Solutions between two checks of an identified antenna."""
 
-LONG_SIGMAS = 2.0
+NLOS_SIGMAS = 2.0
 """Excess of a range, in sigma, from which it and its bearing came by reflection or around an
 edge."""
 
@@ -68,7 +68,7 @@ MIN_STEEP = 8
 WORSE_SHARE = 0.6
 """Share of pairs whose steep error is larger that shows a growth with steepness; 0.5 by chance."""
 
-CONTRADICTED, CALM = 4.0, 2.0
+CONTRADICTED_SIGMAS, CLEARED_SIGMAS = 4.0, 2.0
 """Median error of directions, in sigma, that contradicts the antenna, and that clears it again."""
 MIN_CONTRADICTING = 40
 """Fewest directions for that test."""
@@ -112,8 +112,8 @@ class AntennaCheck:
 
     def clear(self) -> None:
         """Forget all evidence about the antenna."""
-        self.taken: Candidate = "planar"
-        self.is_shown = False
+        self.hypothesis: Candidate = "planar"
+        self.is_identified = False
         """True if bearings show that they are an azimuth, or that they are none."""
         self._azimuth_gain = 0.0
         """Largest cost difference by which an accepted azimuth beat the next candidate."""
@@ -122,12 +122,12 @@ class AntennaCheck:
     @property
     def params(self) -> FilterParams:
         """Filter parameters with the accepted antenna."""
-        return self._params[self.taken]
+        return self._params[self.hypothesis]
 
     @property
-    def shown(self) -> str | None:
+    def identified(self) -> str | None:
         """Kind that the bearings identify; None: none yet."""
-        return self.taken if self.is_shown else None
+        return self.hypothesis if self.is_identified else None
 
     @Stepwise
     def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> Steps[bool]:
@@ -136,61 +136,63 @@ class AntennaCheck:
         The rows are those of a planar array, each with its reported angle.
         """
         self._solutions += 1
-        before = self.taken
+        before = self.hypothesis
         printed_rad = rows[:, VALUES + BEARING]
         is_borne = ~np.isnan(printed_rad)
         is_no_line = bool(np.any(np.abs(printed_rad[is_borne]) > 0.5 * math.pi))
         if is_no_line and before == "line":
-            self._take("planar", is_shown=False)
-        is_due = not self.is_shown or self._solutions % EVERY == 0
+            self._accept("planar", is_identified=False)
+        is_due = not self.is_identified or self._solutions % EVERY == 0
         if is_due and np.count_nonzero(is_borne) >= MIN_BEARINGS:
             kinds = [kind for kind in CANDIDATES if kind != "line" or not is_no_line]
-            found = yield from self._explanations.steps(kinds, rows, mean, inflation)
-            direct = without_long(rows, list(found.values()))
+            found = yield from self._fits.steps(kinds, rows, mean, inflation)
+            direct = without_nlos(rows, list(found.values()))
             if direct is not None:
-                found = yield from self._explanations.steps(kinds, direct, mean, inflation)
-            if self.taken in found:
+                found = yield from self._fits.steps(kinds, direct, mean, inflation)
+            if self.hypothesis in found:
                 has_ranges = not np.isnan(rows[:, VALUES + RANGE]).all()
-                self._judge(found, DECIDED if has_ranges else DECIDED_ALONE)
-        return self.taken != before
+                self._judge(found, DECISION_LOG_ODDS if has_ranges else BEARINGS_ONLY_LOG_ODDS)
+        return self.hypothesis != before
 
     @Stepwise
-    def _explanations(
+    def _fits(
         self, kinds: Sequence[Candidate], rows: Matrix, mean: Vector, inflation: Inflation
-    ) -> Steps[dict[Candidate, Explained]]:
-        found: dict[Candidate, Explained] = {}
+    ) -> Steps[dict[Candidate, AntennaFit]]:
+        found: dict[Candidate, AntennaFit] = {}
         for kind in kinds:
-            each = yield from self._explained(kind, rows, mean, inflation)
+            each = yield from self._fit_of(kind, rows, mean, inflation)
             found |= {} if each is None else {kind: each}
         return found
 
-    def _judge(self, found: dict[Candidate, Explained], decided: float) -> None:
+    def _judge(self, found: dict[Candidate, AntennaFit], log_odds: float) -> None:
         """Accept the best candidate if it is significantly better than every other."""
         best = min(found, key=lambda kind: found[kind].cost)
         others = [found[kind] for kind in found if kind != best]
-        is_shown = bool(others) and all(is_decided(each, found[best], decided) for each in others)
+        is_identified = bool(others) and all(
+            is_significant(each, found[best], log_odds) for each in others
+        )
         if best == "planar" and "azimuth" in found:
-            is_shown &= is_worse_from_above(found["azimuth"])
+            is_identified &= grows_with_steepness(found["azimuth"])
         gain = min((other.cost for other in others), default=0.0) - found[best].cost
-        if best != self.taken:
-            if not is_shown or gain < self._azimuth_gain + decided:
-                self.is_shown = self._azimuth_gain > 0.0
+        if best != self.hypothesis:
+            if not is_identified or gain < self._azimuth_gain + log_odds:
+                self.is_identified = self._azimuth_gain > 0.0
                 return
-            self._take(best, is_shown=True)
-        self.is_shown = is_shown
-        if best == "azimuth" and is_shown:
+            self._accept(best, is_identified=True)
+        self.is_identified = is_identified
+        if best == "azimuth" and is_identified:
             self._azimuth_gain = max(self._azimuth_gain, gain)
 
-    def _take(self, kind: Candidate, *, is_shown: bool) -> None:
-        self.taken, self.is_shown = kind, is_shown
+    def _accept(self, kind: Candidate, *, is_identified: bool) -> None:
+        self.hypothesis, self.is_identified = kind, is_identified
         self._azimuth_gain = 0.0
 
-    def _explained(
+    def _fit_of(
         self, kind: Candidate, rows: Matrix, mean: Vector, inflation: Inflation
-    ) -> Steps[Explained | None]:
+    ) -> Steps[AntennaFit | None]:
         """Return the fit of one antenna to the rows at its best position; None without one."""
         window_map, params = self._maps[kind], self._params[kind]
-        window_map.expect(inflation)
+        window_map.set_bearing_inflation(inflation)
         seen = rows_as(rows, kind)
         solution = yield from window_map.solve.steps(seen, mean)
         if solution is None:
@@ -212,10 +214,10 @@ class AntennaCheck:
         rise_m = rows[is_borne, 2] - target_height_m(solution[0], params.model)
         rise_rad = np.arctan2(np.abs(rise_m), np.hypot(away[:, 0], away[:, 1]))
         cost = ranging_cost + float(costs.sum())
-        return Explained(cost, spread_rad, off / scale, rise_rad, u[RANGE][is_borne])
+        return AntennaFit(cost, spread_rad, off / scale, rise_rad, u[RANGE][is_borne])
 
 
-class ToldAntennaWatch:
+class ConfiguredAntennaCheck:
     """Test of directions against the configured antenna, mount and field of view.
 
     It uses their median, because reflections are gross but fewer than a half, and requires that the
@@ -230,14 +232,14 @@ class ToldAntennaWatch:
         """Take in the directions' residuals at the estimated position."""
         directions = [scores.u[row][scores.is_measured[row]] for row in (BEARING, ELEVATION)]
         off = [float(np.median(np.abs(u))) for u in directions if len(u) >= MIN_CONTRADICTING]
-        if max(off, default=0.0) > CONTRADICTED:
+        if max(off, default=0.0) > CONTRADICTED_SIGMAS:
             self._since_s = min(self._since_s, time_s)
             self.is_contradicted = time_s - self._since_s >= CONTRADICTED_FOR_S
-        elif max(off, default=0.0) < CALM:
+        elif max(off, default=0.0) < CLEARED_SIGMAS:
             self._since_s, self.is_contradicted = math.inf, False
 
 
-class Explained(NamedTuple):
+class AntennaFit(NamedTuple):
     """Fit of one antenna to the window."""
 
     cost: float
@@ -251,12 +253,12 @@ class Explained(NamedTuple):
     """(m,) residual of the range beside it, in its standard deviations; positive when too long."""
 
 
-def without_long(rows: Matrix, found: Sequence[Explained]) -> Matrix | None:
+def without_nlos(rows: Matrix, found: Sequence[AntennaFit]) -> Matrix | None:
     """Return the rows (n, 16) without bearings beside a range too long for any candidate.
 
     None: there are none, or too few others for a comparison.
     """
-    is_long = np.any([each.excess > LONG_SIGMAS for each in found], axis=0)
+    is_long = np.any([each.excess > NLOS_SIGMAS for each in found], axis=0)
     if not is_long.any() or np.count_nonzero(~is_long) < MIN_BEARINGS:
         return None
     direct = np.array(rows)
@@ -265,7 +267,7 @@ def without_long(rows: Matrix, found: Sequence[Explained]) -> Matrix | None:
     return direct
 
 
-def is_worse_from_above(azimuth: Explained) -> bool:
+def grows_with_steepness(azimuth: AntennaFit) -> bool:
     """Return True if an azimuth's errors grow with steepness, by rank; not so around an edge."""
     off_rad = azimuth.error * azimuth.spread_rad
     is_steep = azimuth.rise_rad > STEEP_RAD
@@ -276,15 +278,15 @@ def is_worse_from_above(azimuth: Explained) -> bool:
     return share > WORSE_SHARE
 
 
-def is_decided(before: Explained, better: Explained, decided: float) -> bool:
+def is_significant(before: AntennaFit, better: AntennaFit, log_odds: float) -> bool:
     """Return True if the second fit is better by these log odds, and significantly so.
 
     If it is true, an error that is larger by d raises the difference by (ratio - 1) d, with the
     ratio of both expected errors: the rest of the difference is geometry.
     """
     gain = before.cost - better.cost
-    if gain < decided:
+    if gain < log_odds:
         return False
     noise = (better.spread_rad / before.spread_rad - 1.0) * (better.error - 1.0)
     scatter2 = float(long_run_variance(noise[:, None])[0, 0])
-    return gain > DECIDED_SIGMAS * math.sqrt(max(scatter2, 0.0))
+    return gain > DECISION_SIGMAS * math.sqrt(max(scatter2, 0.0))

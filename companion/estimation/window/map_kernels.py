@@ -141,7 +141,7 @@ def modalities_of(rows: Matrix) -> int:
 
 
 @kernel
-def row_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+def batch_innovations(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     """Return measured minus predicted at `mean`, (3, n), not whitened; NaN: not measured.
 
     Units: m, rad, or those of a direction cosine.
@@ -149,47 +149,49 @@ def row_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
     du = target_height_m(mean, model) - rows[:, 2]
     ground2 = de * de + dn * dn
-    offs = np.full((3, rows.shape[0]), np.nan)
-    offs[0] = rows[:, 3] - range_factor(mean, model) * np.sqrt(ground2 + du * du) - mean[2]
+    innovations = np.full((3, rows.shape[0]), np.nan)
+    innovations[0] = rows[:, 3] - range_factor(mean, model) * np.sqrt(ground2 + du * du) - mean[2]
     if model.antenna != AZIMUTH:
-        fill_array_offs(offs, rows, mean, model)
-        return offs
+        fill_array_innovations(innovations, rows, mean, model)
+        return innovations
     if has_any(rows, 1):
         turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
-        offs[1] = turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)
+        innovations[1] = turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)
     if has_any(rows, 2):
-        offs[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
-    return offs
+        innovations[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
+    return innovations
 
 
 @kernel
-def fill_array_offs(offs: Matrix, rows: Matrix, mean: Vector, model: RangingModel) -> None:
-    """Fill the last two rows of `row_offs`, (3, n), for an antenna array."""
+def fill_array_innovations(
+    innovations: Matrix, rows: Matrix, mean: Vector, model: RangingModel
+) -> None:
+    """Fill the last two rows of `batch_innovations`, (3, n), for an antenna array."""
     seen = row_cosines(rows, mean, model)
-    off = rows[:, 4] - seen[0]
+    innovation = rows[:, 4] - seen[0]
     if model.antenna == PLANAR:
-        off = rows[:, 4] - np.arctan2(seen[1], seen[0])
-        off = off - 2.0 * math.pi * np.floor(off / (2.0 * math.pi) + 0.5)
-    offs[1] = off
-    offs[2] = rows[:, 5] - seen[1]
+        innovation = rows[:, 4] - np.arctan2(seen[1], seen[0])
+        innovation = innovation - 2.0 * math.pi * np.floor(innovation / (2.0 * math.pi) + 0.5)
+    innovations[1] = innovation
+    innovations[2] = rows[:, 5] - seen[1]
 
 
 @kernel
-def measured_offs(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Return `row_offs` of the modalities that exist, (m, n)."""
-    return row_offs(rows, mean, model)[: modalities_of(rows)]
+def measured_innovations(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
+    """Return `batch_innovations` of the modalities that exist, (m, n)."""
+    return batch_innovations(rows, mean, model)[: modalities_of(rows)]
 
 
 @kernel
-def whitened(offs: Matrix, sigmas: Matrix) -> Matrix:
-    """Return `offs`, (m, n), in standard deviations (3, n), zero where nothing was measured."""
-    return np.where(np.isnan(offs), 0.0, offs / sigmas[: offs.shape[0]])
+def whitened(innovations: Matrix, sigmas: Matrix) -> Matrix:
+    """Return innovations, (m, n), over their sigmas (3, n), zero where not measured."""
+    return np.where(np.isnan(innovations), 0.0, innovations / sigmas[: innovations.shape[0]])
 
 
 @kernel
 def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
     """Return the whitened residuals of all measurements, (3, n), zero where not measured."""
-    return whitened(row_offs(rows, mean, model), sigmas)
+    return whitened(batch_innovations(rows, mean, model), sigmas)
 
 
 @kernel
@@ -275,7 +277,7 @@ def clipped(u: Matrix, thresholds: Matrix) -> Matrix:
 
 
 @kernel
-def weigh_votes(terms: Matrix, model: RangingModel) -> None:
+def apply_weights(terms: Matrix, model: RangingModel) -> None:
     """Multiply the terms of all measurements, (2 or 3, n), by their shares, in place."""
     if model.range_share != 1.0 or model.direction_share != 1.0:
         terms[0] *= model.range_share
@@ -284,7 +286,7 @@ def weigh_votes(terms: Matrix, model: RangingModel) -> None:
 
 @kernel
 def map_cost(
-    offs: Matrix,
+    innovations: Matrix,
     mean: Vector,
     sigmas: Matrix,
     thresholds: Matrix,
@@ -292,11 +294,11 @@ def map_cost(
     pull: Vector,
     model: RangingModel,
 ) -> float:
-    """Return the objective at `mean`, where the measurements' residuals are `offs`, (m, n)."""
-    u = whitened(offs, sigmas)
+    """Return the objective at `mean`, given the innovations there, (m, n)."""
+    u = whitened(innovations, sigmas)
     psi = clipped(u, thresholds)
     losses = psi * (u - 0.5 * psi)
-    weigh_votes(losses, model)
+    apply_weights(losses, model)
     prior = 0.5 * np.dot(mean, np.dot(information, mean)) - np.dot(pull, mean)
     return float(np.sum(losses) + prior)
 
@@ -323,7 +325,7 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
 def normal_equations(
     rows: Matrix,
     mean: Vector,
-    offs: Matrix,
+    innovations: Matrix,
     sigmas: Matrix,
     thresholds: Matrix,
     information: Matrix,
@@ -332,18 +334,18 @@ def normal_equations(
 ) -> tuple[Matrix, Vector, float]:
     """Return the re-weighted Gauss-Newton system at `mean`: (k, k), descent (k,), and cost.
 
-    The residuals at `mean` are `offs`, (m, n).
+    The residuals at `mean` are `innovations`, (m, n).
     """
-    measured = offs.shape[0]
-    u = whitened(offs, sigmas)
+    measured = innovations.shape[0]
+    u = whitened(innovations, sigmas)
     psi = clipped(u, thresholds)
     H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
     clear = (u == psi) * 1.0  # multiplying by it takes half the time of np.where when compiled
     weight = (psi * (1.0 - clear) + clear) / (u * (1.0 - clear) + clear)
     losses = psi * (u - 0.5 * psi)
-    weigh_votes(weight, model)
-    weigh_votes(losses, model)
-    weigh_votes(psi, model)
+    apply_weights(weight, model)
+    apply_weights(losses, model)
+    apply_weights(psi, model)
     A = np.dot(H.T, weight.reshape(-1, 1) * H) + information
     known = np.dot(information, mean)
     cost = np.sum(losses) + 0.5 * np.dot(mean, known) - np.dot(pull, mean)
@@ -371,7 +373,7 @@ def hold_at_bounds(A: Matrix, descent: Vector, mean: Vector, bounds: Matrix) -> 
 def map_step(
     rows: Matrix,
     mean: Vector,
-    offs: Matrix,
+    innovations: Matrix,
     damping: float,
     thresholds: Matrix,
     bounds: Matrix,
@@ -381,13 +383,13 @@ def map_step(
 ) -> tuple[Vector, Matrix, float, float, int]:
     """Take one damped step that lowers the cost.
 
-    Returns the mean, its residuals, the next damping, the decrease, and the number of dampings
-    tried. The `offs` are those of `measured_offs` at `mean`, (m, n). Where no step lowers the cost,
-    the mean is unchanged.
+    Returns the mean, its innovations, the next damping, the decrease, and the number of dampings
+    tried. The `innovations`, (m, n), are `measured_innovations` at `mean`. Where no step lowers
+    the cost, the mean is unchanged.
     """
     sigmas = row_sigmas(rows, mean, model)
     A, descent, cost = normal_equations(
-        rows, mean, offs, sigmas, thresholds, information, pull, model
+        rows, mean, innovations, sigmas, thresholds, information, pull, model
     )
     hold_at_bounds(A, descent, mean, bounds)
     scale = np.diag(np.diag(A) + 1e-9)
@@ -399,12 +401,12 @@ def map_step(
         tries += 1
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
-        after = row_offs(rows, moved, model)[: offs.shape[0]]
+        after = batch_innovations(rows, moved, model)[: innovations.shape[0]]
         lower = map_cost(after, moved, sigmas, thresholds, information, pull, model)
         if lower < cost:
             return moved, after, max(damping / 4.0, 1e-9), cost - lower, tries
         damping *= 8.0
-    return mean, offs, damping, 0.0, tries
+    return mean, innovations, damping, 0.0, tries
 
 
 @kernel
@@ -427,10 +429,10 @@ def map_descent(
     `bounds` (2, k).
     """
     mean = np.minimum(np.maximum(mean, bounds[0]), bounds[1])
-    offs, passes = measured_offs(rows, mean, model), 1
+    innovations, passes = measured_innovations(rows, mean, model), 1
     for _ in range(most):
-        moved, offs, damping, gain, tries = map_step(
-            rows, mean, offs, damping, thresholds, bounds, information, pull, model
+        moved, innovations, damping, gain, tries = map_step(
+            rows, mean, innovations, damping, thresholds, bounds, information, pull, model
         )
         passes += 1 + tries
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])

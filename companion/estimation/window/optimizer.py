@@ -152,11 +152,11 @@ class WindowOptimizer:
         self,
         filter_params: FilterParams,
         params: WindowParams,
-        kept_as: FilterParams | None = None,
+        storage_params: FilterParams | None = None,
     ) -> None:
         self._filter_params = filter_params
-        self._is_antenna_told = kept_as is None
-        self.kept_as = kept_as or filter_params
+        self._is_antenna_configured = storage_params is None
+        self.storage_params = storage_params or filter_params
         """Parameters of the rows in the window: those of a planar array until the antenna is
         identified."""
         self._params = params
@@ -174,7 +174,7 @@ class WindowOptimizer:
 
     def _begin(self, due_at: int) -> None:
         """Start an empty window, to be solved after so many measurements."""
-        columns = COLUMNS if self.kept_as.model.antenna == AZIMUTH else ARRAY_COLUMNS
+        columns = COLUMNS if self.storage_params.model.antenna == AZIMUTH else ARRAY_COLUMNS
         self.window = MeasurementWindow(self._params.size, columns)
         self.noise: Inflation | None = None
         """Inflation over thermal noise of each modality at the best optimum; None: not solved
@@ -185,7 +185,7 @@ class WindowOptimizer:
     @property
     def rows(self) -> Matrix:
         """Rows of the window as measured by the accepted antenna, oldest first."""
-        if self._is_antenna_told:
+        if self._is_antenna_configured:
             return self.window.rows
         return rows_as(self.window.rows, self._filter_params.antenna.kind)
 
@@ -198,7 +198,7 @@ class WindowOptimizer:
         self.latest.clear()
         self._older = self._older.moved(step)
         window = self.window
-        window.rows = shift_rows(window.rows, shift_en_m, step, self.kept_as)
+        window.rows = shift_rows(window.rows, shift_en_m, step, self.storage_params)
 
     def begin_with_latest(self) -> None:
         """Start again with the latest measurements only, after a track was discarded."""
@@ -207,7 +207,7 @@ class WindowOptimizer:
         for row in self.latest:
             self.window.add(row, (row[0][0], row[0][1]))
 
-    def believe(self, filter_params: FilterParams) -> None:
+    def switch_antenna(self, filter_params: FilterParams) -> None:
         """Reinterpret the measurements as those of another antenna."""
         self._filter_params = filter_params
         self.map = WindowMap(filter_params)
@@ -233,7 +233,7 @@ class WindowOptimizer:
         dropped = self.window.add(row, place, time_s)
         if len(dropped) and len(hypotheses) == 1 and is_white:
             mean, params = hypotheses[0].state.mean, self._filter_params
-            if not self._is_antenna_told:
+            if not self._is_antenna_configured:
                 dropped = rows_as(dropped, params.antenna.kind)
             self._older = self._older.joined(dropped, mean, params.thresholds, params.model)
 
@@ -262,7 +262,7 @@ class WindowOptimizer:
             return hypotheses
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
-        self.map.expect(inflation)
+        self.map.set_bearing_inflation(inflation)
         kept, starts = min(len(hypotheses), MAX_STARTS_KEPT), self._starts(hypotheses, fresh_starts)
         minima = yield from self.map.minima.steps(self.rows, starts, self._older)
         has_older = bool(minima) and not self._older.is_empty
@@ -275,10 +275,10 @@ class WindowOptimizer:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
         following = []
-        for log_weight, optimum in weigh_optima(optima, self.map.fields):
+        for log_weight, optimum in weigh_optima(optima, self.map.spatial_noise):
             state = FilterState.of(hypotheses[0].state.time_s, optimum.mean, optimum.covariance)
             # with correlated residuals the filter must not shrink below the window's covariance
-            is_free = is_white and self.map.fields == ALL_WHITE
+            is_free = is_white and self.map.spatial_noise == ALL_WHITE
             least = None if is_free else np.array(optimum.covariance[:2, :2])
             following.append(Hypothesis(log_weight, state, least))
         return tuple(following)
@@ -286,9 +286,9 @@ class WindowOptimizer:
     def shared(self, hypothesis: Hypothesis, sigmas: SharedSigmas) -> SharedErrors:
         """Return the effect of errors that all measurements share on the window's estimate."""
         rows, mean = self.rows, hypothesis.state.mean
-        heard = self.map.heard(rows)
+        reception = self.map.reception(rows)
         if len(rows) < MIN_MEASUREMENTS:
-            return NO_ERRORS._replace(heard=heard)
+            return NO_ERRORS._replace(reception=reception)
         spread_m2 = float(np.trace(hypothesis.state.covariance[:2, :2]))
         scores = self.map.scores(rows, mean, spread_m2)
         prior = self.map.prior_with(rows, self._older)[0]
@@ -297,7 +297,7 @@ class WindowOptimizer:
             errors = shared_errors(rows, times_s, mean, scores, prior, model, sigmas)
         except np.linalg.LinAlgError:
             errors = NO_ERRORS
-        return errors._replace(heard=heard)
+        return errors._replace(reception=reception)
 
     def widths(self, mean: Vector, *, is_white: bool) -> list[tuple[str, Matrix]]:
         """Return the terms that widen the estimate at `mean` (k,), as `WindowMap.widths` does."""
@@ -347,8 +347,8 @@ class WindowOptimizer:
             optima = yield from self.map.optima.steps(kept, starts, self._older, is_white=is_white)
             if optima:
                 return optima
-        judged = self.map.judged
-        return (yield from judged.steps(self.rows, minima, self._older, is_white=is_white))
+        optima_at = self.map.optima_at
+        return (yield from optima_at.steps(self.rows, minima, self._older, is_white=is_white))
 
     @Stepwise
     def _is_contradicted(self, best: Vector) -> Steps[bool]:

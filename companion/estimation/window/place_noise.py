@@ -37,7 +37,7 @@ LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Correlation lengths of the grid, in units of the prior one."""
 AMPLITUDES = (0.1, 0.25, 0.5, 0.8, 1.2, 1.8)
 """Deviations of the grid, in units of the prior one."""
-LENGTH_DOUBT, AMPLITUDE_DOUBT = 1.5, 1.0
+LENGTH_PRIOR_SIGMA, AMPLITUDE_PRIOR_SIGMA = 1.5, 1.0
 """Standard deviations of the priors of length and deviation, in factors of two."""
 MOST_CELLS = 32
 """Most cells of the track: the cost grows with the third power."""
@@ -48,7 +48,7 @@ WHITE_COUNT = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class PlaceBelief:
+class SpatialPrior:
     """Prior of a modality's field."""
 
     deviation: float
@@ -59,7 +59,7 @@ class PlaceBelief:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaceNoise:
+class SpatialNoise:
     """Field of one modality's influences."""
 
     cell: Indices
@@ -83,16 +83,21 @@ class PlaceNoise:
         return total
 
 
-def place_noise(
-    places: Matrix, psi: Vector, partials: Matrix, slope: float, prior: Matrix, belief: PlaceBelief
-) -> PlaceNoise:
+def fit_spatial_noise(
+    places: Matrix,
+    psi: Vector,
+    partials: Matrix,
+    slope: float,
+    prior: Matrix,
+    prior_noise: SpatialPrior,
+) -> SpatialNoise:
     """Return the field of the influences psi (n,), NaN where not measured, at `places` (n, 2).
 
     `partials` (n, k) are whitened, `slope` is the share of them on the quadratic part, and `prior`
     (k, k) is the information of the state's prior.
     """
     seen = ~np.isnan(psi)
-    index, way_m = stretches_of(places[seen], CELL_SHARE * belief.length_m)
+    index, way_m = cells_of(places[seen], CELL_SHARE * prior_noise.length_m)
     cell = np.full(len(psi), -1)
     cell[seen] = index
     count = np.bincount(index).astype(float)
@@ -100,39 +105,39 @@ def place_noise(
     y, centres, X = mean[:, 0], mean[:, 1:3], mean[:, 3:]
     scatter = float(np.sum((psi[seen] - y[index]) ** 2))
     degrees = len(index) - len(count)
-    white = (scatter + WHITE_COUNT * belief.deviation**2) / (degrees + WHITE_COUNT)
+    white = (scatter + WHITE_COUNT * prior_noise.deviation**2) / (degrees + WHITE_COUNT)
     apart = np.stack(
         [
             np.hypot(*(centres[:, None, :] - centres[None, :, :]).T),
             np.abs(way_m[:, None] - way_m[None, :]),
         ]
     )
-    lengths = belief.length_m * np.array(LENGTHS)
+    lengths = prior_noise.length_m * np.array(LENGTHS)
     shapes = np.exp(-apart[:, None] / lengths[:, None, None]).reshape(-1, *apart.shape[1:])
-    deviations = belief.deviation * np.array(AMPLITUDES)
+    deviations = prior_noise.deviation * np.array(AMPLITUDES)
     fields = (deviations[None, :, None, None] ** 2 * shapes[:, None]).reshape(-1, *apart.shape[1:])
     logs = _log_likelihoods(fields + np.diag(white / count), y, X, prior)
-    weights = logs + _log_prior(belief)
+    weights = logs + _log_prior(prior_noise)
     weights = np.exp(weights - weights.max())
     field = np.tensordot(weights / weights.sum(), fields, axes=1)
     total = len(index)
     of_mean = float(count @ field @ count) + white * total
-    return PlaceNoise(cell, field, white, max(1.0, of_mean / (total * slope)))
+    return SpatialNoise(cell, field, white, max(1.0, of_mean / (total * slope)))
 
 
-def _log_prior(belief: PlaceBelief) -> Vector:
+def _log_prior(prior_noise: SpatialPrior) -> Vector:
     """Return the log prior of every length and deviation of the grid, (m,)."""
-    if not belief.is_of_radio:
+    if not prior_noise.is_of_radio:
         return np.zeros(2 * len(LENGTHS) * len(AMPLITUDES))
-    doubts = [
-        (math.log2(a) / LENGTH_DOUBT) ** 2 + (math.log2(b) / AMPLITUDE_DOUBT) ** 2
+    deviations2 = [
+        (math.log2(a) / LENGTH_PRIOR_SIGMA) ** 2 + (math.log2(b) / AMPLITUDE_PRIOR_SIGMA) ** 2
         for a in LENGTHS
         for b in AMPLITUDES
     ]
-    return -0.5 * np.array(2 * doubts)
+    return -0.5 * np.array(2 * deviations2)
 
 
-def stretches_of(places: Matrix, least_m: float) -> tuple[Indices, Vector]:
+def cells_of(places: Matrix, least_m: float) -> tuple[Indices, Vector]:
     """Return the cell of each of the positions (n, 2), and each cell's distance along the track.
 
     A cell begins where the vehicle is far enough from the start of the one before, so that hovering

@@ -41,12 +41,12 @@ import numpy as np
 
 from companion.estimation.filters.target_filter import Inflation
 from companion.estimation.stepwise import Steps
-from companion.estimation.window.place_noise import PlaceNoise
+from companion.estimation.window.place_noise import SpatialNoise
 from companion.kernel import Matrix, Vector
 
-Fields = tuple[PlaceNoise | None, ...]
+SpatialNoises = tuple[SpatialNoise | None, ...]
 """Spatial noise of each modality, (3,); None: its errors are white."""
-ALL_WHITE: Fields = (None, None, None)
+ALL_WHITE: SpatialNoises = (None, None, None)
 """No spatial correlation in any modality."""
 Shares = tuple[float, ...]
 """Weight of a measurement of each modality, (3,), as a share of an independent one."""
@@ -225,13 +225,13 @@ def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) ->
     return B
 
 
-def placed_variability(scores: Scores, fields: Fields, A_inverse: Matrix) -> Matrix:
+def spatial_variability(scores: Scores, spatial_noise: SpatialNoises, A_inverse: Matrix) -> Matrix:
     """Return B under spatially correlated errors, (k, k); modalities without a field are white."""
     k = scores.H.shape[1]
-    white = np.array([1.0 if field is None else 0.0 for field in fields])
+    white = np.array([1.0 if field is None else 0.0 for field in spatial_noise])
     B = pooled_variability(scores, A_inverse, white)
     for m in scores.measured:
-        field = fields[m]
+        field = spatial_noise[m]
         if field is None:
             continue
         H, share = scores.part(m), 1.0 / field.repetition
@@ -241,9 +241,9 @@ def placed_variability(scores: Scores, fields: Fields, A_inverse: Matrix) -> Mat
     return B
 
 
-def shares_of(fields: Fields) -> Shares:
+def shares_of(spatial_noise: SpatialNoises) -> Shares:
     """Return the weight of a measurement of each modality that its spatial noise leaves, (3,)."""
-    return tuple(1.0 if field is None else 1.0 / field.repetition for field in fields)
+    return tuple(1.0 if field is None else 1.0 / field.repetition for field in spatial_noise)
 
 
 def correlated_variability(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
@@ -406,7 +406,7 @@ class Optimum:
 
 
 def weigh_optima(
-    optima: Sequence[Optimum], fields: Fields = ALL_WHITE
+    optima: Sequence[Optimum], spatial_noise: SpatialNoises = ALL_WHITE
 ) -> list[tuple[float, Optimum]]:
     """Return the optima with log-weights, best first, without the improbable ones.
 
@@ -416,19 +416,19 @@ def weigh_optima(
     if not optima:
         return []
     best = min(optima, key=lambda optimum: optimum.cost)
-    logs = [(log_ratio(each, best, fields), each) for each in optima]
+    logs = [(log_ratio(each, best, spatial_noise), each) for each in optima]
     return [(log, optimum) for log, optimum in logs if log > IMPROBABLE_LOG_RATIO]
 
 
-def log_ratio(rival: Optimum, best: Optimum, fields: Fields = ALL_WHITE) -> float:
+def log_ratio(rival: Optimum, best: Optimum, spatial_noise: SpatialNoises = ALL_WHITE) -> float:
     """Return the log odds of `rival` to `best`, at most 0."""
-    return 0.0 if rival is best else log_ratio_of(rival.cost, rival.psi, best, fields)
+    return 0.0 if rival is best else log_ratio_of(rival.cost, rival.psi, best, spatial_noise)
 
 
-def log_ratio_of(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> float:
+def log_ratio_of(cost: float, psi: Matrix, best: Optimum, spatial_noise: SpatialNoises) -> float:
     """Return the log odds of a rival of which only cost and influences (3, n) are known."""
     by_noise = (cost - best.cost) / best.inflation
-    scatter = scatter_of(psi, best.psi, fields)
+    scatter = scatter_of(psi, best.psi, spatial_noise)
     if scatter <= 0.0:
         return -by_noise
     z = (cost - best.cost) / math.sqrt(scatter)
@@ -436,17 +436,17 @@ def log_ratio_of(cost: float, psi: Matrix, best: Optimum, fields: Fields) -> flo
     return -min(by_noise, by_chance)
 
 
-def scatter_of(rival: Matrix, best: Matrix, fields: Fields) -> float:
+def scatter_of(rival: Matrix, best: Matrix, spatial_noise: SpatialNoises) -> float:
     """Return the variance of the difference of two costs by the noise.
 
     It follows from the influences (3, n) of the rival and of the best; spatially correlated errors
-    contribute by the covariance of their `fields`.
+    contribute by the covariance of their `spatial_noise`.
     """
-    if fields == ALL_WHITE:
+    if spatial_noise == ALL_WHITE:
         sensitivity = np.sum((rival - best) * best, axis=0)
         return float(CRITICAL_RATIO**2 * long_run_variance(sensitivity[:, None])[0, 0])
     scatter = 0.0
-    for index, field in enumerate(fields):
+    for index, field in enumerate(spatial_noise):
         away = (rival[index] - best[index])[:, None]
         if field is None:
             scatter += float(np.sum((away[:, 0] * best[index]) ** 2))

@@ -40,7 +40,7 @@ BINS = 48
 """Time bins of the window, for the covariance of the position error."""
 HEIGHT_STEP_M = 0.5
 """Step of the numerical partials by the target's height."""
-LEAST_TOLD = 1e-9
+VARIANCE_FLOOR = 1e-9
 """Regularisation of the covariance where residuals carry no information."""
 LONGEST_GAP_S = 2.0
 """Time between neighbouring rows beyond which the velocity is unknown."""
@@ -59,7 +59,7 @@ class SharedSigmas(NamedTuple):
     """Vehicle position, per axis, while the fix was of another quality."""
 
 
-class HeardPath(NamedTuple):
+class ReceptionPath(NamedTuple):
     """Path on which a radio was received, and the prior of its target that follows."""
 
     centre_enu_m: Point
@@ -76,7 +76,7 @@ class SharedErrors(NamedTuple):
     """Drift of the vehicle position, which no measurement reveals."""
     own: PositionAccuracy = DEFAULT_ACCURACY
     """Accuracy of the vehicle position on the Earth."""
-    heard: HeardPath | None = None
+    reception: ReceptionPath | None = None
     """Path on which the radio was received; None: unknown."""
 
     def within_reach(self, covariance_m2: Matrix, place_enu_m: Point) -> Matrix:
@@ -86,10 +86,10 @@ class SharedErrors(NamedTuple):
         statements: in every direction the narrower one holds. First-order theory, on which the
         shared errors rest, has no limit where geometry is singular.
         """
-        if self.heard is None or np.trace(covariance_m2) <= self.heard.sigma_m**2:
+        if self.reception is None or np.trace(covariance_m2) <= self.reception.sigma_m**2:
             return covariance_m2
-        away = np.subtract(self.heard.centre_enu_m, place_enu_m)
-        reach: Matrix = self.heard.sigma_m**2 * np.eye(2) + np.outer(away, away)
+        away = np.subtract(self.reception.centre_enu_m, place_enu_m)
+        reach: Matrix = self.reception.sigma_m**2 * np.eye(2) + np.outer(away, away)
         if not np.isfinite(covariance_m2).all():
             return reach
         half = np.linalg.cholesky(reach)
@@ -150,12 +150,12 @@ def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matr
     A_wide[:k, :k], A_wide[k:, k:] = A_inverse, np.eye(j)
     shift = A_inverse @ A[:k, k:]
     alone = np.hstack([-shift.T, np.eye(j)])  # part of a score that the state does not explain
-    told = alone @ A[:, k:]
+    remaining = alone @ A[:, k:]
     fixed = alone[:, :k] @ prior @ alone[:, :k].T
     white = pooled_variability(both, A_wide, scores.repetition)
     B = max(white, correlated_variability(both), key=lambda each: np.trace(alone @ each @ alone.T))
-    weight = told @ np.linalg.inv(alone @ B @ alone.T + fixed + LEAST_TOLD * np.eye(j))
-    V = np.linalg.inv(weight @ told + np.eye(j))
+    weight = remaining @ np.linalg.inv(alone @ B @ alone.T + fixed + VARIANCE_FLOOR * np.eye(j))
+    V = np.linalg.inv(weight @ remaining + np.eye(j))
     found = V @ weight @ (partials.T @ scores.psi.reshape(-1))
     counted: Matrix = shift[:2] @ (V + np.outer(found, found)) @ shift[:2].T
     return counted

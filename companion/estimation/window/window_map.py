@@ -60,7 +60,7 @@ from companion.estimation.window.map_kernels import (
     clipped,
     map_cost,
     map_descent,
-    measured_offs,
+    measured_innovations,
     normaliser,
     row_partials,
     row_residuals,
@@ -68,24 +68,24 @@ from companion.estimation.window.map_kernels import (
     view_distance2,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
-from companion.estimation.window.place_noise import PlaceBelief, PlaceNoise, place_noise
+from companion.estimation.window.place_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
     IMPROBABLE_LOG_RATIO,
-    Fields,
     Optimum,
     Scores,
+    SpatialNoises,
     correlated_variability,
     covariance_of,
     curvature,
     log_ratio_of,
-    placed_variability,
     pooled_variability,
     shares_of,
+    spatial_variability,
     stretch_covariance,
     thermal_moment,
 )
-from companion.estimation.window.shared_errors import HeardPath
+from companion.estimation.window.shared_errors import ReceptionPath
 from companion.kernel import Matrix, Vector
 
 MIN_MEASUREMENTS = 12
@@ -108,7 +108,7 @@ STEP_ITERATIONS = 4
 """Iterations of a solution between two interruptions."""
 STIFFNESS = 1e6
 """Information of the prior that fixes a position in one direction, 1/m^2."""
-NEWS = 0.2
+CHANGED_WEIGHT_LOG_RATIO = 0.2
 """Change of a weight, as a log ratio, above which the window is solved again."""
 SAME_PLACE_M = 0.3
 """Distance below which two optima are the same."""
@@ -150,50 +150,51 @@ class WindowMap:
         self.prior: tuple[Matrix, Vector] = (np.diag(weights), weights * centre)
         """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
         self.size = len(weights)
-        self._is_placed = any(filter_params.place_sigmas)
+        self._has_spatial_errors = any(filter_params.place_sigmas)
         """True if the radio is known for spatially correlated errors."""
-        self._heard: tuple[Matrix, HeardPath] | None = None
+        self._reception: tuple[Matrix, ReceptionPath] | None = None
         """Cached reception path of the latest rows."""
         self._linearised: tuple[Matrix, Vector, RangingModel, Scores] | None = None
         """Rows, mean and model of the latest scores without a spread, and the scores."""
-        self.fields: Fields = ALL_WHITE
+        self.spatial_noise: SpatialNoises = ALL_WHITE
         """Spatially correlated errors found by the latest solution."""
 
-    def expect(self, inflation: Inflation) -> None:
+    def set_bearing_inflation(self, inflation: Inflation) -> None:
         """Set the inflation of bearings, against which the vehicle's position error is weighed."""
         self._model = self._model._replace(bearing_inflation=inflation[BEARING])
 
-    def _count(self, fields: Fields) -> bool:
+    def _update_weights(self, spatial_noise: SpatialNoises) -> bool:
         """Set the weights of measurements from their spatial noise; return True if they changed."""
-        shares = shares_of(fields)
+        shares = shares_of(spatial_noise)
         before = (self._model.range_share, self._model.direction_share)
-        self.fields = fields
+        self.spatial_noise = spatial_noise
         self._model = self._model._replace(
             range_share=shares[RANGE], direction_share=shares[BEARING]
         )
         return any(
-            abs(math.log(now / then)) > NEWS for now, then in zip(shares[:2], before, strict=True)
+            abs(math.log(now / then)) > CHANGED_WEIGHT_LOG_RATIO
+            for now, then in zip(shares[:2], before, strict=True)
         )
 
-    def _fields_of(self, rows: Matrix, mean: Vector) -> Fields:
+    def _spatial_noise_of(self, rows: Matrix, mean: Vector) -> SpatialNoises:
         """Return the spatial noise by the residuals at `mean` and the radio's parameters."""
         p = self._p
-        found: list[PlaceNoise | None] = [None, None, None]
+        found: list[SpatialNoise | None] = [None, None, None]
         scores = self.scores(rows, mean)
         for m in scores.measured:
             sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
-            told = p.place_sigmas[min(m, BEARING)] / sigma
-            if told == 0.0 and scores.correlations[m] == 0.0:
+            ratio = p.place_sigmas[min(m, BEARING)] / sigma
+            if ratio == 0.0 and scores.correlations[m] == 0.0:
                 continue
             psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
-            deviation = told / math.hypot(1.0, told) or float(np.sqrt(np.nanmean(psi**2)))
+            deviation = ratio / math.hypot(1.0, ratio) or float(np.sqrt(np.nanmean(psi**2)))
             length_m = p.range_length_m if m == RANGE else p.place_length_m
-            belief = PlaceBelief(deviation, length_m, is_of_radio=told > 0.0)
+            spatial_prior = SpatialPrior(deviation, length_m, is_of_radio=ratio > 0.0)
             H, slope = scores.part(m), scores.slopes[m]
             prior = self.prior_with(rows, None)[0]
-            noise = place_noise(rows[:, :2], psi, H, slope, prior, belief)
+            noise = fit_spatial_noise(rows[:, :2], psi, H, slope, prior, spatial_prior)
             # what looks like spatial noise may be a target that moved: keep the full weight
-            found[m] = noise if told > 0.0 else replace(noise, repetition=1.0)
+            found[m] = noise if ratio > 0.0 else replace(noise, repetition=1.0)
         # two components are one direction with one weight
         worst = max((f.repetition for f in found[BEARING:] if f is not None), default=1.0)
         directions = (None if f is None else replace(f, repetition=worst) for f in found[BEARING:])
@@ -208,25 +209,28 @@ class WindowMap:
         *,
         is_white: bool = False,
     ) -> Steps[list[Optimum]]:
-        """Return the optima of `judged` from the minima reached from these states (k,)."""
+        """Return the optima of `optima_at` from the minima reached from these states (k,)."""
         minima = yield from self.minima.steps(rows, starts, older)
-        return (yield from self.judged.steps(rows, minima, older, is_white=is_white))
+        return (yield from self.optima_at.steps(rows, minima, older, is_white=is_white))
 
     @Stepwise
-    def judged(
+    def optima_at(
         self, rows: Matrix, minima: Minima, older: OlderEvidence | None, *, is_white: bool
     ) -> Steps[list[Optimum]]:
         """Return the acceptable minima as optima, best first, without the improbable ones.
 
         The window is solved again if the spatial noise differs from what was assumed.
         """
-        if minima and self._count(self._fields_of(rows, minima[0][1])):
+        if minima and self._update_weights(self._spatial_noise_of(rows, minima[0][1])):
             minima = yield from self.minima.steps(rows, [mean for _, mean in minima], older)
         optima: list[Optimum] = []
         for cost, mean in minima:
             scores = self.scores(rows, mean)
             best = optima[0] if optima else None
-            if best and log_ratio_of(cost, scores.psi, best, self.fields) <= IMPROBABLE_LOG_RATIO:
+            if (
+                best
+                and log_ratio_of(cost, scores.psi, best, self.spatial_noise) <= IMPROBABLE_LOG_RATIO
+            ):
                 continue
             optimum = yield from self._optimum.steps(rows, mean, cost, scores, older, is_white)
             optima += [] if optimum is None else [optimum]
@@ -356,8 +360,10 @@ class WindowMap:
         information, pull = self.prior_with(rows, older)
         with np.errstate(all="ignore"):
             sigmas = row_sigmas(rows, mean, self._model)
-            offs = measured_offs(rows, mean, self._model)
-            cost = map_cost(offs, mean, sigmas, self._thresholds, information, pull, self._model)
+            innovations = measured_innovations(rows, mean, self._model)
+            cost = map_cost(
+                innovations, mean, sigmas, self._thresholds, information, pull, self._model
+            )
             return float(cost) + normaliser(rows, sigmas, self._model)
 
     def prior_with(self, rows: Matrix, older: OlderEvidence | None) -> tuple[Matrix, Vector]:
@@ -367,24 +373,24 @@ class WindowMap:
             information, pull = information + older.information, pull + older.pull
         if self._p.reach_m is None:
             return information, pull
-        heard, near, towards = (
-            self.heard(rows),
+        reception, near, towards = (
+            self.reception(rows),
             np.zeros((self.size, self.size)),
             np.zeros(self.size),
         )
-        weight = heard.sigma_m**-2
-        near[[0, 1], [0, 1]], towards[:2] = weight, weight * np.array(heard.centre_enu_m)
+        weight = reception.sigma_m**-2
+        near[[0, 1], [0, 1]], towards[:2] = weight, weight * np.array(reception.centre_enu_m)
         return information + near, pull + towards
 
-    def heard(self, rows: Matrix) -> HeardPath:
+    def reception(self, rows: Matrix) -> ReceptionPath:
         """Return the path of the rows (n, >= 2), and the spread of targets within radio reach."""
-        if self._heard is None or self._heard[0] is not rows:
+        if self._reception is None or self._reception[0] is not rows:
             places = rows[:, :2]
             east_m, north_m = places.mean(axis=0).tolist()
             reach_m = self._p.reach_m or MAX_POSITION_SIGMA_M
             sigma_m = math.sqrt(reach_m**2 + 0.5 * float(places.var(axis=0).sum()))
-            self._heard = rows, HeardPath((east_m, north_m), sigma_m)
-        return self._heard[1]
+            self._reception = rows, ReceptionPath((east_m, north_m), sigma_m)
+        return self._reception[1]
 
     @Stepwise
     def _optimum(
@@ -416,7 +422,7 @@ class WindowMap:
         except np.linalg.LinAlgError:
             return None
         cost_at, profiled = partial(self._cost, rows, older=older), None
-        if self.fields != ALL_WHITE:
+        if self.spatial_noise != ALL_WHITE:
             profiled = partial(self._profiled_cost, rows, mean, older=older)
         yield passes(BEND_PASSES, len(rows))
         covariance = yield from stretch_covariance(
@@ -456,14 +462,14 @@ class WindowMap:
         self, rows: Matrix, scores: Scores, older: OlderEvidence | None, is_white: bool
     ) -> tuple[Matrix, Matrix, Matrix]:
         """Return covariance, curvature and variability of an optimum, each (k, k)."""
-        A = curvature(scores, shares_of(self.fields)) + self.prior_with(rows, older)[0]
+        A = curvature(scores, shares_of(self.spatial_noise)) + self.prior_with(rows, older)[0]
         fixed = self.prior_with(rows, None)[0] + (0.0 if older is None else older.variability)
         A_inverse = np.asarray(np.linalg.inv(A))
-        shares, repetition = shares_of(self.fields), scores.repetition
+        shares, repetition = shares_of(self.spatial_noise), scores.repetition
         variabilities = []
-        if self.fields != ALL_WHITE:
-            variabilities.append(placed_variability(scores, self.fields, A_inverse) + fixed)
-        if not (self._is_placed and variabilities):
+        if self.spatial_noise != ALL_WHITE:
+            variabilities.append(spatial_variability(scores, self.spatial_noise, A_inverse) + fixed)
+        if not (self._has_spatial_errors and variabilities):
             counted = repetition * np.square(shares)
             variabilities.append(pooled_variability(scores, A_inverse, counted) + fixed)
             if not is_white or (repetition > 1.0).any():

@@ -263,7 +263,7 @@ class Measuring:
             self._inputs.note_accepted()
         if tracker.emitter_id is not None:
             context.send(*self._motions.messages_for(tracker.emitter_id, tracker.watch.motion))
-        context.send(*self._antennas.messages_for(tracker.antenna_shown))
+        context.send(*self._antennas.messages_for(tracker.identified_antenna))
         estimate = tracker.estimate(now_s)
         if estimate is None:
             return

@@ -71,17 +71,17 @@ class GeodesyFit:
     """Comparison of the positions of one autopilot about one origin.
 
     Args:
-        told: The origin as the autopilot reports it.
+        reported: The origin as the autopilot reports it.
     """
 
-    def __init__(self, told: LocalOrigin) -> None:
-        self.told = told
+    def __init__(self, reported: LocalOrigin) -> None:
+        self.reported = reported
         self.off_m = 0.0
         """Difference of the newest pair without the fit."""
         self._lines = (_Line(), _Line(), _Line())
-        self.origin = told
+        self.origin = reported
         """Reported origin with the fit applied."""
-        self._candidates = [replace(told, projection=each) for each in Projection]
+        self._candidates = [replace(reported, projection=each) for each in Projection]
         self._squares_m2 = [0.0] * len(self._candidates)
         """Sum of squared differences of the pairs for each projection."""
         self._pairs = 0
@@ -119,7 +119,7 @@ class GeodesyFit:
         return self._take(place, (east, north, up))
 
     def _take(self, place: tuple[float, float, float], local: PositionEnu) -> bool:
-        projected = self.told.enu_from_geodetic(*place)
+        projected = self.reported.enu_from_geodetic(*place)
         (e, n, u), (pe, pn, pu) = local, projected
         before_m, self._rest_m = self._rest_m, (e - pe, n - pn, u - pu)
         off_m = math.hypot(*self._rest_m)
@@ -132,7 +132,7 @@ class GeodesyFit:
             self._squares_m2[number] += math.dist(candidate.enu_from_geodetic(*place), local) ** 2
         self._pairs += 1
         fitted = [p + line.at_m(p) for line, p in zip(self._lines, projected, strict=True)]
-        least_m = LEAST_OFF_M if self.origin == self.told else RENEW_OFF_M
+        least_m = LEAST_OFF_M if self.origin == self.reported else RENEW_OFF_M
         is_near = math.dist(fitted, self.origin.enu_from_geodetic(*place)) <= least_m
         if self._pairs < FEWEST_PAIRS or is_near:
             return False
@@ -147,4 +147,4 @@ class GeodesyFit:
         east, north, _ = self._lines
         offset_enu_m = (east.offset_m, north.offset_m, up_m)
         scale_en = (1.0 + east.stretch, 1.0 + north.stretch)
-        return replace(self.told, offset_enu_m=offset_enu_m, scale_en=scale_en)
+        return replace(self.reported, offset_enu_m=offset_enu_m, scale_en=scale_en)

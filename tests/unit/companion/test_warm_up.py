@@ -106,7 +106,7 @@ def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_
     fuse = TargetTracker.fuse
 
     def counted(self: TargetTracker, measurement: Any, *place_and_time: Any) -> Any:
-        _, values, _ = params.filter.seen(measurement, (0.0, 0.0, 20.0))
+        _, values, _ = params.filter.kernel_row(measurement, (0.0, 0.0, 20.0))
         kinds[measurement.range_m is not None, not math.isnan(values[1])] += 1
         report = fuse(self, measurement, *place_and_time)
         assert report.reject_reason is None

@@ -144,7 +144,7 @@ def test_absurd_angles_of_an_array_are_refused(
 
 def test_the_elevation_of_an_array_that_is_not_configured_is_not_believed() -> None:
     told = replace(PRINTED, is_array_angle=True)
-    _, values, _ = FilterParams().seen(seen_in_enu(told, LEVEL, AntennaParams()), PLACE)
+    _, values, _ = FilterParams().kernel_row(seen_in_enu(told, LEVEL, AntennaParams()), PLACE)
     assert np.isnan(values).tolist() == [False, True, True]
 
 

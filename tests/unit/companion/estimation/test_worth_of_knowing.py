@@ -94,7 +94,7 @@ def search(
 def undisturbed() -> TargetEstimate:
     tracker, estimate = search()
     assert tracker.rejected.total() == 0
-    assert tracker.antenna_shown is None
+    assert tracker.identified_antenna is None
     assert estimate.state is EstimateState.LOCALISED
     assert math.dist(estimate.position_enu_m, TARGET[:2]) < estimate.r95_m < 1.0
     return estimate
@@ -117,7 +117,7 @@ def test_a_mount_that_contradicts_the_measurements_is_not_believed(
     mounted_deg: tuple[float, float, float], undisturbed: TargetEstimate
 ) -> None:
     tracker, estimate = search(mounted_deg=mounted_deg)
-    assert tracker.antenna_shown == "contradicted"
+    assert tracker.identified_antenna == "contradicted"
     assert max(tracker.health.inflation[1:]) > 16.0
     assert estimate.r95_m > 1.5 * undisturbed.r95_m
 
@@ -154,7 +154,7 @@ def test_a_receiver_may_stand_between_walls_where_no_antenna_is_told(
     own = PositionAccuracy(1.0, 0.0, is_told=True)
     (_, told), (_, walls) = search(before=own), search(before=own, kind="auto")
     (_, fixed) = search(kind="auto")
-    monkeypatch.setattr("companion.estimation.tracker.BETWEEN_WALLS", GNSS_ACCURACY_FACTOR)
+    monkeypatch.setattr("companion.estimation.tracker.URBAN_GNSS_FACTOR", GNSS_ACCURACY_FACTOR)
     assert search(before=own)[1] == told
     assert search(kind="auto")[1] == fixed
     _, sky = search(before=own, kind="auto")

@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
-from companion.planning.crossing import BEND_RAD, LatchedCrossing, LatchedCrossingParams, Sight
+from companion.planning.crossing import (
+    BEND_RAD,
+    LatchedCrossing,
+    LatchedCrossingParams,
+    SensorGeometry,
+)
 from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD, Latch, direction
 from companion.planning.planner import Plan, PlanRequest
 from companion.planning.views import Antenna, best_reach_m, leg_over
@@ -288,8 +293,8 @@ SURE = ((0.01, 0.0), (0.0, 0.01))
 
 
 def _sighted(antenna: Antenna = LEVEL, *, descend: bool = False, told: bool = True) -> Any:
-    sight = Sight(antenna, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_told=told)
-    return LatchedCrossing(LatchedCrossingParams(descend=descend), sight)
+    sensor = SensorGeometry(antenna, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_configured=told)
+    return LatchedCrossing(LatchedCrossingParams(descend=descend), sensor)
 
 
 def _seen(**changes: Any) -> PlanRequest:

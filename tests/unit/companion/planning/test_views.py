@@ -50,8 +50,8 @@ def _config(kind: AntennaKind, mount: Mount, view_deg: float) -> CompanionConfig
 def _antenna(kind: AntennaKind, mount: Mount = AHEAD, view_deg: float = 360.0) -> Antenna:
     planner: Any = build_planner(_config(kind, mount, view_deg))
     assert isinstance(planner, LatchedCrossing)
-    assert planner._sight is not None
-    return planner._sight.antenna
+    assert planner._sensor is not None
+    return planner._sensor.antenna
 
 
 def _leg(

@@ -118,7 +118,7 @@ def test_no_threshold_is_an_infinite_one() -> None:
 
 
 def test_a_measurement_is_values_and_standard_deviations() -> None:
-    _, z, sigma = SHARP.seen(EVERYTHING, HERE)
+    _, z, sigma = SHARP.kernel_row(EVERYTHING, HERE)
     assert z.tolist() == [50.0, 0.4, -0.3]
     assert sigma.tolist() == [0.7, 0.02, 0.05]
 
@@ -126,9 +126,9 @@ def test_a_measurement_is_values_and_standard_deviations() -> None:
 def test_what_is_not_reported_or_not_trusted_is_as_configured() -> None:
     own = [1.5, math.radians(2.0), math.radians(5.0)]
     deaf = FilterParams(use_reported_sigma=False)
-    assert deaf.seen(EVERYTHING, HERE)[2].tolist() == own
+    assert deaf.kernel_row(EVERYTHING, HERE)[2].tolist() == own
     silent = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0)
-    _, z, sigma = FilterParams().seen(silent, HERE)
+    _, z, sigma = FilterParams().kernel_row(silent, HERE)
     assert sigma.tolist() == own
     assert z[0] == 50.0
     assert np.isnan(z[1:]).all()
@@ -137,15 +137,15 @@ def test_what_is_not_reported_or_not_trusted_is_as_configured() -> None:
 def test_no_range_is_better_than_its_steps() -> None:
     cell = msgspec.structs.replace(SHARP, range_step_m=78.0, place_length_m=4.0)
     least_m = 78.0 / math.sqrt(12.0)
-    assert cell.seen(EVERYTHING, HERE)[2].tolist() == [least_m, 0.02, 0.05]
+    assert cell.kernel_row(EVERYTHING, HERE)[2].tolist() == [least_m, 0.02, 0.05]
     assert cell.place_sigmas == pytest.approx((least_m, 0.0))
     assert cell.range_length_m == 39.0
     worse = FilterParams(range_step_m=78.0, range_sigma_m=30.0, use_reported_sigma=False)
-    assert worse.seen(EVERYTHING, HERE)[2][0] == 30.0
+    assert worse.kernel_row(EVERYTHING, HERE)[2][0] == 30.0
 
 
 def test_an_elevation_may_be_left_out() -> None:
-    _, z, _ = FilterParams(use_elevation=False).seen(EVERYTHING, HERE)
+    _, z, _ = FilterParams(use_elevation=False).kernel_row(EVERYTHING, HERE)
     assert np.isnan(z[2])
     assert z[:2].tolist() == [50.0, 0.4]
 
@@ -157,22 +157,22 @@ def test_a_reported_sigma_counts_as_the_configured_one_at_least(
     reported: float, counted: float
 ) -> None:
     seen = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0, range_sigma_m=reported)
-    assert FilterParams().seen_sigmas(seen)[0] == counted
+    assert FilterParams().effective_sigmas(seen)[0] == counted
 
 
 def test_directions_have_the_same_floor_and_are_off_by_half_a_turn_at_most() -> None:
     for reported, counted in ((1e-9, (2.0, 5.0)), (0.2, (math.degrees(0.2),) * 2), (1e30, None)):
         seen = replace(EVERYTHING, bearing_sigma_rad=reported, elevation_sigma_rad=reported)
-        sigmas = FilterParams().seen_sigmas(seen)[1:]
+        sigmas = FilterParams().effective_sigmas(seen)[1:]
         assert sigmas == pytest.approx([math.radians(v) for v in counted or (180.0, 180.0)])
 
 
 def test_a_float32_of_the_configured_sigma_is_the_configured_sigma() -> None:
     reported = float(np.float32(math.radians(2.0)))
     seen = replace(EVERYTHING, bearing_sigma_rad=reported)
-    assert FilterParams().seen_sigmas(seen)[1] == reported
+    assert FilterParams().effective_sigmas(seen)[1] == reported
 
 
 def test_a_radio_that_is_configured_as_better_than_the_estimation_has_its_own_floor() -> None:
     seen = replace(EVERYTHING, range_sigma_m=1e-6, least_sigmas=(0.1, None, None))
-    assert FilterParams().seen_sigmas(seen)[0] == 0.1
+    assert FilterParams().effective_sigmas(seen)[0] == 0.1

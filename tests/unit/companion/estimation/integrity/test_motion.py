@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from companion.estimation.integrity.target_motion import (
-    CALM_COUNT,
-    CALM_EVERY_COUNT,
+    CLEARED_COUNT,
+    CONFIRMING_TESTS,
     EVERY_S,
-    IN_A_ROW,
-    SIGNIFICANT,
+    IDLE_EVERY_COUNT,
+    SIGNIFICANT_CHI2,
     SPANS_S,
     MotionWatch,
     TargetMotion,
@@ -92,7 +92,7 @@ def test_who_walks_in_sight_is_seen_at_the_right_velocity(
     rows = rows_of(np.random.default_rng(1), velocity_mps=velocity, nlos=0.0)
     motion = finish(motion_of(MAP, rows, truth()))
     assert motion is not None
-    assert motion.significance > SIGNIFICANT
+    assert motion.significance > SIGNIFICANT_CHI2
     assert motion.velocity_mps == pytest.approx(velocity, abs=0.1)
 
 
@@ -106,7 +106,7 @@ def test_who_walks_among_reflections_is_seen(
     rows = rows_of(np.random.default_rng(seed), SPANS_S[-1], velocity_mps=velocity)
     motion = finish(motion_of(MAP, rows, truth()))
     assert motion is not None
-    assert motion.significance > SIGNIFICANT
+    assert motion.significance > SIGNIFICANT_CHI2
 
 
 @pytest.mark.parametrize("nlos", [0.0, 0.3, 0.9, 1.0])
@@ -115,14 +115,14 @@ def test_who_lies_still_is_never_said_to_walk(nlos: float, noise: float) -> None
     for seed in range(20):
         rng = np.random.default_rng([seed, int(10 * noise), int(10 * nlos)])
         motion = finish(motion_of(MAP, rows_of(rng, noise=noise, nlos=nlos), truth()))
-        assert motion is None or motion.significance < 0.6 * SIGNIFICANT
+        assert motion is None or motion.significance < 0.6 * SIGNIFICANT_CHI2
 
 
 def test_a_start_from_a_wrong_place_is_no_walk() -> None:
     for seed in range(20):
         start = truth() + np.array([8.0, -6.0, 1.0, 0.02])
         motion = finish(motion_of(MAP, rows_of(np.random.default_rng(seed)), start))
-        assert motion is None or motion.significance < 0.6 * SIGNIFICANT
+        assert motion is None or motion.significance < 0.6 * SIGNIFICANT_CHI2
 
 
 def test_measurements_that_say_nothing_are_no_walk() -> None:
@@ -141,7 +141,7 @@ def test_it_is_believed_when_it_is_seen_twice_in_a_row() -> None:
     while watch.suspected is None:
         seen += watched(watch, rows[at : at + step])
         at += step
-    assert IN_A_ROW == 2
+    assert CONFIRMING_TESTS == 2
     assert watch.motion is None
     watched(watch, rows[at : at + step])
     assert watch.motion is not None
@@ -152,11 +152,11 @@ def test_it_is_over_when_nothing_has_spoken_for_it_for_a_while() -> None:
     walking = rows_of(rng, 20.0, velocity_mps=(1.0, 0.0))
     watched(watch, walking)
     assert watch.motion is not None
-    still = rows_of(rng, SPANS_S[-1] + 2.0 * CALM_COUNT, start_s=20.0)
+    still = rows_of(rng, SPANS_S[-1] + 2.0 * CLEARED_COUNT, start_s=20.0)
     still[:, :2] += [20.0, 0.0]
     seen = watched(watch, still, truth() + np.array([20.0, 0.0, 0.0, 0.0]))
     assert seen[-1] is None
-    assert sum(motion is None for motion in seen) < len(seen) - CALM_COUNT
+    assert sum(motion is None for motion in seen) < len(seen) - CLEARED_COUNT
 
 
 def test_what_was_measured_moves_along_with_the_navigation() -> None:
@@ -191,7 +191,7 @@ def test_looks_are_a_second_and_some_measurements_apart_and_time_may_go_back() -
     assert watch.is_due(100.0)
     watch.look(MAP, truth(), 2.0, 100.0)
     assert not watch.is_due(100.0 + EVERY_S)
-    for _ in range(CALM_EVERY_COUNT):
+    for _ in range(IDLE_EVERY_COUNT):
         assert not watch.is_due(100.0 + EVERY_S)
         watch.add(0.0, row)
     assert not watch.is_due(100.0 + 0.9 * EVERY_S)

@@ -24,7 +24,7 @@ def _noted(integrity: TrackIntegrity, time_s: float, u: float) -> bool:
     report = UpdateReport(STATE, row, None, None, u * u, True)
     measurement = RangingMeasurement(1, time_s, range_m=50.0)
     gate = Gate.of(report, NO_INFLATION)
-    return integrity.note(measurement, report, gate, integrity.judging(NO_INFLATION))
+    return integrity.update(measurement, report, gate, integrity.gate_inflation(NO_INFLATION))
 
 
 def _shadowed(
@@ -40,8 +40,8 @@ def _shadowed(
         report = UpdateReport(STATE, range_, bearing, None, u * u, True)
         measurement = RangingMeasurement(1, time_s, range_m=58.0, bearing_enu_rad=0.7)
         gate = Gate(passes_bearing=False, agrees_in_bearing=False)
-        judging = integrity.judging(NO_INFLATION)
-        given_up.append(integrity.note(measurement, report, gate, judging))
+        gate_inflation = integrity.gate_inflation(NO_INFLATION)
+        given_up.append(integrity.update(measurement, report, gate, gate_inflation))
     return given_up
 
 
@@ -113,11 +113,11 @@ def test_what_a_vague_estimate_foretells_makes_no_shadow() -> None:
 def test_disagreement_does_not_excuse_itself_by_the_noise_that_it_shows() -> None:
     integrity, inflated = TrackIntegrity(), (900.0, 1.0, 1.0)
     _flown(integrity, 100, 0.0, 0.5)
-    assert integrity.judging(inflated) == inflated
+    assert integrity.gate_inflation(inflated) == inflated
     _flown(integrity, 40, 10.0, 40.0)
-    assert integrity.judging(inflated) == NO_INFLATION
+    assert integrity.gate_inflation(inflated) == NO_INFLATION
     _flown(integrity, 40, 14.0, 0.5)
-    assert integrity.judging(inflated) == inflated
+    assert integrity.gate_inflation(inflated) == inflated
 
 
 def test_giving_up_twice_within_a_minute_is_told() -> None:

@@ -12,7 +12,7 @@ from companion.estimation.filters.target_filter import NO_INFLATION, FilterParam
 from companion.estimation.measurement_model import AZIMUTH, COSINES, PLANAR, predicted
 from companion.estimation.window.antenna_check import (
     AntennaCheck,
-    ToldAntennaWatch,
+    ConfiguredAntennaCheck,
     rows_as,
     with_antenna,
 )
@@ -76,19 +76,19 @@ def looked(kind: AntennaKind, seed: int, places: Matrix) -> AntennaCheck:
 @pytest.mark.parametrize("kind", ["azimuth", "planar", "line"])
 def test_flights_across_show_what_the_antenna_is(kind: AntennaKind, seed: int) -> None:
     check = looked(kind, seed, legs())
-    assert (check.taken, check.is_shown) == (kind, True)
+    assert (check.hypothesis, check.is_identified) == (kind, True)
     assert check.params.antenna.kind == kind
 
 
 @pytest.mark.parametrize("kind", ["azimuth", "planar"])
 def test_from_afar_a_planar_array_is_believed_and_nothing_is_shown(kind: AntennaKind) -> None:
     check = looked(kind, 1, legs(far_m=220.0, near_m=150.0))
-    assert (check.taken, check.is_shown) == ("planar", False)
+    assert (check.hypothesis, check.is_identified) == ("planar", False)
 
 
 def test_few_bearings_show_nothing() -> None:
     check = looked("azimuth", 2, legs(count=19))
-    assert (check.taken, check.is_shown) == ("planar", False)
+    assert (check.hypothesis, check.is_identified) == ("planar", False)
 
 
 def test_reflections_do_not_make_an_azimuth_of_a_planar_array() -> None:
@@ -98,7 +98,7 @@ def test_reflections_do_not_make_an_azimuth_of_a_planar_array() -> None:
     rows[is_bent, 4] += rng.normal(0.0, 0.4, int(is_bent.sum()))
     check = AntennaCheck(with_antenna(PARAMS, "planar"))
     check.look(rows, TARGET, NO_INFLATION)
-    assert check.taken == "planar"
+    assert check.hypothesis == "planar"
 
 
 def around_an_edge(seed: int, edge_m: float, shadow_m: tuple[float, float]) -> Matrix:
@@ -121,7 +121,7 @@ def around_an_edge(seed: int, edge_m: float, shadow_m: tuple[float, float]) -> M
 def test_bearings_around_an_edge_are_not_called_worthless_from_above() -> None:
     check = AntennaCheck(with_antenna(PARAMS, "planar"))
     check.look(around_an_edge(48, 16.0, (14.0, 45.0)), TARGET, NO_INFLATION)
-    assert not check.is_shown
+    assert not check.is_identified
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -133,14 +133,14 @@ def test_what_came_around_an_edge_does_not_hide_an_azimuth(
 ) -> None:
     check = AntennaCheck(with_antenna(PARAMS, "planar"))
     check.look(around_an_edge(seed, edge_m, shadow_m), TARGET, NO_INFLATION)
-    assert (check.taken, check.is_shown) == ("azimuth", True)
+    assert (check.hypothesis, check.is_identified) == ("azimuth", True)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_bad_bearings_from_above_with_long_ranges_show_no_planar_array(seed: int) -> None:
     check = AntennaCheck(with_antenna(PARAMS, "planar"))
     check.look(around_an_edge(seed, 8.0, (0.0, 12.0)), TARGET, NO_INFLATION)
-    assert (check.taken, check.is_shown) == ("planar", False)
+    assert (check.hypothesis, check.is_identified) == ("planar", False)
 
 
 @pytest.mark.parametrize("spoilt", ["height", "ranges"])
@@ -155,7 +155,7 @@ def test_long_ranges_do_not_hide_a_planar_array(seed: int, spoilt: str) -> None:
         rows[:, 3] += rng.exponential(4.0, len(rows)) * (rng.random(len(rows)) < 0.6)
     check = AntennaCheck(with_antenna(PARAMS, "planar"))
     check.look(rows, TARGET, NO_INFLATION)
-    assert check.taken == "planar"
+    assert check.hypothesis == "planar"
 
 
 def test_an_azimuth_is_given_up_when_more_speaks_against_it_than_spoke_for_it() -> None:
@@ -163,27 +163,27 @@ def test_an_azimuth_is_given_up_when_more_speaks_against_it_than_spoke_for_it() 
     rows = printed("planar", legs(count=240), np.random.default_rng(5))
     changes = [check.look(rows, TARGET, NO_INFLATION) for _ in range(4)]
     assert changes.count(True) == 1
-    assert check.taken == "planar"
+    assert check.hypothesis == "planar"
 
 
 def test_an_azimuth_that_was_shown_outlives_bearings_that_are_spoilt() -> None:
     check = looked("azimuth", 4, legs())
-    # where each antenna would be taken for a planar array's, had nothing been seen before
+    # where each antenna would be hypothesis for a planar array's, had nothing been seen before
     rows = printed("planar", legs(count=60), np.random.default_rng(5))
     fresh = AntennaCheck(with_antenna(PARAMS, "planar"))
     fresh.look(rows, TARGET, NO_INFLATION)
-    assert (fresh.taken, fresh.is_shown) == ("planar", True)
+    assert (fresh.hypothesis, fresh.is_identified) == ("planar", True)
     assert [check.look(rows, TARGET, NO_INFLATION) for _ in range(8)] == [False] * 8
-    assert (check.taken, check.is_shown) == ("azimuth", True)
+    assert (check.hypothesis, check.is_identified) == ("azimuth", True)
 
 
 def test_a_line_is_given_up_at_an_angle_that_none_prints() -> None:
     check = looked("line", 4, legs())
-    kinds: list[AntennaKind] = [check.taken]
+    kinds: list[AntennaKind] = [check.hypothesis]
     rows = printed("azimuth", legs(), np.random.default_rng(5))
     rows[0, 4] = 2.0
     assert check.look(rows, TARGET, NO_INFLATION)
-    kinds.append(check.taken)
+    kinds.append(check.hypothesis)
     assert kinds == ["line", "azimuth"]
 
 
@@ -223,7 +223,7 @@ def seen(*off_sigmas: float, count: int = 100) -> Scores:
 
 
 def test_a_told_antenna_is_contradicted_by_most_directions_for_long() -> None:
-    watch = ToldAntennaWatch()
+    watch = ConfiguredAntennaCheck()
     for time_s, is_contradicted in ((20.0, False), (25.0, False), (30.0, True)):
         watch.look(seen(-6.0, 5.0, 0.0), time_s)
         assert watch.is_contradicted == is_contradicted
@@ -236,7 +236,7 @@ def test_a_told_antenna_is_contradicted_by_most_directions_for_long() -> None:
 
 @pytest.mark.parametrize("told", [seen(100.0, 1.0, -1.0), seen(6.0, count=39)])
 def test_gross_errors_of_some_and_few_directions_contradict_no_antenna(told: Scores) -> None:
-    watch = ToldAntennaWatch()
+    watch = ConfiguredAntennaCheck()
     for time_s in (0.0, 20.0, 40.0):
         watch.look(told, time_s)
     assert not watch.is_contradicted

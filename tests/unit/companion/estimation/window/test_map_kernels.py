@@ -16,7 +16,7 @@ from companion.estimation.window.map_kernels import (
     map_cost,
     map_descent,
     map_step,
-    measured_offs,
+    measured_innovations,
     normal_equations,
     row_residuals,
     row_sigmas,
@@ -54,7 +54,7 @@ class Problem:
         return found
 
     def offs(self, mean: Vector) -> Matrix:
-        found: Matrix = measured_offs(self.rows, mean, self.model)
+        found: Matrix = measured_innovations(self.rows, mean, self.model)
         return found
 
     def cost(self, mean: Vector) -> float:

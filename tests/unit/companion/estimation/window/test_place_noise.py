@@ -8,7 +8,7 @@ import pytest
 from companion.config.schema import load_config
 from companion.domain import EstimateState
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.window.place_noise import PlaceBelief, place_noise, stretches_of
+from companion.estimation.window.place_noise import SpatialPrior, cells_of, fit_spatial_noise
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, walk
@@ -28,12 +28,12 @@ def field(rng: np.random.Generator, length_m: float) -> Vector:
     return np.asarray(np.linalg.cholesky(covariance) @ rng.normal(size=COUNT))
 
 
-def repetition(psi: Vector, belief: PlaceBelief, places: Matrix = LINE) -> float:
-    return place_noise(places, psi, OFFSET_ALONE, 1.0, NO_PRIOR, belief).repetition
+def repetition(psi: Vector, belief: SpatialPrior, places: Matrix = LINE) -> float:
+    return fit_spatial_noise(places, psi, OFFSET_ALONE, 1.0, NO_PRIOR, belief).repetition
 
 
 def test_white_errors_are_a_vote_each() -> None:
-    unknown = PlaceBelief(1.0, 4.0, is_of_radio=False)
+    unknown = SpatialPrior(1.0, 4.0, is_of_radio=False)
     found = [repetition(np.random.default_rng(s).normal(size=COUNT), unknown) for s in range(10)]
     assert float(np.median(found)) < 3.0
 
@@ -41,7 +41,7 @@ def test_white_errors_are_a_vote_each() -> None:
 @pytest.mark.parametrize("length_m", [2.0, 6.0])
 def test_votes_are_those_of_the_field_that_was_drawn(length_m: float) -> None:
     """2 l over the spacing of the measurements, or more: a walk tells little of a longer reach."""
-    unknown = PlaceBelief(1.0, 4.0, is_of_radio=False)
+    unknown = SpatialPrior(1.0, 4.0, is_of_radio=False)
     drawn = [field(np.random.default_rng(s), length_m) for s in range(20)]
     found = [repetition(psi - psi.mean(), unknown) for psi in drawn]
     expected = 2.0 * length_m / 0.5
@@ -52,12 +52,12 @@ def test_a_short_walk_leaves_what_is_known_of_the_radio() -> None:
     """Residuals look white, because the offset has swallowed what the field was."""
     near = LINE * (1.0 / 150.0)
     white = 0.05 * np.random.default_rng(1).normal(size=COUNT)
-    assert repetition(white, PlaceBelief(1.0, 20.0), near) > 50.0
+    assert repetition(white, SpatialPrior(1.0, 20.0), near) > 50.0
 
 
 def test_who_hovers_gets_nowhere() -> None:
     jitter = 0.05 * np.random.default_rng(2).normal(size=(COUNT, 2))
-    index, way_m = stretches_of(jitter, 0.5)
+    index, way_m = cells_of(jitter, 0.5)
     assert index.tolist() == [0] * COUNT
     assert way_m.tolist() == [0.0]
 
@@ -83,7 +83,7 @@ def test_ranges_of_one_step_are_few_votes() -> None:
     for step_m in (0.0, 20.0):
         window = WindowMap(params(range_offset_sigma_m=20.0, range_step_m=step_m))
         assert window.optima(rows, [START])
-        noise = window.fields[0]
+        noise = window.spatial_noise[0]
         repetitions.append(1.0 if noise is None else noise.repetition)
     assert repetitions[0] == 1.0
     assert repetitions[1] > 20.0

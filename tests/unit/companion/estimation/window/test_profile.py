@@ -9,7 +9,7 @@ from companion.estimation.stepwise import finish
 from companion.estimation.window.map_kernels import (
     map_cost,
     map_descent,
-    measured_offs,
+    measured_innovations,
     normal_equations,
 )
 from companion.estimation.window.sandwich import (
@@ -98,14 +98,16 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     prior = (known, np.zeros(4), p.model)
     start = np.array([3.0, 60.0, 0.0, 0.0])
     mean, *_ = map_descent(rows, start, 1e-3, 25, p.thresholds, p.bounds, *prior)
-    offs = measured_offs(rows, mean, p.model)
+    offs = measured_innovations(rows, mean, p.model)
     curvature, _, _ = normal_equations(rows, mean, offs, sigmas, p.thresholds, *prior)
     covariance = np.asarray(np.linalg.inv(curvature))
     wider = stretched(
         covariance,
         curvature,
         mean,
-        lambda x: float(map_cost(measured_offs(rows, x, p.model), x, sigmas, p.thresholds, *prior)),
+        lambda x: float(
+            map_cost(measured_innovations(rows, x, p.model), x, sigmas, p.thresholds, *prior)
+        ),
     )
     assert wider[1, 1] > 1.3**2 * covariance[1, 1]
     assert wider[0, 0] < 1.3**2 * covariance[0, 0]

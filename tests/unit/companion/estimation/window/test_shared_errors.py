@@ -14,7 +14,7 @@ from companion.estimation.window.map_kernels import COLUMNS
 from companion.estimation.window.shared_errors import (
     NO_ERRORS,
     TIME_CONSTANT_S,
-    HeardPath,
+    ReceptionPath,
     SharedErrors,
     SharedSigmas,
     shared_errors,
@@ -143,7 +143,7 @@ def test_a_height_that_noise_hides_counts_by_what_it_may_be() -> None:
 
 @pytest.mark.parametrize("variance_m2", [1.0, 1e4, 1e9, 1e16, 1e39, math.inf])
 def test_no_direction_is_wider_than_where_the_radio_was_heard_says(variance_m2: float) -> None:
-    errors = NO_ERRORS._replace(heard=HeardPath((0.0, 0.0), 20.0))
+    errors = NO_ERRORS._replace(reception=ReceptionPath((0.0, 0.0), 20.0))
     turn = math.pi / 5.0
     axis = np.array([math.cos(turn), math.sin(turn)])
     across = np.array([-axis[1], axis[0]])

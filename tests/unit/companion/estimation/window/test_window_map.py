@@ -13,7 +13,7 @@ from companion.estimation.window.map_kernels import (
     MAX_ITERATIONS,
     map_cost,
     map_descent,
-    measured_offs,
+    measured_innovations,
     row_sigmas,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
@@ -66,7 +66,7 @@ def test_solution_is_a_minimum_of_the_objective() -> None:
     priors = np.diag([0.0, 0.0, 1.0 / 5.0**2, 1.0 / math.radians(5.0) ** 2])
 
     def objective(x: Vector) -> float:
-        sigmas, offs = row_sigmas(rows, x, p.model), measured_offs(rows, x, p.model)
+        sigmas, offs = row_sigmas(rows, x, p.model), measured_innovations(rows, x, p.model)
         return float(map_cost(offs, x, sigmas, p.thresholds, priors, np.zeros(4), p.model))
 
     assert cost == pytest.approx(objective(mean))
@@ -190,7 +190,7 @@ def test_covariance_grows_when_neighbouring_residuals_repeat() -> None:
     repeated[:, 4] = white[:, 4]
     (a,), (b,) = solver.optima(white, [START]), solver.optima(repeated, [START])
     assert np.trace(b.covariance[:2, :2]) > 3.0 * np.trace(a.covariance[:2, :2])
-    assert b.inflation / shares_of(solver.fields)[0] > 2.0 * a.inflation
+    assert b.inflation / shares_of(solver.spatial_noise)[0] > 2.0 * a.inflation
 
 
 def test_noise_is_told_apart_from_its_repetition() -> None:
@@ -293,7 +293,7 @@ def test_a_place_right_before_the_vehicle_is_not_sure_of_itself(seed: int, noise
     """Bearings along one line say nothing of how far the target is, however near it may be."""
     rows, (east, north) = towards(np.random.default_rng(seed), noise)
     solver = WindowMap(FilterParams())
-    solver.expect((10.0, noise**2, 1.0))
+    solver.set_bearing_inflation((10.0, noise**2, 1.0))
     starts = [np.array([east + d, north, 8.0, 0.0]) for d in (-0.5, 0.3, 1.0, 3.0, 9.0)]
     optima = solver.optima(rows, starts, is_white=True)
     for optimum in optima:
@@ -307,7 +307,7 @@ def test_the_own_position_excuses_less_where_bearings_are_worse_than_thermal() -
     gains = []
     for inflation in (1.0, 9.0):
         solver = WindowMap(FilterParams())
-        solver.expect((1.0, inflation, 1.0))
+        solver.set_bearing_inflation((1.0, inflation, 1.0))
         gains.append(np.abs(solver.scores(rows, near).u[1]) / np.abs(solver.scores(rows, far).u[1]))
     np.testing.assert_array_less(gains[0][-1], gains[1][-1])
 
