@@ -110,7 +110,7 @@ def place_problem(latitude_deg: float, longitude_deg: float) -> str | None:
     if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
         return "is not a finite number"
     if latitude_deg == 0.0 and longitude_deg == 0.0:
-        return "0/0 means that nobody knew the place"
+        return "0/0 means that the position is unknown"
     if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
         return f"{latitude_deg:g}/{longitude_deg:g} is no latitude and longitude in degrees"
     if abs(latitude_deg) > MAX_LATITUDE_DEG:

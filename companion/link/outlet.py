@@ -233,7 +233,7 @@ class Outlet:
             return False
         if not self._is_conflict_announced:
             self._is_conflict_announced = True
-            text = f"someone else sends as {sender[0]}/{sender[1]}: two companions, one vehicle?"
+            text = f"another companion sends as {sender[0]}/{sender[1]}: stop one of the two"
             self.announce(Announce(Severity.ERROR, text), now_s)
         return True
 

@@ -442,7 +442,7 @@ class RadioWatch:
         if restarts == self._restarts:
             return []
         self._restarts = restarts
-        return [(Severity.NOTICE, "its clock began anew")]
+        return [(Severity.NOTICE, "its clock restarted")]
 
     def _refusals(self, now_s: float) -> list[tuple[Severity, str]]:
         refused = self.stage.all_refused

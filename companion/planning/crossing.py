@@ -227,7 +227,7 @@ class LatchedCrossing:
             vehicle, turned(direction(vehicle, target), bend_rad), distance_m * math.cos(bend_rad)
         )
         offset_m = altitude_offset_m(0, self.params.altitude_swing_m)
-        detail = "approach from the side, for ranges to tell the place"
+        detail = "approach from the side, so that ranges locate the target"
         bent = Waypoint(aside, WaypointReason.APPROACH, detail, offset_m)
         return bent if route_to(request, bent) == bent else None
 

@@ -253,11 +253,13 @@ class FimPlanner:
         vehicle = request.vehicle_enu_m
         index = self._best(request, request.estimate)
         if index == STAY:
-            return Plan(hold_position(request, "staying is expected to tell most"), memory)
+            return Plan(
+                hold_position(request, "staying is expected to give the most information"), memory
+            )
         turn_rad = 2.0 * math.pi * index / self.params.headings
         heading_deg = math.degrees(bearing_ned_from_enu(turn_rad))
         heading_deg %= 360.0
-        detail = f"heading {heading_deg:03.0f} is expected to tell most"
+        detail = f"heading {heading_deg:03.0f} is expected to give the most information"
         waypoint = Waypoint(self._candidate(vehicle, index), WaypointReason.INFORMATION, detail)
         return Plan(route_to(request, waypoint), memory)
 

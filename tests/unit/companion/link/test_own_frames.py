@@ -66,7 +66,7 @@ def test_a_router_that_sends_our_frames_back_is_no_second_companion() -> None:
 
 def test_a_second_companion_on_the_vehicle_is_told_once() -> None:
     wire = flown_beside_another_companion(is_router_loop=False)
-    said = [text for text in wire.journal.texts if "someone else sends as 1/191" in text]
+    said = [text for text in wire.journal.texts if "another companion sends as 1/191" in text]
     assert len(said) == 1
 
 
@@ -202,7 +202,7 @@ def test_where_all_four_are_taken_it_is_a_conflict() -> None:
     wire = Wire().ready()
     beside_another_kind(wire, 6.0, 191, 192, 193, 194)
     assert phase_of(wire) is Phase.WAITING
-    assert any("someone else sends as 1/191" in text for text in wire.journal.texts)
+    assert any("another companion sends as 1/191" in text for text in wire.journal.texts)
 
 
 def test_in_control_the_id_stays_and_it_is_said() -> None:
@@ -211,7 +211,7 @@ def test_in_control_the_id_stays_and_it_is_said() -> None:
         beside_in_offboard(wire)
     assert phase_of(wire) in IN_CONTROL
     assert own_id_of(wire) == 191
-    assert any("someone else sends as 1/191" in text for text in wire.journal.texts)
+    assert any("another companion sends as 1/191" in text for text in wire.journal.texts)
 
 
 def beside_in_offboard(wire: Wire) -> None:

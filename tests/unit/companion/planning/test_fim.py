@@ -123,7 +123,7 @@ def test_printed_it_flies_at_the_target_whose_bearing_it_believes_in() -> None:
     plan = planner.plan(PlanRequest((0.0, 0.0), _target((0.0, 40.0))), None)
     assert plan.waypoint.position_enu_m == pytest.approx((0.0, 5.0))
     assert plan.waypoint.reason is WaypointReason.INFORMATION
-    assert plan.waypoint.detail == "heading 000 is expected to tell most"
+    assert plan.waypoint.detail == "heading 000 is expected to give the most information"
 
 
 def test_the_joint_covariance_decides_where_there_is_one() -> None:
@@ -157,7 +157,7 @@ def test_where_staying_is_best_it_says_so() -> None:
     waypoint = FimPlanner(FimParams()).plan(PlanRequest((0.0, 0.0), sure), None).waypoint
     assert waypoint.position_enu_m == (0.0, 0.0)
     assert waypoint.reason is WaypointReason.HOLD
-    assert waypoint.detail == "staying is expected to tell most"
+    assert waypoint.detail == "staying is expected to give the most information"
 
 
 def test_candidates_behind_a_wall_are_left_out() -> None:
