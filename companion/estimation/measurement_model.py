@@ -53,9 +53,8 @@ MIN_RANGE_M = 1e-3
 AZIMUTH, PLANAR, COSINES = 0, 1, 2
 """Content of the bearing row: an azimuth about the vertical, as in the paper, the azimuth of a
 planar array in its own plane, or direction cosines."""
-FIRST_AXIS, SECOND_AXIS, POSE_SIZE = 3, 6, 9
-"""Indices of an antenna's axes in a sensor's pose, behind the position, and the size of the
-pose."""
+FIRST_AXIS = 3
+"""Index of an antenna's first axis in a sensor's pose, behind the position."""
 MIN_SINE2 = 1e-6
 """Lower limit of the squared sine of the angle to a planar array's normal, where an azimuth is
 undefined."""

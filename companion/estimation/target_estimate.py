@@ -44,6 +44,7 @@ _BOTH_AXES = np.eye(2)
 _PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
 """Midpoints of 64 equal parts of a quarter turn, which hold by symmetry for the whole turn."""
 _COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
+"""Squared cosines and sines of those directions."""
 
 AMBIGUOUS_PROBABILITY = 0.05
 """Probability of a second hypothesis from which the estimate is ambiguous."""

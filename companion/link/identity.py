@@ -230,7 +230,7 @@ class IdentityCourse:
         )
 
     def describe(self, sign: Sign, now_s: float) -> str:
-        """Describe how far a sign is off this course."""
+        """Describe the deviation of a sign from this course."""
         assert self.main is not None
         late_s = abs(self.main.late_s(sign, now_s))
         if late_s > AHEAD_S:

@@ -64,7 +64,8 @@ class LinkParams(Params, frozen=True):
     """Capacity of the slowest link to a ground station, bytes/s: 57,600 baud, the usual telemetry
     radio. Texts get one per cent of it."""
     signing_key_file: str | None = None
-    """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` goes first."""
+    """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` has
+    precedence."""
     unsigned_ranging: bool = False
     """With a key: `--ranging` links take unsigned ranging messages, of a radio that cannot sign;
     anything else that is unsigned is refused on every link."""

@@ -242,7 +242,7 @@ class Outlet:
         return self._binding.is_bound and now_s - self._neighbour_s <= NEIGHBOUR_S
 
     def _move_aside(self, component_id: int, now_s: float) -> None:
-        """Take another component id, because ours is another component's."""
+        """Take another component id, because another component uses ours."""
         taken = self.own_ids
         for codec in self._codecs:
             codec.component_id = component_id

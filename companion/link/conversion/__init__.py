@@ -1,1 +1,1 @@
-"""Times and places of others on our own axes: clocks by stamps and exchanges, maps by pairs."""
+"""Conversion of remote times and positions to ours: clocks by stamps, maps by pairs."""

@@ -67,9 +67,10 @@ OFFSET_NOISE_S = 1e-5
 EXCHANGE_SIGMA_S = 5e-4
 """Standard deviation of an exchange with the shortest round trip."""
 DATED_BACK_S = 0.09
-"""ArduPilot dates a TIMESYNC request back by what waits in its receive buffer, 10 bit a byte at
-57,600 baud, on TCP and UDP, too: by 3 to 27 ms as a rule, by 512 bytes at most (AP_HAL_SITL
-`UARTDriver::receive_time_constraint_us`). Stamps then seem to arrive before they were sent."""
+"""Largest dating back of a TIMESYNC request by ArduPilot, which subtracts the time of its receive
+buffer, 10 bit a byte at 57,600 baud, on TCP and UDP, too: 3 to 27 ms as a rule, 512 bytes at most
+(AP_HAL_SITL `UARTDriver::receive_time_constraint_us`). Stamps then seem to arrive before they were
+sent."""
 MEDIAN_OF_CHORD = 0.6745 * math.sqrt(1.5)
 """Median distance, in sigma, of a normal value from the middle of two others."""
 KNOWN_SIGMA_S = 0.02
