@@ -71,7 +71,7 @@ class Belief:
             return "an impossible count or emitter"
         own = self.own
         if own is not None and not (0.0 < own.horizontal_m < math.inf > own.vertical_m >= 0.0):
-            return "an impossible accuracy of the own place"
+            return "an impossible position accuracy"
         if not abs(self.raised_m) <= MAX_COORDINATE_M:
             return "an impossible height"
         problems = (_problem(place, size) for place in self.places)

@@ -417,8 +417,8 @@ class TargetTracker:
         ]
         budget = {name: r95_of_covariance_m(covariance_m2) for name, covariance_m2 in widths}
         budget["rival places"] = estimate.settled_r95_m
-        budget["own position during the search"] = estimate.r95_m
-        budget["own position on the Earth"] = estimate.absolute_r95_m
+        budget["vehicle position during the search"] = estimate.r95_m
+        budget["vehicle position on the Earth"] = estimate.absolute_r95_m
         return budget
 
     def objection(self, now_s: float) -> Objection | None:

@@ -119,7 +119,7 @@ def identity_of(measurement: RangingMeasurement) -> Hashable:
 class Objection(Enum):
     """Gravest reason against the estimate; the values are shown to the operator."""
 
-    RANGE_UNIT = "ranges do not fit the own motion: wrong unit?"
+    RANGE_UNIT = "ranges do not fit the vehicle's motion: wrong unit?"
     BEARING_UNIT = "bearings make no sense: wrong unit?"
     UNSTABLE = "the filter was reset twice within a minute"
     CONTRADICTED = "measurements do not agree with the estimate"

@@ -257,8 +257,8 @@ def test_the_budget_leads_from_thermal_noise_to_the_absolute_radius(
     assert next(iter(budget)) == "thermal noise"
     assert budget["thermal noise"] < budget["offsets that are estimated"]
     assert budget["rival places"] == target["settled_r95_m"]
-    assert budget["own position during the search"] == target["r95_m"]
-    assert budget["own position on the Earth"] == target["absolute_r95_m"]
+    assert budget["vehicle position during the search"] == target["r95_m"]
+    assert budget["vehicle position on the Earth"] == target["absolute_r95_m"]
     assert all(f"m  {term}" in printed for term in budget)
     assert main(["replay", "w.tlog", "--explain"]) == EXIT_BAD_INPUT
     assert "--explain" in capsys.readouterr().err
