@@ -220,6 +220,11 @@ class SessionContext:
         self._is_stopping = True
         return self.enter(Trigger.STOP, now_s) and self.phase is Phase.HANDBACK
 
+    @property
+    def announced_finding(self) -> Finding | None:
+        """The finding that was announced last; None: that nothing is wrong."""
+        return self._finding_messages.announced
+
     def record_finding(self, finding: Finding | None, now_s: float) -> bool:
         """Record the current finding, or None; return True if it has to be announced."""
         self.finding = finding

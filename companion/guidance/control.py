@@ -398,12 +398,13 @@ class ControlTick:
         context, finding = self._context, self._watches.finding(now_s)
         if finding is not None and finding.verdict is Verdict.HAND_BACK:
             finding = self._handover.hold_if_unconfirmed(finding, now_s)
+        before = context.announced_finding
         is_new = context.record_finding(finding, now_s)
         if finding is None:
             if context.enter(Trigger.INPUT_BACK, now_s):
                 context.plan_now(now_s)
             if is_new:
-                context.announce(Severity.INFO, "flying the plan", Topic.PLAN)
+                context.announce(Severity.INFO, _resumed_text(before), Topic.PLAN)
             return
         match finding.verdict:
             case Verdict.SLOW:
@@ -447,3 +448,10 @@ class ControlTick:
                     return steering.stand(motion)
                 return steering.stay(motion, dt_s)
         return None
+
+
+def _resumed_text(before: Finding | None) -> str:
+    """Return the text for a flight by the plan, after what was announced before."""
+    if before is None:
+        return "flying the plan"
+    return f"flying the plan, after: {before.text}"

@@ -159,29 +159,36 @@ class FindingMessages:
     """Decides when a finding in control is announced; None stands for "no finding"."""
 
     def __init__(self) -> None:
-        self._announced: Reason | None = None
-        self._announced_verdict = 0
+        self.announced: Finding | None = None
+        """The finding that was announced last."""
         self._seen_s = -math.inf
         """Last time at which the announced state was current."""
         self._announced_s: dict[Reason | None, float] = {}
 
     def take(self, finding: Finding | None, now_s: float) -> bool:
         """Record the current finding, or None; return True if it has to be announced."""
-        reason = None if finding is None else finding.reason
-        if reason is self._announced:
+        before, reason = self.announced, _reason(finding)
+        if reason is _reason(before):
             self._seen_s = now_s
             return False
-        verdict = 0 if finding is None else int(finding.verdict)
         since_announced_s = now_s - self._announced_s.get(reason, -math.inf)
-        is_worse = verdict > self._announced_verdict or reason in URGENT
+        is_worse = _severity(finding) > _severity(before) or reason in URGENT
         is_worse = is_worse and since_announced_s >= CLEARED_AFTER_S
         if not (
             is_worse or now_s - self._seen_s >= CLEARED_AFTER_S or since_announced_s >= REANNOUNCE_S
         ):
             return False
-        self._announced, self._announced_verdict, self._seen_s = reason, verdict, now_s
+        self.announced, self._seen_s = finding, now_s
         self._announced_s[reason] = now_s
         return True
+
+
+def _reason(finding: Finding | None) -> Reason | None:
+    return None if finding is None else finding.reason
+
+
+def _severity(finding: Finding | None) -> int:
+    return 0 if finding is None else int(finding.verdict)
 
 
 CAUTION = (

@@ -2,11 +2,10 @@
 
 Theory of operation. The cause of a text is its words without their numbers. A cause is announced at
 most once in `CAUSE_PERIOD_S`, however often it comes and goes. Texts of one topic are states that
-replace each other, such as "waiting for ..." and "ready"; there the cause is the step from the
-state that was announced before, and the newest withheld state is announced as soon as its cause may
-be, unless the topic has gone back to the announced one. So the last text of a topic is the present
-state, at the latest after one period. Changes of control are never withheld: they are answers to
-the pilot, and guidance already spaces them.
+replace each other, such as "waiting for ..." and "ready"; there the newest withheld state is
+announced as soon as its cause may be, unless the topic has gone back to the announced one. So the
+last text of a topic is the present state, at the latest after one period. Changes of control are
+never withheld: they are answers to the pilot, and guidance already spaces them.
 
 Announced texts go to the log and the console. On the air they also have to fit into a share of the
 slowest downlink, over a sliding minute; errors and changes of control exceed it rather than get
@@ -33,16 +32,12 @@ SHARE_OF_DOWNLINK = 0.01
 NUMBER = re.compile(r"(?<![\w.])(?<!system )(?<!emitter )-?\d[\d.]*")
 """Figures; the number of a system or an emitter, and one in a name, distinguish causes."""
 
-Cause = tuple[Topic | None, str, str]
-"""Topic, cause of the state announced before, and the words without numbers."""
-
 
 @dataclass(slots=True)
 class _TopicState:
     """Announced state of one topic, and a newer one that is withheld."""
 
     announced: str = ""
-    announced_s: float = -math.inf
     withheld: Announce | None = None
 
 
@@ -59,31 +54,25 @@ class TextGate:
         self.unsent = 0
         """Announced texts that did not fit into the budget of the downlink."""
         self._budget_bytes = SHARE_OF_DOWNLINK * bytes_per_s * MINUTE_S
-        self._announced_s: dict[Cause, float] = {}
+        self._announced_s: dict[str, float] = {}
+        """When a cause was announced last, by its words without numbers."""
         self._topics: dict[Topic, _TopicState] = {}
         self._sent: deque[tuple[float, int]] = deque()
         self._sent_bytes = 0
 
     def admit(self, text: Announce, now_s: float) -> bool:
         """Return True if a text is to be announced now; withheld states may become due later."""
-        if text.must_pass:
-            return True
         words = NUMBER.sub("#", text.text)
         topic = self._topics.setdefault(text.topic, _TopicState()) if text.topic else None
-        if topic is not None and words == topic.announced:
-            topic.withheld = None
-            if now_s - topic.announced_s < CAUSE_PERIOD_S:
-                self.withheld += 1
-                return False
-        cause = (text.topic, "" if topic is None else topic.announced, words)
-        if now_s - self._announced_s.get(cause, -CAUSE_PERIOD_S) < CAUSE_PERIOD_S:
-            self.withheld += 1
-            if topic is not None:
-                topic.withheld = text
-            return False
-        self._announced_s[cause] = now_s
         if topic is not None:
-            topic.announced, topic.announced_s, topic.withheld = words, now_s, None
+            topic.withheld = None if words == topic.announced else text
+        is_recent = now_s - self._announced_s.get(words, -math.inf) < CAUSE_PERIOD_S
+        if is_recent and not text.must_pass:
+            self.withheld += 1
+            return False
+        self._announced_s[words] = now_s
+        if topic is not None:
+            topic.announced, topic.withheld = words, None
         self._forget(now_s)
         return True
 

@@ -59,11 +59,17 @@ def test_the_last_text_of_a_topic_is_the_present_state(ends_with: int) -> None:
     assert shown[-1] == states[ends_with].text
 
 
-def test_what_follows_another_state_is_another_cause() -> None:
-    plan = "flying the plan"
-    said = ["hold: checking its inputs", plan, "hold: no ranging", plan]
+def test_the_same_state_after_another_one_is_the_same_cause() -> None:
+    said = ["hold: no ranging", "flying the plan", "hold: stale", "flying the plan"]
     timed = [(float(n), warning(text, Topic.PLAN)) for n, text in enumerate(said)]
-    assert passed(TextGate(BYTES_PER_S), timed, 5.0) == said
+    assert passed(TextGate(BYTES_PER_S), timed, 30.0) == said[:3]
+    assert passed(TextGate(BYTES_PER_S), timed, 31.0) == said
+
+
+def test_a_text_that_must_pass_counts_for_the_ones_that_need_not() -> None:
+    plan = "flying the plan"
+    said = [(0.0, warning(plan, Topic.PLAN, must_pass=True)), (5.0, warning(plan, Topic.PLAN))]
+    assert passed(TextGate(BYTES_PER_S), said, 60.0) == [plan]
 
 
 def test_a_state_that_stays_is_announced_again_after_a_period_only() -> None:
