@@ -16,7 +16,9 @@ from companion.config.tunables import Tunables
 from companion.domain import Autopilot, FlightMode, TargetEstimate
 from companion.flight_setup import build_planner, build_session
 from companion.guard.gate import GuardReason
+from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.health.findings import Reason
+from companion.link import outbound
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import EndpointParams, Journal, LinkSpec
 from companion.mav.codec import MavCodec
@@ -316,6 +318,54 @@ class Chatters(Planted):
         return [frame, *[self._encoded(text) for _ in range(20)]]
 
 
+class RepeatsItself(Planted):
+    """It tells the operator the same with another figure every five seconds."""
+
+    invariant = "I13"
+    _said_s = 0.0
+
+    def _spoil(self, frame: bytes) -> list[bytes]:
+        if self._now_s - self._said_s < 5.0:
+            return [frame]
+        self._said_s = self._now_s
+        words = f"hold: no ranging for {self._now_s:.1f} s, whatever the pilot does"
+        return [frame, *map(self._encoded, outbound.status_text(4, words, self._count))]
+
+
+class KeepsItsFence(Planted):
+    """It reads the fence of another station in flight, and flies by the one it had."""
+
+    invariant = "I1"
+
+    def __init__(
+        self, config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> None:
+        super().__init__(config, journal, links)
+        fencing = self.session.fencing
+        take = fencing.take
+
+        def take_on_the_ground(event: AutopilotFenceRead) -> None:
+            if self._is_flying:
+                fencing.is_doubted = fencing.is_urgent = False
+            else:
+                take(event)
+
+        setattr(fencing, "take", take_on_the_ground)  # noqa: B010 - a method
+
+
+class NeverReadsAgain(Planted):
+    """It reads the autopilot's fence once."""
+
+    invariant = "I1"
+
+    def __init__(
+        self, config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
+    ) -> None:
+        super().__init__(config, journal, links)
+        for name in ("notice", "_is_due_again"):
+            setattr(self._queries.fence, name, lambda *_: False)
+
+
 class HasMoods(Planted):
     """What it sends depends on more than its input."""
 
@@ -349,6 +399,7 @@ DEFECTS: tuple[type[Planted], ...] = (
     SendsInBackground,
     BelievesAnybody,
     Chatters,
+    RepeatsItself,
     HasMoods,
 )
 

@@ -141,7 +141,11 @@ def rules_of(config: CompanionConfig) -> Rules:
     """Derive the monitor's rules from a configuration."""
     limits = msgspec.structs.asdict(config.limits)
     shared = {name: limits[name] for name in Rules.__struct_fields__ if name in limits}
-    return Rules(system_id=config.vehicle.system_id, **shared)
+    return Rules(
+        system_id=config.vehicle.system_id,
+        keeps_autopilot_fence=config.limits.autopilot_fence != "ignore",
+        **shared,
+    )
 
 
 def snapshot_of(flight: Flight) -> tuple[str, object]:
@@ -347,6 +351,14 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
     lambda d: faults.UnsignedFrames(rate_hz=d.spread(10.0, 500.0)),
     lambda d: faults.ForeignFrames(rate_hz=d.spread(10.0, 500.0)),
     lambda _: incidents.FalseLanding(),
+    lambda d: incidents.StationFence(
+        half_side_m=d.one((None, d.number(15.0, 80.0), d.number(15.0, 80.0))),
+        east_m=d.number(-10.0, 30.0),
+        north_m=d.number(-10.0, 30.0),
+        is_circle=d.happens(0.3),
+        is_inclusion=d.happens(0.9),
+        shares_line=d.happens(0.5),
+    ),
     lambda d: incidents.StationHome(
         east_m=d.number(-25.0, 25.0), north_m=d.number(-25.0, 25.0), shares_line=d.happens(0.5)
     ),
@@ -368,7 +380,7 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
         is_offboard=d.happens(0.7),
     ),
 )
-"""One per kind of fault in the order of `Fault`, but for the transmitter, which has no pilot."""
+"""Every kind of fault in the order of `Fault`, but for the transmitter, which has no pilot."""
 
 
 def random_fault(rng: np.random.Generator) -> Fault:

@@ -105,7 +105,7 @@ class Violations(Params, frozen=True):
     def __post_init__(self) -> None:
         for name in self.invariants:
             if name not in INVARIANTS:
-                raise ValueError(f"there is no invariant {name}: I1 to I12 are")
+                raise ValueError(f"there is no invariant {name}: I1 to I13 are")
         if not set(self.invariants) - NEVER_JUDGED:
             raise ValueError("invariants: none that a flight can judge; leave the list out")
 
@@ -126,7 +126,7 @@ class Expectation(Params, frozen=True, kw_only=True):
     time_s: Bound | UnsetType = UNSET
     distance_m: Bound | UnsetType = UNSET
     violations: Violations | UnsetType = UNSET
-    """Of the invariants I1 to I12."""
+    """Of the invariants I1 to I13."""
     appears: Appears | UnsetType = UNSET
     never: TextSeen | UnsetType = UNSET
     """It must not have been sent."""

@@ -11,10 +11,11 @@ import math
 from collections.abc import Callable, Mapping
 
 from companion.domain import FlightMode, PositionEnu
-from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY
+from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
 from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.lab.lockstep.observer import Frame
-from sim_link.lab.monitor.independent_checks import INWARDS_M, Point, is_way_clear
+from sim_link.lab.monitor.fence_in_force import FENCE
+from sim_link.lab.monitor.independent_checks import INWARDS_M, Point
 from sim_link.lab.monitor.scene import Invariant, SentSetpoint, TrueScene
 from sim_link.world.point_mass import PointMass, approach_velocity
 
@@ -69,7 +70,7 @@ class OwnJumps:
             return False
         height_m = self._seemed[2] - scene.vehicle.home_enu_m[2]
         is_in_band = scene.rules.altitude_min_m <= height_m <= scene.rules.altitude_max_m
-        return is_in_band and scene.rules.depth_m(self._seemed[:2]) >= 0.0
+        return is_in_band and scene.depth_m(self._seemed[:2]) >= 0.0
 
 
 SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT"))
@@ -111,10 +112,10 @@ class SetpointsInside(Invariant):
     def _judge_borders(self, setpoint: SentSetpoint) -> None:
         rules, observed = self.scene.rules, self.scene.observed
         place = setpoint.place_enu_m[:2]
-        depth = rules.depth_m(place)
+        depth = self.scene.depth_m(place)
         least = rules.clearance_m - setpoint.rounding_m
         vehicle = None if self.scene.is_lied_to else observed.position_enu_m
-        own_depth = math.inf if vehicle is None else self.scene.rules.depth_m(vehicle[:2])
+        own_depth = math.inf if vehicle is None else self.scene.depth_m(vehicle[:2])
         anchor = self._anchor
         is_still = anchor is not None and math.dist(place, anchor) <= setpoint.rounding_m
         self._anchor = anchor if is_still else place
@@ -124,10 +125,9 @@ class SetpointsInside(Invariant):
         is_kept = is_still and setpoint.time_s - self._near_s <= KEPT_S
         if depth < least and not is_no_farther and not is_kept:
             self.report("setpoint too near to a border or beyond it", depth_m=depth)
-        if vehicle is not None and own_depth > 0.0 and depth > 0.0:
-            fence, keep_outs = rules.fence_enu_m, rules.keep_out_enu_m
-            if not is_way_clear(fence, keep_outs, vehicle[:2], place):
-                self.report("the way to a setpoint leaves the fence", depth_m=depth)
+        is_inside = vehicle is not None and own_depth > 0.0 and depth > 0.0
+        if vehicle is not None and is_inside and not self.scene.is_way_clear(vehicle[:2], place):
+            self.report("the way to a setpoint leaves the fence", depth_m=depth)
 
     def _judge_height(self, up_m: float) -> None:
         rules, home_m = self.scene.rules, self.scene.home_up_m
@@ -169,6 +169,10 @@ class InsideFence(SetpointsInside):
         """... and the vehicle has left the mode since: until then it flies our last setpoint."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
+        self._fences = 0
+        """How many fences of the autopilot were in force."""
+        self._is_caught = False
+        """A new fence came so near that the vehicle could not stop before it."""
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge it by what is true, too."""
@@ -207,8 +211,27 @@ class InsideFence(SetpointsInside):
 
     @property
     def is_dragged(self) -> bool:
-        """True if another source moved the vehicle shortly before, or the wind alone."""
+        """Return True if another source moved the vehicle shortly before, or the wind alone."""
         return self._truth.now_s - self._dragged_s < CONTROL_FADES_S
+
+    @property
+    def is_excused(self) -> bool:
+        """Return True if the vehicle's motion is not the companion's doing."""
+        return self.is_dragged or self._is_caught
+
+    def _watch_fences(self) -> None:
+        """Note whether a new fence came too near; over once it is inside and can stop there."""
+        scene, body = self._truth, self._truth.vehicle.body
+        before, self._fences = self._fences, len(scene.flown_fences)
+        if before != self._fences:
+            self._known = ((0.0, 0.0), -math.inf)
+        if self._fences > before or self._is_caught:
+            (east, north), (ve, vn) = body.position_enu_m[:2], body.velocity_enu_mps[:2]
+            rules = scene.rules
+            time_s = rules.latency_s + 0.5 * math.hypot(ve, vn) / rules.acceleration_mps2
+            stop = (east + ve * time_s, north + vn * time_s)
+            depth = min(scene.depth_m((east, north)), scene.depth_m(stop)) + scene.bias_m
+            self._is_caught = depth < rules.clearance_m
 
     def _watch_mode(self) -> None:
         """Note the mode: the first after ours brakes what we began, others start over."""
@@ -234,18 +257,19 @@ class InsideFence(SetpointsInside):
             self._in_control_s = -math.inf
         self._watch_others(scene.vehicle.setpoints.received)
         self._watch_mode()
+        self._watch_fences()
         is_flown_by_others = self._mode not in OUR_MOTION or self._is_taken_on
-        is_flown_by_others |= self.is_dragged
+        is_flown_by_others |= self.is_excused
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
         place = body.position_enu_m[:2]
         if body.is_on_ground or is_flown_by_others or has_faded:
             # another source may have taken it out
-            self._is_out = not body.is_on_ground and scene.rules.depth_m(place) + scene.bias_m < 0.0
+            self._is_out = not body.is_on_ground and scene.depth_m(place) + scene.bias_m < 0.0
             return
         at, known = self._known
         if known - math.dist(place, at) > max(0.0, self.closest_m):
             return  # it cannot have come nearer than it was
-        depth = self.scene.rules.depth_m(place) + scene.bias_m
+        depth = self.scene.depth_m(place) + scene.bias_m
         self._known = (place, depth)
         if self._is_out and depth < 0.0:
             return
@@ -292,13 +316,13 @@ class SafeToFreeze(PlacesOnly):
         east, north, up = setpoint.place_enu_m
         goal = (east - bias[0], north - bias[1], up - bias[2])
         body, rules = scene.vehicle.body, scene.rules
-        own = self.scene.rules.depth_m(body.position_enu_m[:2]) + scene.bias_m
+        own = self.scene.depth_m(body.position_enu_m[:2]) + scene.bias_m
         if 0.0 <= own < rules.clearance_m:
-            if self.scene.rules.depth_m(goal[:2]) + scene.bias_m < -setpoint.rounding_m:
+            if self.scene.depth_m(goal[:2]) + scene.bias_m < -setpoint.rounding_m:
                 self.report("a setpoint that freezes leads out of the fence", depth_m=own)
             return
         if own < 0.0:  # on its way back: the place itself must not lie farther out
-            depth, moved_m = rules.depth_m(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
+            depth, moved_m = scene.depth_m(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
             least_m = own - rules.clearance_m - moved_m * rules.latency_s
             if depth + scene.bias_m < least_m:
                 self.report("a setpoint that freezes leads farther out", depth_m=depth)
@@ -313,7 +337,7 @@ class SafeToFreeze(PlacesOnly):
         self.report("a setpoint that freezes leads out of the fence", depth_m=least)
 
     def _least_depth(self, goal: PositionEnu) -> float:
-        rules, truth = self.scene.rules, self._truth.vehicle.body
+        truth = self._truth.vehicle.body
         params = self._truth.vehicle.scenario.vehicle
         body = PointMass(params, truth.wind, truth.position_enu_m, truth.ground_up_m)
         body.velocity_enu_mps = truth.velocity_enu_mps
@@ -321,10 +345,65 @@ class SafeToFreeze(PlacesOnly):
         for _ in range(round(FREEZE_FOR_S / FREEZE_STEP_S)):
             place = body.position_enu_m
             if known - math.dist(at, place[:2]) < max(0.0, min(least, SAFE_M)):
-                known, at = rules.depth_m(place[:2]), place[:2]
+                known, at = self.scene.depth_m(place[:2]), place[:2]
                 least = min(least, known)
             is_there = math.dist(place, goal) < ARRIVED_M
             if is_there and math.hypot(*body.velocity_enu_mps) < AT_REST_MPS:
                 break
             body.step(approach_velocity(place, goal, params), None, FREEZE_STEP_S)
         return least
+
+
+REACTION_S = 12.0
+"""The companion reads a fence without an id every 10 s; see `docs/flying.md`."""
+MISSION_CURRENT = mavlink.MAVLINK_MSG_ID_MISSION_CURRENT
+
+
+class FenceIsRead(Invariant):
+    """In control, a fence that another station uploads is asked for.
+
+    Not judged: a companion whose last question was not answered, because it rests before it asks
+    again, and on PX4 the time before a MISSION_CURRENT with the fence's new id is heard.
+    """
+
+    name = "I1"
+    title = SetpointsInside.title
+
+    def __init__(self, scene: TrueScene) -> None:
+        super().__init__(scene)
+        self._truth = scene
+        self._fence: object = scene.vehicle.aircraft.fence
+        self._since_s: float | None = None
+        """When it could know that there is another fence; None: none that it has not asked for."""
+        self._is_shown = not scene.is_px4
+        self._asked_s = -math.inf
+
+    def started(self) -> None:
+        """A new process reads it before it takes control."""
+        self._since_s, self._asked_s = None, -math.inf
+
+    def heard(self, frame: Frame) -> None:
+        """PX4 shows a change by an id."""
+        if self._since_s is not None and not self._is_shown and frame.number == MISSION_CURRENT:
+            self._is_shown, self._since_s = True, self.scene.now_s
+
+    def sent(self, frame: Frame) -> None:
+        """It asks."""
+        message = frame.message
+        is_list = isinstance(message, mavlink.MAVLink_mission_request_list_message)
+        if is_list and getattr(message, "mission_type", None) == FENCE:
+            self._since_s, self._asked_s = None, self.scene.now_s
+
+    def stepped(self) -> None:
+        """Judge how long a changed fence was not asked for."""
+        scene, now_s = self._truth, self._truth.now_s
+        before, self._fence = self._fence, scene.vehicle.aircraft.fence
+        was_answered = scene.in_force.read_s >= self._asked_s
+        if before is not self._fence and was_answered and scene.rules.keeps_autopilot_fence:
+            self._since_s, self._is_shown = now_s, not scene.is_px4
+        is_able = scene.observed.is_ours and scene.is_companion_up and not scene.is_lied_to
+        if not is_able or scene.suspended_until_s >= now_s:
+            self._since_s = None
+        if self._since_s is not None and self._is_shown and now_s - self._since_s > REACTION_S:
+            self._since_s = None
+            self.report("a fence of another station is not asked for")

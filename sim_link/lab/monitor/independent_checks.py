@@ -44,7 +44,7 @@ def border_distance_m(corners: Corners, point: Point) -> float:
     least_m = math.inf
     start = corners[-1]
     for end in corners:
-        distance_m = _to_segment_m(start, end, point)
+        distance_m = to_segment_m(start, end, point)
         if distance_m < least_m:
             least_m = distance_m
         start = end
@@ -65,12 +65,9 @@ def _inside_m(corners: Corners, point: Point) -> float:
     return away_m if _is_wound_around(corners, point) else -away_m
 
 
-def is_moved_inwards(
-    fence: Corners, keep_outs: Sequence[Corners], vehicle: Point, place: Point
-) -> bool:
-    """Return True if a vehicle at a border, or beyond it, may stay at `place`."""
-    depth = depth_m(fence, keep_outs, vehicle)
-    return depth < BORDER_M and math.dist(vehicle, place) <= INWARDS_M
+def is_moved_inwards(depth_m: float, vehicle: Point, place: Point) -> bool:
+    """Return True if a vehicle so deep inside, at a border or beyond it, may stay at `place`."""
+    return depth_m < BORDER_M and math.dist(vehicle, place) <= INWARDS_M
 
 
 def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
@@ -87,7 +84,8 @@ def _side(a: Point, b: Point, p: Point) -> float:
     return (b[0] - a[0]) * (p[1] - a[1]) - (p[0] - a[0]) * (b[1] - a[1])
 
 
-def _to_segment_m(a: Point, b: Point, p: Point) -> float:
+def to_segment_m(a: Point, b: Point, p: Point) -> float:
+    """Return the distance of `p` from the straight line between `a` and `b`, m."""
     east, north = b[0] - a[0], b[1] - a[1]
     to_east, to_north = p[0] - a[0], p[1] - a[1]
     length2 = east * east + north * north
@@ -249,7 +247,7 @@ class SenderTrust:
 
     @property
     def follows_unknown_peer(self) -> bool:
-        """True if a sender other than the vehicle is followed."""
+        """Return True if a sender other than the vehicle is followed."""
         return self._followed is not None and not self._followed.is_genuine
 
     def is_beside_unknown_peer(self, frame: Frame) -> bool:

@@ -1,7 +1,7 @@
 """The monitor: an observer of a flight that reports every invariant that does not hold.
 
-Theory of operation. One `ObservedScene` keeps the reports to the companion and the truth; twelve
-small invariants (I1 to I12) look at it whenever a frame is sent or heard, a tick is over or the
+Theory of operation. One `ObservedScene` keeps the reports to the companion and the truth; thirteen
+small invariants (I1 to I13) look at it whenever a frame is sent or heard, a tick is over or the
 vehicle moved. None uses the companion's own guard, estimator or guidance; its own word (its phase,
 its estimate) is only held against it. A `Scope` says by which of them a kind of flight is judged.
 """
@@ -17,7 +17,12 @@ from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.neighbours import Neighbour
 from sim_link.lab.lockstep.observer import Frame, Observer, overriding
-from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
+from sim_link.lab.monitor import (
+    authority_invariants,
+    fence_invariants,
+    message_invariants,
+    text_invariants,
+)
 from sim_link.lab.monitor.independent_checks import Proof, SenderTrust
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,
@@ -53,6 +58,7 @@ TITLES = {
         message_invariants.OnlyProvedFrames,
         message_invariants.Bounded,
         message_invariants.Repeatable,
+        text_invariants.FewTexts,
     )
 }
 
@@ -77,6 +83,7 @@ LOCKSTEP = Scope(
     judged={
         **dict.fromkeys(("I1", "I2", "I3", "I4", "I5", "I6", "I7", "I8", "I9"), ""),
         "I11": "frames and lines of the log, not queues",
+        "I13": "",
     },
     unjudged={
         "I10": "needs the companion's whole state around every frame; fault campaigns compare it",
@@ -95,6 +102,7 @@ WIRE = Scope(
         "I7": "at the receiver, with the companion's log",
         "I9": "as the companion's log has it",
         "I11": "frames and lines of the log, not queues",
+        "I13": "",
     },
     unjudged={
         "I8": "the control tick does not show outside of the process",
@@ -156,6 +164,7 @@ class FrameMonitor(Observer):
         scene.is_lied_to = not scene.is_signed and self._whose.follows_unknown_peer
         if scene.is_believable:
             scene.observe(frame)
+            scene.note_fence(frame)
         self._show("heard", frame)
 
     def _is_believed(self, frame: Frame) -> bool:
@@ -179,6 +188,7 @@ class FrameMonitor(Observer):
         scene = self._shared
         scene.now_s, scene.tick_s = now_s, None
         scene.is_companion_up = True
+        scene.in_force.clear()
         self._whose.restart()
         scene.observed = ObservedState(origin_enu_m=scene.observed.origin_enu_m)
         self._show("started")
@@ -229,15 +239,17 @@ class Monitor(FrameMonitor):
         self._proved: message_invariants.OnlyProvedFrames | None = None
         invariants: list[Invariant] = [
             self.fence,
+            fence_invariants.FenceIsRead(scene),
             message_invariants.WithinEnvelope(scene),
             self.authority,
-            fence_invariants.SafeToFreeze(scene, lambda: self.fence.is_dragged),
+            fence_invariants.SafeToFreeze(scene, lambda: self.fence.is_excused),
             message_invariants.FreshState(scene),
             message_invariants.KnownFrames(scene),
             self.stream,
             authority_invariants.SilentWithoutTick(scene),
             message_invariants.HonestCovariance(scene, estimate),
             message_invariants.Bounded(scene),
+            text_invariants.FewTexts(scene),
             self.repeat,
         ]
         if snapshot is not None:
@@ -285,6 +297,8 @@ class Monitor(FrameMonitor):
         """Handle a physics step of the vehicle."""
         self.scene.now_s = now_s
         self.scene.look_at(vehicle)
+        if not self.scene.is_flying:
+            self.scene.in_force.land()
         self._show("stepped")
 
     def ticked(self, now_s: float) -> None:

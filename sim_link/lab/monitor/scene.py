@@ -19,6 +19,7 @@ from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor import independent_checks
+from sim_link.lab.monitor.fence_in_force import FencesInForce, FlownFence
 from sim_link.lab.monitor.independent_checks import Point
 
 Corners = tuple[tuple[float, float], ...]
@@ -31,6 +32,8 @@ class Rules(Params, frozen=True):
     """Limits to keep; positions in the world's frame, east and north about the first origin."""
 
     fence_enu_m: Corners
+    keeps_autopilot_fence: bool = True
+    """False where the companion is configured to ignore the autopilot's own fence."""
     system_id: int | None = None
     """The vehicle that the companion is configured to follow; None: the first that it hears."""
     keep_out_enu_m: tuple[Corners, ...] = ()
@@ -62,10 +65,6 @@ class Rules(Params, frozen=True):
     def clearance_m(self) -> float:
         """Clearance of every setpoint from a border: three standard deviations, m."""
         return 3.0 * self.navigation_sigma_m
-
-    def depth_m(self, place: Point) -> float:
-        """Return the depth inside the fence and outside all keep-outs, m; negative: violated."""
-        return independent_checks.depth_m(self.fence_enu_m, self.keep_out_enu_m, place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +180,8 @@ class ObservedScene:
     """An unknown peer had to be accepted: in a flood of its positions any may count."""
     violations: list[InvariantViolation] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
+    in_force: FencesInForce = field(default_factory=FencesInForce)
+    """Fences of the autopilot that the companion was given in this flight."""
     _sent_s: OrderedDict[bytes, tuple[float, int]] = field(default_factory=OrderedDict, repr=False)
     _sent_count: int = 0
 
@@ -264,6 +265,34 @@ class ObservedScene:
         observed.velocity_enu_mps = (message.vy, message.vx, -message.vz)
 
     @property
+    def flown_fences(self) -> list[FlownFence]:
+        """Return the autopilot's fences that the companion has known for an answer's time."""
+        if not self.rules.keeps_autopilot_fence:
+            return []
+        return self.in_force.known(self.now_s - self.rules.answer_s - TICK_S)
+
+    def depth_m(self, place: Point) -> float:
+        """Return the depth inside all fences and outside all keep-outs, m; negative: violated."""
+        depth = independent_checks.depth_m(self.rules.fence_enu_m, self.rules.keep_out_enu_m, place)
+        return min([depth, *(fence.depth_m(place) for fence in self.flown_fences)])
+
+    def is_way_clear(self, start: Point, end: Point) -> bool:
+        """Return True if the straight line between two points inside crosses no border."""
+        rules = self.rules
+        return independent_checks.is_way_clear(
+            rules.fence_enu_m, rules.keep_out_enu_m, start, end
+        ) and all(fence.is_way_clear(start, end) for fence in self.flown_fences)
+
+    def note_fence(self, frame: Frame) -> None:
+        """Take a frame that the companion had to accept, if it is of the autopilot's fence."""
+        world = self.world_origin
+        if world is None or not self.is_of_autopilot(frame):
+            return
+        self.in_force.take(
+            frame, lambda lat, lon: world.enu_from_geodetic(lat, lon, world.altitude_m)[:2]
+        )
+
+    @property
     def seen_at(self) -> tuple[tuple[PositionEnu, float], ...]:
         """Places where the companion may take the vehicle to be, each with when it arrived.
 
@@ -279,9 +308,9 @@ class ObservedScene:
 
     def is_moved_inwards(self, place: Point) -> bool:
         """Return True if a vehicle at a border, or beyond it, may stay at `place`."""
-        observed, rules = self.observed.position_enu_m, self.rules
+        observed = self.observed.position_enu_m
         return observed is not None and independent_checks.is_moved_inwards(
-            rules.fence_enu_m, rules.keep_out_enu_m, observed[:2], place
+            self.depth_m(observed[:2]), observed[:2], place
         )
 
     def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:

@@ -19,7 +19,12 @@ from companion.domain import EstimateState, FlightMode, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin, Projection
 from companion.mav.dialect import mavlink
 from sim_link.lab.lockstep.observer import Frame, Observer
-from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
+from sim_link.lab.monitor import (
+    authority_invariants,
+    fence_invariants,
+    message_invariants,
+    text_invariants,
+)
 from sim_link.lab.monitor.monitor import FrameMonitor
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,
@@ -176,6 +181,7 @@ class WireMonitor(FrameMonitor):
             self._stream,
             self._covariance,
             message_invariants.Bounded(scene),
+            text_invariants.FewTexts(scene),
         ]
         super().__init__(scene, invariants)
 

@@ -47,7 +47,6 @@ def test_every_part_is_tried() -> None:
 
 NOT_DRAWN = {
     "rc_loss",  # nobody holds a transmitter in a random mission, so none can be lost
-    "station_fence",  # flown in tests/loop/test_third_parties.py: the monitor knows one fence
 }
 
 

@@ -10,7 +10,7 @@ from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.fence_invariants import SafeToFreeze, SetpointsInside
-from sim_link.lab.monitor.independent_checks import Point, is_moved_inwards
+from sim_link.lab.monitor.independent_checks import Point, depth_m, is_moved_inwards
 from sim_link.lab.monitor.message_invariants import WithinEnvelope
 from sim_link.lab.monitor.scene import SentSetpoint
 from tests.loop.loop_helpers import AUTO
@@ -69,7 +69,7 @@ def line(north_m: float, steps_m: list[float]) -> list[Point]:
 def test_only_a_vehicle_at_a_border_is_moved_and_only_by_a_margin(
     vehicle: Point, place: Point, *, is_moved: bool
 ) -> None:
-    assert is_moved_inwards(FENCE, (), vehicle, place) is is_moved
+    assert is_moved_inwards(depth_m(FENCE, (), vehicle), vehicle, place) is is_moved
 
 
 def test_what_moves_along_with_a_vehicle_beyond_a_border_is_not_accelerated() -> None:
