@@ -25,6 +25,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.scenario import Scenario
+from sim_link.fleet.neighbours import FleetAmongOthers
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.fleet.vehicles import (
     Fleet,
@@ -32,6 +33,7 @@ from sim_link.fleet.vehicles import (
     FleetOptions,
     has_signing_ended,
     link_specs,
+    links_of_others,
     make_vehicles,
     udp_ports,
 )
@@ -168,6 +170,10 @@ def _run(arguments: argparse.Namespace) -> int:
         print(line, flush=True)
     fleet: Endpoint = endpoints[0] if len(endpoints) == 1 else Fleet(endpoints, len(specs[0]))
     links = [spec for own in specs for spec in own]
+    sky = None
+    if options.scenario.other_vehicles:
+        fleet = sky = FleetAmongOthers(fleet, options.scenario, len(links), len(specs[0]))
+        links += links_of_others(options)
     try:
         shell = Shell(fleet, links, clock_of(options.speed), on_wakeup)
         if arguments.stop_on_eof:
@@ -177,6 +183,8 @@ def _run(arguments: argparse.Namespace) -> int:
         files.end()
     for endpoint in endpoints:
         print(_summary(endpoint), flush=True)
+    for other in () if sky is None else sky.others:
+        print(f"sim-link: {other.summary}", flush=True)
     return 0
 
 

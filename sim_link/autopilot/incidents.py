@@ -13,7 +13,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from companion.domain import FlightMode, NonNegative, Params, Positive
+from companion.domain import FlightMode, NonNegative, Params, PositionEnu, Positive
+from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
 from sim_link.autopilot.other_components import ComponentName
 from sim_link.world.environment import Coordinate
 from sim_link.world.point_mass import Share, WindSpeed
@@ -206,6 +207,29 @@ class OtherComponent(IncidentRecord, frozen=True, tag="component"):
     """Another component is heard on the vehicle's links: a gimbal, a router, MAVROS, and so on."""
 
     component: ComponentName = "gimbal"
+
+
+class OtherVehicle(FaultRecord, frozen=True, tag="other_vehicle"):
+    """Another vehicle in the air is heard on the link, with a clock and a companion of its own."""
+
+    system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] = 2
+    """The same as ours where two left their factory alike."""
+    has_own_address: bool = True
+    """Otherwise a router brings both by the address of ours."""
+    vehicle_type: VehicleTypeName = "quadrotor"
+    flavour: Literal["same", "px4", "ardupilot"] = "same"
+    uptime_s: NonNegative = 500.0
+    """How long it was on when it is heard first."""
+    east_m: Coordinate = 60.0
+    north_m: Coordinate = -40.0
+    up_m: Positive = 15.0
+    is_offboard: bool = True
+    """In the mode that obeys setpoints."""
+
+    @property
+    def place_enu_m(self) -> PositionEnu:
+        """Its place in the world's frame."""
+        return (self.east_m, self.north_m, self.up_m)
 
 
 Incident = (

@@ -13,7 +13,7 @@ from companion.domain import Autopilot, NonNegative, Params, Positive
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
 from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
-from sim_link.autopilot.incidents import Incident
+from sim_link.autopilot.incidents import Incident, OtherVehicle
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.world.antenna import AntennaModelParams
@@ -175,6 +175,8 @@ class Scenario(Params, frozen=True):
     emitters: tuple[EmitterParams, ...] = ()
     incidents: tuple[Incident, ...] = ()
     """What happens at which time, in any order."""
+    other_vehicles: tuple[OtherVehicle, ...] = ()
+    """Other vehicles in the air, with companions of their own, that are heard beside this one."""
     vehicles: VehicleCount = 1
     """How many of this vehicle fly in one process."""
     position_noise_m: NonNegative = 0.0

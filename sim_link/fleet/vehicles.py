@@ -190,6 +190,12 @@ def link_specs(options: FleetOptions, number: int) -> list[Transport]:
     return specs
 
 
+def links_of_others(options: FleetOptions) -> list[Transport]:
+    """One link each, from a free port, of the other vehicles that have an address of their own."""
+    others = [each for each in options.scenario.other_vehicles if each.has_own_address]
+    return [UdpFanOut(options.listen[0], 0, options.send_to) for _ in others]
+
+
 def _port(port: int) -> int:
     if port > MAX_PORT:
         raise ConfigError(f"port {port}: beyond {MAX_PORT}; choose a lower one for the first")

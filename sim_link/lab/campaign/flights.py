@@ -369,7 +369,7 @@ DRAWS: tuple[Callable[[Dice], Fault], ...] = (
         message=d.one(MUTED), rate_hz=d.one((0.0, 0.2, 1.0)), shares_line=d.happens(0.5)
     ),
     lambda d: incidents.OtherComponent(component=d.one(COMPONENTS)),
-    lambda d: faults.OtherVehicle(
+    lambda d: incidents.OtherVehicle(
         system_id=d.one((1, 1, 2)),
         has_own_address=d.happens(0.5),
         vehicle_type=d.one(TYPES),

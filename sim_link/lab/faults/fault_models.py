@@ -12,8 +12,7 @@ from typing import Annotated, Literal, get_args
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, Positive
-from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
-from sim_link.autopilot.incidents import FaultRecord, Incident, VehicleFault
+from sim_link.autopilot.incidents import FaultRecord, Incident, OtherVehicle, VehicleFault
 from sim_link.world.point_mass import Share
 
 Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
@@ -239,27 +238,6 @@ class SecondSender(VehicleFault, frozen=True, tag="second_sender"):
     north_m: Length = 20.0
     up_m: Length = 15.0
     duration_s: Positive = 3.0
-
-
-SystemId = Annotated[int, msgspec.Meta(ge=1, le=255)]
-
-
-class OtherVehicle(FaultRecord, frozen=True, tag="other_vehicle"):
-    """Another vehicle in the air is heard on the link, with a clock and a companion of its own."""
-
-    system_id: SystemId = 2
-    """The same as ours where two left their factory alike."""
-    has_own_address: bool = True
-    """Otherwise a router brings both by the address of ours."""
-    vehicle_type: VehicleTypeName = "quadrotor"
-    flavour: Literal["same", "px4", "ardupilot"] = "same"
-    uptime_s: NonNegative = 500.0
-    """How long it was on when it is heard first."""
-    east_m: Length = 60.0
-    north_m: Length = -40.0
-    up_m: Positive = 15.0
-    is_offboard: bool = True
-    """In the mode that obeys setpoints."""
 
 
 Fault = (

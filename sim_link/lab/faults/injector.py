@@ -15,17 +15,21 @@ from companion.domain import FlightMode
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import POSITION_ONLY, mavlink
 from companion.mav.endpoint import Address, Chunk
-from sim_link.autopilot.incidents import FaultRecord, IncidentRecord, PilotMode, VehicleFault
+from sim_link.autopilot.incidents import (
+    FaultRecord,
+    IncidentRecord,
+    OtherVehicle,
+    PilotMode,
+    VehicleFault,
+)
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import Attacker, FaultyLink
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
 from sim_link.lab.lockstep.flight_harness import Operator
-from sim_link.lab.lockstep.neighbours import Neighbour, NeighbourSetup
 from sim_link.lab.lockstep.observer import Frame, Observer
 
 ATTACKER_PEER: Address = ("127.0.0.1", 16000)
 SENDER_PEER: Address = ("127.0.0.1", 17000)
-NEIGHBOUR_HOST, NEIGHBOUR_PORT = "127.0.0.1", 18000
 ATTACK_PERIOD_S = 0.02
 """An attacker's frames come in groups this far apart."""
 
@@ -55,8 +59,9 @@ class Injector(Observer):
         self._link.add(fault, began_s)
         start_s = began_s + fault.start_s
         match fault:
-            case faults.OtherVehicle():
-                self._flight.at(start_s, partial(self._bring, fault, began_s + fault.end_s))
+            case OtherVehicle():
+                end_s = began_s + fault.end_s
+                self._flight.at(start_s, partial(self._flight.bring_other, fault, end_s))
             case VehicleFault() | faults.ProcessFault():
                 self._flight.at(start_s, partial(self._happen, fault))
             case faults.SecurityFault():
@@ -84,22 +89,6 @@ class Injector(Observer):
                 flight.suspend_companion(fault.duration_s)
             case faults.CompanionTerminated():
                 flight.stop_companion()
-
-    def _bring(self, fault: faults.OtherVehicle, end_s: float) -> None:
-        """Bring another vehicle into reach."""
-        flight = self._flight
-        own = flight.scenario.autopilot.flavour
-        setup = NeighbourSetup(
-            fault.system_id,
-            fault.vehicle_type,
-            own if fault.flavour == "same" else fault.flavour,
-            fault.uptime_s,
-            (fault.east_m, fault.north_m, fault.up_m),
-            fault.is_offboard,
-        )
-        peer = (NEIGHBOUR_HOST, NEIGHBOUR_PORT + len(flight.neighbours))
-        peer = peer if fault.has_own_address else VEHICLE_PEER
-        flight.add_neighbour(Neighbour(setup, flight.scenario, peer, flight.now_s, end_s))
 
     def _flap(self, fault: faults.ModeFlap, end_s: float, *, is_ours: bool) -> None:
         now_s = self._flight.now_s

@@ -27,9 +27,9 @@ from companion.link.interface import VEHICLE_ONLY, Journal, LinkSpec
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.incidents import IncidentRecord, PilotMode, VehicleReboot
+from sim_link.autopilot.incidents import IncidentRecord, OtherVehicle, PilotMode, VehicleReboot
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.neighbours import Neighbour
+from sim_link.fleet.neighbours import COMPONENT_BYTE, Neighbour
 from sim_link.lab.lockstep.observer import (
     Frame,
     Lane,
@@ -98,8 +98,7 @@ class WatchedJournal:
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
 COMPANION_PEER: Address = ("127.0.0.1", 14550)
 RADIO_PEER: Address = ("127.0.0.1", 15000)
-COMPONENT_BYTE = 6
-"""Offset of the sender's component id in a MAVLink 2 frame."""
+FIRST_OTHER_PEER: Address = ("127.0.0.1", 18000)
 SOCKET_BYTES = 212_992
 """What a UDP socket holds (Linux net.core.rmem_default); it counts each datagram's overhead."""
 DATAGRAM_OVERHEAD = 512
@@ -153,6 +152,8 @@ class Flight:
         """Other vehicles that are heard now."""
         self.sim = makers.simulator(scenario, seed, 0.0)
         self.start_companion()
+        for other in scenario.other_vehicles:
+            self.at(other.start_s, partial(self.bring_other, other, other.end_s))
 
     def run(self, duration_s: float) -> None:
         """Let time pass."""
@@ -280,12 +281,11 @@ class Flight:
 
     def _hear_neighbours(self) -> None:
         for neighbour in self.neighbours:
-            for chunk in neighbour.sim.take_output():
-                if chunk.data[COMPONENT_BYTE] != radio_payload.COMPONENT_ID:
-                    self.attack(Chunk(0, chunk.data, neighbour.peer))
+            for chunk in neighbour.take_output():
+                self.attack(Chunk(0, chunk.data, neighbour.peer))
 
     @property
-    def _other_peers(self) -> set[Address]:
+    def _other_peers(self) -> set[Address | None]:
         return {each.peer for each in self.neighbours if each.peer != VEHICLE_PEER}
 
     def _reach_neighbours(self, chunk: Chunk) -> None:
@@ -297,10 +297,13 @@ class Flight:
                     self.observers.notify("neighbour_heard", frame, neighbour)
                 neighbour.sim.receive(Chunk(0, chunk.data, None), self.now_s)
 
-    def add_neighbour(self, neighbour: Neighbour) -> None:
-        """Add another vehicle, heard until its end."""
+    def bring_other(self, setup: OtherVehicle, end_s: float) -> None:
+        """Another vehicle is heard from now on, until its end."""
+        host, port = FIRST_OTHER_PEER
+        peer = (host, port + len(self.neighbours)) if setup.has_own_address else VEHICLE_PEER
+        neighbour = Neighbour(setup, self.scenario, peer, self.now_s)
         self.neighbours.append(neighbour)
-        self.at(neighbour.end_s, lambda: self.neighbours.remove(neighbour))
+        self.at(end_s, lambda: self.neighbours.remove(neighbour))
 
     def _notify(self, what: str, data: bytes, lane: Lane) -> None:
         """Notify its observers of the frames in a datagram."""

@@ -15,7 +15,7 @@ from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lab.lockstep.neighbours import Neighbour
+from sim_link.fleet.neighbours import Neighbour
 from sim_link.lab.lockstep.observer import Frame, Observer, overriding
 from sim_link.lab.monitor import (
     authority_invariants,

@@ -8,9 +8,10 @@ from companion.config.schema import CompanionConfig
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
+from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.campaign.flights import Monitored, monitored_flight
-from sim_link.lab.faults.fault_models import ForgedFrames, OtherVehicle, Schedule
+from sim_link.lab.faults.fault_models import ForgedFrames, Schedule
 from tests.loop.loop_helpers import said
 from tests.planted_companions import Planted, SendsToEverybody, maker
 
