@@ -74,6 +74,18 @@ def _problem(origin: LocalOrigin | None) -> str | None:
 
 
 @dataclass(frozen=True, slots=True)
+class VehicleMark:
+    """Identity of a vehicle at a moment, by which a restarted companion recognises it."""
+
+    system_id: int
+    component_id: int
+    uid: str | None
+    """Hardware id; None: it reports none, or has not answered yet."""
+    boot_s: float
+    """Its boot clock, s."""
+
+
+@dataclass(frozen=True, slots=True)
 class Event:
     """Base of all inputs of the session; `time_s` is the time of reception."""
 
@@ -391,6 +403,9 @@ class ProcessMessage(Event):
 @dataclass(frozen=True, slots=True)
 class UncleanExitFound(Event):
     """An earlier process of ours ended uncleanly; see `guidance.recovery`."""
+
+    vehicle: VehicleMark | None = None
+    """The vehicle of that run as it is expected now; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,8 @@
 Theory of operation. Every HEARTBEAT of an autopilot makes its sender a candidate; stations,
 gimbals, cameras, companion computers and other senders that fly nothing are excluded. Where no
 system id is configured, nothing is bound before all candidates had time to appear, and two systems
-are waited out, or for the operator's choice. Of one system, component 1 is preferred.
+are waited out, or for the operator's choice. Of one system, component 1 is preferred. After a
+restart of the companion its vehicle is bound at once, if ids and boot clock continue.
 
 The binding is more than its ids: the kind of vehicle, the address, and the course of its clock,
 position and sequence (`companion.link.identity`). Frames that contradict it are withheld, and
@@ -21,12 +22,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from companion.domain import Autopilot, FlightMode, VehicleClass
+from companion.guidance.events import VehicleMark
 from companion.link.hardware_id import HardwareId, uid_of
 from companion.link.identity import (
     DOUBT_S,
+    JITTER_S,
     IdentityCourse,
     Sign,
     SignVerdict,
+    Track,
     exchange_sign_of,
     sign_of,
 )
@@ -100,6 +104,8 @@ class AutopilotBinding:
     _doubted_s: float = 0.0
     _ticked_s: float | None = None
     """Time of the last control tick, before which all that waited in the links was read."""
+    _expected: tuple[VehicleMark, Track] | None = None
+    """The vehicle that an earlier process had, and its clock."""
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
     """Courses of the same ids at other addresses."""
     _unproved: dict[Address | None, float] = field(default_factory=dict)
@@ -150,9 +156,10 @@ class AutopilotBinding:
         ids = (message.get_srcSystem(), message.get_srcComponent())
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._note_heartbeat(message, ids, peer, now_s)
+        sign = sign_of(message)
+        self._bind_expected(sign, ids, peer, now_s)
         if self.bound is None or ids != self.bound.ids:
             return False
-        sign = sign_of(message)
         if peer != self.peer:
             return self._take_elsewhere(message, sign, peer, now_s)
         if self._is_silent(now_s):
@@ -204,6 +211,34 @@ class AutopilotBinding:
         due = [at for at, asked_s in self._unproved.items() if now_s - asked_s >= PROOF_PERIOD_S]
         self._unproved.update(dict.fromkeys(due, now_s))
         return due
+
+    # The vehicle of an earlier process
+
+    def mark(self, now_s: float) -> VehicleMark | None:
+        """Return the bound vehicle's identity; None as long as its clock was not followed."""
+        main = self._course.main
+        if self.bound is None or main is None or not main.is_steady:
+            return None
+        return VehicleMark(*self.bound.ids, self.hardware.uid, now_s - main.offset_s)
+
+    def expect(self, vehicle: VehicleMark, now_s: float) -> None:
+        """Bind the vehicle of an earlier process as soon as its boot clock is heard."""
+        self._expected = vehicle, Track.begin(Sign(vehicle.boot_s), now_s)
+
+    def _bind_expected(
+        self, sign: Sign | None, ids: Ids, peer: Address | None, now_s: float
+    ) -> None:
+        """Bind a candidate that has ids and clock of the vehicle that is expected."""
+        candidate = self._candidates.get(ids)
+        if self._expected is None or self.bound is not None or sign is None:
+            return
+        if candidate is None or candidate.peer != peer:
+            return
+        vehicle, clock = self._expected
+        is_clock_its = abs(clock.late_s(sign, now_s)) <= JITTER_S
+        if ids == (vehicle.system_id, vehicle.component_id) and is_clock_its:
+            self._bind(candidate)
+            self.hardware.uid = vehicle.uid
 
     # Candidates
 

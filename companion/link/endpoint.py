@@ -235,6 +235,8 @@ class CompanionEndpoint:
         """Take in an event from the process or the operator, besides the mode switch."""
         if self._recorder is not None:
             self._recorder.event(event)
+        if isinstance(event, events.UncleanExitFound) and event.vehicle is not None:
+            self.binding.expect(event.vehicle, event.time_s)
         self.executor.handle(event, event.time_s)
 
     @property

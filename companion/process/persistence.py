@@ -19,6 +19,7 @@ import hashlib
 import logging
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -120,7 +121,7 @@ class RestartKeeper:
         wall_s = now_s / self._clock.speed
         if wall_s >= self._next_s and not self._endpoint.session.is_recalling:
             self._next_s = wall_s + SAVE_PERIOD_S
-            self._save()
+            self._save(now_s)
 
     def close(self, timeout_s: float) -> None:
         """Save the memory of a mission that goes on without the companion, else delete it."""
@@ -129,7 +130,7 @@ class RestartKeeper:
         is_over = is_over or not session.vehicle.is_armed
         is_known = self._endpoint.is_finished and self._endpoint.binding.is_bound
         if is_known and not is_over and self._pending is None:
-            self._save()
+            self._save(self._clock.now_s())
         self._store.close(timeout_s)
         if is_known and is_over:
             self._store.discard()
@@ -149,7 +150,10 @@ class RestartKeeper:
         self.is_restart = found.has_files
         if not found.has_files:
             return
-        self._endpoint.handle_event(UncleanExitFound(self._clock.now_s()))
+        vehicle = None if checkpoint is None or age is None else checkpoint.vehicle
+        if vehicle is not None and age is not None:
+            vehicle = replace(vehicle, boot_s=vehicle.boot_s + age * self._clock.speed)
+        self._endpoint.handle_event(UncleanExitFound(self._clock.now_s(), vehicle))
         if checkpoint is None:
             log.warning(
                 "checkpoint: none is whole: starting a new mission, without engaging by itself"
@@ -201,9 +205,10 @@ class RestartKeeper:
         theirs = _digest(site) if is_theirs else ""
         return MissionKey(binding.system_id or 1, binding.autopilot, fence, self._mission, theirs)
 
-    def _save(self) -> None:
-        memory = self._endpoint.session.memory
-        self._store.save(Checkpoint(self._sequence, self._moment(), self._key(), memory))
+    def _save(self, now_s: float) -> None:
+        memory, vehicle = self._endpoint.session.memory, self._endpoint.binding.mark(now_s)
+        checkpoint = Checkpoint(self._sequence, self._moment(), self._key(), memory, vehicle)
+        self._store.save(checkpoint)
         self._sequence += 1
 
 

@@ -11,7 +11,8 @@ from companion.domain import EstimateState, FlightMode
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.scenario import AutopilotParams, Scenario
+from sim_link.autopilot.incidents import VehicleReboot
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.lockstep.flight_harness import Checkpointing
 from tests.loop.loop_helpers import AUTO, Loop
 
@@ -199,6 +200,29 @@ def test_a_memory_that_is_too_old_is_none() -> None:
     kill_for(loop, 11.0)
     loop.run(5.0)
     assert not loop.said("resumed after")
+
+
+@pytest.mark.parametrize(
+    ("is_rebooted", "least_s", "most_s"), [(False, 0.0, 1.2), (True, 2.9, 4.5)]
+)
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_the_vehicle_of_before_is_bound_again_without_listening_for_others(
+    flavour: FlavourName, is_rebooted: bool, least_s: float, most_s: float
+) -> None:
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
+    loop = Loop(MANUAL, scenario, listens=True)
+    Checkpointing(loop.flight)
+    loop.run(10.0)
+    loop.flight.kill_companion()
+    if is_rebooted:
+        loop.flight.apply_incident(VehicleReboot())
+    loop.run(5.0)
+    loop.flight.start_companion()
+    took_s = loop.run_until(lambda: loop.companion.binding.is_bound, 10.0)
+    assert least_s <= took_s <= most_s
+    loop.run(3.0)
+    assert loop.companion.binding.problem is None
+    assert loop.said("resumed after")
 
 
 @pytest.mark.slow

@@ -215,6 +215,7 @@ class InputLog(BackgroundFile):
                 kind, data = InputKind.NOTE, f"{event.severity.name} {event.text}".encode()
             case events.UncleanExitFound():
                 kind = InputKind.EARLIER_RUN
+                data = b"" if event.vehicle is None else msgspec.msgpack.encode(event.vehicle)
             case events.MemoryRecalled():
                 kind, data = InputKind.RECALL, _AGE.pack(event.age_s) + encode_memory(event.memory)
         self._keep(kind, event.time_s, data=data)
@@ -379,7 +380,13 @@ def event_of(value: Input) -> events.Event:
                 raise ConfigError(f"a note at {now_s} s has no severity: {name!r}")
             return events.ProcessMessage(now_s, severity, text)
         case InputKind.EARLIER_RUN:
-            return events.UncleanExitFound(now_s)
+            try:
+                mark = msgspec.msgpack.decode(data, type=events.VehicleMark) if data else None
+            except msgspec.MsgspecError as error:
+                raise ConfigError(
+                    f"the vehicle of the earlier run at {now_s} s: {error}"
+                ) from error
+            return events.UncleanExitFound(now_s, mark)
         case InputKind.RECALL:
             try:
                 memory, (age_s,) = decode_memory(data[_AGE.size :]), _AGE.unpack_from(data)

@@ -25,7 +25,7 @@ from typing import TypeVar
 import msgspec
 
 from companion.domain import Autopilot
-from companion.guidance.events import SessionMemory
+from companion.guidance.events import SessionMemory, VehicleMark
 from companion.io.background_files import BackgroundReplacer
 
 MAGIC = b"CkPt"
@@ -75,6 +75,8 @@ class Checkpoint:
     saved: Moment
     key: MissionKey
     memory: SessionMemory
+    vehicle: VehicleMark | None = None
+    """Identity of the vehicle at that time."""
 
 
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
@@ -142,6 +144,8 @@ def _problem(checkpoint: Checkpoint) -> str | None:
     saved, key = checkpoint.saved, checkpoint.key
     if not (math.isfinite(saved.unix_s) and math.isfinite(saved.boot_s)):
         return "a time that is no number"
+    if checkpoint.vehicle is not None and not math.isfinite(checkpoint.vehicle.boot_s):
+        return "a boot clock that is no number"
     if checkpoint.sequence < 0 or not 1 <= key.system_id <= 255:
         return "an impossible sequence or system id"
     return checkpoint.memory.problem

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot
+from companion.guidance.events import VehicleMark
 from companion.link.binding import LISTEN_S, VANISHED_S, AutopilotBinding
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -30,8 +31,8 @@ def component(kind: int, autopilot: int) -> Message:
 ATTITUDE = from_system(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
 
 
-def stamped(boot_s: float) -> Message:
-    return from_system(mavlink.MAVLink_attitude_message(round(1e3 * boot_s), *[0.0] * 6))
+def stamped(boot_s: float, system: int = 1) -> Message:
+    return from_system(mavlink.MAVLink_attitude_message(round(1e3 * boot_s), *[0.0] * 6), system)
 
 
 class Heard:
@@ -218,3 +219,68 @@ def test_after_a_stall_on_the_ground_the_autopilot_is_still_there(stall_s: float
     heard.binding.recognise(from_system(heartbeat(), 2, 1), PEER, heard.now_s)
     assert heard.ids == (1, 1)
     assert heard.binding.problem is not None
+
+
+KNOWN = VehicleMark(1, 1, "a1", 500.0)
+"""Of a vehicle whose boot clock shows 500 s when the next process begins."""
+
+
+class TestARestartInFlight:
+    @pytest.mark.parametrize("off_s", [-0.8, 0.0, 0.8])
+    def test_the_vehicle_of_before_is_bound_at_the_first_sign_of_it(self, off_s: float) -> None:
+        binding = AutopilotBinding()
+        binding.expect(KNOWN, 2.0)
+        for message in (heartbeat(), stamped(500.6 + off_s)):
+            assert not binding.is_bound
+            binding.recognise(from_system(message), PEER, 2.6)
+        assert binding.is_bound
+        assert binding.hardware.uid == "a1"
+
+    @pytest.mark.parametrize(
+        ("boot_s", "system", "peer"),
+        [
+            (0.4, 1, PEER),
+            (490.0, 1, PEER),
+            (503.0, 1, PEER),
+            (500.6, 2, PEER),
+            (500.6, 1, STRANGER),
+        ],
+        ids=["restarted", "behind", "ahead", "another id", "another address"],
+    )
+    def test_any_other_is_listened_for(
+        self, boot_s: float, system: int, peer: tuple[str, int]
+    ) -> None:
+        binding = AutopilotBinding()
+        binding.expect(KNOWN, 2.0)
+        binding.recognise(from_system(heartbeat(), system), PEER, 2.6)
+        binding.recognise(stamped(boot_s, system), peer, 2.6)
+        assert not binding.is_bound
+        binding.note_control(2.7 + LISTEN_S, is_in_control=False, is_armed=False)
+        assert binding.is_bound
+        assert binding.hardware.uid is None
+
+    def test_no_sign_alone_binds(self) -> None:
+        binding = AutopilotBinding()
+        binding.expect(KNOWN, 2.0)
+        assert not binding.recognise(stamped(500.6), PEER, 2.6)
+        assert not binding.is_bound
+
+    def test_a_neighbour_does_not_keep_it_from_being_bound(self) -> None:
+        binding = AutopilotBinding()
+        binding.expect(KNOWN, 2.0)
+        for system in (2, 1):
+            binding.recognise(from_system(heartbeat(), system), STRANGER, 2.5)
+        binding.recognise(stamped(500.6), STRANGER, 2.6)
+        assert binding.system_id == 1
+        binding.note_control(2.6, is_in_control=False, is_armed=False)
+        assert binding.problem is not None  # with two there is no control without a configured id
+
+    def test_the_mark_of_a_bound_vehicle_goes_on_as_its_clock(self) -> None:
+        binding = bound()
+        assert binding.mark(10.0) is None
+        for tick in range(30):
+            binding.recognise(stamped(500.0 + 0.1 * tick), PEER, 10.0 + 0.1 * tick)
+        mark = binding.mark(20.0)
+        assert mark is not None
+        assert (mark.system_id, mark.component_id, mark.uid) == (1, 1, None)
+        assert mark.boot_s == pytest.approx(510.0, abs=0.01)

@@ -16,7 +16,7 @@ from companion.estimation.belief import Belief, BelievedPlace
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult
-from companion.guidance.events import SessionMemory
+from companion.guidance.events import SessionMemory, VehicleMark
 from companion.io.state.checkpoints import (
     MAX_BYTES,
     Checkpoint,
@@ -64,6 +64,7 @@ def a_checkpoint(places: int = 1, sequence: int = 7) -> Checkpoint:
             belief,
             ReportResult(ESTIMATE, 47.4, 8.5),
         ),
+        VehicleMark(1, 1, "a1", 812.25),
     )
 
 
