@@ -118,7 +118,8 @@ def turned(forward: float, right: float, yaw_ned_rad: float) -> Point:
 
 STICK_RANGE = 1000.0
 JOYSTICK_TIMEOUT_S = 0.5
-"""A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T)."""
+"""A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T); ArduPilot has
+RC_OVERRIDE_TIME."""
 MOVED = 0.3
 """Deflection that takes over from an automatic mode (PX4 COM_RC_STICK_OV, 30 %)."""
 DEAD_ZONE = 0.1
@@ -170,6 +171,8 @@ class StickInput:
     """Stick deflections from the transmitter or from a joystick, if there is either."""
 
     def __init__(self, params: RcParams) -> None:
+        self.joystick_timeout_s = JOYSTICK_TIMEOUT_S
+        """A joystick or an override that was silent for this long has ended."""
         self.resting = CENTRED if params.is_present else None
         """Where the transmitter's sticks are at rest; None: there is none."""
         self._joystick: Sticks = CENTRED
@@ -197,12 +200,17 @@ class StickInput:
 
     def is_joystick_alive(self, now_s: float) -> bool:
         """Return True if a station's joystick still reports."""
-        return self._joystick_s is not None and now_s - self._joystick_s < JOYSTICK_TIMEOUT_S
+        return self._joystick_s is not None and now_s - self._joystick_s < self.joystick_timeout_s
 
     def pulses(self, now_s: float) -> Sticks | None:
         """Return what RC_CHANNELS reports: the sticks, or the failsafe position of a receiver."""
         held = self.read(now_s)
         return self._lost_pulses if held is None and now_s < self._lost_until_s else held
+
+    def held(self, now_s: float) -> Sticks | None:
+        """Return the deflections while a joystick or the pilot holds them; None: they rest."""
+        is_held = self.is_joystick_alive(now_s) or now_s < self._moved_until_s
+        return self.read(now_s) if is_held else None
 
     def read(self, now_s: float) -> Sticks | None:
         """Return the deflections, or None if there are no sticks."""

@@ -366,9 +366,8 @@ class AutopilotFlavour(ABC):
             texts.append(f"mode {old_mode.value} -> {mode.value}{reason}")
         self.note(now_s, ", ".join(texts))
 
-    def send_rejection(self, prefix: str, now_s: float) -> None:
-        """Say why it cannot be armed."""
-        why = self.arming_refusal(now_s)
+    def send_rejection(self, prefix: str, why: str | None) -> None:
+        """Say why it cannot be armed, if it cannot."""
         if why is not None:
             self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"{prefix}: {why}")
 

@@ -186,7 +186,7 @@ def _pause(flavour: ArduPilotFlavour, _command: Command, _now_s: float) -> int:
 def _tell_prearm(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:
     if flavour.is_armed:
         return TEMPORARILY_REJECTED
-    flavour.send_rejection("PreArm", now_s)
+    flavour.send_rejection("PreArm", flavour.arming_refusal(now_s))
     return ACCEPTED
 
 

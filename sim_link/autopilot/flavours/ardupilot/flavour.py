@@ -53,6 +53,8 @@ from sim_link.world.point_mass import stopping_point
 ALTITUDE_MAX, CIRCLE, POLYGON = 1, 2, 4
 LANDED_DELAY_S = 1.0
 """LAND and RTL disarm this long after a touchdown."""
+THROTTLE_DEAD_ZONE = 0.06
+"""RC3_DZ, 30 us of 500."""
 IDLE_DETECTION_S = 0.5
 """ArduCopter takes this much longer than DISARM_DELAY."""
 LEAST_SPEED_CMPS, LEAST_TIMEOUT_S = 10.0, 0.1
@@ -135,6 +137,15 @@ class ArduPilotFlavour(AutopilotFlavour):
             return "vehicle outside fence"
         return None
 
+    def _throttle_refusal(self, now_s: float) -> str | None:
+        """Reason why a throttle that is held keeps it from being armed; at rest it is down.
+
+        Source: ArduPilot `AP_Arming::rc_arm_checks` (4.5), with RC_OPTIONS as by default.
+        """
+        sticks = self.aircraft.sticks.held(now_s)
+        is_down = sticks is None or sticks.up <= -1.0 + THROTTLE_DEAD_ZONE
+        return None if is_down else "Throttle (RC3) is not neutral"
+
     def fence_margin_m(self, place: PositionEnu) -> float:
         """Return the distance to the nearest breach, negative in one.
 
@@ -200,11 +211,9 @@ class ArduPilotFlavour(AutopilotFlavour):
         """Handle a request to arm; return a MAV_RESULT, and the reason as a text if refused."""
         if self.is_armed:
             return ACCEPTED
-        is_refused = not self.copter_mode.is_armable or (
-            not is_forced and self.arming_refusal(now_s) is not None
-        )
-        if is_refused:
-            self.send_rejection("Arm", now_s)
+        why = self.arming_refusal(now_s) or self._throttle_refusal(now_s)
+        if why is not None and not (is_forced and self.copter_mode.is_armable):
+            self.send_rejection("Arm", why)
             return FAILED
         self.aircraft.is_armed = True
         self.guided.stop()
@@ -289,6 +298,8 @@ class ArduPilotFlavour(AutopilotFlavour):
             self.settle(now_s)
 
     def _watch(self, now_s: float) -> None:
+        override_s = self.parameters["RC_OVERRIDE_TIME"]
+        self.aircraft.sticks.joystick_timeout_s = override_s if override_s >= 0.0 else math.inf
         body = self.aircraft.motion
         timeout_s = max(LEAST_TIMEOUT_S, self.parameters["GUID_TIMEOUT"])
         self.guided.watch(now_s, timeout_s, is_on_ground=body.is_on_ground)

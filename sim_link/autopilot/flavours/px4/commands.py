@@ -153,7 +153,7 @@ def _change_speed(flavour: Px4Flavour, command: Command, _now_s: float) -> int:
 
 
 def _tell_prearm(flavour: Px4Flavour, _command: Command, now_s: float) -> int:
-    flavour.send_rejection("Arming denied", now_s)
+    flavour.send_rejection("Arming denied", flavour.arming_refusal(now_s))
     return ACCEPTED
 
 

@@ -68,6 +68,8 @@ from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
+THROTTLE_LOW, THROTTLE_ABOVE_CENTRE = -0.8, 0.2
+"""Deflections up to, and from, which PX4 counts the throttle as that."""
 CRITICAL = mavlink.MAV_SEVERITY_CRITICAL
 
 
@@ -119,6 +121,18 @@ class Px4Flavour(AutopilotFlavour):
         if self.mode in STICK_MODES:
             return self._choice_refusal(self.mode, now_s)
         return f"{name_of(self.mode)} mode cannot be armed in"
+
+    def _throttle_refusal(self, now_s: float) -> str | None:
+        """Return why the throttle keeps it from being armed, which no check reports before; or None.
+
+        Source: PX4 1.16 `Commander::arm` and `Commander::manualControlCheck`.
+        """
+        sticks = self.aircraft.sticks.read(now_s)
+        if sticks is None or self.mode not in STICK_MODES:
+            return None
+        if self.mode in (FlightMode.POSITION, FlightMode.ALTITUDE):
+            return "throttle above center" if sticks.up > THROTTLE_ABOVE_CENTRE else None
+        return None if sticks.up < THROTTLE_LOW else "high throttle"
 
     def _is_stream_alive(self, now_s: float) -> bool:
         return self.setpoints.is_alive(now_s, self.parameters["COM_OF_LOSS_T"])
@@ -191,12 +205,10 @@ class Px4Flavour(AutopilotFlavour):
         self.aircraft.say(CRITICAL, f"Switching to {name_of(mode)} not available: {why}")
 
     def arm(self, now_s: float) -> int:
-        """Return a request to arm, forced or not.
-
-        A MAV_RESULT, and the reason as a text if refused.
-        """
-        if not self.is_armed and self.arming_refusal(now_s) is not None:
-            self.send_rejection("Arming denied", now_s)
+        """Arm on request, forced or not; return a MAV_RESULT, and say the reason if refused."""
+        why = self.arming_refusal(now_s) or self._throttle_refusal(now_s)
+        if not self.is_armed and why is not None:
+            self.send_rejection("Arming denied", why)
             return TEMPORARILY_REJECTED
         self.aircraft.is_armed = True
         return ACCEPTED
