@@ -10,6 +10,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.authority.state_machine import Phase
+from companion.guidance.commands import ReportResult
 from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
@@ -84,22 +85,45 @@ class WatchedFlight:
         return [m for frame in self.frames() for m in reader.decode(frame)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("flavour", FLAVOURS)
-def test_the_estimate_reaches_a_station_through_either_autopilot(flavour: FlavourName) -> None:
+def found(flavour: FlavourName) -> tuple[list[Message], ReportResult]:
+    """What a station heard of the companion until the emitter was reported, and that report."""
     watched = WatchedFlight(flavour)
     watched.run_until(lambda: bool(watched.notes.results), 180.0)
     watched.flight.run(1.5)
     heard = watched.messages()
-    is_passed_on = any(isinstance(m, MAVLink_target_estimate_message) for m in heard)
-    assert is_passed_on is (flavour == "px4")  # ArduPilot knows only its maker's messages
-    told = [each for each in map(estimate_in, heard) if each is not None]
-    assert len(told) >= 5
-    last, (_, result) = told[-1], watched.notes.results[-1]
+    assert not any(isinstance(m, MAVLink_target_estimate_message) for m in heard)
+    return heard, watched.notes.results[-1][1]
+
+
+@pytest.mark.slow
+def test_the_estimate_reaches_a_station_through_ardupilot_in_a_tunnel() -> None:
+    heard, result = found("ardupilot")
+    estimates = [each for each in map(estimate_in, heard) if each is not None]
+    assert len(estimates) >= 5
+    last = estimates[-1]
     assert last.lat / 1e7 == pytest.approx(result.latitude_deg, abs=1e-6)
     assert last.lon / 1e7 == pytest.approx(result.longitude_deg, abs=1e-6)
     assert last.r95 == pytest.approx(result.estimate.r95_m, rel=0.2)
     assert (last.state, last.emitter_id) == (2, result.emitter_id)
+
+
+@pytest.mark.slow
+def test_the_estimate_and_its_covariance_reach_a_station_through_px4_in_named_values() -> None:
+    heard, result = found("px4")
+    assert [each for each in map(estimate_in, heard) if each is not None] == []
+    values: dict[str, list[float]] = {}
+    for message in heard:
+        if isinstance(message, mavlink.MAVLink_named_value_float_message):
+            values.setdefault(message.name, []).append(message.value)
+    last = {name: series[-1] for name, series in values.items()}
+    assert min(map(len, values.values())) >= 5
+    east_m, north_m = result.estimate.position_enu_m
+    (var_east, covariance), (_, var_north) = result.estimate.covariance_m2
+    assert (last["TGT_EAST"], last["TGT_NORTH"]) == pytest.approx((east_m, north_m), abs=0.1)
+    assert last["TGT_R95"] == pytest.approx(result.estimate.r95_m, rel=0.2)
+    assert last["TGT_R95ABS"] == pytest.approx(result.estimate.absolute_r95_m, rel=0.2)
+    matrix = [last[name] for name in ("TGT_VAR_E", "TGT_VAR_N", "TGT_COV_EN")]
+    assert matrix == pytest.approx([var_east, var_north, covariance], rel=0.3, abs=1e-3)
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)

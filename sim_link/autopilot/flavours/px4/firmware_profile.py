@@ -11,10 +11,11 @@ its narrow one, or (mode Custom) nothing but HEARTBEAT.
 
 from __future__ import annotations
 
+from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.flavours.base import read_firmware
 from sim_link.autopilot.pilot import STEP_S, SpeedLimits
-from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id
+from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
 from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.scenario import LossAction, Scenario
 
@@ -80,4 +81,9 @@ STREAMS = StreamProfile(
     stopped_interval_us=0,
 )
 
-FIRMWARE = read_firmware(PACKAGE, STREAMS)
+NOT_PASSED_ON = message_ids("RADIO_RANGING TARGET_ESTIMATE EKF_STATUS_REPORT TUNNEL")
+"""Known here, but not to PX4, which cannot check their frames; and TUNNEL, of which none came
+through a PX4 1.16.2."""
+DIALECT = frozenset(CRC_EXTRA_BY_ID).difference(NOT_PASSED_ON)
+
+FIRMWARE = read_firmware(PACKAGE, STREAMS, DIALECT)
