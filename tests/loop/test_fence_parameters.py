@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sim_link.autopilot.incidents import Incident
+from sim_link.autopilot.incidents import Incident, StationHome
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from tests.loop.loop_helpers import AUTO, Loop
 
@@ -42,6 +42,15 @@ def test_a_circle_of_parameters_is_kept(flavour: FlavourName) -> None:
     assert loop.said("keeping to the autopilot's fence parameters: 40 m about home")
     reach_m = reach_from_home_m(loop)
     assert 25.0 < reach_m < 40.0 - CIRCLES[flavour].get("FENCE_MARGIN", 0.0)
+
+
+@pytest.mark.parametrize("flavour", list(CIRCLES))
+def test_a_home_that_another_station_moves_takes_the_circle_nowhere(flavour: FlavourName) -> None:
+    """Towards the emitter, 71 m away; the autopilot's own circle moves with its home."""
+    moved = StationHome(start_s=25.0, east_m=40.0, north_m=40.0)
+    loop = flown(flavour, CIRCLES[flavour], moved)
+    assert loop.said("home moved")
+    assert reach_from_home_m(loop) < 40.0 - CIRCLES[flavour].get("FENCE_MARGIN", 0.0)
 
 
 @pytest.mark.parametrize("flavour", list(CEILINGS))

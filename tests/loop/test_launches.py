@@ -35,6 +35,18 @@ def climbing(flavour: FlavourName, config: CompanionConfig = ENDLESS) -> Loop:
     return loop
 
 
+@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+def test_nothing_is_armed_before_there_is_a_position(flavour: FlavourName) -> None:
+    """ArduCopter's prearm bit is good in STABILIZE long before its estimator has a position."""
+    autopilot = AutopilotParams(flavour=flavour, ready_after_s=20.0)
+    loop = Loop(ENDLESS, Scenario(autopilot=autopilot), 1)
+    loop.run(18.0)
+    assert loop.phase is Phase.WAITING
+    asked = {number for _, number in loop.commands}
+    assert not asked & {SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF}
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 40.0)
+
+
 def assert_left_alone(loop: Loop, since_s: float) -> None:
     """Nothing that moves the vehicle was sent, nor asked for, since a time."""
     assert loop.setpoints_since(since_s) == []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import pytest
@@ -13,6 +13,7 @@ from companion.geometry.polygons import Point, depth_m
 from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
+from companion.view.snapshot import picture_of
 from sim_link.autopilot import incidents
 from sim_link.autopilot.incidents import StationFence
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
@@ -220,6 +221,24 @@ def test_rates_that_another_station_changes_are_asked_for_again(flavour: Flavour
     assert loop.phase is not Phase.YIELD
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rate_hz", [0.0, 0.3])
+@pytest.mark.parametrize(
+    "message", ["ATTITUDE", "EXTENDED_SYS_STATE", "SYS_STATUS", "GPS_RAW_INT", "HOME_POSITION"]
+)
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_a_stream_that_another_station_slows_or_stops_ends_no_search(
+    flavour: Flavour, message: str, rate_hz: float
+) -> None:
+    loop = searching(flavour)
+    for _ in range(3):
+        change(loop, incidents.StationRates(message=message, rate_hz=rate_hz, shares_line=True))
+        loop.run(3.0)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 8.0)
+    assert not loop.said("control lost")
+    assert not loop.said("handing back")
+
+
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_home_that_another_station_moves_has_the_fence_read_again(flavour: Flavour) -> None:
     loop = searching(flavour)
@@ -271,6 +290,9 @@ def test_the_fences_of_a_flight_outlive_a_restart_of_the_companion(
     assert after is not None
     assert max(max(map(abs, corner)) for corner in after.polygon_enu_m) < 41.0
     assert len(after.also_inside_enu_m) == 1
+    shown: dict[str, Any] = picture_of(loop.companion, loop.now_s)
+    assert shown["fence"]["polygon"] == after.polygon_enu_m
+    assert shown["fence"]["also_inside"] == after.also_inside_enu_m
 
 
 def reach_m(loop: Loop) -> float:
