@@ -14,6 +14,8 @@ from companion.mav.dialect import (
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import LinkSigning, Signing, SigningKey, is_signed
 from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
+from sim_link.autopilot.flavours.base import Firmware
+from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import LinkLayer, LinkSecurity
 
@@ -88,8 +90,11 @@ def test_system_zero_is_heard_and_not_passed_on() -> None:
         (MAVLink_radio_ranging_message(*[0] * 10), False),
     ],
 )
-def test_arducopter_passes_on_what_is_in_its_dialect(message: Message, is_known: bool) -> None:
-    vehicle = LinkLayer(1, (1,), 2, dialect=ardupilot_firmware.FIRMWARE.dialect)
+@pytest.mark.parametrize("firmware", [px4_firmware.FIRMWARE, ardupilot_firmware.FIRMWARE])
+def test_an_autopilot_passes_on_what_is_in_its_dialect(
+    firmware: Firmware, message: Message, is_known: bool
+) -> None:
+    vehicle = LinkLayer(1, (1,), 2, dialect=firmware.dialect)
     _, forwarded = vehicle.receive(Chunk(TCP, MavCodec(1, 191).encode(message), None))
     assert [chunk.link for chunk in forwarded] == [UDP] * is_known
 
