@@ -1,12 +1,13 @@
-"""Number of functions that a ranging datagram passes before it has moved the estimate.
+"""Number of functions that a ranging datagram and a control tick pass.
 
     .venv/bin/python tools/trace_path.py [--list]
 
 Flies the canonical search in lockstep, one process and no sockets, and traces with `sys.setprofile`
-every datagram with a ranging measurement that arrives while the estimate is being made: from
-`CompanionEndpoint.receive` until the tracker of its emitter has fused it. Prints the median and the
-worst of a window of flight: distinct functions of `companion`, their files, calls. Comprehensions,
-generator expressions and lambdas are part of their function.
+every datagram with a ranging measurement that arrives while the estimate is being made, from
+`CompanionEndpoint.receive` until the tracker of its emitter has fused it, and every control tick,
+from `CompanionEndpoint.handle_timer` to its end. Prints the median and the worst of a window of
+flight: distinct functions of `companion`, their files, calls. Comprehensions, generator expressions
+and lambdas are part of their function.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ FROM_S, DURATION_S = 22.0, 5.0
 
 
 @dataclass
-class DatagramPath:
-    """Functions that one datagram passed."""
+class TracedPath:
+    """Functions that one datagram or one tick passed."""
 
     calls: Counter[tuple[str, str]] = field(default_factory=Counter)
     """By file and qualified name, in the order of the first call."""
@@ -55,6 +56,14 @@ class DatagramPath:
     def files(self) -> set[str]:
         """Return the files of the functions."""
         return {name for name, _ in self.calls}
+
+    def __enter__(self) -> None:
+        """Begin to trace."""
+        sys.setprofile(self.profile)
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        sys.setprofile(None)
 
     def profile(self, frame: FrameType, event: str, argument: object) -> None:
         """Note a call, until the end; for `sys.setprofile`."""
@@ -68,61 +77,79 @@ class DatagramPath:
             self.is_fused = True
 
 
-def traced_paths() -> tuple[list[DatagramPath], int]:
-    """Return the paths of ranging datagrams that were fused at once in a window of flight.
+@dataclass
+class Traced:
+    """Paths in a window of flight."""
 
-    And the number of others, which waited for a position or whose solution took longer.
-    """
+    datagrams: list[TracedPath] = field(default_factory=list)
+    """Of ranging datagrams that were fused at once."""
+    later: int = 0
+    """Number of others, which waited for a position or whose solution took longer."""
+    ticks: list[TracedPath] = field(default_factory=list)
+
+
+def traced_paths() -> Traced:
+    """Fly, and trace what passes in the window."""
     config = CompanionConfig(mission=SessionParams(engage="auto"))
     flight = Flight(config, Scenario(), 1, MemoryJournal())
     flight.run(FROM_S)
-    paths: list[DatagramPath] = []
-    later = 0
-    receive = flight.companion.receive
+    endpoint: Any = flight.companion
+    traced, receive, handle = Traced(), endpoint.receive, endpoint.handle_timer
 
-    def traced(chunk: Chunk, now_s: float) -> None:
-        nonlocal later
+    def traced_receive(chunk: Chunk, now_s: float) -> None:
         if message_id(chunk.data) != MAVLink_radio_ranging_message.id:
             receive(chunk, now_s)
             return
-        path = DatagramPath()
-        sys.setprofile(path.profile)
-        try:
+        path = TracedPath()
+        with path:
             receive(chunk, now_s)
-        finally:
-            sys.setprofile(None)
         if path.is_fused:
-            paths.append(path)
+            traced.datagrams.append(path)
         else:
-            later += 1
+            traced.later += 1
 
-    endpoint: Any = flight.companion
-    endpoint.receive = traced
+    def traced_handle(now_s: float) -> None:
+        path, ticks = TracedPath(), endpoint.ticks
+        with path:
+            handle(now_s)
+        if endpoint.ticks > ticks:
+            traced.ticks.append(path)
+
+    endpoint.receive, endpoint.handle_timer = traced_receive, traced_handle
     flight.run(DURATION_S)
-    return paths, later
+    return traced
 
 
 def main() -> int:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--list", action="store_true", help="also the functions, in order")
     arguments = parser.parse_args()
-    paths, later = traced_paths()
-    if not paths:
-        print(f"trace_path: none of {later} ranging datagrams was fused at once", file=sys.stderr)
+    traced = traced_paths()
+    if not traced.datagrams:
+        print(f"trace_path: none of {traced.later} ranging datagrams was fused", file=sys.stderr)
         return 1
+    print(
+        f"{len(traced.datagrams)} ranging datagrams, from bytes to the fused estimate; "
+        f"{traced.later} were later"
+    )
+    print_table(traced.datagrams, has_list=arguments.list)
+    print(f"{len(traced.ticks)} control ticks, to the bytes of the setpoint and what follows it")
+    print_table(traced.ticks, has_list=arguments.list)
+    return 0
+
+
+def print_table(paths: list[TracedPath], *, has_list: bool) -> None:
+    """Print the median and the longest path."""
     paths.sort(key=lambda path: len(path.calls))
-    middle = paths[len(paths) // 2]
-    print(f"{len(paths)} ranging datagrams, from bytes to the fused estimate; {later} were later")
+    middle, worst = paths[len(paths) // 2], paths[-1]
     print("| | functions | files | calls |\n|---|---|---|---|")
     median_calls = statistics.median(path.calls.total() for path in paths)
     print(f"| median | {len(middle.calls)} | {len(middle.files)} | {median_calls:.0f} |")
-    worst = paths[-1]
     print(f"| most | {len(worst.calls)} | {len(worst.files)} | {worst.calls.total()} |")
-    if arguments.list:
-        for name, function in middle.calls:
-            print(f"  {name:42} {function}")
-    return 0
+    if has_list:
+        for (name, function), calls in middle.calls.items():
+            print(f"  {name:42} {function} {calls}")
 
 
 if __name__ == "__main__":
