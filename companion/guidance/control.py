@@ -295,8 +295,7 @@ class ControlTick:
 
     def _announce_stop(self, now_s: float, *, is_stopping: bool) -> None:
         """Announce why setpoints stop, or control is unavailable, unless a finding does."""
-        context = self._context
-        guided = context.vehicle.guided_name
+        context, vehicle = self._context, self._context.vehicle
         missing = self._watches.inputs.missing(now_s)
         if missing is None and context.phase is Phase.STANDBY:
             missing = self._unready(now_s)
@@ -307,6 +306,7 @@ class ControlTick:
             if is_settling or not context.record_finding(missing, now_s):
                 return
             if missing is None:
+                guided = vehicle.guided_name
                 context.announce(Severity.INFO, f"ready again: switch to {guided}", Topic.READINESS)
                 return
             text = f"not ready: {missing.text}"
@@ -316,8 +316,9 @@ class ControlTick:
         elif is_stopping and context.phase in UNMONITORED:
             if missing is not None:
                 context.warn(f"setpoints stopped: {missing.text}")
-            elif context.vehicle.is_ours:
-                context.warn(f"setpoints stopped: autopilot stays in {guided}; choose a mode")
+            elif vehicle.is_ours:
+                mode = vehicle.guided_name
+                context.warn(f"setpoints stopped: autopilot stays in {mode}; choose a mode")
 
     def _unready(self, now_s: float) -> Finding | None:
         """Return the inputs that control needs beside those that every flight watches."""

@@ -160,10 +160,15 @@ class GuidanceSession:
                 self.handover.take_origin(event)
             case events.HomeSet():
                 self.handover.take_home(event)
+            case events.TimerFired():
+                self.vehicle.handle(event)
+                return  # watches have a tick of their own
             case events.VehicleMoved():
                 self._watches.jumps.take_position(event)
+                return
             case events.YawMeasured():
                 self._watches.jumps.take_heading(event)
+                return
             case _:
                 self.vehicle.handle(event)
         self._watches.handle(event)

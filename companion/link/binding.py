@@ -276,14 +276,14 @@ class AutopilotBinding:
 
     def _choose(self, now_s: float) -> None:
         """Bind, wait or rebind, by the candidates that are present."""
+        if self.is_committed:
+            return
         here = [
             each
             for each in self._candidates.values()
             if not self._has_vanished(each.heard_s, now_s)
         ]
         systems = sorted({each.ids[0] for each in here})
-        if self.is_committed:
-            return
         if len(systems) > 1:
             if self.problem is None:
                 names = ", ".join(map(str, systems[:-1])) + f" and {systems[-1]}"

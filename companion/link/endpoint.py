@@ -67,6 +67,8 @@ SIGNS = (
 """Messages that are requested from an address that may be the autopilot's now."""
 PAUSE_S = 0.001
 """Interval between two wake-ups for deferred work: the links are read in between."""
+LOOK_PERIOD_S = 1.0
+"""Interval at which counters and clocks of the links are checked for something to announce."""
 RECORD_PERIOD_S = 10.0
 """Interval of the link health in the event log."""
 
@@ -139,7 +141,7 @@ class CompanionEndpoint:
         self.next_tick_s = -math.inf
         """Time of the next control tick."""
         self._woken_s = -math.inf
-        self._next_record_s = -math.inf
+        self._next_look_s = self._next_record_s = -math.inf
 
     def _make_intake(self, number: int, link: LinkSpec) -> Intake:
         """Return the intake of a link, with a codec that signs and verifies if there is a key."""
@@ -185,18 +187,18 @@ class CompanionEndpoint:
             self.executor.handle(events.TimeLeft(now_s), now_s)
             return
         self.ticks += 1
+        self.authenticity.advance(now_s)
         self.shield.tick(now_s)
         self._note_control(now_s)
         self._note_binding(now_s)
         for intake in self._intakes:
             intake.budget.renew()
-        signing, links = self.authenticity.tick(now_s), self._alarms.tick(now_s)
-        radios = [text for radio in self.radios for text in radio.tick(now_s)]
-        radios += [text for source in self._mavlink_ranging for text in source.texts(now_s)]
-        streams = () if self.binding.is_doubted else self._queries.new_texts(now_s)
-        for text in (*signing, *links, *radios, *streams):
-            self.outlet.announce(text, now_s)
-        self.outlet.announce_due(now_s)
+        if now_s >= self._next_look_s:
+            self._next_look_s = now_s + LOOK_PERIOD_S
+            self._announce_link_state(now_s)
+        for radio in self.radios:
+            for text in radio.tick(now_s):
+                self.outlet.announce(text, now_s)
         stalled_s = self._health.tick(now_s)
         if stalled_s is not None:
             self._queries.ask_mode()
@@ -212,10 +214,16 @@ class CompanionEndpoint:
         self._presence.tick(now_s)
         if now_s >= self._next_record_s:
             self._next_record_s = now_s + RECORD_PERIOD_S
-            self._journal.record("link", self._link_record(now_s), now_s)
-            self._journal.record("health", health_fields(self.session.tracker, now_s), now_s)
-            for number, radio in enumerate(self.radios):
-                self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
+            self._record_state(now_s)
+
+    def _announce_link_state(self, now_s: float) -> None:
+        """Announce what is new on the links, and what was withheld and still stands."""
+        signing, links = self.authenticity.texts(now_s), self._alarms.texts(now_s)
+        ranging = [text for source in self._mavlink_ranging for text in source.texts(now_s)]
+        streams = () if self.binding.is_doubted else self._queries.new_texts(now_s)
+        for text in (*signing, *links, *ranging, *streams):
+            self.outlet.announce(text, now_s)
+        self.outlet.announce_due(now_s)
 
     def next_timer_s(self) -> float:
         """Return the time of the next control tick, or of deferred work before it."""
@@ -274,7 +282,7 @@ class CompanionEndpoint:
             self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
         is_ours = sender_of(frame) == self.outlet.own_ids
         if self.authenticity.is_proved(frame) and self.outlet.note_sender(
-            frame, now_s, may_move=self._may_move_aside
+            frame, now_s, self._may_move_aside
         ):
             self.executor.handle(events.IdConflictHeard(now_s), now_s)
         if is_ours:
@@ -318,7 +326,6 @@ class CompanionEndpoint:
         if is_here and (binding.is_keyed or is_peer) and isinstance(message, RangingMessage):
             self._receive_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
 
-    @property
     def _may_move_aside(self) -> bool:
         """True if the component id may change: it is not configured, and we have no vehicle."""
         is_before = self.session.phase in (Phase.WAITING, Phase.STANDBY)
@@ -374,6 +381,13 @@ class CompanionEndpoint:
         is_mode_wanted = vehicle.mode_watch.is_in_doubt and not vehicle.is_link_lost(now_s)
         for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
             self.outlet.send(question, now_s, is_droppable=True)
+
+    def _record_state(self, now_s: float) -> None:
+        """Record links, estimator and radios in the event log."""
+        self._journal.record("link", self._link_record(now_s), now_s)
+        self._journal.record("health", health_fields(self.session.tracker, now_s), now_s)
+        for number, radio in enumerate(self.radios):
+            self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         emitters = self.session.context.emitters

@@ -18,6 +18,7 @@ from companion.guidance.session import GuidanceSession
 from companion.link import outbound
 from companion.link.autopilot_queries import AutopilotQueries
 from companion.link.binding import AutopilotBinding
+from companion.link.fence_download import FenceMessage
 from companion.link.inbound import VehicleInbound
 from companion.link.intake import RateLimit
 from companion.link.interface import Journal, VehicleParams
@@ -111,14 +112,8 @@ class SessionExecutor:
             self.outlet.announce(text, now_s)
         for event in self.inbound.events(message, now_s, order):
             self.handle(event, now_s)
-        if self._queries.fence.notice(message, self.outlet.own_ids):
-            self.handle(AutopilotFenceChanged(now_s), now_s)
-        parameters = self._queries.fence_parameters
-        if parameters.receive(message, self.binding.autopilot):
-            self.handle(AutopilotFenceLimitsRead(now_s, parameters.limits), now_s)
-        fence = self._queries.fence.receive(message, now_s, self.outlet.own_ids)
-        if fence is not None:
-            self.handle(fence, now_s)
+        if isinstance(message, FenceMessage):
+            self._receive_fence(message, now_s)
         match message:
             case mavlink.MAVLink_command_ack_message() if is_for(message, self.outlet.own_ids):
                 answer = self._requests.receive_ack(message, now_s)
@@ -130,6 +125,18 @@ class SessionExecutor:
                 shown = "".join(c if c.isprintable() else "?" for c in words.rstrip())
                 fields = {"text": shown, "dropped": self._text_limit.refused}
                 self.journal.record("autopilot_text", fields, now_s)
+
+    def _receive_fence(self, message: Message, now_s: float) -> None:
+        """Take in a message that may be about the autopilot's fence."""
+        queries, own_ids = self._queries, self.outlet.own_ids
+        if queries.fence.notice(message, own_ids):
+            self.handle(AutopilotFenceChanged(now_s), now_s)
+        parameters = queries.fence_parameters
+        if parameters.receive(message, self.binding.autopilot):
+            self.handle(AutopilotFenceLimitsRead(now_s, parameters.limits), now_s)
+        fence = queries.fence.receive(message, now_s, own_ids)
+        if fence is not None:
+            self.handle(fence, now_s)
 
     # What the session wants
 

@@ -63,6 +63,10 @@ GLOBAL_FRAMES = (
 Ids = tuple[int, int]
 Item = mavlink.MAVLink_mission_item_int_message
 Answer = mavlink.MAVLink_mission_count_message | Item | mavlink.MAVLink_mission_ack_message
+FenceMessage = (
+    Answer | mavlink.MAVLink_mission_current_message | mavlink.MAVLink_param_value_message
+)
+"""Messages that may be about the autopilot's fence, as items or as parameters."""
 
 
 @dataclass(slots=True)

@@ -20,10 +20,10 @@ is polled may use the savings.
 Theory of operation of signing. With a key every frame of every link must be verified before it is
 decoded; the codecs do that. The time in signatures continues from the wall clock at the start by
 the control tick's own clock, so that a wall clock that is set in flight has no effect; it is
-followed only before an autopilot is bound. Rejections are announced at once, and then once a period
-in one text, because a forger must not fill the log. RADIO_STATUS may come unsigned. It is logged
-and not used otherwise: unverified, it is no evidence about the autopilot, not even that it is
-there.
+followed only before an autopilot is bound. Rejections are announced within a second, then once a
+period in one text, because a forger must not fill the log. RADIO_STATUS may come unsigned. It is
+logged and not used otherwise: unverified, it is no evidence about the autopilot, not even that it
+is there.
 """
 
 from __future__ import annotations
@@ -270,9 +270,8 @@ class Authenticity:
         if self._signing is not None:
             self._signing.advance(now_s + self._unix_minus_local_s)
 
-    def tick(self, now_s: float) -> list[Announce]:
-        """Advance the time in signatures at a control tick; return texts for the operator."""
-        self.advance(now_s)
+    def texts(self, now_s: float) -> list[Announce]:
+        """Return texts for the operator about refused frames."""
         if self._signing is None or now_s < self._next_report_s:
             return []
         news = {

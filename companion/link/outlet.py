@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from companion.guidance.authority.control_authority import ID_CONFLICT_S
 from companion.guidance.commands import Announce, Severity
@@ -98,6 +98,7 @@ SPARE_IDS = (
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER3,
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER4,
 )
+ONBOARD_IDS = frozenset((COMPONENT_ID, *SPARE_IDS))
 RIVALS = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -208,27 +209,30 @@ class Outlet:
                 t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S
             ]
 
-    def note_sender(self, frame: bytes, now_s: float, *, may_move: bool) -> bool:
+    def note_sender(self, frame: bytes, now_s: float, may_move: Callable[[], bool]) -> bool:
         """Note the sender of a verified frame; return True if it is a second companion.
 
         Otherwise, if our component id is taken, another one is chosen where it `may_move`.
         """
-        sender, is_rival = sender_of(frame), message_id(frame) in RIVALS or is_marked(frame)
-        is_same = sender == self.own_ids
-        is_here = sender[0] == self.own_ids[0]
-        if is_here and not is_same:
+        sender = sender_of(frame)
+        if sender[0] != self.own_ids[0]:
+            return False
+        is_same, has_mark = sender == self.own_ids, is_marked(frame)
+        is_beside = sender[1] in ONBOARD_IDS
+        if not is_same:
             self._heard_ids.add(sender)
-        is_beside = sender[1] in (COMPONENT_ID, *SPARE_IDS)
-        if is_here and (is_same or is_beside) and not self.own_frames.is_ours(frame):
+            if not (is_beside or has_mark):
+                return False  # the autopilot's, mostly
+        is_echo = self.own_frames.is_ours(frame)
+        if (is_same or is_beside) and not is_echo:
             self._neighbour_s = now_s
-        is_marked_beside = is_here and is_marked(frame)
-        if not self._binding.is_bound or not (is_same or is_marked_beside):
+        if not self._binding.is_bound or not (is_same or has_mark):
             return False  # unbound: our system id is not known yet
-        self._is_rival |= is_rival and not self.own_frames.is_ours(frame)
+        self._is_rival |= (has_mark or message_id(frame) in RIVALS) and not is_echo
         if not self.own_frames.record_received(frame, now_s):
             return False
         free = [each for each in SPARE_IDS if (sender[0], each) not in self._heard_ids]
-        if may_move and free and not self._is_rival:
+        if free and not self._is_rival and may_move():
             self._move_aside(free[0], now_s)
             return False
         if not self._is_conflict_announced:

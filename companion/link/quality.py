@@ -16,7 +16,7 @@ The shield against floods accepts only the autopilot, by a filter of the shell a
 (`companion.io.links.udp`). It is up only while unknown peers exceed their budget, because otherwise
 they are reported to the operator, and only while the autopilot sends, because it may return from
 another address. The alarms monitor counters, so that no input of an unknown peer makes a text of
-its own: they are announced at once, and then rarely. Each radio with a format of its own is
+its own: they are announced within a second, and then rarely. Each radio with a format of its own is
 monitored, too: silence, new names, clock restarts, many refusals.
 
 Source: MAVLink developer guide, "Packet Loss".
@@ -270,7 +270,7 @@ class CounterIncrement:
 
 
 class LinkAlarms:
-    """Alarms on counters, checked once per control tick."""
+    """Alarms on counters, checked once a second."""
 
     def __init__(self, binding: AutopilotBinding, intakes: Sequence[Intake]) -> None:
         self._binding = binding
@@ -279,7 +279,7 @@ class LinkAlarms:
         self._moves, self._senders = CounterIncrement(), CounterIncrement()
         self._floods = CounterIncrement()
 
-    def tick(self, now_s: float) -> list[Announce]:
+    def texts(self, now_s: float) -> list[Announce]:
         """Return the alarms that are due."""
         binding, texts = self._binding, []
         dropped = sum(intake.budget.dropped_unread for intake in self._intakes)

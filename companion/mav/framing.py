@@ -57,6 +57,9 @@ class FrameSplitter:
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
         """Return the frames completed by `data`; an unfinished one at a datagram's end is junk."""
+        if is_datagram and not self._pending and self._is_one_frame(data):
+            self.counters.good += 1
+            return [data]
         buffer = self._pending + data
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
@@ -90,6 +93,15 @@ class FrameSplitter:
         self._pending = buffer[start:]  # empty after a datagram
         self.counters.good += len(frames)
         return frames
+
+    def _is_one_frame(self, data: bytes) -> bool:
+        """Return True if a datagram is one good frame without unknown flags, as most are."""
+        if len(data) < HEADER_LENGTH[MAGIC_V2] or data[0] != MAGIC_V2:
+            return False
+        crc_extra = self._crc_extra_by_id.get(data[7] | data[8] << 8 | data[9] << 16)
+        if crc_extra is None or data[2] & ~INCOMPAT_SIGNED or frame_end(data, 0) != len(data):
+            return False
+        return has_good_crc(data, crc_extra)
 
     def take_unknown(self) -> list[bytes]:
         """Return unverified frames of unknown messages since the last call."""

@@ -193,6 +193,8 @@ class Watches:
             context.passing,
             self.inputs,
         )
+        self._hearing = tuple(w for w in self._all if type(w).handle is not Watch.handle)
+        self._ticking = tuple(w for w in self._all if type(w).tick is not Watch.tick)
         self._other_targets = RateLimited(OTHER_TARGET_EVERY_S)
         self._was_in_control = self._was_launching = False
         self._is_battery_announced = False
@@ -200,7 +202,7 @@ class Watches:
     def handle(self, event: events.Event) -> None:
         """Pass an event to all watches, and announce a change of the battery level."""
         before = self.battery.level
-        for watch in self._all:
+        for watch in self._hearing:
             watch.handle(event)
         self._warn_of_other_target(event)
         level = self.battery.level
@@ -226,7 +228,7 @@ class Watches:
 
     def tick(self, now_s: float) -> None:
         """Advance all watches, and note the start and end of control."""
-        for watch in self._all:
+        for watch in self._ticking:
             watch.tick(now_s)
         phase = self._context.phase
         is_in_control = phase in IN_CONTROL
