@@ -46,6 +46,7 @@ from companion.mav.signing import ONE_LINK_EACH
 from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
 from companion.process.persistence import ParameterKeeper, RestartKeeper
 from companion.process.search_keeper import SearchKeeper
+from companion.process.priority import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
 from companion.process.watchdog import STOPPING, Supervisor, Watchdog
 from companion.warm_up import warm_up
 
@@ -138,6 +139,17 @@ def prepare(config: CompanionConfig) -> None:
         return
     with _reported_progress():
         warm_up(config.estimation, build_planner(config))
+
+
+@contextmanager
+def _announced_priority(clock: Clock) -> Iterator[None]:
+    """Raise the priority for a flight at real time; a faster one is flown on a simulator here."""
+    if clock.speed != 1.0:
+        yield
+        return
+    with raised_priority() as priority:
+        log.info(priority or f"{NORMAL_PRIORITY}; {HOW_TO_ALLOW}")
+        yield
 
 
 PROGRESS_S = 3.0
@@ -247,7 +259,8 @@ def fly(
         prepare(config)
         clock.restart()  # compiling is no part of the flight
         flight = _Flight(config, links, clock, keeper, options, state / lock_name(name))
-        flight.run()
+        with _announced_priority(clock):
+            flight.run()
         if options.at_end is not None and flight.directory is not None:
             options.at_end(flight.directory)
     finally:

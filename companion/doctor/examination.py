@@ -43,6 +43,7 @@ from companion.kernel import IS_NATIVE, has_compiled_cache
 from companion.link.intake import Authenticity
 from companion.link.outlet import COMPONENT_ID
 from companion.process.diagnostics import process_use
+from companion.process.priority import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
 from companion.run import link_name, open_signing
 
 MEGABYTE = 1_000_000
@@ -52,12 +53,15 @@ _SYNCHRONISERS = (Path("/run/systemd/timesync"), Path("/run/chrony"), Path("/run
 
 def inspect_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
     """Return the facts about this computer; checkpoints and locks are kept in `state`."""
+    with raised_priority() as priority:
+        pass
     return HostFacts(
         python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
         numpy=_version("numpy") or "?",
         numba=None if IS_NATIVE else _version("numba"),
         has_native_kernels=IS_NATIVE,
         are_kernels_kept=has_compiled_cache(),
+        priority=priority,
         logs=inspect_folder(logs),
         state=inspect_folder(state),
         key_problem=None if key_file is None else _key_problem(Path(key_file)),
@@ -155,6 +159,10 @@ def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[CheckResul
     if host.numba and not host.are_kernels_kept:
         text = "not compiled yet: the first flight waits for half a minute"
         yield warn("kernels", text, "run companion warm-up, with the flight's --config")
+    if host.priority is None:
+        yield warn("priority", NORMAL_PRIORITY, HOW_TO_ALLOW)
+    else:
+        yield ok("priority", host.priority)
     yield _check_logs(host.logs, config)
     yield _check_state(host.state)
     yield _check_key(host)

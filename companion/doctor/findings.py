@@ -124,6 +124,8 @@ class HostFacts:
     """True if the kernels were compiled before they were installed."""
     are_kernels_kept: bool
     """True if they were compiled before, so that a flight need not wait for it."""
+    priority: str | None
+    """Priority that a flight is granted when it is started like this; None: the normal one."""
     logs: PlaceFacts
     state: PlaceFacts
     key_problem: str | None

@@ -321,7 +321,7 @@ def _send_line(name: str) -> None:
 def main() -> None:
     """Run the child process; the terminal's Ctrl-C is for the companion."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
+    os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     with suppress(OSError, ValueError):  # a lower limit of the system stays
         resource.setrlimit(resource.RLIMIT_DATA, (MOST_DATA_BYTES, MOST_DATA_BYTES))
     with suppress(OSError):

@@ -54,6 +54,7 @@ HOST = HostFacts(
     numpy="2.0.0",
     numba=None,
     has_native_kernels=False,
+    priority="real-time priority 1",
     logs=PlaceFacts("flights", None, 20_000.0, 0.02),
     state=PlaceFacts("/var/lib/companion", None, 20_000.0, 0.02),
     key_problem=None,

@@ -55,6 +55,8 @@ HOST_CASES = [
     ("kernels", host_with(numba="0.63.0", are_kernels_kept=False), Level.WARN),
     ("clock", host_with(is_clock_synchronised=False), Level.WARN),
     ("clock", host_with(is_clock_synchronised=None), Level.OK),
+    ("priority", host_with(priority=None), Level.WARN),
+    ("priority", host_with(priority="nice -10"), Level.OK),
 ]
 
 
