@@ -94,8 +94,7 @@ def _without_reader(
         io.BufferedWriter(_PipeOutput(stream.fileno(), "w", closefd=False)),
         encoding=stream.encoding,
         errors=stream.errors,
-        line_buffering=stream.line_buffering,
-        write_through=stream.write_through,
+        line_buffering=stream.line_buffering or stream.write_through,  # PYTHONUNBUFFERED
     )
 
 

@@ -56,6 +56,17 @@ def test_a_stream_that_somebody_put_in_its_place_stays(monkeypatch: pytest.Monke
     assert sys.stdout is other
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_line_arrives_at_once_however_python_buffers(unbuffered: str) -> None:
+    code = (
+        "from companion.entry import outlive_readers; import os, sys; outlive_readers(escapes=True)"
+    )
+    code += '; print("address", file=sys.stderr); os.write(2, b"later")'
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment)
+    assert done.stderr == b"address\nlater"
+
+
 def test_a_process_without_output_can_write_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", None)
     ignore_broken_pipe()
