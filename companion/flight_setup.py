@@ -287,7 +287,7 @@ def facts_of_json(data: bytes) -> FlightFacts:
         if isinstance(raw, dict) and isinstance(raw.get("config"), dict):
             renew(raw["config"], "config")
         return msgspec.convert(raw, FlightFacts, str_keys=False)
-    except (msgspec.DecodeError, ValueError) as error:
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise ConfigError(f"not the facts of a flight: {error}") from error
 
 

@@ -32,6 +32,7 @@ from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
+from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, Transport, make_link
 from companion.io.logs.flight_recorder import BlackBox, FlightJournal
 from companion.io.logs.mcap_file import McapLog
@@ -148,7 +149,10 @@ def _announced_priority(clock: Clock) -> Iterator[None]:
         yield
         return
     with raised_priority() as priority:
-        log.info(priority or f"{NORMAL_PRIORITY}; {HOW_TO_ALLOW}")
+        if priority is None:
+            log.log(NOTICE, "%s; %s", NORMAL_PRIORITY, HOW_TO_ALLOW)
+        else:
+            log.info("%s", priority)
         yield
 
 

@@ -261,6 +261,6 @@ class ParameterKeeper:
             return {}
         except OSError as error:
             log.warning("%s: cannot be read (%s)", self._path, error.strerror)
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             log.warning("%s: no parameters (%s); going on without", self._path, error)
         return {}

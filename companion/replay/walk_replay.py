@@ -177,7 +177,7 @@ def stated_accuracy(path: Path) -> WalkAccuracy:
         return msgspec.json.decode(beside.read_bytes(), type=WalkAccuracy)
     except OSError:
         return WalkAccuracy()
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{beside}: beside the walk: {error}") from error
 
 

@@ -98,7 +98,7 @@ def _record(directory: Path) -> SetupRecord | None:
         return None
     try:
         return msgspec.json.decode(read_file(path), type=SetupRecord)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: is not what a setup wrote ({error})") from None
 
 

@@ -336,7 +336,7 @@ def read_mcap_flight(path: Path) -> McapFlight:
                     flight.events.append(json.loads(message.data))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    except (McapError, struct.error, EOFError, KeyError, ValueError) as error:
+    except (McapError, struct.error, EOFError, KeyError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not a whole MCAP file ({error}); try `mcap recover`") from error
     flight.inputs = b"".join(inputs)
     return flight

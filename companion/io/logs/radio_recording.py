@@ -202,7 +202,7 @@ def read_radio_recording(path: Path) -> tuple[RecordingHeader, Iterator[Record]]
         raise ConfigError(f"{path}: is empty; a recording begins with a header")
     try:
         header = _header_decoder.decode(line)
-    except msgspec.MsgspecError as error:
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(
             f"{path}: line {number}: no header of a radio recording: {error}"
         ) from None
@@ -218,7 +218,7 @@ def _records(path: Path, lines: Iterator[tuple[int, bytes]], radios: int) -> Ite
     for number, line in lines:
         try:
             record = _decoder.decode(line)
-        except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             if not line.endswith(b"\n"):
                 return  # the power was cut while it was written
             raise ConfigError(f"{path}: line {number}: {error}") from None

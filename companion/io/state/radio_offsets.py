@@ -50,7 +50,7 @@ def kept_offsets(directory: Path) -> dict[str, KeptOffset]:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, KeptOffset])
     except FileNotFoundError:
         return {}
-    except (OSError, msgspec.MsgspecError) as error:
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: {error}; delete it and calibrate again") from None
 
 
