@@ -46,8 +46,8 @@ from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
 from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
 from companion.process.persistence import ParameterKeeper, RestartKeeper
-from companion.process.search_keeper import SearchKeeper
 from companion.process.priority import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
+from companion.process.search_keeper import SearchKeeper
 from companion.process.watchdog import STOPPING, Supervisor, Watchdog
 from companion.warm_up import warm_up
 

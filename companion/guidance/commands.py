@@ -76,8 +76,8 @@ class Announce:
 
     severity: Severity
     text: str
-    topic: Topic | None = None
-    """State that the text describes; None: an event."""
+    topic: Topic | str | None = None
+    """Subject of the state that the text describes, such as a radio's name; None: an event."""
     must_pass: bool = False
     """True if the rate limit does not apply: control begins or ends, or a find or a grant."""
 

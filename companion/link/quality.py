@@ -377,11 +377,15 @@ class RadioWatch:
         self._measured.append((now_s, self.stage.measured))
         while now_s - self._measured[0][0] > RATE_WINDOW_S:
             self._measured.popleft()
-        news = [*self._names(), *self._silence(now_s), *self._clock(), *self._refusals(now_s)]
+        news = [*self._names(), *self._clock(), *self._refusals(now_s)]
         if self.stage.setup.is_uncalibrated and self.stage.measured and not self._is_offset_said:
             self._is_offset_said = True
             news.append((Severity.WARNING, UNCALIBRATED))
-        return [Announce(severity, f"radio {self._name}: {text}") for severity, text in news]
+        topic = f"radio {self._name}"
+        states = [
+            Announce(level, f"{topic}: {text}", topic) for level, text in self._silence(now_s)
+        ]
+        return [*states, *(Announce(severity, f"{topic}: {text}") for severity, text in news)]
 
     def status(self, now_s: float) -> RadioStatus:
         """Return the present state."""

@@ -56,7 +56,7 @@ class TextGate:
         self._budget_bytes = SHARE_OF_DOWNLINK * bytes_per_s * MINUTE_S
         self._announced_s: dict[str, float] = {}
         """When a cause was announced last, by its words without numbers."""
-        self._topics: dict[Topic, _TopicState] = {}
+        self._topics: dict[Topic | str, _TopicState] = {}
         self._sent: deque[tuple[float, int]] = deque()
         self._sent_bytes = 0
 

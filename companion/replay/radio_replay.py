@@ -18,6 +18,7 @@ from companion.domain import Attitude, PositionAccuracy, RangingMeasurement, Veh
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.measurements import RangingListener
 from companion.guidance.tracking.vehicle_track import VehicleTrack
+from companion.io.logs.log_files import damage_text
 from companion.io.logs.radio_recording import RadioBytes, TimedPose, read_radio_recording
 from companion.link.radio_stage import RadioStage
 from companion.replay.walk_replay import TargetResult
@@ -55,7 +56,8 @@ class RadioReplay:
 
 def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
     """Decode and estimate; radios of `config` replace the recording's settings by name."""
-    header, records = read_radio_recording(path)
+    damaged: list[int] = []
+    header, records = read_radio_recording(path, damaged.append)
     recorded = [
         RadioConfig(name=r.name, url=r.url, settings=dict(r.settings), options=dict(r.options))
         for r in header.radios
@@ -82,10 +84,11 @@ def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
     if poses:
         for target in targets.values():
             target.listener.fuse_due(now_s + END_S, own)
+    lines = [*filter(None, [damage_text(path, "line", damaged)]), *_radio_lines(stages)]
     if not poses:
-        return RadioReplay([*_radio_lines(stages), *_unplaced_lines(targets)])
+        return RadioReplay([*lines, *_unplaced_lines(targets)])
     results = _results(targets, now_s)
-    return RadioReplay([*_radio_lines(stages), *map(_refusals, results)], results)
+    return RadioReplay([*lines, *map(_refusals, results)], results)
 
 
 def _add_pose(track: VehicleTrack, pose: TimedPose) -> None:

@@ -22,6 +22,7 @@ import msgspec
 from companion.domain import PositionEnu
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import LocalOrigin, Projection
+from companion.io.logs.log_files import OnDamage
 
 VERSION = 1
 MOST_DATA_BYTES = 65_536
@@ -194,8 +195,13 @@ def is_radio_recording(path: Path) -> bool:
         return False
 
 
-def read_radio_recording(path: Path) -> tuple[RecordingHeader, Iterator[Record]]:
-    """Return the header and an iterator of the records; a `ConfigError` names the faulty line."""
+def read_radio_recording(
+    path: Path, on_damage: OnDamage | None = None
+) -> tuple[RecordingHeader, Iterator[Record]]:
+    """Return the header and an iterator of the records; a `ConfigError` names the faulty line.
+
+    With `on_damage` a line that is no record is left out, and its number passed on.
+    """
     lines = _lines(path)
     number, line = next(lines, (1, b""))
     if not line:
@@ -211,20 +217,25 @@ def read_radio_recording(path: Path) -> tuple[RecordingHeader, Iterator[Record]]
             f"{path}: line 1: a recording of version {header.version}, and this companion reads "
             f"{VERSION}; use a newer one"
         )
-    return header, _records(path, lines, len(header.radios))
+    return header, _records(path, lines, len(header.radios), on_damage)
 
 
-def _records(path: Path, lines: Iterator[tuple[int, bytes]], radios: int) -> Iterator[Record]:
+def _records(
+    path: Path, lines: Iterator[tuple[int, bytes]], radios: int, on_damage: OnDamage | None
+) -> Iterator[Record]:
     for number, line in lines:
         try:
             record = _decoder.decode(line)
+            if isinstance(record, RadioBytes) and not 0 <= record.radio < radios:
+                raise msgspec.ValidationError(f"the header has no radio {record.radio}")
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             if not line.endswith(b"\n"):
                 return  # the power was cut while it was written
-            raise ConfigError(f"{path}: line {number}: {error}") from None
-        if isinstance(record, RadioBytes) and not 0 <= record.radio < radios:
-            raise ConfigError(f"{path}: line {number}: the header has no radio {record.radio}")
-        yield record
+            if on_damage is None:
+                raise ConfigError(f"{path}: line {number}: {error}") from None
+            on_damage(number)
+        else:
+            yield record
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:

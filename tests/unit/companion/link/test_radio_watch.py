@@ -10,6 +10,7 @@ from companion.flight_setup import FlightFacts, build_endpoint
 from companion.link.intake import MOST_RAW_BYTES, RAW_BYTES, FloodBudget
 from companion.link.quality import RadioWatch
 from companion.link.radio_stage import RadioSettings, RadioSetup, RadioStage
+from companion.link.texts import TextGate
 from companion.mav.endpoint import Chunk
 from companion.view.snapshot import picture_of
 from tests.unit.companion.link.test_radio_stage import KIND, READING, measured
@@ -34,6 +35,19 @@ def test_silence_is_told_once_and_its_end_once() -> None:
     measured(watch.stage, READING, now_s=60.0)
     assert told(watch, 60.0, 62.0) == ["radio said: is heard again"]
     assert told(watch, 62.0, 90.0) == ["radio said: silent for 3 s"]
+
+
+def test_the_last_text_says_if_a_radio_that_comes_and_goes_is_heard() -> None:
+    watch, gate = watch_of(), TextGate(6000.0)
+    texts: list[str] = []
+    for tick in range(800):
+        now_s = 0.05 * tick
+        if 3.5 <= now_s < 5.0:
+            measured(watch.stage, READING, now_s=now_s)
+        admitted = [news for news in watch.tick(now_s) if gate.admit(news, now_s)]
+        texts += [news.text for news in [*admitted, *gate.due(now_s)]]
+    silent = "radio said: silent for 3 s"
+    assert texts == [silent, "radio said: is heard again", silent]
 
 
 def test_a_radio_that_may_be_silent_is_not_told_as_that() -> None:

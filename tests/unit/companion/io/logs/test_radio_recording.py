@@ -78,6 +78,21 @@ def test_a_broken_line_is_named(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("block", [bytes(4096), b"\xff" * 700, b"9" * 40, b"\n" * 300])
+def test_a_damaged_block_costs_the_lines_that_it_covers(tmp_path: Path, block: bytes) -> None:
+    wanted: list[Record] = [RadioBytes(0.01 * n, 0, b"range 12.5 m") for n in range(400)]
+    path = written(tmp_path / "walk.radio", wanted)
+    data, at, damaged = path.read_bytes(), 9000, list[int]()
+    path.write_bytes(data[:at] + block + data[at + len(block) :])
+    with pytest.raises(ConfigError, match=r"walk.radio: line \d+: "):
+        list(read_radio_recording(path)[1])
+    found = list(read_radio_recording(path, damaged.append)[1])
+    lost = [record for record in wanted if record not in found]
+    assert damaged
+    assert [record for record in wanted if record in found] == found
+    assert 0 < len(lost) <= 2 + len(block) // 50
+
+
 def test_bytes_of_a_radio_that_the_header_lacks_are_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "walk.radio", [RadioBytes(1.0, 2, b"x")])
     with pytest.raises(ConfigError, match="line 2: the header has no radio 2"):
