@@ -138,7 +138,7 @@ def _add_flight(parser: Options) -> None:
     _file(parser, "--signing-key", text)
     text = "listen beyond this machine even without a key: anyone may then command the vehicle"
     _switch(parser, "--insecure", text)
-    _switch(parser, "--fresh", "resume nothing of an earlier run that did not end in order")
+    _switch(parser, "--fresh", "ignore state saved by an unclean exit")
     _switch(parser, "--once", "end after the target is reported")
     _switch(parser, "--quiet", "only notices, warnings and errors")
 
@@ -254,7 +254,7 @@ def _add_replay(commands: Commands) -> None:
         help="run a recorded flight or ranging walk again",
         description="Run a recorded flight through the flying code once more and say whether it "
         "is the same, or, with another configuration, how it differs. A CSV file is a recorded "
-        "ranging walk, and what `companion radio record` wrote is decoded anew; both go through "
+        "ranging walk, and what `companion radio record` wrote is decoded again; both go through "
         "the estimator, a filter per target.",
     )
     replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv|RECORDING", type=Path)

@@ -20,7 +20,7 @@ def shipped_file(name: str) -> Path:
     for folder in CONFIG_FOLDERS[1:]:
         if (folder / name).is_file():
             return folder / name
-    raise ConfigError(f"configs/{name}: not in this installation; install companion-guidance anew")
+    raise ConfigError(f"configs/{name}: not in this installation; reinstall companion-guidance")
 
 
 def preset_named(name: str) -> Path:

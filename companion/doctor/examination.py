@@ -194,7 +194,7 @@ def _check_state(place: PlaceFacts) -> CheckResult:
 
 def _check_key(host: HostFacts) -> CheckResult:
     if not host.has_key:
-        text = "none: whoever reaches the link may command the vehicle"
+        text = "none: anyone on the link may command the vehicle"
         return warn("signing key", text, "make one, and set it up on both sides; docs/ports.md")
     if host.key_problem is not None:
         return fail("signing key", host.key_problem, "repair the file, or choose another")

@@ -118,7 +118,7 @@ def _check_time(subject: str, radio: RadioFacts, status: RadioStatus) -> CheckRe
         return ok(subject, "no clock of its own: arrival less lag_s is the time of measurement")
     text = f"its own clock, heard {1e3 * (status.age_s or 0.0):.0f} ms late"
     if status.restarts:
-        return warn(subject, f"{text}; it began anew {status.restarts} times", "check its power")
+        return warn(subject, f"{text}; it restarted {status.restarts} times", "check its power")
     if (status.age_s or 0.0) > LATE_S:
         return warn(subject, text, "use a faster line, or poll more often")
     return ok(subject, text)

@@ -42,7 +42,7 @@ class GuardReason(Enum):
     """Reason why a setpoint differs from the planner's."""
 
     NO_FENCE = "there is no fence yet"
-    NOT_FINITE = "goal, vehicle, home or time is not a number to fly by"
+    NOT_FINITE = "invalid (NaN) input: goal, vehicle, home or time"
     FENCE = "goal is outside the fence or in a keep-out"
     OUTSIDE = "vehicle is outside the fence or in a keep-out: only back inside"
     MARGIN = "nearer to the fence or a keep-out than the margin: only back inside"

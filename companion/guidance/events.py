@@ -51,7 +51,7 @@ class SessionMemory:
 
     @property
     def fences_alone(self) -> SessionMemory:
-        """What counts of it for another mission in the same flight."""
+        """The fences alone, which stay valid for another mission in the same flight."""
         fences, limits = self.flown_fences, self.fence_limits
         return SessionMemory(None, None, None, None, flown_fences=fences, fence_limits=limits)
 

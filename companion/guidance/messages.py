@@ -359,7 +359,7 @@ class OffsetMessages:
 
 ANTENNA_TEXTS: dict[str, str] = {
     "planar": "bearings are worthless from above: planar antenna? Set estimation.filter.antenna",
-    "contradicted": "directions contradict the antenna as it is told: check its kind and mount_deg",
+    "contradicted": "bearings inconsistent with the configured antenna: check kind and mount_deg",
     "line": "bearings fit a line of antennas, no azimuth: set estimation.filter.antenna",
 }
 

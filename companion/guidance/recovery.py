@@ -100,7 +100,7 @@ class Recollection:
             else:
                 self._resume(now_s)
         elif now_s - self._recalled_s > ORIGIN_PATIENCE_S:
-            self._reset_estimates("the autopilot does not tell its origin")
+            self._reset_estimates("the autopilot does not report its origin")
 
     def forget(self) -> None:
         """Drop the kept estimates, because the autopilot restarted and its frame is another one."""

@@ -180,7 +180,7 @@ class GuidanceSession:
                 self._measuring.fuse_due(event.time_s)
             case events.AutopilotClockSlipped():
                 self.vehicle.track.clear()
-                self.context.warn("autopilot's clock slipped: its stamps are read anew")
+                self.context.warn("autopilot's clock slipped: resynchronising timestamps")
             case events.IdentityDoubted(problem=str(problem)):
                 self.handover.leave(problem, event.time_s)
             case events.Retuned():

@@ -122,7 +122,7 @@ def _unplaced_lines(targets: dict[int, _Target]) -> list[str]:
         ranges_m = target.ranges_m
         middle = f", median range {statistics.median(ranges_m):.2f} m" if ranges_m else ""
         lines.append(f"  emitter {number}: {target.count} measurements{middle}")
-    return [*lines, "no estimate: no autopilot was connected, so nobody knows the places"]
+    return [*lines, "no estimate: no autopilot was connected, so positions are unknown"]
 
 
 def _results(targets: dict[int, _Target], now_s: float) -> list[TargetResult]:

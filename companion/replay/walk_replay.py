@@ -301,7 +301,7 @@ def table(results: list[TargetResult], localised_r95_m: float) -> str:
         )
         if estimate is not None and estimate.alternative_enu_m is not None:
             east, north = estimate.alternative_enu_m
-            hint = f"walk {aside_of_m(estimate):.0f} m to the side to tell"
+            hint = f"walk {aside_of_m(estimate):.0f} m to the side to resolve it"
             lines.append(f"{'':<27}  {'or':<10} {east:9.2f} {north:9.2f}  {hint}")
     errors = sorted(result.error_m for result in results if result.error_m is not None)
     if errors:

@@ -70,7 +70,7 @@ def _in_search(status: GuidanceStatus) -> str:
     if estimate is None:
         return f"Watch it look for the radio. {TAKE_BACK}"
     if estimate.state is EstimateState.AMBIGUOUS:
-        return f"Watch it: two places fit, and it flies to tell which. {TAKE_BACK}"
+        return f"Watch it: two places fit, and it flies to find out which. {TAKE_BACK}"
     if estimate.state is EstimateState.LOCALISED:
         return "Wait for the report: it makes sure of the place. Get the ground team ready."
     return f"Watch the red circle shrink with every crossing. {TAKE_BACK}"

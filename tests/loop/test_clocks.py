@@ -31,7 +31,7 @@ def holds_s(loop: Loop) -> list[float]:
     """How long each hold on a stale position lasted, by what the operator is told."""
     begun_s, lengths_s = None, []
     for time_s, text in loop.notes.texts:
-        if text == "hold: own position is stale":
+        if text == "hold: vehicle position is stale":
             begun_s = time_s
         elif begun_s is not None and text.startswith(("flying the plan", "localised")):
             lengths_s.append(time_s - begun_s)
@@ -74,7 +74,7 @@ def test_setpoints_that_stop_on_the_ground_say_why_at_once() -> None:
     loop.is_link_up = False
     loop.run(0.7)
     stopped_s = loop.now_s
-    assert loop.said("not ready: own position is stale; setpoints stopped")
+    assert loop.said("not ready: vehicle position is stale; setpoints stopped")
     loop.run(10.0)
     assert loop.setpoints_since(stopped_s) == []
     assert loop.said("not ready: autopilot link lost")

@@ -37,7 +37,7 @@ def test_a_search_ends_on_every_kind_of_link(mode: LinkMode) -> None:
     (_, result) = notes.results[0]
     truth = flight.scenario.emitter.position_enu_m
     assert math.dist(result.estimate.position_enu_m[:2], truth) < 5.0
-    assert not said(notes, "hold: own position is stale")
+    assert not said(notes, "hold: vehicle position is stale")
 
 
 class UnreadFrames(Observer):

@@ -75,7 +75,7 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     assert loop.phase is Phase.HOLD
     assert math.dist(loop.true_positions[-1], place) <= BRAKING_M  # it stops, it flies to nowhere
     assert loop.companion.session.tracker.rejected[RejectReason.OWN_JUMP] >= 10
-    assert loop.said("own position jumped by")
+    assert loop.said("vehicle position jumped by")
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
     assert loop.now_s - jumped_s >= 2.0
     assert loop.companion.session.tracker.integrity.restarts == 0
@@ -104,7 +104,7 @@ def test_a_jump_out_of_bounds_moves_nothing_and_is_handed_back(
     jumped_s, before = loop.now_s, len(loop.true_positions)
     loop.run_until(lambda: loop.phase is Phase.YIELD, 4.0)
     assert loop.now_s - jumped_s >= 2.0
-    assert loop.said("handing back: own position jumped by")
+    assert loop.said("handing back: vehicle position jumped by")
     loop.run(10.0)
     place = loop.true_positions[before]
     assert all(math.dist(true, place) <= BRAKING_M for true in loop.true_positions[before:])
@@ -143,7 +143,7 @@ def test_a_heading_that_jumps_is_held_on_too() -> None:
     loop.sim.vehicle.estimator.jump((0.0, 0.0, 0.0), math.radians(30.0))
     loop.run(0.3)
     assert loop.phase is Phase.HOLD
-    assert loop.said("own heading jumped by 30 deg")
+    assert loop.said("vehicle heading jumped by 30 deg")
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
     loop.run_until(lambda: bool(loop.notes.results), 90.0)
     assert target_seen_m(loop) <= 1.0

@@ -47,7 +47,7 @@ def test_the_projection_that_is_expected_is_right_without_a_word(flavour: Flavou
     loop = searched(flavour)
     assert off_m(loop) <= NEAR_M
     check_report(loop)
-    assert not loop.said("places are fitted")
+    assert not loop.said("using the fitted transform")
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
@@ -58,5 +58,5 @@ def test_another_projection_is_told_once_and_places_are_right_a_kilometre_away(
     loop = searched(flavour)
     assert off_m(loop) <= NEAR_M
     check_report(loop)
-    told = [text for _, text in loop.notes.texts if "places are fitted" in text]
+    told = [text for _, text in loop.notes.texts if "using the fitted transform" in text]
     assert len(told) == 1

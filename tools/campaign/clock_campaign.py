@@ -90,7 +90,7 @@ def holds_s(texts: Sequence[tuple[float, str]], ended_s: float) -> list[float]:
     """Return the duration of each hold on a stale position, from the operator's texts."""
     begun_s, lengths_s = None, []
     for time_s, text in texts:
-        if text == "hold: own position is stale":
+        if text == "hold: vehicle position is stale":
             begun_s = time_s
         elif begun_s is not None and text.startswith(("flying the plan", "localised")):
             lengths_s.append(time_s - begun_s)

@@ -338,7 +338,8 @@ class Handover:
         place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
         if event.off_m and place != self._fitted_at:
             self._fitted_at = place
-            text = f"global position {event.off_m:.1f} m from the local one: places are fitted"
+            off_m = f"{event.off_m:.1f}"
+            text = f"global position {off_m} m off the local one: using the fitted transform"
             self._context.warn(text)
 
     def take_home(self, event: events.HomeSet) -> None:

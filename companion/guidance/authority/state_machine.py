@@ -69,7 +69,7 @@ PHASE_WORDS = {
     Phase.DEGRADED: "searching slowly",
     Phase.HOLD: "holding in place",
     Phase.FINISHED: "found: handed over",
-    Phase.YIELD: "silent: somebody else flies",
+    Phase.YIELD: "silent: pilot or another system flies",
     Phase.HANDBACK: "handing the vehicle back",
     Phase.STOPPED: "stopped",
 }
@@ -81,7 +81,7 @@ class Trigger(Enum):
 
     READY = "autopilot, position, home and fence are known"
     FENCE_LOST = "the fence is not known any more, or refused"
-    ID_CONFLICT = "somebody else sends under our ids"
+    ID_CONFLICT = "another system sends under our ids"
     LAUNCH = "automatic launch begins"
     LAUNCH_FAILED = "automatic launch gave up"
     MODE_GIVEN = "offboard and armed"
@@ -94,7 +94,7 @@ class Trigger(Enum):
     INPUT_BACK = "everything the plan stands on is there"
     LOCALISED = "the target is reported, or the battery is low"
     GIVE_UP = "what is wrong does not pass"
-    GIVE_WAY = "somebody else commands"
+    GIVE_WAY = "another system commands"
     PILOT_TOOK = "the pilot moves the sticks"
     MODE_LEFT = "another mode was chosen, and stays"
     NOT_OURS = "the vehicle is not one to fly, or not the one that was given"

@@ -162,7 +162,7 @@ class FlightPlan:
 def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
     """Return a text when crossings begin below the search altitude, and when they end there."""
     if descent_m > 0.0 and before_m == 0.0:
-        text = f"lower pass: {descent_m:.0f} m below the search altitude, which tells more"
+        text = f"lower pass: {descent_m:.0f} m below the search altitude, for more information"
         return [Announce(Severity.INFO, text)]
     if before_m > 0.0 and descent_m == 0.0:
         return [Announce(Severity.INFO, "lower pass over: back to the search altitude")]

@@ -175,7 +175,7 @@ class JumpWatch(Watch):
         """Return a hand-back if the way back inside may be wrong by the jumps, or None."""
         if self._jumped_m is None or not self._is_steady(now_s) or not self._may_breach():
             return None
-        text = f"own position jumped by {math.hypot(*self._jumped_m):.0f} m: may breach fence"
+        text = f"vehicle position jumped by {math.hypot(*self._jumped_m):.0f} m: may breach fence"
         return Finding(Verdict.HAND_BACK, Reason.OWN_JUMP, text)
 
     def _may_breach(self) -> bool:
@@ -224,7 +224,7 @@ class JumpWatch(Watch):
         self._context.steering.forget_setpoint()
         (e, n, u), (de, dn, du) = self._jumped_m or (0.0, 0.0, 0.0), jump_m
         self._jumped_m = (e + de, n + dn, u + du)
-        text = f"own position jumped by {math.hypot(*jump_m):.1f} m"
+        text = f"vehicle position jumped by {math.hypot(*jump_m):.1f} m"
         self._hold(text, before_s, event.time_s)
 
     def _compare_heading(self, event: YawMeasured) -> None:
@@ -237,7 +237,7 @@ class JumpWatch(Watch):
             return
         track.turn(jump_rad)
         self._move_targets(NO_STEP, -jump_rad, 0.0)
-        text = f"own heading jumped by {math.degrees(jump_rad):.0f} deg"
+        text = f"vehicle heading jumped by {math.degrees(jump_rad):.0f} deg"
         self._hold(text, before_s, event.time_s)
 
     def take_origin(self, event: OriginSet) -> bool:
@@ -304,7 +304,9 @@ class JumpWatch(Watch):
         verdict, reason = Verdict.HOLD, Reason.OWN_JUMP
         finding = Finding(verdict, reason, f"{text}: waiting until it is steady")
         if now_s - self._first_s > PATIENCE_S:
-            finding = Finding(Verdict.HAND_BACK, reason, "own position or heading keeps jumping")
+            finding = Finding(
+                Verdict.HAND_BACK, reason, "vehicle position or heading keeps jumping"
+            )
         context.record_finding(finding, now_s)
         context.passing.hold(finding, now_s + STEADY_S)
         context.enter(Trigger.INPUT_LOST, now_s)

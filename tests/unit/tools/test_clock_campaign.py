@@ -35,7 +35,7 @@ def test_a_name_draws_a_rate_and_slips_and_the_same_ones_again() -> None:
 
 
 def test_a_hold_lasts_until_the_plan_is_flown_or_the_flight_ends() -> None:
-    stale, on = "hold: own position is stale", "flying the plan"
+    stale, on = "hold: vehicle position is stale", "flying the plan"
     assert holds_s([(1.0, "ready"), (5.0, stale), (7.5, on), (9.0, stale)], 12.0) == [2.5, 3.0]
 
 

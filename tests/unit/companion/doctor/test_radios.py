@@ -38,7 +38,7 @@ def test_a_radio_without_a_clock_is_no_fault() -> None:
         (replace(GOOD, status=replace(STATUS, refused={"status RX": 20})), "status RX 20"),
         (replace(GOOD, status=replace(STATUS, silent_s=None, measured=0)), "nothing heard"),
         (replace(GOOD, status=replace(STATUS, measured=0)), "3000 bytes, nothing measured"),
-        (replace(GOOD, status=replace(STATUS, restarts=2)), "began anew 2 times"),
+        (replace(GOOD, status=replace(STATUS, restarts=2)), "restarted 2 times"),
         (replace(GOOD, status=replace(STATUS, age_s=0.9)), "900 ms late"),
     ],
 )

@@ -26,7 +26,7 @@ def test_a_stale_position_on_the_ground_is_told_when_setpoints_stop_and_when_it_
     flight.has_position = False
     flight.fly(0.6)
     stopped_s = flight.now_s
-    assert texts_since(flight, told) == ["not ready: own position is stale; setpoints stopped"]
+    assert texts_since(flight, told) == ["not ready: vehicle position is stale; setpoints stopped"]
     flight.fly(20.0)
     assert silent_since(flight, stopped_s)
     assert len(texts_since(flight, told)) == 1
@@ -42,7 +42,7 @@ def test_a_dead_link_and_an_unknown_mode_are_told_in_standby() -> None:
     flight.has_link = False
     flight.fly(15.0)
     assert texts_since(flight, told) == [
-        "not ready: own position is stale; setpoints stopped",
+        "not ready: vehicle position is stale; setpoints stopped",
         "not ready: autopilot link lost",
     ]
     flight.has_link = True
@@ -62,8 +62,8 @@ def test_a_clock_that_slips_on_the_ground_is_told_with_what_follows() -> None:
     flight.give(AutopilotClockSlipped(flight.now_s))
     flight.fly(0.1)
     assert texts_since(flight, told) == [
-        "autopilot's clock slipped: its stamps are read anew",
-        "not ready: own position is stale; setpoints stopped",
+        "autopilot's clock slipped: resynchronising timestamps",
+        "not ready: vehicle position is stale; setpoints stopped",
     ]
 
 
@@ -72,7 +72,7 @@ def test_on_ardupilot_where_no_setpoints_flow_yet_it_is_told_that_it_is_not_read
     told = len(flight.texts)
     flight.has_position = False
     flight.fly(1.0)
-    assert texts_since(flight, told) == ["not ready: own position is stale"]
+    assert texts_since(flight, told) == ["not ready: vehicle position is stale"]
     flight.has_position = True
     flight.fly(4.0)
     assert texts_since(flight, told)[1:] == ["ready again: switch to GUIDED"]
@@ -84,7 +84,7 @@ def test_a_position_that_comes_and_goes_does_not_fill_the_log() -> None:
     for _ in range(40):
         flight.has_position = not flight.has_position
         flight.fly(0.7)
-    assert texts_since(flight, told) == ["not ready: own position is stale; setpoints stopped"]
+    assert texts_since(flight, told) == ["not ready: vehicle position is stale; setpoints stopped"]
 
 
 def test_after_the_report_an_autopilot_that_stays_ours_is_told_when_setpoints_end() -> None:

@@ -173,7 +173,7 @@ def test_a_belief_does_not_wait_for_ever_for_its_frame() -> None:
     flight.fly(ORIGIN_PATIENCE_S + 0.2)
     flight.ready()
     assert flight.session.estimate is None
-    assert "estimate reset: the autopilot does not tell its origin" in flight.texts
+    assert "estimate reset: the autopilot does not report its origin" in flight.texts
 
 
 def test_an_autopilot_that_restarts_meanwhile_ends_the_wait() -> None:

@@ -123,7 +123,7 @@ def test_holds_when_its_own_position_is_stale() -> None:
     assert flight.is_in(Phase.NORMAL)
     flight.fly(0.05)
     assert flight.is_in(Phase.HOLD)
-    assert flight.texts[-1] == "hold: own position is stale"
+    assert flight.texts[-1] == "hold: vehicle position is stale"
     flight.has_position = True
     flight.fly(1.1)
     assert flight.is_in(Phase.NORMAL)

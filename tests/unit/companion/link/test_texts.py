@@ -33,7 +33,7 @@ def flapping(first: Announce, second: Announce, until_s: float) -> list[tuple[fl
 
 
 def test_a_cause_is_announced_once_a_period_whatever_its_figures() -> None:
-    said = [(n / 10, warning(f"own position jumped by {n / 10:.1f} m")) for n in range(900)]
+    said = [(n / 10, warning(f"vehicle position jumped by {n / 10:.1f} m")) for n in range(900)]
     assert len(passed(TextGate(BYTES_PER_S), said, 90.0)) == 90.0 / CAUSE_PERIOD_S
 
 

@@ -183,6 +183,6 @@ def test_a_lower_pass_is_told_when_it_begins_and_when_it_is_over() -> None:
     for planner.descent_m in (0.0, 14.0, 14.0, 0.0):
         flight.fly(1.0)
     assert [text for text in flight.texts if "lower pass" in text] == [
-        "lower pass: 14 m below the search altitude, which tells more",
+        "lower pass: 14 m below the search altitude, for more information",
         "lower pass over: back to the search altitude",
     ]
