@@ -1,7 +1,7 @@
-"""What was searched, for ground teams: GeoJSON, KML with an image, PNG, GPX and one sentence.
+"""The searched area for ground teams: GeoJSON, KML with an image, PNG, GPX and one sentence.
 
-GeoJSON (RFC 7946) has the outlines of 50, 80 and 95 % probability of detection, gaps and the
-track; CalTopo and ATAK read it. The KML 2.2 document lays `searched_area.png` on the ground
+GeoJSON (RFC 7946) has the outlines of 50, 80 and 95 % probability of detection, gaps and the track;
+CalTopo and ATAK read it. The KML 2.2 document lays `searched_area.png` on the ground
 (GroundOverlay, OGC 07-147r2, 11.2), for Google Earth. GPX 1.1 has the track for handheld receivers.
 """
 
@@ -72,7 +72,7 @@ def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str
 
 
 def _track(flight: SearchedFlight) -> list[list[float]]:
-    """Longitude, latitude and seconds after the beginning; without an origin east and north."""
+    """Return longitude, latitude and seconds from the start; without an origin east and north."""
     origin = flight.origin
     if origin is None:
         return [[east, north, t_s] for t_s, east, north, _ in flight.track]

@@ -1,8 +1,8 @@
-"""Where the emitter may be, from a file: GeoJSON polygons or an ASCII grid, both in degrees.
+"""Possible locations of the emitter, from a file: GeoJSON polygons or an ASCII grid, in degrees.
 
-Source: RFC 7946 for GeoJSON; a polygon's property `weight` is its chance against the others, 1
-without it. Source: Esri ASCII raster format: a header of ncols, nrows, xllcorner, yllcorner,
-cellsize and perhaps NODATA_value, then rows from the north; here in degrees of WGS84.
+Source: RFC 7946 for GeoJSON; a polygon's property `weight` is its relative probability, 1 without
+it. Source: Esri ASCII raster format: a header of ncols, nrows, xllcorner, yllcorner, cellsize and
+perhaps NODATA_value, then rows from the north; here in degrees of WGS84.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST_AREAS = 1000
 
 
 def read_search_site(path: Path) -> SearchSite:
-    """The weighted areas in a file; a `ConfigError` names the file and what is wrong in it."""
+    """Return the weighted areas in a file; a `ConfigError` names the file and the fault."""
     readers = {".geojson": _areas_of_geojson, ".json": _areas_of_geojson, ".asc": _raster_of_ascii}
     reader = readers.get(path.suffix.lower())
     if reader is None:
@@ -82,7 +82,7 @@ def _weight(properties: Mapping[str, object], path: str) -> float:
 def _polygons(geometry: Mapping[str, object], weight: float, path: str) -> Iterator[SiteArea]:
     kind, coordinates = geometry.get("type"), geometry.get("coordinates")
     if kind not in ("Polygon", "MultiPolygon"):
-        return  # points and lines say nothing of an area
+        return  # points and lines have no area
     polygons = [coordinates] if kind == "Polygon" else coordinates
     if not isinstance(polygons, list):
         raise ValueError(f"{path}.geometry.coordinates: is not a list")

@@ -1,4 +1,4 @@
-"""What flights have searched: read from their folders, shown, combined, and put on the report."""
+"""Searched areas of flights: read from their folders, shown, combined, and put on the report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from companion.search.searched_flight import SearchedFlight, searched_again, sta
 
 
 def read_searched(flight: Path) -> SearchedFlight:
-    """Return what the flight in a folder has searched; a `ConfigError` says why there is none."""
+    """Return the searched area of a flight in a folder; raise `ConfigError` if there is none."""
     directory = flight if flight.is_dir() else flight.parent
     path = directory / RECORD
     if not path.exists():
@@ -38,7 +38,7 @@ def read_searched(flight: Path) -> SearchedFlight:
 
 
 def state_again(flights: list[SearchedFlight], path: Path) -> SearchState | None:
-    """Return what they have searched together; a `ConfigError` names the first one's file."""
+    """Return the combined state of flights; a `ConfigError` names the first one's file."""
     try:
         return searched_again(flights)
     except ValueError as error:
@@ -46,7 +46,7 @@ def state_again(flights: list[SearchedFlight], path: Path) -> SearchState | None
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what `companion area` asks for; the exit code."""
+    """Run `companion area`; return the exit code."""
     if arguments.area_command == "show":
         return _show(arguments)
     return _merge(arguments)
@@ -93,7 +93,7 @@ def _merge(arguments: argparse.Namespace) -> int:
 
 
 def report_of(directory: Path) -> tuple[str, str] | None:
-    """Return the sentence and the map as a data URL, or None where nothing was searched."""
+    """Return the sentence and the map as a data URL, or None without a search."""
     if not (directory / TEXT).exists():
         return None
     text = read_file(directory / TEXT).decode(errors="replace").strip()

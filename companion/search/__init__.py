@@ -1,1 +1,1 @@
-"""What a search that hears nothing has found: where the emitter would have been heard."""
+"""Results of a search without contact: the areas where the emitter would have been heard."""

@@ -85,7 +85,7 @@ class DetectionModel(Params, frozen=True):
 
     @property
     def path_sigma_db(self) -> float:
-        """Standard deviation of what a cell has anew from every place."""
+        """Standard deviation of the part that is independent for every position of the sensor."""
         return math.sqrt(1.0 - SHARED_VARIANCE) * self.shadowing_db
 
     def margin_db(self, centres_enu_m: Floats, sensor_m: PositionEnu) -> Floats:

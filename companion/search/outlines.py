@@ -44,7 +44,7 @@ def outlines(grid: SearchGrid, wanted: Bools) -> list[Outline]:
 
 
 def _is_around(outside: Corners, hole: Corners, grid: SearchGrid, outsides: list[Corners]) -> bool:
-    """Whether a hole belongs to this outside: it is the smallest one about it."""
+    """Return True if this outside is the smallest one around a hole."""
     east, north = min(
         hole
     )  # a westernmost corner, the southern one: its cell to the west is wanted
@@ -124,7 +124,7 @@ class Gap:
     """Cells that hang together and were hardly searched."""
 
     name: str
-    """As it is said on the radio: "NE corner"."""
+    """Name for the radio, such as "NE corner"."""
     share_of_area: float
     poa: float
     """Probability that the emitter is in it, before the search."""

@@ -1,4 +1,4 @@
-"""Where the emitter may be, in degrees: weighted polygons, or a raster of weights."""
+"""Possible locations of the emitter, in degrees: weighted polygons, or a raster of weights."""
 
 from __future__ import annotations
 

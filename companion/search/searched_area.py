@@ -54,15 +54,15 @@ class Look:
     up_m: float
     """Above the ground of the search area."""
     answers: float
-    """How many there would have been, of an emitter that is always awake."""
+    """Number of answers of an emitter that is always awake."""
 
     @property
     def place_m(self) -> PositionEnu:
-        """Where it was listened from."""
+        """Position of the sensor."""
         return self.east_m, self.north_m, self.up_m
 
     def add(self, place_m: PositionEnu, answers: float) -> None:
-        """Count more answers in, from a place near it."""
+        """Add answers from a position near it."""
         self.answers += answers
         share = answers / self.answers
         self.east_m += share * (place_m[0] - self.east_m)
@@ -76,7 +76,7 @@ class _Place:
 
     looks: dict[tuple[int, int, int], Look] = field(default_factory=dict)
     is_counted: bool = False
-    """Whether the sum over places has it."""
+    """True if the sum over positions contains it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +205,7 @@ class SearchedArea:
 
 @dataclass(frozen=True, slots=True)
 class SearchState:
-    """What was searched, at one moment."""
+    """State of the search at one moment."""
 
     grid: SearchGrid
     pod: Floats

@@ -1,4 +1,4 @@
-"""What one flight has searched, as it is configured, kept in a file and said on the radio."""
+"""Searched area of one flight: its configuration, its file and its sentence for the radio."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ GOOD_POD = 0.8
 
 
 class SearchAreaParams(Params, frozen=True):
-    """What is searched, how far the radio is heard, and when that is enough."""
+    """The area, the radio's range, and the end of a search without contact."""
 
     detection: DetectionModel | None = None
-    """Null: how far the radio is heard is not known, and no probability is stated."""
+    """Null: the radio's range is unknown, and no probability is stated."""
     area_file: str | None = None
-    """Where the emitter may be, relative to this file: GeoJSON polygons or an ASCII grid, in
-    degrees; null: anywhere in the fence."""
+    """Possible locations of the emitter, relative to this file: GeoJSON polygons or an ASCII grid,
+    in degrees; null: anywhere in the fence."""
     cell_m: Positive = 20.0
     """Side of a cell."""
     stop_pos: Probability | None = None
@@ -76,7 +76,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     contact_unix_s: float | None = None
     """First measurement that was accepted; nothing is counted from then on."""
     is_radio_heard: bool
-    """Whether the radio sent anything at all in this flight; if not, perhaps it never listened."""
+    """True if the radio sent anything in this flight; if not, perhaps it never listened."""
     origin: LocalOrigin | None
     detection: DetectionModel | None = None
     grid: StoredGrid | None = None
@@ -118,7 +118,7 @@ def _shift_m(origin: LocalOrigin | None, base: LocalOrigin | None) -> PositionEn
 
 
 def statement(flight: SearchedFlight, state: SearchState | None) -> str:
-    """Return what to say on the radio, in a sentence or two."""
+    """Return the sentences for the radio, one or two."""
     heard = "Nothing heard." if flight.contact_unix_s is None else "Searched before contact:"
     if not flight.is_radio_heard:
         heard += " The radio sent nothing at all: check that it listened."

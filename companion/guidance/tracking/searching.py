@@ -1,8 +1,8 @@
-"""What the radio has listened for since take-off, until the first measurement is accepted.
+"""Area searched by the radio since take-off, until the first measurement is accepted.
 
-It counts whoever flies: the radio listens in the pilot's hands, too. What counts is time in the air
-with a current position that is trusted. Positions are kept in the frame of the first origin. The
-work on the cells is done in pieces, one a control tick.
+Time counts under the pilot's control as well: the radio listens then, too. It counts while the
+vehicle is in the air with a current, trusted position. Positions are kept in the frame of the first
+origin. The work on the cells is done in pieces, one a control tick.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from companion.search.searched_flight import (
 )
 
 LONGEST_GAP_S = 1.0
-"""After a longer pause between two control ticks nothing is known of the time between."""
+"""Longest pause between two control ticks that still counts as searched."""
 TRACK_STEP_M = 5.0
 WORTH_TELLING_S = 10.0
-"""Contact that comes sooner was no search."""
+"""Contact sooner than this is no search."""
 STATE_EVERY_S = 2.0
-"""How often what was searched is looked at, for the end of the search."""
+"""Time between two updates of the state for the end of the search."""
 
 
 class Searching:
@@ -50,11 +50,11 @@ class Searching:
         self.listened_s = 0.0
         """Time in the air that counts."""
         self.ended_s = 0.0
-        """When it was listened for last."""
+        """Time of the last position that counted."""
         self.contact_s: float | None = None
-        """When the first measurement was accepted."""
+        """Time of the first accepted measurement."""
         self.is_radio_heard = False
-        """Whether the radio has sent anything at all."""
+        """True if the radio has sent anything at all."""
 
     @property
     def is_worth_telling(self) -> bool:
@@ -102,7 +102,7 @@ class Searching:
         return first.enu_from_geodetic(*frame.geodetic_from_enu(place))
 
     def _begin(self, fence_enu_m: Corners | None) -> str | None:
-        """Lay the grid; a text about why there is none."""
+        """Make the grid; return a text if that is impossible."""
         detection = self.params.detection
         if detection is None:
             return None
@@ -125,7 +125,7 @@ class Searching:
         return grid_over([WeightedArea(tuple(fence_enu_m))], self.params.cell_m)
 
     def state(self, now_s: float) -> SearchState | None:
-        """Return what was searched, of the last seconds; None: that cannot be stated."""
+        """Return the state of the search, at most seconds old; None: there is no grid."""
         if self._area is None:
             return None
         if self._state is None or now_s - self._state[0] >= STATE_EVERY_S:
@@ -133,13 +133,13 @@ class Searching:
         return self._state[1]
 
     def finish(self) -> None:
-        """Count everything in, at the end of the flight."""
+        """Complete all work on the cells, at the end of the flight."""
         if self._area is not None:
             self._area.finish()
             self._state = None
 
     def end(self, now_s: float, sweeps: int) -> str | None:
-        """Return why a search that heard nothing may end, in words; None: it goes on."""
+        """Return the reason to end a search without contact, in words; None: it goes on."""
         params = self.params
         if self.contact_s is not None or not self.is_worth_telling:
             return None
