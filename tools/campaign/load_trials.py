@@ -1,7 +1,7 @@
 """Trials of a busy computer: real processes at real time, one flight without and one with a load.
 
 The longest gap of the setpoint stream is the one that the simulator saw, between two setpoints that
-came in OFFBOARD; it is as busy as the companion.
+came in OFFBOARD. It is as busy as the companion, whose own lateness of a tick stands beside it.
 """
 
 from __future__ import annotations
@@ -151,6 +151,8 @@ class Flown:
     """A flight of real processes, by the simulator's report and the companion's log."""
 
     gap_s: float
+    late_s: float
+    """Worst lateness of a control tick by the companion's own clock."""
     is_kept: bool
     """True if OFFBOARD was entered and never left."""
     error_m: float
@@ -182,6 +184,7 @@ def _fly(seed: int, load: Load, duration_s: float) -> Flown:
     last = [each for each in events if each["kind"] == "estimate"][-1]
     return Flown(
         gap_s=report["longest_setpoint_gap_s"],
+        late_s=max((e["worst_late_s"] for e in events if e["kind"] == "process"), default=0.0),
         is_kept="offboard" in modes and modes[-1] == "offboard" and modes.count("offboard") == 1,
         error_m=math.dist(last["position_enu_m"], report["emitter"]["enu_m"][:2]),
         r95_m=last["absolute_r95_m"],
@@ -224,6 +227,7 @@ def fly_loaded(trial: Trial) -> TrialOutcome:
         for flown, suffix in ((quiet, "_quiet"), (loaded, ""))
         for name, value in (
             ("gap_s", flown.gap_s),
+            ("late_s", flown.late_s),
             ("error_m", flown.error_m),
             ("r95_m", flown.r95_m),
         )
