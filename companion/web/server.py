@@ -145,7 +145,7 @@ NICENESS = 19
 MOST_DATA_BYTES = 512 * 2**20
 """Data that the page's process may allocate: half of the service's limit (MemoryMax)."""
 OOM_SCORE = b"500"
-"""Where memory runs out, the kernel ends the page before the flight, which restarts it."""
+"""If memory runs out, the kernel ends the page before the flight, which restarts it."""
 MAX_LINE = 4_000_000
 """A picture has some 20 kB."""
 REFUSED = "This page needs its token: open the address that the companion printed."

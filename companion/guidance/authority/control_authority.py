@@ -61,7 +61,7 @@ class Authority:
         """True once the vehicle has left offboard after the report: the companion must not stream
         again."""
         self.grant_reason: str | None = None
-        """Why only a grant, or the end of the flight, hands control over again; None: no latch."""
+        """Reason that only a grant, or the end of the flight, removes; None: no latch."""
         self.is_offboard_reselected = False
         """True if offboard was shown again after another mode in this phase."""
         self._must_leave_offboard = False
