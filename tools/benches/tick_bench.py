@@ -26,7 +26,6 @@ from typing import Any
 import msgspec
 
 from companion.config.schema import CompanionConfig
-from companion.entry import ignore_broken_pipe
 from companion.flight_setup import build_endpoint, build_planner
 from companion.guidance.commands import Severity
 from companion.guidance.session_params import SessionParams
@@ -218,6 +217,5 @@ def tick_cases(kinds: Sequence[str], counts: Sequence[int]) -> Iterator[TickCase
 
 
 if __name__ == "__main__":
-    ignore_broken_pipe()
     flown = measure(int(sys.argv[1]), sys.argv[2], sys.argv[3], float(sys.argv[4]))
     print(msgspec.json.encode(flown).decode())
