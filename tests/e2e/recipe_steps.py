@@ -354,11 +354,6 @@ class Acme(Emulator):
         ),
         Edit("sim_link/emulators/catalogue.py", "    acme_radio.Acme,\n", r"^KINDS: .*= \(\n"),
         Edit("tests/radio_formats.py", '    Format("acme", "acme", 0.5e-3),\n', r"^FORMATS = \(\n"),
-        Edit(
-            "docs/simulator.md",
-            "| `acme` | `acme` | range | | 1 mm | none | 7 |\n",
-            r"^\| `ndjson` \| `ndjson` .*\n",
-        ),
     ),
     6: (
         Edit(

@@ -1,9 +1,8 @@
-"""Observed behaviour of real autopilots, as rows that tests play and docs/simulator.md shows.
+"""Observed behaviour of real autopilots, as rows that tests play and this prints as tables.
 
 `observed.yaml` beside each flavour has the rows. A row describes the real vehicle's behaviour, and
 has either `steps`, which `tests/contract/test_observed.py` plays against the flavour, a test of its
-own (`proved_by`), or `deliberate`: the reason why the simulator differs. Run this to renew the
-page's tables.
+own (`proved_by`), or `deliberate`: the reason why the simulator differs.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import msgspec
 from companion.entry import ignore_broken_pipe
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "simulator.md"
 FLAVOURS = ("px4", "ardupilot")
 Fields = dict[str, Any]
 """By name. Expected: a number (NaN too), `[least, greatest]`, the name of a MAVLink constant, or
@@ -145,26 +143,11 @@ def _sentence(text: str) -> str:
     return one_line if one_line.endswith(".") else f"{one_line}."
 
 
-def renewed(page: str) -> str:
-    """Return the page with its tables renewed from the rows."""
-    for flavour in FLAVOURS:
-        begin, end = f"<!-- observed: {flavour} -->", f"<!-- end: {flavour} -->"
-        before, _, rest = page.partition(begin)
-        _, _, after = rest.partition(end)
-        page = f"{before}{begin}\n\n{different(load_sheet(flavour))}\n\n{end}{after}"
-    return page
-
-
 def main() -> int:
-    """Write the page, or print the rows that it leaves out."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--list", action="store_true", help="print what the simulator has in common"
-    )
-    if parser.parse_args().list:
-        print(*(same(load_sheet(flavour)) for flavour in FLAVOURS), sep="\n\n")
-    else:
-        PAGE.write_text(renewed(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    """Print what each autopilot and the simulator have in common, and how they differ."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    sheets = [load_sheet(flavour) for flavour in FLAVOURS]
+    print(*(text for sheet in sheets for text in (same(sheet), different(sheet))), sep="\n\n")
     return 0
 
 

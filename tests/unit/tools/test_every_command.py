@@ -32,6 +32,7 @@ OF_OTHERS = {
     "scp",
     "raspi-config",
     "usermod",
+    "prlimit",
     "reboot",
     "journalctl",
 } | set(
