@@ -140,8 +140,8 @@ class QorvoCliDecoder(FieldDecoder):
 
         Absent values were not measured, and malformed ones mean a torn record.
         """
-        there = {key: number(values[key]) for key in TOLD if key in values}
-        distance_cm, azimuth_deg, elevation_deg = map(there.get, TOLD)
+        there = {key: number(values[key]) for key in MEASURED_KEYS if key in values}
+        distance_cm, azimuth_deg, elevation_deg = map(there.get, MEASURED_KEYS)
         if None in there.values() or not there:
             self.counts.refuse("torn measurement" if there else "nothing measured")
             return None
@@ -160,7 +160,7 @@ class QorvoCliDecoder(FieldDecoder):
         )
 
 
-TOLD = ("distance[cm]", "loc_az", "loc_el")
+MEASURED_KEYS = ("distance[cm]", "loc_az", "loc_el")
 
 
 class Twr(msgspec.Struct, frozen=True):

@@ -1,4 +1,4 @@
-"""What a search has covered so far: probability of detection by cell, and what follows from it.
+"""Coverage of a search so far: probability of detection by cell, and of success over the area.
 
 Theory of operation. Answers that were listened for in one place are not independent, because its
 shadowing is the same for all of them: so looks are combined by places, squares of the shadowing's

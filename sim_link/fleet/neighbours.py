@@ -114,7 +114,7 @@ class Neighbour:
         self._own_setpoints += 1
 
     def take_output(self) -> list[Chunk]:
-        """What it sends; its radio measures nothing for us."""
+        """Return its output, without its radio, which measures nothing for us."""
         payload = radio_payload.COMPONENT_ID
         return [each for each in self.sim.take_output() if each.data[COMPONENT_BYTE] != payload]
 
@@ -137,7 +137,7 @@ class Neighbour:
 
     @property
     def summary(self) -> str:
-        """What others did to it, in a line."""
+        """Interference of others with it, in one line."""
         moved_m = math.dist(self.place_enu_m, self.setup.place_enu_m)
         return (
             f"other vehicle {self.setup.system_id}: {self.strange_setpoints} setpoints that are "
