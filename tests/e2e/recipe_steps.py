@@ -363,7 +363,7 @@ class Acme(Emulator):
         ),
         Edit(
             "docs/radios.md",
-            "| [Acme](radios/uwb.md#acme) | `acme` | range | I | a tag | `phone_ftm` | USB | "
+            "| [Acme](radios/uwb.md#acme) | `acme` | range | I | a tag | `phone_ftm` | "
             "`acme@/dev/ttyUSB0` |\n",
             r"^\| \[SX1280\].*\n",
         ),
