@@ -47,7 +47,7 @@ CAMPAIGN_PARTS = {
     ),
     "kill": (
         "{kills:,} kills, {damaged_checkpoints:,} damaged checkpoints",
-        "what of it was believed, or engaged, is a finding",
+        "a damaged one that is accepted, or a start that engages, is a finding",
     ),
     "stop": (
         "{stops:,} stops, {stops_in_control:,} of them in control",
@@ -59,7 +59,7 @@ CAMPAIGN_PARTS = {
     ),
     "forged": (
         "{attack_frames:,} forged, replayed and unsigned frames",
-        "what differs from the peaceful twin is a finding; slowest frame "
+        "a difference from the undisturbed flight is a finding; slowest frame "
         "{attack_slowest_frame_s:.4f} s",
     ),
     "fuzz": (
@@ -84,17 +84,19 @@ def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:
 
 
 def campaign_rows(runs: list[Mapping[str, Any]]) -> list[str]:
-    """Return several runs of `tools/faults.py --json` as a table: a row for each part."""
-    lines = ["| what | result | findings | command |", "|---|---|---|---|"]
+    """Return several runs of `tools/faults.py --json` as a table each: a row for each part."""
+    lines: list[str] = []
     for run in runs:
+        command = f"--campaign {run['campaign']} --seed {run['seed']}"
+        lines += [""] * bool(lines)
+        lines += [f"| `{command}` | result | findings |", "|---|---|---|"]
         for part, (what, result) in CAMPAIGN_PARTS.items():
             try:
                 row = f"| {what} | {result} |".format_map(run)
             except KeyError:
                 continue  # this run was without that part
             found = sum(each["trial"].startswith(f"{part}:") for each in run["findings"])
-            command = f"--campaign {run['campaign']} --only {part} --seed {run['seed']}"
-            lines.append(f"{row} {found or 'none'} | `{command}` |")
+            lines.append(f"{row} {found or 'none'} |")
     return lines
 
 
