@@ -146,8 +146,8 @@ export default {
       add("dashed", "estimate", "R95, absolute");
       add("dot", "second", "second possible place");
       add("ring", "waypoint", "next waypoint");
-      add("ring", "near", "range, believed");
-      add("dashed", "far", "range, taken for reflected");
+      add("ring", "near", "range, line of sight");
+      add("dashed", "far", "range, treated as reflected");
       add("edge", "fence", "fence that is kept");
       add("area", "keepOut", "keep-out");
       if (this.scene.truth) add("ring", "truth", "true place (simulator)");
