@@ -363,8 +363,7 @@ class Acme(Emulator):
         ),
         Edit(
             "docs/radios.md",
-            "| [Acme](radios/uwb.md#acme) | `acme` | range | I | a tag | `phone_ftm` | "
-            "`acme@/dev/ttyUSB0` |\n",
+            "| [Acme](radios/uwb.md#acme) | `acme` | range | I | a tag | `phone_ftm` |\n",
             r"^\| \[SX1280\].*\n",
         ),
         Edit("docs/radios/uwb.md", "\n## Acme\n\nPlug it in.\n"),
