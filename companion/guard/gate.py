@@ -21,6 +21,7 @@ in on the shortest way, no farther out than the vehicle.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -230,17 +231,24 @@ class Guard:
     def _restarted(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it.
 
-        In the margin that is walked in meanwhile: a wind keeps a vehicle beside its setpoint.
+        In the margin that is walked in meanwhile: a wind keeps a vehicle beside its setpoint. But
+        never farther outside than the vehicle is.
         """
         ve, vn = _level(step.motion.velocity_enu_mps)
         passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn
         if why is not GuardReason.TOO_FAST or passed < 0.0:
             return Guarded(self.here(step.motion).position_enu_m, (why,))
+        stay = Guarded(step.previous.position_enu_m, (why,))
         if fence.allows(step.start):
-            return Guarded(step.previous.position_enu_m, (why,))
+            return stay
         goal = fence.nearest_allowed(step.start)
         step = replace(step, goal_enu_m=step.previous.position_enu_m, speed_cap_mps=math.inf)
-        return self._walked((why, GuardReason.MARGIN), step, goal, fence)
+        led = self._walked((why, GuardReason.MARGIN), step, goal, fence)
+        return (
+            led
+            if _outside_m(led.position_enu_m, fence) <= _outside_m(step.vehicle, fence)
+            else stay
+        )
 
     def _led_inside(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the next setpoint on the shortest way back, from the vehicle if off that way."""
@@ -350,6 +358,12 @@ def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: flo
     values = (*motion.position_enu_m, *motion.velocity_enu_mps, *motion.home_enu_m)
     are_near = all(abs(value) <= FARTHEST_M for value in values)
     return are_near and all(map(math.isfinite, (*goal, dt_s))) and speed_cap_mps >= 0.0
+
+
+def _outside_m(place: Sequence[float], fence: Fence) -> float:
+    """Return the distance from a position to the area that the fence allows, metres."""
+    point = (place[0], place[1])
+    return math.dist(point, fence.nearest_allowed(point))
 
 
 def _are_finite(*vectors: Position) -> bool:

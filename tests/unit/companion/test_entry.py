@@ -59,7 +59,8 @@ def test_a_stream_that_somebody_put_in_its_place_stays(monkeypatch: pytest.Monke
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_line_arrives_at_once_however_python_buffers(unbuffered: str) -> None:
     code = (
-        "from companion.entry import outlive_readers; import os, sys; outlive_readers(escapes=True)"
+        "from companion.entry import ignore_broken_pipe; import os, sys; "
+        "ignore_broken_pipe(escapes=True)"
     )
     code += '; print("address", file=sys.stderr); os.write(2, b"later")'
     environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}

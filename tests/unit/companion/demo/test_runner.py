@@ -102,8 +102,8 @@ def test_a_computer_that_is_too_busy_is_announced_with_the_speed_that_it_keeps_u
     told: list[Any] = []
     endpoint: Any = SimpleNamespace(
         binding=SimpleNamespace(is_bound=False, heard_s=0.0),
-        session=SimpleNamespace(phase=Phase.WAITING),
-        tell=told.append,
+        session=SimpleNamespace(phase=Phase.WAITING, has_finished=False),
+        handle_event=told.append,
     )
     watch.update(endpoint, 1.0)
     clock.speed = 2.0  # as the pacer lowers it

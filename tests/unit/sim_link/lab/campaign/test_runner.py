@@ -137,7 +137,9 @@ def test_what_names_no_trial_is_refused(text: str) -> None:
 @pytest.mark.parametrize("size", AMOUNTS)
 def test_every_size_runs_every_part_with_seeds_of_its_own(size: str) -> None:
     trials = trials_of(size, 1)
-    assert {trial.part for trial in trials} == set(AMOUNTS[size])
+    assert {trial.part for trial in trials} == {
+        part for part, amount in AMOUNTS[size].items() if amount
+    }
     assert len({trial.name for trial in trials}) == len(trials)
     assert {trial.name for trial in trials}.isdisjoint(t.name for t in trials_of(size, 2))
     assert {trial.part for trial in trials_of(size, 1, ["override"])} == {"override"}

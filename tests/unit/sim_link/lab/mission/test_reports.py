@@ -104,7 +104,7 @@ def test_the_page_says_of_every_invariant_whether_it_was_kept_broken_or_not_judg
     assert {violations for _, _, violations, _ in invariants_of(result.record)} == {None}
     result.record.scope, result.record.slack_s = WIRE, 1.25
     rows = {name: told for name, _, *told in invariants_of(result.record)}
-    assert list(rows) == [f"I{number}" for number in range(1, 13)]
+    assert list(rows) == [f"I{number}" for number in range(1, 14)]
     assert (rows["I2"][0], rows["I7"][0]) == (0, 1)
     assert rows["I8"] == [None, WIRE.unjudged["I8"]]
     page = _Page(report_page(result))
