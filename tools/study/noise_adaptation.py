@@ -66,7 +66,7 @@ class RangeNoise:
 
     @property
     def parameters(self) -> tuple[float, float, float, float]:
-        """As the kernels of `mixtures` take them."""
+        """Sigma (m), mean bias (m), share and offset (m), as `noise_mixtures` takes them."""
         return (self.sigma_m, self.mean_bias_m, self.nlos_share, self.offset_m)
 
 
