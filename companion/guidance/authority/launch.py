@@ -236,7 +236,8 @@ class Launch:
 
     def _ask(self, view: LaunchView) -> list[Command]:
         if self._is_asked:
-            if self.stage is Stage.OFFBOARD and view.now_s - self._since_s > MODE_TIMEOUT_S:
+            accepted = self._offboard_accepted
+            if accepted is not None and view.now_s - accepted.time_s > MODE_TIMEOUT_S:
                 name = mode_name(FlightMode.OFFBOARD, view.heartbeat.autopilot)
                 self.failure = f"{name} was accepted but never entered"
             return []

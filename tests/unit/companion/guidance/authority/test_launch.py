@@ -221,6 +221,18 @@ def test_offboard_that_is_accepted_but_never_entered_ends_the_launch() -> None:
     assert attempt.launch.failure == "offboard was accepted but never entered"
 
 
+def test_a_lost_request_for_offboard_leaves_its_time_to_the_one_that_is_accepted() -> None:
+    attempt = Attempt().to_stage(Stage.OFFBOARD)
+    attempt.wait(4.0)
+    attempt.answer(RequestKind.SET_MODE, Outcome.NO_ANSWER)
+    assert attempt.wait(2.5) == [SetMode(FlightMode.OFFBOARD, True)]
+    attempt.answer(RequestKind.SET_MODE)
+    attempt.wait(4.9)
+    assert attempt.launch.failure is None
+    attempt.wait(0.3)
+    assert attempt.launch.failure == "offboard was accepted but never entered"
+
+
 @pytest.mark.parametrize(
     ("autopilot", "mode"),
     [
