@@ -77,7 +77,8 @@ SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TA
 HEIGHT_ROUNDING_M = 0.05
 """Home and height are reported in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
-"""So long after it was in control the companion answers for where the vehicle is."""
+"""So long after it was in control the companion answers for where the vehicle is; so long after it
+was not, a motion may be of what the vehicle did before."""
 OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
 """Modes that fly our setpoints, or only brake what they began."""
 FREEZE_EVERY_S = 2.0
@@ -160,6 +161,8 @@ class InsideFence(SetpointsInside):
         self._is_dragged = False
         """True if it flies to a setpoint of another source."""
         self._dragged_s = -math.inf
+        self._given_s = -math.inf
+        """When control was given last."""
         self._mode = FlightMode.OFFBOARD
         self._is_taken_on = False
         """Whether it left the mode, too, that it was in first after it was ours."""
@@ -219,6 +222,11 @@ class InsideFence(SetpointsInside):
         """Return True if the vehicle's motion is not the companion's doing."""
         return self.is_dragged or self._is_caught
 
+    @property
+    def is_moved_by_others(self) -> bool:
+        """Return True if its motion is excused, or may be of before control was given."""
+        return self.is_excused or self._truth.now_s - self._given_s < CONTROL_FADES_S
+
     def _watch_fences(self) -> None:
         """Note whether a new fence came too near; over once it is inside and can stop there."""
         scene, body = self._truth, self._truth.vehicle.body
@@ -251,7 +259,9 @@ class InsideFence(SetpointsInside):
         """Judge where the vehicle truly is and where it could stop."""
         self._jumps.stepped()
         scene, body = self._truth, self._truth.vehicle.body
-        if self._is_ours and scene.is_companion_up:
+        if not self._is_ours:
+            self._given_s = scene.now_s
+        elif scene.is_companion_up:
             self._in_control_s = scene.now_s
         if not scene.vehicle.is_armed:  # it falls, which no setpoint can change
             self._in_control_s = -math.inf

@@ -242,7 +242,7 @@ class Monitor(FrameMonitor):
             fence_invariants.FenceIsRead(scene),
             message_invariants.WithinEnvelope(scene),
             self.authority,
-            fence_invariants.SafeToFreeze(scene, lambda: self.fence.is_excused),
+            fence_invariants.SafeToFreeze(scene, lambda: self.fence.is_moved_by_others),
             message_invariants.FreshState(scene),
             message_invariants.KnownFrames(scene),
             self.stream,

@@ -124,8 +124,9 @@ class ObservedState:
     position_s: float | None = None
     position_sent_s: float = -math.inf
     position_boot_ms: int = -1
-    before_restart: tuple[PositionEnu, float] | None = None
-    """The last place before the vehicle's stamps went back, and when it arrived."""
+    else_at: tuple[PositionEnu, float] | None = None
+    """Where the vehicle is if its stamps went back without a restart, or if the last position was
+    of the local frame that an origin was reported for later; and when it arrived."""
     origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
     """Time of the report that the origin moved; places from before are of another frame."""
@@ -237,7 +238,12 @@ class ObservedScene:
             return
         observed.origin_sent_at = sent_at
         if math.dist(origin_enu_m, observed.origin_enu_m) > FRAME_STEP_M:
-            observed.position_enu_m = observed.position_s = None
+            place, before = observed.position_enu_m, observed.origin_enu_m
+            if place is not None and observed.position_s is not None:
+                moved = [
+                    at + new - old for at, new, old in zip(place, origin_enu_m, before, strict=True)
+                ]
+                observed.else_at = ((moved[0], moved[1], moved[2]), observed.position_s)
             observed.frame_sent_at = sent_at
         observed.origin_enu_m = origin_enu_m
 
@@ -258,7 +264,7 @@ class ObservedScene:
         if is_older and not (self._sent_s and sent_at[0] > observed.position_sent_s):
             return  # overtaken; one that was truly sent later is of a clock that slipped
         if has_rebooted and observed.position_enu_m is not None and observed.position_s is not None:
-            observed.before_restart = (observed.position_enu_m, observed.position_s)
+            observed.else_at = (observed.position_enu_m, observed.position_s)
         observed.position_boot_ms = message.time_boot_ms
         observed.position_s, observed.position_sent_s = now_s, sent_at[0]
         observed.position_enu_m = self.world_from_local((message.y, message.x, -message.z))
@@ -297,13 +303,14 @@ class ObservedScene:
         """Places where the companion may take the vehicle to be, each with when it arrived.
 
         That is the newest; and, while it would not be stale, the last one before the stamps went
-        back, because some such stamps are no proof yet that the vehicle restarted.
+        back, because some such stamps are no proof yet that the vehicle restarted, or the newest in
+        the frame of an origin that was reported after it.
         """
         observed, oldest_s = self.observed, self.now_s - self.rules.state_age_s - TICK_S
-        newest, before = (observed.position_enu_m, observed.position_s), observed.before_restart
+        newest, other = (observed.position_enu_m, observed.position_s), observed.else_at
         places = [] if newest[0] is None or newest[1] is None else [(newest[0], newest[1])]
-        if before is not None and before[1] >= oldest_s:
-            places.append(before)
+        if other is not None and other[1] >= oldest_s:
+            places.append(other)
         return tuple(places)
 
     def is_moved_inwards(self, place: Point) -> bool:

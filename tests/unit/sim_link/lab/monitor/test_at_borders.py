@@ -205,3 +205,16 @@ def test_what_creeps_through_the_margin_does_not_stand_there() -> None:
     deep = line(BORDER_NORTH_M + 2.0, [0.0] * 12)
     found = sent_beside(SetpointsInside, [*vehicles[:1], *deep[1:]], setpoints, is_ours=True)
     assert "setpoint too near to a border or beyond it" in found
+
+
+def test_motion_of_before_control_was_given_is_excused_for_stopping_only() -> None:
+    around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour="ardupilot")), 1)
+    fence = around.monitor.fence
+    fence.stepped()
+    around.monitor.scene.observed.is_ours = True
+    excused = []
+    for now_s in (1.0, 4.9, 5.1):
+        around.monitor.scene.now_s = now_s
+        fence.stepped()
+        excused.append((fence.is_moved_by_others, fence.is_excused))
+    assert excused == [(True, False), (True, False), (False, False)]

@@ -11,8 +11,8 @@ from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
-from sim_link.lab.monitor.message_invariants import WithinEnvelope
-from sim_link.lab.monitor.scene import SentSetpoint
+from sim_link.lab.monitor.message_invariants import FreshState, WithinEnvelope
+from sim_link.lab.monitor.scene import SentSetpoint, TrueScene
 from tests.loop.loop_helpers import AUTO
 
 TICK_S = 0.05
@@ -103,3 +103,46 @@ def test_where_it_is_since_is_never_an_offence(around: Monitored) -> None:
     scene.now_s = 42.1
     WithinEnvelope(scene).setpoint(SentSetpoint(scene.now_s, after, SETPOINT))
     assert found(around) == []
+
+
+def origin(scene: TrueScene, east_m: float, now_s: float) -> Frame:
+    """An origin that arrives, so far to the east of the first."""
+    assert scene.world_origin is not None
+    lat_deg, lon_deg, alt_m = scene.world_origin.geodetic_from_enu((east_m, 0.0, 0.0))
+    message = mavlink.MAVLink_gps_global_origin_message(
+        round(lat_deg * 1e7), round(lon_deg * 1e7), round(alt_m * 1e3)
+    )
+    return Frame(now_s, MavCodec(1, 1).encode(message), Lane.TO_COMPANION)
+
+
+@pytest.mark.parametrize("invariant_type", [WithinEnvelope, OnlyWithAuthority])
+@pytest.mark.parametrize("is_of_new_frame", [False, True])
+@pytest.mark.parametrize(("away_m", "is_found"), [(0.0, False), (5.0, True)])
+def test_an_origin_says_where_the_last_position_was(
+    around: Monitored,
+    invariant_type: type[WithinEnvelope | OnlyWithAuthority],
+    away_m: float,
+    *,
+    is_of_new_frame: bool,
+    is_found: bool,
+) -> None:
+    """It is reported before the first position in its frame, or after it."""
+    scene, truly = around.monitor.scene, (0.0, 7.0, 15.0)
+    local = (truly[0] - 11.0 * is_of_new_frame, *truly[1:])
+    scene.observe(position(42.0, local, now_s=42.0))
+    scene.observe(origin(scene, 11.0, now_s=42.05))
+    scene.now_s = 42.06
+    place = (truly[0], truly[1] + away_m, truly[2])
+    invariant_type(scene).setpoint(SentSetpoint(scene.now_s, place, SETPOINT))
+    assert bool(found(around)) is is_found
+
+
+def test_a_new_origin_leaves_a_position_as_fresh_as_it_is(around: Monitored) -> None:
+    scene, invariant = around.monitor.scene, FreshState(around.monitor.scene)
+    scene.observe(position(42.0, (0.0, 7.0, 15.0), now_s=42.0))
+    scene.observe(origin(scene, 11.0, now_s=42.05))
+    for now_s, north_m in ((42.06, 7.0), (42.4, 7.2), (42.7, 7.4)):
+        scene.now_s = now_s
+        assert found(around) == []
+        invariant.setpoint(SentSetpoint(now_s, (0.0, north_m, 15.0), SETPOINT))
+    assert found(around) == ["a setpoint moved on a stale position"]
