@@ -271,7 +271,6 @@ PLANS: dict[str, Plan] = {
     "untold": Plan(configured(estimation=TrackerParams())),
     "global_setpoints": Plan(configured(vehicle=VehicleParams(setpoint="global_int"))),
     "fim": Plan(configured(planner=PlannerConfig(kind="fim"))),
-    "reactive": Plan(configured(planner=PlannerConfig(kind="reactive_crossing"))),
     "swing": Plan(
         CompanionConfig(
             mission=SessionParams(engage="auto", altitude_m=9.0),
@@ -284,7 +283,6 @@ PLANS: dict[str, Plan] = {
     "sector": searching("sector"),
     "ekf": estimated("ekf"),
     "huber": estimated("huber"),
-    "admm": estimated("admm"),
     "two_emitters": Plan(
         configured(emitters=QueueParams(order="nearest")),
         Scenario(emitter=NEAR, emitters=(SECOND,)),
