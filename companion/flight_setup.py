@@ -50,7 +50,7 @@ from companion.link.interface import (
     LinkSpec,
 )
 from companion.mav.signing import Signing
-from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, SensorGeometry
+from companion.planning.crossing import LatchedCrossing, SensorGeometry
 from companion.planning.fim import FimPlanner
 from companion.planning.planner import Planner
 from companion.planning.search import (
@@ -79,8 +79,6 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
     match kind:
         case "latched_crossing":
             return LatchedCrossing(planner.latched_crossing, _sensor_geometry(config))
-        case "reactive_crossing":
-            return ReactiveCrossing(planner.reactive_crossing)
         case "fim":
             bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
             is_array = noise.antenna.kind not in ABOUT_VERTICAL

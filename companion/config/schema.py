@@ -32,7 +32,7 @@ from companion.guidance.flight.fencing import FencePlan, FencePolicy
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from companion.link.interface import LinkParams, VehicleParams
-from companion.planning.crossing import LatchedCrossingParams, ReactiveCrossingParams
+from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.fim import FimParams
 from companion.planning.planner import PlanRequest
 from companion.planning.search import (
@@ -181,7 +181,7 @@ class ProcessConfig(Params, frozen=True):
 
 
 PatternKind = Literal["lawnmower", "expanding_square", "sector"]
-CrossingKind = Literal["latched_crossing", "reactive_crossing", "fim"]
+CrossingKind = Literal["latched_crossing", "fim"]
 
 
 class PlannerConfig(Params, frozen=True):
@@ -195,7 +195,6 @@ class PlannerConfig(Params, frozen=True):
     lost_after_s: Positive = 20.0
     """Without a usable measurement for this long, the search goes on."""
     latched_crossing: LatchedCrossingParams = LatchedCrossingParams()
-    reactive_crossing: ReactiveCrossingParams = ReactiveCrossingParams()
     fim: FimParams = FimParams()
     lawnmower: LawnmowerParams = LawnmowerParams()
     expanding_square: ExpandingSquareParams = ExpandingSquareParams()

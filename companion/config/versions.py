@@ -44,6 +44,10 @@ MIGRATIONS: tuple[Migration, ...] = (
             "estimation.adaptation": Gone(
                 "delete it: noise is no longer learnt by EM, R95 follows the innovations as before"
             ),
+            "planner.reactive_crossing": Gone(
+                "delete it: the planner flies in the studies only, latched_crossing in flight",
+                {"step_m": 5.0, "crossing_distance_m": 20.0, "stop_distance_m": 0.0},
+            ),
         },
     ),
 )

@@ -1,6 +1,6 @@
-"""Crossing planners: latched crossing, and reactive crossing exactly as printed.
+"""Latched crossing: the planner in flight while there is contact.
 
-Latched crossing flies over the estimate to a point on its far side, and only then turns. Bilateral
+It flies over the estimate to a point on its far side, and only then turns. Bilateral
 information needs views from both sides, so the far point must really be reached: it is *latched*
 until it is reached, until the estimate lies behind by as much as is still needed, or until the
 estimate has moved too far. Its distance beyond the estimate (the overshoot) is clip(3
@@ -8,14 +8,6 @@ sqrt(lambda_max(P)), 2 m, 20 m), and without bearings no shorter than the baseli
 Each new crossing turns by the golden angle, so that any number of crossings covers all directions
 evenly, without planning and at O(1) cost. With an altitude swing the crossings are flown
 alternately above and below the search altitude, so that elevations differ, too; it takes longer.
-
-Reactive crossing, for comparison, with s the vehicle, x the estimate, step eta and distance l:
-
-    |x - s| < eps_stop:  stay
-    d = (x - s) / |x - s|;  c = x + l d;  v = (c - s) / |c - s|;  next = s + eta v
-
-c lies on the line from s through x, so v = d for every l > 0: the printed crossing distance has no
-effect, and crossing only happens by overshooting by less than one step.
 
 With an antenna array, or with ranges alone to a target of configured height, `views` gives the
 information of a leg, which decides three things. The overshoot has the greatest rate of
@@ -33,8 +25,7 @@ the shortest overshoot requires, or near. It turns the line of sight by tan(bend
 of the distance, and is 1 / cos(bend) as long as the straight path.
 
 Paper: section V-A and Appendix C, with the crossing distance made effective; "Limitations and
-Scope" for the separation plane in 3-D; Algorithm 1 for reactive crossing. Deviation from that: the
-next point and the leg to it are kept in free space.
+Scope" for the separation plane in 3-D.
 """
 
 from __future__ import annotations
@@ -47,7 +38,6 @@ import msgspec
 
 from companion.domain import Distance, NonNegative, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
-from companion.kernel import kernel
 from companion.planning.crossing_kernels import (
     GOLDEN_ANGLE_RAD,
     KEPT,
@@ -319,51 +309,3 @@ def _leg(request: PlanRequest, sensor: SensorGeometry, along: Point, descent_m: 
 
 def _far_point(anchor: Point, heading: Point, over_m: float) -> Point:
     return (anchor[0] + over_m * heading[0], anchor[1] + over_m * heading[1])
-
-
-class ReactiveCrossingParams(Params, frozen=True):
-    """Parameters of Algorithm 1, with the paper's values."""
-
-    step_m: Positive = 5.0
-    crossing_distance_m: Positive = 20.0
-    stop_distance_m: NonNegative = 0.0
-    """Threshold eps_stop; above zero the vehicle stops over its estimate and gains no
-    information."""
-
-
-@kernel
-def reactive_step(
-    vehicle: Point, target: Point, step_m: float, crossing_distance_m: float, stop_distance_m: float
-) -> Point:
-    """Return the next position; the vehicle's own within the stop distance. Paper: Algorithm 1."""
-    (east_m, north_m), (target_east_m, target_north_m) = vehicle, target
-    if math.hypot(target_east_m - east_m, target_north_m - north_m) < stop_distance_m:
-        return vehicle
-    d_east, d_north = direction(vehicle, target)
-    crossing_east_m = target_east_m + crossing_distance_m * d_east
-    crossing_north_m = target_north_m + crossing_distance_m * d_north
-    v_east, v_north = direction(vehicle, (crossing_east_m, crossing_north_m))
-    return east_m + step_m * v_east, north_m + step_m * v_north
-
-
-class ReactiveCrossing:
-    """Algorithm 1 of the paper; it needs no memory."""
-
-    search_after_s: float | None = None
-
-    def __init__(self, params: ReactiveCrossingParams) -> None:
-        self.params = params
-
-    def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
-        """Return one step of the printed algorithm."""
-        if request.estimate is None:
-            return Plan(hold_position(request, "no estimate yet"), memory)
-        p, vehicle = self.params, request.vehicle_enu_m
-        estimate = request.estimate.position_enu_m
-        far_m, stop_m = p.crossing_distance_m, p.stop_distance_m
-        target = reactive_step(vehicle, estimate, p.step_m, far_m, stop_m)
-        if target == vehicle:
-            return Plan(hold_position(request, "close to the estimate"), memory)
-        target = kept_inside(target, vehicle, request)
-        waypoint = Waypoint(target, WaypointReason.CROSSING, "one step, as printed")
-        return Plan(route_to(request, waypoint), memory)

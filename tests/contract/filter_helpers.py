@@ -1,6 +1,6 @@
 """All filters, their variants, and what is measured for them.
 
-A filter of `KINDS` joins by itself; what cannot be promised by a baseline (robustness, say) is
+A filter of `RECURSIVE` joins by itself; what cannot be promised by a baseline (robustness, say) is
 tested on those that do.
 """
 
@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filters.kalman import KINDS
 from companion.estimation.filters.target_filter import FilterParams, FilterState, UpdateReport
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
 from tools.campaign.hostile_campaign import MakeFilter, fault_of
+from tools.study.admm_ekf import RECURSIVE
 
 FILTERPY = "tools.study.filterpy_ekf"
 
 
 def filters() -> dict[str, MakeFilter]:
     """All filters, the third-party one where it is there."""
-    makers: dict[str, MakeFilter] = {str(kind): make for kind, make in KINDS.items()}
+    makers: dict[str, MakeFilter] = dict(RECURSIVE)
     if importlib.util.find_spec(FILTERPY) and importlib.util.find_spec("filterpy"):
         makers["filterpy"] = importlib.import_module(FILTERPY).FilterpyEkf
     return makers

@@ -8,13 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.estimation.filters.kalman import (
-    AdmmEkf,
-    AdmmParams,
-    AsymmetricHuberEkf,
-    Ekf,
-    HuberEkf,
-)
+from companion.estimation.filters.kalman import AsymmetricHuberEkf, Ekf, HuberEkf
 from companion.estimation.filters.target_filter import FilterParams
 from tests.contract.filter_helpers import (
     FILTERS,
@@ -28,6 +22,7 @@ from tests.contract.filter_helpers import (
     sure_state,
     surprises,
 )
+from tools.study.admm_ekf import AdmmEkf, AdmmParams
 
 
 def replace_k(params: FilterParams, k: float | None) -> FilterParams:

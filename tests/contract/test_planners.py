@@ -21,8 +21,6 @@ from companion.kernel import frozen
 from companion.planning.crossing import (
     LatchedCrossing,
     LatchedCrossingParams,
-    ReactiveCrossing,
-    ReactiveCrossingParams,
     SensorGeometry,
 )
 from companion.planning.fim import FimParams, FimPlanner
@@ -35,6 +33,7 @@ from companion.planning.search import (
     SectorParams,
 )
 from companion.planning.views import Antenna
+from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
 
 HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
 
@@ -49,6 +48,7 @@ def as_configured(kinds: object) -> dict[str, Planner[Any]]:
 
 
 CROSSING: dict[str, Planner[Any]] = as_configured(CrossingKind) | {
+    "reactive": ReactiveCrossing(ReactiveCrossingParams()),
     "reactive, parking": ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=500.0)),
     "latched, without a sensor": LatchedCrossing(LatchedCrossingParams()),
     "latched, tight": LatchedCrossing(

@@ -50,6 +50,24 @@ FILTER: Steps = {
     1: (
         Edit(
             "companion/estimation/filters/kalman.py",
+            "from companion.estimation.measurement_model import RangingModel, jacobian\n"
+            "from companion.estimation.measurement_model import variances\n",
+            r"^\)\n(?=from companion.kernel)",
+        ),
+        Edit(
+            "companion/estimation/filters/kalman.py",
+            "from companion.estimation.filters.robust_update import innovations, robust_update\n",
+            r"^from companion.estimation.filters.robust_update import .*\n",
+            is_instead=True,
+        ),
+        Edit(
+            "companion/estimation/filters/kalman.py",
+            "from companion.kernel import Matrix, Vector, frozen, kernel\n",
+            r"^from companion.kernel import .*\n",
+            is_instead=True,
+        ),
+        Edit(
+            "companion/estimation/filters/kalman.py",
             '''
 @kernel
 def gated_update(
@@ -88,7 +106,7 @@ class GatedEkf(RecursiveFilter):
         super().__init__(params, gated_update, (4.0,))
 
 ''',
-            r"^        super\(\).__init__\(params, admm_update, .*\n",
+            r"^        super\(\).__init__\(msgspec.structs.replace\(params, \*\*no_thresholds.*\n",
         ),
         Edit("companion/estimation/filters/kalman.py", '"gated", ', r"^FilterKind = Literal\["),
         Edit(
@@ -192,7 +210,7 @@ class Orbit:
         Edit(
             "companion/flight_setup.py",
             '        case "orbit":\n            return Orbit(planner.orbit)\n',
-            r"^            return ReactiveCrossing\(.*\n",
+            r"^            return LatchedCrossing\(.*\n",
         ),
         Edit(
             "companion/flight_setup.py",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.config.schema import CompanionConfig, PlannerConfig
+from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode, RangingMeasurement
 from companion.geometry.coordinates import bearing_ned_from_enu, wrap_pi
 from companion.guidance.session_params import SessionParams
@@ -107,15 +107,6 @@ def test_a_radio_may_keep_its_own_time(clock_s: float) -> None:
     loop.run_until(lambda: bool(loop.notes.results), 150.0)
     assert loop.error_m <= 1.5
     assert loop.companion.session.status(loop.now_s).refused == {}
-
-
-def test_the_printed_planner_finds_the_emitter_too() -> None:
-    config = CompanionConfig(
-        mission=SessionParams(engage="auto"), planner=PlannerConfig(kind="reactive_crossing")
-    )
-    loop = Loop(config)
-    loop.run_until(lambda: bool(loop.notes.results), 180.0)
-    assert loop.error_m <= 1.5
 
 
 def test_global_setpoints_fly_the_same_search() -> None:

@@ -52,6 +52,7 @@ from tools.study.case import (
     stream,
     truth_of,
 )
+from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
 from tools.study.systems import PlannerName, System, belief_of, pilot_of, steering_of
 from tools.study.trials import TrialResult, flown_trial, run_trial
 from tools.study.walk import next_place
@@ -66,11 +67,8 @@ FLIGHT_M = 0.1
 """What flying may add to where an estimate ends: the views are from other places."""
 HEIGHT_M = 20.0
 CASE = Case(steps=STEPS)
-KINDS: Mapping[PlannerName, CrossingKind] = {
-    "reactive": "reactive_crossing",
-    "latched": "latched_crossing",
-    "fim": "fim",
-}
+KINDS: Mapping[PlannerName, CrossingKind] = {"latched": "latched_crossing", "fim": "fim"}
+FLOWN: tuple[PlannerName, ...] = ("reactive", *KINDS)
 IN_PLANE = msgspec.structs.replace(CASE.belief, target_height_m=HEIGHT_M)
 """The study's belief, with the target as high as the vehicle flies."""
 AS_FLOWN = TrackerParams(filter=IN_PLANE)
@@ -82,6 +80,13 @@ FILTER_ALONE = TrackerParams(
     range_gross_k=None,
 )
 """The paper's filter and nothing else, as the kernels have it."""
+
+
+def planner_of(name: PlannerName) -> Planner[Any]:
+    """The companion's planner with its defaults, or the study's own."""
+    if name == "reactive":
+        return ReactiveCrossing(ReactiveCrossingParams())
+    return build_planner(CompanionConfig(planner=PlannerConfig(kind=KINDS[name])))
 
 
 @dataclass(slots=True)
@@ -169,9 +174,8 @@ def flight(
         vehicle=VehicleParams(system_id=1),
         mission=SessionParams(engage="auto", altitude_m=HEIGHT_M, stop_confirm_s=1e6),
         estimation=estimation,
-        planner=PlannerConfig(kind=KINDS[planner]),
     )
-    watched, tracker = WatchedPlanner(build_planner(config)), WatchedTracker(config.estimation)
+    watched, tracker = WatchedPlanner(planner_of(planner)), WatchedTracker(config.estimation)
     emitters = EmitterQueue.of(tracker)
     guard = Guard(config.limits.guard_limits())
     session = GuidanceSession(config.mission, emitters, watched, guard)
@@ -212,7 +216,7 @@ def decisions(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("planner", ["passive", *KINDS])
+@pytest.mark.parametrize("planner", ["passive", *FLOWN])
 def test_objects_fly_where_kernels_do(planner: PlannerName, seed: int) -> None:
     system = System("asymmetric_huber", planner)
     kernels = run_trial(Case(), system, run_seeds(seed, 1)[0])
@@ -221,7 +225,7 @@ def test_objects_fly_where_kernels_do(planner: PlannerName, seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planner", KINDS)
+@pytest.mark.parametrize("planner", FLOWN)
 def test_bytes_change_no_estimate(planner: PlannerName) -> None:
     flown = flight(planner, FILTER_ALONE, 0)
     z = np.column_stack([flown.z, np.full(STEPS, math.nan)])
@@ -235,7 +239,7 @@ def test_bytes_change_no_estimate(planner: PlannerName) -> None:
 
 def test_the_companion_flies_by_the_studys_parameters() -> None:
     flown, studied = PlannerConfig(), Case()
-    reactive = flown.reactive_crossing
+    reactive = ReactiveCrossingParams()
     assert flown.kind == KINDS["latched"]
     assert flown.latched_crossing == studied.latched
     assert (flown.fim.step_m, flown.fim.headings) == (studied.step_m, studied.fim_headings)
@@ -248,12 +252,12 @@ def test_the_companion_flies_by_the_studys_parameters() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("estimation", [AS_FLOWN, FILTER_ALONE], ids=["tracker", "filter"])
-@pytest.mark.parametrize("planner", KINDS)
+@pytest.mark.parametrize("planner", FLOWN)
 def test_every_decision_of_a_flight_is_the_planner_objects(
     planner: PlannerName, estimation: TrackerParams
 ) -> None:
     """Asked as the studies ask: without fence, setpoint or height."""
-    fresh = build_planner(CompanionConfig(planner=PlannerConfig(kind=KINDS[planner])))
+    fresh = planner_of(planner)
     memory: Any = None
     reasons = set()
     asked = decisions(planner, estimation)
@@ -276,7 +280,7 @@ def test_every_decision_of_a_flight_is_the_planner_objects(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planner", KINDS)
+@pytest.mark.parametrize("planner", FLOWN)
 def test_every_decision_of_a_flight_is_the_studys(planner: PlannerName) -> None:
     """By its pilot and by its kernel, each with a memory of its own, from the same estimates."""
     system = System("asymmetric_huber", planner)

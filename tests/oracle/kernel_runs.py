@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.estimation.antenna import AntennaParams, antenna_axes_enu
-from companion.estimation.filters.kalman import KINDS, RecursiveFilter, filter_of
+from companion.estimation.filters.kalman import RecursiveFilter
 from companion.estimation.filters.robust_update import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
@@ -46,6 +46,7 @@ from sim_link.world.environment import (
     shadow_of,
 )
 from sim_link.world.line_of_sight import detour, is_blocked, ways_to
+from tools.study.admm_ekf import RECURSIVE
 
 LAYOUTS = {
     "plane": FilterParams(range_offset_min_m=0.0, range_offset_max_m=3.0),
@@ -101,8 +102,8 @@ def updates(name: str, params: FilterParams) -> Results:
         yield f"{name} {seed} settled", settled(far, P, bounds)
         definite = (is_positive_definite(mean, P), is_positive_definite(mean, -P))
         yield f"{name} {seed} positive definite", definite
-        for kind in KINDS:
-            target_filter = filter_of(kind, params)
+        for kind, filter_of in RECURSIVE.items():
+            target_filter = filter_of(params)
             assert isinstance(target_filter, RecursiveFilter)
             seen = (mean, P, sensor, z, sigma, 0.3, inflation)
             found = target_filter.kernel(*seen, *target_filter.settings)

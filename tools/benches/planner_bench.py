@@ -32,7 +32,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.estimation.filters.kalman import KINDS
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.crossing_kernels import NO_LATCH, LatchRule, latched_step
@@ -45,6 +44,7 @@ from tools.benches.filter_bench import (
     filterpy_seconds,
     timed,
 )
+from tools.study.admm_ekf import RECURSIVE
 from tools.study.case import PLANNER, Case, channel_draws, measured, stream
 from tools.study.reporting.study_tables import metrics_of, number, rows_about
 from tools.study.study import Cell, ResultRow, StudyResult, cells_of
@@ -348,7 +348,7 @@ def contenders(run: RecordedRun) -> list[Contender]:
         """Time filterpy's update."""
         return {filterpy_of(label): filterpy_seconds(beginning)[FILTERPY_UPDATE]}
 
-    if run.system.filter not in KINDS:
+    if run.system.filter not in RECURSIVE:
         return [run_seconds, update_seconds]
     decisions = [] if steering.planner == FIXED else [decision_seconds]
     return [step_seconds, update_seconds, *decisions]

@@ -21,7 +21,6 @@ import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.entry import ignore_broken_pipe
-from companion.estimation.filters.kalman import KINDS
 from companion.estimation.filters.target_filter import (
     FilterParams,
     FilterState,
@@ -31,6 +30,7 @@ from companion.estimation.filters.target_filter import (
 )
 from companion.kernel import Matrix
 from tools.console import OneLineParser
+from tools.study.admm_ekf import RECURSIVE
 
 MakeFilter = Callable[[FilterParams], TargetFilter]
 
@@ -250,17 +250,16 @@ def main() -> int:
     parser.add_argument("--sequences", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    make: dict[str, MakeFilter] = {str(kind): maker for kind, maker in KINDS.items()}
     total, count = SequenceOutcome(), arguments.sequences
     edges = [count * index // CHUNKS for index in range(CHUNKS + 1)]
     for first, end in itertools.pairwise(edges):
-        total = total.joined(run_campaign(make, first, end - first, arguments.seed))
+        total = total.joined(run_campaign(RECURSIVE, first, end - first, arguments.seed))
         print(f"{total.sequences:8d} sequences, {len(total.faults)} faults", flush=True)
     for fault in total.faults[:10]:
         print(fault, file=sys.stderr)
     print(
         f"{'FAILED' if total.faults else 'held'}: {total.updates} updates in {total.sequences} "
-        f"sequences of {len(make)} filters, {total.refused} declared lost, "
+        f"sequences of {len(RECURSIVE)} filters, {total.refused} declared lost, "
         f"{len(total.faults)} faults, seed {arguments.seed}"
     )
     return 1 if total.faults else 0

@@ -84,7 +84,6 @@ SPEEDS_MPS = (3.0, 5.0, 8.0, 10.0)
 PLANNERS: tuple[schema.CrossingKind | schema.PatternKind, ...] = (
     "latched_crossing",
     "latched_crossing",
-    "reactive_crossing",
     "fim",
     "lawnmower",
     "expanding_square",

@@ -17,21 +17,22 @@ import numpy as np
 
 from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
 from companion.errors import ConfigError
-from companion.estimation.filters.kalman import KINDS, AdmmEkf, filter_of
 from companion.estimation.filters.target_filter import FilterParams, FilterState, TargetFilter
 from companion.estimation.hypotheses import HypothesisParams, first_hypotheses
 from companion.estimation.measurement_model import MODALITIES, RANGE_OFFSET
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
-from companion.planning.crossing import LatchedCrossing, ReactiveCrossing, ReactiveCrossingParams
+from companion.planning.crossing import LatchedCrossing
 from companion.planning.fim import FimParams, FimPlanner, candidate_ring_m
 from companion.planning.planner import Planner, PlanRequest
 from sim_link.world.environment import NO_MEMORY
 from tools.study import case as cases
 from tools.study import walk
+from tools.study.admm_ekf import RECURSIVE, AdmmEkf
 from tools.study.case import Case, RunTruth, Scene
 from tools.study.metrics import r95_m
+from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
 from tools.study.walk import WalkFilter, WalkSteering
 
 STEP_S = 1.0
@@ -175,7 +176,7 @@ class System:
     @property
     def is_compiled(self) -> bool:
         """True if its run is one compiled loop."""
-        return self.filter == "map" or self.filter in KINDS
+        return self.filter == "map" or self.filter in RECURSIVE
 
 
 def system_named(name: str) -> System:
@@ -229,14 +230,14 @@ def steering_of(case: Case, system: System) -> WalkSteering:
 
 
 def recursive_filter_of(case: Case, system: System) -> TargetFilter:
-    """Return the companion's filter of that name, or a ValueError.
+    """Return the recursive filter of that name, or a ValueError.
 
     The window's is the one-sided one.
     """
-    for kind in KINDS:
-        if kind == ("asymmetric_huber" if system.filter == "map" else system.filter):
-            return filter_of(kind, case.belief)
-    raise ValueError(f"{system.filter} is no recursive filter of the companion")
+    name = "asymmetric_huber" if system.filter == "map" else system.filter
+    if name not in RECURSIVE:
+        raise ValueError(f"{name} is no recursive filter")
+    return RECURSIVE[name](case.belief)
 
 
 def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:

@@ -39,7 +39,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.estimation.filters.kalman import admm_update
 from companion.estimation.filters.robust_update import robust_update
 from companion.estimation.measurement_model import RangingModel
 from companion.estimation.window import map_kernels
@@ -53,7 +52,6 @@ from companion.estimation.window.map_kernels import (
 )
 from companion.estimation.window.window_map import SAME_PLACE_M
 from companion.kernel import Matrix, Vector, kernel
-from companion.planning.crossing import reactive_step
 from companion.planning.crossing_kernels import (
     NO_LATCH,
     Latch,
@@ -63,7 +61,9 @@ from companion.planning.crossing_kernels import (
 )
 from companion.planning.fim import MIN_DISTANCE_M, STAY, best_candidate
 from sim_link.world.environment import NO_MEMORY
+from tools.study.admm_ekf import admm_update
 from tools.study.case import RunTruth, Scene, measured_in, stepped
+from tools.study.reactive_crossing import reactive_step
 
 FLAT_SHARE = 1e-9
 """Candidates within this share of the best are as good."""

@@ -20,7 +20,7 @@ from companion.errors import ConfigError
 from companion.estimation.filters.kalman import FilterKind
 from companion.flight_setup import build_planner, build_session
 from companion.link.interface import LinkParams
-from companion.planning.crossing import LatchedCrossing, ReactiveCrossing
+from companion.planning.crossing import LatchedCrossing
 from companion.planning.fim import FimPlanner
 from companion.planning.search import SearchPlanner, SearchThenCross
 
@@ -75,14 +75,13 @@ def _records(record: object) -> list:  # type: ignore[type-arg]
 
 KINDS = (
     ("latched_crossing", None, LatchedCrossing),
-    ("reactive_crossing", None, ReactiveCrossing),
     ("fim", None, FimPlanner),
     ("lawnmower", None, SearchPlanner),
     ("expanding_square", None, SearchPlanner),
     ("sector", None, SearchPlanner),
     ("latched_crossing", "lawnmower", SearchThenCross),
     ("fim", "expanding_square", SearchThenCross),
-    ("reactive_crossing", "sector", SearchThenCross),
+    ("latched_crossing", "sector", SearchThenCross),
 )
 
 

@@ -47,6 +47,21 @@ def test_a_copy_of_the_former_defaults_is_read() -> None:
     assert renewed("log: {gzip: false, max_mb: 5}")["log"] == {"max_mb": 5}
 
 
+def test_the_former_defaults_of_the_printed_planner_are_read_and_its_choice_refused(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "site.yaml"
+    former = "{step_m: 5.0, crossing_distance_m: 20.0, stop_distance_m: 0.0}"
+    path.write_text(f"planner: {{reactive_crossing: {former}}}\n")
+    assert load_config(path) == load_config(None)
+    path.write_text("planner: {reactive_crossing: {step_m: 4.0}}\n")
+    with pytest.raises(ConfigError, match=r"latched_crossing in flight"):
+        load_config(path)
+    path.write_text("planner: {kind: reactive_crossing}\n")
+    with pytest.raises(ConfigError, match=r"planner\.kind"):
+        load_config(path)
+
+
 def test_a_section_that_is_gone_says_what_to_do(tmp_path: Path) -> None:
     path = tmp_path / "site.yaml"
     path.write_text("estimation: {adaptation: null}\n")

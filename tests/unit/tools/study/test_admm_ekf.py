@@ -10,19 +10,14 @@ import pytest
 from scipy.optimize import minimize, minimize_scalar
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filters.kalman import (
-    AdmmEkf,
-    AdmmParams,
-    AsymmetricHuberEkf,
-    proximal_residual,
-    split,
-)
+from companion.estimation.filters.kalman import AsymmetricHuberEkf
 from companion.estimation.filters.robust_update import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
 )
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.kernel import Matrix, Vector
+from tools.study.admm_ekf import AdmmEkf, AdmmParams, proximal_residual, split
 
 THRESHOLDS = {
     "one-sided": np.array([[1.5, math.inf], [1.5, 1.5], [1.5, 1.5]]),

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
-from companion.planning.crossing import ReactiveCrossing, ReactiveCrossingParams
 from companion.planning.planner import PlanRequest
+from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
 
 places = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
 
