@@ -20,8 +20,8 @@ from companion import __version__
 from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import write_json_atomic
-from sim_link.lab.campaign.flights import Trial
 from sim_link.lab.pool import LOCAL
+from tools.campaign.flights import Trial
 from tools.campaign.runner import (
     AMOUNTS,
     PARTS,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim_link.lab.campaign.flights import Trial
 from tools.campaign import process_trials
+from tools.campaign.flights import Trial
 from tools.campaign.load_trials import FLIGHT_S, LOADS
 from tools.campaign.runner import run_one
 

@@ -17,7 +17,7 @@ import sys
 import companion.run  # as the command loads it
 from companion.link.endpoint import CompanionEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import monitored_flight
+from tools.campaign.flights import monitored_flight
 from tests.loop.loop_helpers import AUTO
 
 def watched(name):

@@ -12,8 +12,8 @@ from companion.estimation.screening.measurement_screen import RejectReason
 from companion.guidance.authority.state_machine import FLYING, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import monitored_flight
 from tests.loop.loop_helpers import AUTO, Loop, outside
+from tools.campaign.flights import monitored_flight
 
 JUMPS: list[PositionEnu] = [
     (1.0, 0.0, 0.0),

@@ -18,7 +18,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.lab.campaign.flights import rules_of
+from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 from sim_link.world.radio_channel import RadioChannel

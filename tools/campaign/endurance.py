@@ -28,12 +28,13 @@ from companion.mav.framing import frame_crc
 from companion.mav.signing import Signing, timestamp_at
 from companion.process.diagnostics import process_use
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, FlavourName, Scenario
-from sim_link.lab.campaign import flights
-from sim_link.lab.campaign.flights import STARTED_UNIX_S, Part, Trial, TrialOutcome
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
+from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor
+from tools.campaign import flights
+from tools.campaign.flights import STARTED_UNIX_S, Part, Trial, TrialOutcome
 
 FRAMES_PER_TRIAL = 20_000
 PER_TICK = 10
@@ -250,7 +251,7 @@ def _soak_flight(seed: int, directory: Path) -> tuple[Flight, Monitor, FlightJou
     journal = FlightJournal(directory, 1.795e9, LOG_CAP_BYTES)
     flight = Flight(config, scenario, seed, journal, wire=link)
     monitor = Monitor(
-        flights.rules_of(config),
+        rules_of(config),
         flight.sim.vehicle,
         estimate=lambda: flight.companion.session.estimate,
     )

@@ -16,10 +16,10 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, PayloadParams, Scenario
-from sim_link.lab.campaign import flights
-from sim_link.lab.campaign.flights import Monitored, Part, Trial, TrialOutcome
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep.observer import Frame, Observer
+from tools.campaign import flights
+from tools.campaign.flights import Monitored, Part, Trial, TrialOutcome
 
 SETTLING_S = 30.0
 """The loss is known after this long."""

@@ -28,9 +28,9 @@ from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
 from companion.mav.signing import KEY_LENGTH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot.scenario import PayloadParams
-from sim_link.lab.campaign.flights import Part, Trial, TrialOutcome
 from sim_link.world.environment import Emitter, EmitterParams, FieldChannelParams
 from sim_link.world.field_radio import FieldRadio
+from tools.campaign.flights import Part, Trial, TrialOutcome
 from tools.campaign.process_trials import ProcessFlight, story_of
 
 FLIGHT_S = 120.0

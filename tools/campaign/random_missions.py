@@ -18,7 +18,10 @@ from companion.guidance.session_params import SessionParams
 from companion.link.interface import VehicleParams
 from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import (
+from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule, fields_of
+from sim_link.world.environment import EmitterParams
+from sim_link.world.point_mass import MulticopterParams, WindParams
+from tools.campaign.flights import (
     MODES,
     Dice,
     Monitored,
@@ -29,9 +32,6 @@ from sim_link.lab.campaign.flights import (
     monitored_flight,
     random_fault,
 )
-from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule, fields_of
-from sim_link.world.environment import EmitterParams
-from sim_link.world.point_mass import MulticopterParams, WindParams
 
 Corners = tuple[tuple[float, float], ...]
 

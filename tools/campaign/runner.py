@@ -9,9 +9,9 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 from companion.errors import ConfigError
-from sim_link.lab.campaign.flights import Part, Trial, TrialFinding, TrialOutcome
 from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
 from tools.campaign import endurance, link_trials, load_trials, process_trials, random_missions
+from tools.campaign.flights import Part, Trial, TrialFinding, TrialOutcome
 
 ALL = (
     random_missions.MISSIONS,

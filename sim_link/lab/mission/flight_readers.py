@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
+
 from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin
@@ -18,10 +20,10 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import autopilot_of
 from companion.report.flight_summary import EstimatePoint
-from sim_link.lab.campaign.flights import rules_of
 from sim_link.lab.mission.processes import PERIOD_S
 from sim_link.lab.mission.results import FlightRecord, OperatorText, Report
 from sim_link.lab.monitor.monitor import WIRE
+from sim_link.lab.monitor.scene import Rules
 from sim_link.lab.monitor.wire_monitor import Recording, WireMonitor
 
 COUNTED_STEP_M = 0.2
@@ -29,6 +31,17 @@ COUNTED_STEP_M = 0.2
 TRACK_PERIOD_S = 0.2
 GPS_FIX_3D = 3
 UNKNOWN_BATTERY = -1
+
+
+def rules_of(config: CompanionConfig) -> Rules:
+    """Derive the monitor's rules from a configuration."""
+    limits = msgspec.structs.asdict(config.limits)
+    shared = {name: limits[name] for name in Rules.__struct_fields__ if name in limits}
+    return Rules(
+        system_id=config.vehicle.system_id,
+        keeps_autopilot_fence=config.limits.autopilot_fence != "ignore",
+        **shared,
+    )
 
 
 class TelemetryReader:

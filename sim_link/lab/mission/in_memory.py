@@ -17,7 +17,6 @@ from companion.domain import FlightMode
 from companion.flight_setup import build_endpoint
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.flights import rules_of
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.faults.injector import Injector
@@ -26,7 +25,7 @@ from sim_link.lab.lockstep.flight_harness import Operator as Station
 from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.mission import results, steps
 from sim_link.lab.mission.conditions import FlightSituation
-from sim_link.lab.mission.flight_readers import EventReader
+from sim_link.lab.mission.flight_readers import EventReader, rules_of
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config
 from sim_link.lab.monitor.monitor import LOCKSTEP, Monitor

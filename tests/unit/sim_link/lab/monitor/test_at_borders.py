@@ -7,13 +7,13 @@ import pytest
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.fence_invariants import SafeToFreeze, SetpointsInside
 from sim_link.lab.monitor.independent_checks import Point, depth_m, is_moved_inwards
 from sim_link.lab.monitor.message_invariants import WithinEnvelope
 from sim_link.lab.monitor.scene import SentSetpoint
 from tests.loop.loop_helpers import AUTO
+from tools.campaign.flights import Monitored, monitored_flight
 
 FENCE = ((0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0))
 BORDER_NORTH_M = -150.0

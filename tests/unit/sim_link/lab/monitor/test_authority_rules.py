@@ -18,10 +18,10 @@ from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id
 from sim_link.autopilot.incidents import BatteryCharge
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.faults.fault_models import CompanionKilled, LinkBlackout, Schedule
 from sim_link.lab.lockstep.observer import Delivery, Lane
 from tests.planted_companions import KeepsFlying, maker
+from tools.campaign.flights import Monitored, monitored_flight
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))

@@ -10,12 +10,12 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.incidents import StationFence
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.lockstep.flight import MakeCompanion
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.fence_in_force import FencesInForce, FlownFence
 from sim_link.world.environment import EmitterParams
 from tests.planted_companions import KeepsItsFence, NeverReadsAgain, maker
+from tools.campaign.flights import Monitored, monitored_flight
 
 SQUARE = ((-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0))
 SMALL = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))

@@ -9,9 +9,9 @@ import pytest
 
 from companion.domain import EstimateState, TargetEstimate
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.flights import monitored_flight
 from sim_link.lab.monitor.message_invariants import HonestCovariance
 from tests.loop.loop_helpers import AUTO
+from tools.campaign.flights import monitored_flight
 
 GOOD = TargetEstimate(
     time_s=1.0,

@@ -8,12 +8,12 @@ from companion.domain import PositionEnu
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.message_invariants import FreshState, WithinEnvelope
 from sim_link.lab.monitor.scene import SentSetpoint, TrueScene
 from tests.loop.loop_helpers import AUTO
+from tools.campaign.flights import Monitored, monitored_flight
 
 TICK_S = 0.05
 STEP_TICK = 10

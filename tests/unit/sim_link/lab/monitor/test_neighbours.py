@@ -10,10 +10,10 @@ from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
 from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored_flight
 from sim_link.lab.faults.fault_models import ForgedFrames, Schedule
 from tests.loop.loop_helpers import said
 from tests.planted_companions import Planted, SendsToEverybody, maker
+from tools.campaign.flights import Monitored, monitored_flight
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 OPERATED = CompanionConfig()

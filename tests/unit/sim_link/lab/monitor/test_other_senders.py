@@ -11,7 +11,6 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored_flight, rules_of
 from sim_link.lab.faults.fault_models import (
     CompanionStalled,
     Disarm,
@@ -24,9 +23,11 @@ from sim_link.lab.faults.fault_models import (
 )
 from sim_link.lab.lockstep.flight import MakeCompanion
 from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.independent_checks import SILENCE_S, SenderTrust, depth_m
 from tests.loop.loop_helpers import said
 from tests.planted_companions import FollowsTheNextPeer
+from tools.campaign.flights import Monitored, monitored_flight
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))

@@ -11,7 +11,6 @@ from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import EkfJump, GpsLoss, PilotMode, WindChange
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import Monitored, monitored_flight, rules_of
 from sim_link.lab.faults.fault_models import (
     ForgedFrames,
     LinkBlackout,
@@ -19,6 +18,7 @@ from sim_link.lab.faults.fault_models import (
     Schedule,
     UnsignedFrames,
 )
+from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor
 from tests.planted_companions import (
     DEFECTS,
@@ -30,6 +30,7 @@ from tests.planted_companions import (
     maker,
     twisted,
 )
+from tools.campaign.flights import Monitored, monitored_flight
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))

@@ -6,10 +6,10 @@ import pytest
 
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.campaign.flights import monitored_flight
 from sim_link.lab.monitor.authority_invariants import KeepsStreaming
 from sim_link.lab.monitor.scene import ObservedScene, SentSetpoint
 from tests.loop.loop_helpers import AUTO
+from tools.campaign.flights import monitored_flight
 
 STEP_S = 0.02
 SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message(

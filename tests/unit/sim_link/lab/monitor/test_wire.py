@@ -14,7 +14,6 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.incidents import PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.lab.campaign.flights import monitored_flight, rules_of
 from sim_link.lab.faults.fault_models import (
     CompanionKilled,
     CompanionStalled,
@@ -22,10 +21,12 @@ from sim_link.lab.faults.fault_models import (
     Schedule,
 )
 from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import LOCKSTEP, TITLES, WIRE
 from sim_link.lab.monitor.scene import InvariantViolation
 from sim_link.lab.monitor.wire_monitor import Recording, WireMonitor
 from tests.planted_companions import DEFECTS, Planted, maker
+from tools.campaign.flights import monitored_flight
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 SCHEDULE = Schedule(

@@ -8,8 +8,8 @@ import time
 import pytest
 
 from companion.errors import ConfigError
-from sim_link.lab.campaign.flights import Part, Trial, TrialOutcome, frames_each
 from tools.campaign import runner
+from tools.campaign.flights import Part, Trial, TrialOutcome, frames_each
 from tools.campaign.runner import (
     AMOUNTS,
     PARTS,

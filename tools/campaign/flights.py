@@ -29,8 +29,8 @@ from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.faults.injector import Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
+from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor
-from sim_link.lab.monitor.scene import Rules
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,17 +135,6 @@ class SignedPair:
         self._vehicle = Signing(KEY, self._vehicle.timestamp)
         security = LinkSecurity(self._vehicle, started_unix_s=STARTED_UNIX_S + now_s)
         return SimEndpoint(scenario, seed, now_s, security=security)
-
-
-def rules_of(config: CompanionConfig) -> Rules:
-    """Derive the monitor's rules from a configuration."""
-    limits = msgspec.structs.asdict(config.limits)
-    shared = {name: limits[name] for name in Rules.__struct_fields__ if name in limits}
-    return Rules(
-        system_id=config.vehicle.system_id,
-        keeps_autopilot_fence=config.limits.autopilot_fence != "ignore",
-        **shared,
-    )
 
 
 def snapshot_of(flight: Flight) -> tuple[str, object]:

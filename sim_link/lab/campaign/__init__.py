@@ -1,1 +1,0 @@
-"""Campaigns: many flights with faults, judged by the monitor, each replayable from its seed."""
