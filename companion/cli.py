@@ -26,7 +26,7 @@ from companion.flight_setup import flight_links, radio_links, with_kept_offsets
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import check_exposure, parse_flight_link
-from companion.io.logs.radio_recording import is_radio_recording
+from companion.io.radio_recording import is_radio_recording
 from companion.io.shared_clock import clock_of
 from companion.kernel import IS_COMPILED_ON_CALL, IS_NATIVE, count_loaded
 from companion.link.interface import LinkRole

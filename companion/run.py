@@ -28,9 +28,9 @@ from companion.flight_setup import (
     facts_as_json,
     write_facts,
 )
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
+from companion.guidance.phases import Phase
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, Transport, make_link

@@ -17,7 +17,7 @@ from companion.domain import Autopilot, FlightMode, TargetEstimate
 from companion.flight_setup import build_planner, build_session
 from companion.guard.gate import GuardReason
 from companion.guidance.events import AutopilotFenceRead
-from companion.guidance.health.findings import Reason
+from companion.guidance.findings import Reason
 from companion.link import outbound
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import EndpointParams, Journal, LinkSpec

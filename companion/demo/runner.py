@@ -21,9 +21,9 @@ from companion.demo.simulator_process import STOP_TIMEOUT_S, SimulatorProcess
 from companion.domain import radii_text
 from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.polygons import Point
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
+from companion.guidance.phases import Phase
 from companion.io.child_process import HOST, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, UdpBind

@@ -21,14 +21,6 @@ from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance.authority.control_authority import Authority
 from companion.guidance.authority.launch import Launch
-from companion.guidance.authority.state_machine import (
-    HAS_VEHICLE,
-    IN_CONTROL,
-    OUT_OF_CONTROL,
-    STREAMING,
-    Phase,
-    Trigger,
-)
 from companion.guidance.commands import (
     Announce,
     Command,
@@ -39,14 +31,22 @@ from companion.guidance.commands import (
     Topic,
     WithdrawRequest,
 )
+from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
+from companion.guidance.flight.searching import Searching
 from companion.guidance.flight.vehicle import VehicleView
-from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.messages import FindingMessages, RateLimited, StateMessages
+from companion.guidance.phases import (
+    HAS_VEHICLE,
+    IN_CONTROL,
+    OUT_OF_CONTROL,
+    STREAMING,
+    Phase,
+    Trigger,
+)
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.guidance.tracking.emitters import EmitterQueue
-from companion.guidance.tracking.searching import Searching
 from companion.planning.planner import Planner
 
 ERROR_HOLD_S = 1.0

@@ -17,15 +17,15 @@ from companion.domain import (
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import GuardReason
 from companion.guidance.authority.control_authority import is_silence_due
-from companion.guidance.authority.handover import Handover, LaunchPermit, WaitingReason
 from companion.guidance.authority.launch import LaunchView
-from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase, Trigger
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, Topic
 from companion.guidance.context import SessionContext
+from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.flight.requirements import missing_inputs
+from companion.guidance.handover import Handover, LaunchPermit, WaitingReason
 from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
-from companion.guidance.health.findings import Finding, Reason, Verdict
 from companion.guidance.health.watches import Watches
+from companion.guidance.measurements import EmitterScheduler
 from companion.guidance.messages import (
     FenceMessages,
     GuardMessages,
@@ -33,8 +33,8 @@ from companion.guidance.messages import (
     radius_texts,
     result_of,
 )
+from companion.guidance.phases import FLYING, IN_CONTROL, Phase, Trigger
 from companion.guidance.stop_rules import SettledRule, StopRule
-from companion.guidance.tracking.measurements import EmitterScheduler
 
 SAME_LEG_M = 1.0
 """A waypoint that moves by less is the same one, refined."""

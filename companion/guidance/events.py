@@ -22,8 +22,8 @@ from companion.domain import (
 from companion.estimation.belief import Belief
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import GeoFence
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import Tuning
 
 

@@ -23,7 +23,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import Announce, Command, Record, ReportResult, Severity
-from companion.guidance.health.findings import Finding, Reason
+from companion.guidance.findings import Finding, Reason
 
 
 def radius_fields(estimate: TargetEstimate) -> dict[str, object]:

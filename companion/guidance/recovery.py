@@ -15,12 +15,12 @@ from __future__ import annotations
 
 from companion.estimation.belief import Belief
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import SessionMemory
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.guidance.messages import radii_of, radius_fields
+from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
 
 ORIGIN_PATIENCE_S = 15.0
 """Longest wait of a kept estimate for the origin of its frame."""

@@ -2,7 +2,7 @@
 
 It passes each event to the part that handles it: measurements to `Measuring`, reports of the
 autopilot and commands of the operator to `Handover`, time to `ControlTick`. They share one
-`SessionContext`, and the transition table of `state_machine` decides if anything may be sent. The
+`SessionContext`, and the transition table of `phases` decides if anything may be sent. The
 status is a snapshot of the session for views and logs.
 """
 
@@ -17,19 +17,19 @@ from companion.estimation.noise.innovations import TrackerHealth
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance import events
-from companion.guidance.authority.handover import Handover
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.commands import Command, ReportResult
 from companion.guidance.context import SessionContext
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
 from companion.guidance.flight.fencing import FencePlan, Fencing
+from companion.guidance.flight.searching import Searching
+from companion.guidance.handover import Handover
 from companion.guidance.health.watches import Watches
+from companion.guidance.measurements import EmitterScheduler, Measuring
+from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.recovery import Recollection, memory_of
 from companion.guidance.session_params import SessionParams, When
 from companion.guidance.tracking.emitters import EmitterQueue
-from companion.guidance.tracking.measurements import EmitterScheduler, Measuring
-from companion.guidance.tracking.searching import Searching
 from companion.planning.planner import Planner
 
 

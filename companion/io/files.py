@@ -7,7 +7,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
@@ -17,6 +17,8 @@ from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
 
+OnDamage = Callable[[int], None]
+"""Called with each place where a log is damaged: a byte, a record or a line of it."""
 _FLIGHT_NAME = re.compile(r"(?P<time>\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)(-(?P<number>\d+))?")
 
 

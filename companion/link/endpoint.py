@@ -16,8 +16,8 @@ from dataclasses import asdict
 
 from companion.domain import RangingMeasurement
 from companion.guidance import events
-from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase
 from companion.guidance.messages import health_fields
+from companion.guidance.phases import HAS_VEHICLE, Phase
 from companion.guidance.session import GuidanceSession
 from companion.link.autopilot_queries import AutopilotQueries, request_message
 from companion.link.binding import AutopilotBinding

@@ -17,8 +17,8 @@ from typing import TypeVar
 
 from companion.domain import Autopilot, EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.authority.state_machine import PHASE_WORDS
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.phases import PHASE_WORDS
 from companion.guidance.session import GuidanceSession
 from companion.link import outbound
 from companion.link.outbound import time_boot_ms

@@ -20,7 +20,7 @@ from companion.flight_setup import radio_links
 from companion.geometry.coordinates import LocalOrigin
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import check_exposure, parse_flight_link
-from companion.io.logs.radio_recording import (
+from companion.io.radio_recording import (
     RadioBytes,
     RecordedOrigin,
     TimedPose,

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.io.logs.radio_recording import TimedPose
+from companion.io.radio_recording import TimedPose
 from companion.radio_tools.bearing_fit import (
     LEAST_LEAD,
     BearingFit,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.domain import PositionEnu
-from companion.io.logs.radio_recording import TimedPose
+from companion.io.radio_recording import TimedPose
 from companion.radio_tools.clustered_fit import Flags, Matrix, Vector
 
 MOST_GAP_S = 1.5

@@ -25,9 +25,9 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
-from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
+from companion.guidance.flight.vehicle_track import VehicleTrack, is_plausible
 from companion.io.links.transports import FlightLink
-from companion.io.logs.radio_recording import (
+from companion.io.radio_recording import (
     RadioBytes,
     RadioRecordingWriter,
     Record,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from companion.domain import EstimateState
-from companion.guidance.authority.handover import GRANT_HOW
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.flight.requirements import missing_inputs
+from companion.guidance.handover import GRANT_HOW
+from companion.guidance.phases import Phase
 from companion.guidance.session import GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 

@@ -17,9 +17,9 @@ from companion.estimation.antenna import ABOUT_VERTICAL, antenna_axes_enu
 from companion.estimation.target_estimate import aside_of_m
 from companion.geometry.coordinates import combined
 from companion.geometry.polygons import Point, ellipse_95
-from companion.guidance.authority.state_machine import PHASE_WORDS, Phase
 from companion.guidance.events import OperatorCommand
 from companion.guidance.flight.fencing import Fencing
+from companion.guidance.phases import PHASE_WORDS, Phase
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 from companion.view.next_step import next_step

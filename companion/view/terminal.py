@@ -25,8 +25,8 @@ from rich.text import Text
 from companion.domain import EstimateState
 from companion.errors import printable
 from companion.estimation.noise.innovations import TrackerHealth
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.messages import radii_of
+from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.session import EmitterStatus, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView

@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, PositionEnu, Positive
-from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
 from sim_link.autopilot.other_components import ComponentName
+from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.world.environment import Coordinate
 from sim_link.world.point_mass import Share, WindSpeed
 

@@ -12,10 +12,10 @@ import msgspec
 from companion.domain import Autopilot, NonNegative, Params, Positive
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
-from sim_link.autopilot.flavours.vehicle_types import VehicleTypeName
 from sim_link.autopilot.incidents import Incident, OtherVehicle
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.protocols.addressing import LinkMode
+from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import (
     Coordinate,

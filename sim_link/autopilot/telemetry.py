@@ -14,7 +14,6 @@ from companion.mav.addressing import IdentifiedMissionCurrent
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from sim_link.autopilot import motion_messages as motion
 from sim_link.autopilot.aircraft import CELLS
-from sim_link.autopilot.flavours.vehicle_types import MAV_TYPE
 from sim_link.autopilot.motion_messages import (
     INT16_MAX,
     UINT16_MAX,
@@ -27,6 +26,7 @@ from sim_link.autopilot.protocols.addressing import flags_of
 from sim_link.autopilot.protocols.clock_protocols import NS_PER_S
 from sim_link.autopilot.protocols.plan_items import MissionProgress
 from sim_link.autopilot.vehicle import SimVehicle
+from sim_link.autopilot.vehicle_types import MAV_TYPE
 
 MAVLINK_VERSION = 3
 INERTIAL_SENSORS = flags_of("MAV_SYS_STATUS_SENSOR", "3D_GYRO 3D_ACCEL 3D_MAG ABSOLUTE_PRESSURE")

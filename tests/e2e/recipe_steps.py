@@ -391,7 +391,7 @@ class Acme(Emulator):
 FAILSAFE: Steps = {
     1: (
         Edit(
-            "companion/guidance/health/findings.py",
+            "companion/guidance/findings.py",
             '    VIBRATION = "strong vibration"\n',
             r"^    NO_FIX = .*\n",
         ),
@@ -407,7 +407,7 @@ Source: ArduPilot, "Measuring Vibration": above 30 m/s^2 there is trouble.
 from __future__ import annotations
 
 from companion.guidance import events
-from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.findings import Finding, Reason, Verdict, Watch
 
 STRONG_MPS2 = 30.0
 
@@ -494,7 +494,7 @@ def _vibration(message: Message, now_s: float) -> list[Event]:
             """from __future__ import annotations
 
 from companion.guidance.events import VibrationReported
-from companion.guidance.health.findings import Verdict
+from companion.guidance.findings import Verdict
 from companion.guidance.health.vibration import VibrationWatch
 
 

@@ -18,7 +18,7 @@ from typing import ClassVar
 
 import pytest
 
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.io.state.checkpoints import CheckpointError, decode_checkpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink

@@ -20,7 +20,7 @@ import pytest
 from companion.errors import LinkError
 from companion.io.links.radio_lines import radio_link
 from companion.io.links.transports import Transport
-from companion.io.logs.radio_recording import (
+from companion.io.radio_recording import (
     RadioBytes,
     RadioRecordingWriter,
     RecordedRadio,

@@ -10,8 +10,8 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.authority.control_authority import REGAIN_QUIET_S
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase
-from companion.guidance.health.findings import Reason
+from companion.guidance.findings import Reason
+from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.guidance.phases import IN_CONTROL, Phase
 from sim_link.autopilot.incidents import (
     EkfPoor,
     EstimatorVote,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import pytest
 
 from companion.domain import FlightMode
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from tests.loop.loop_helpers import Loop, outside
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.authority.state_machine import IN_CONTROL
+from companion.guidance.phases import IN_CONTROL
 from companion.link.texts import CAUSE_PERIOD_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from sim_link.autopilot.incidents import AutopilotStall, ClockRate, ClockSlip, Incident
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from tests.loop.loop_helpers import AUTO, Loop, outside

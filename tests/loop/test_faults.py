@@ -6,7 +6,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario

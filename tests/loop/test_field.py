@@ -13,7 +13,7 @@ from companion.config.schema import PlannerConfig, load_config
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TrackerParams
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario

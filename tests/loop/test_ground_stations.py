@@ -9,8 +9,8 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult
+from companion.guidance.phases import Phase
 from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink

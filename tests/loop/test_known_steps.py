@@ -11,7 +11,7 @@ from typing import Literal
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import EkfJump, IncidentRecord, OriginShift
 from sim_link.autopilot.scenario import AutopilotParams, PayloadParams, Scenario

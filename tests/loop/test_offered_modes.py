@@ -6,7 +6,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.authority.state_machine import IN_CONTROL
+from companion.guidance.phases import IN_CONTROL
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import VehicleReboot
 from sim_link.autopilot.scenario import AutopilotParams, Scenario

@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from sim_link.autopilot.endpoint import SimEndpoint

@@ -10,7 +10,7 @@ import pytest
 
 from companion.domain import EstimateState
 from companion.estimation.screening.measurement_screen import Objection, RejectReason
-from companion.guidance.authority.state_machine import FLYING, Phase
+from companion.guidance.phases import FLYING, Phase
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import (
     LinkHold,

@@ -7,7 +7,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.domain import FlightMode
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.planning.search import LawnmowerParams
 from companion.run import is_handed_over

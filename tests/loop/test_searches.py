@@ -9,7 +9,7 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig, PatternKind, PlannerConfig
 from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.search import ExpandingSquareParams, LawnmowerParams, SectorParams

@@ -19,7 +19,7 @@ import numpy as np
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.entry import ignore_broken_pipe
 from companion.geometry.coordinates import wrap_pi
-from companion.io.logs.radio_recording import (
+from companion.io.radio_recording import (
     RadioBytes,
     RadioRecordingWriter,
     RecordedOrigin,

@@ -10,7 +10,9 @@ import math
 
 from companion.domain import FlightMode
 from companion.guidance.authority.launch import Launch
-from companion.guidance.authority.state_machine import (
+from companion.guidance.events import HeartbeatReceived, LandedStateChanged
+from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.phases import (
     IN_CONTROL,
     OUT_OF_CONTROL,
     STREAMING,
@@ -18,8 +20,6 @@ from companion.guidance.authority.state_machine import (
     Trigger,
     next_phase,
 )
-from companion.guidance.events import HeartbeatReceived, LandedStateChanged
-from companion.guidance.flight.vehicle import VehicleView
 
 REGAIN_QUIET_S = 2.0
 """Time for which HEARTBEATs must show another mode without a failsafe before it counts as chosen.

@@ -26,7 +26,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
 from companion.guidance.flight.own_place import PositionAccuracyWatch
-from companion.guidance.tracking.vehicle_track import VehicleTrack, is_plausible
+from companion.guidance.flight.vehicle_track import VehicleTrack, is_plausible
 
 
 def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:

@@ -36,7 +36,7 @@ from collections import deque
 
 from companion.domain import PositionEnu
 from companion.guidance import events
-from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.session_params import StickReaction
 
 TOLERANCE_M = 1.5

@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 from companion.guidance import events
-from companion.guidance.authority.state_machine import IN_CONTROL
 from companion.guidance.context import SessionContext
-from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.messages import RateLimited
+from companion.guidance.phases import IN_CONTROL
 
 UNREAD_PATIENCE_S = 20.0
 """Time for two rounds of unanswered requests and the pause between them, see `fence_download`: 8

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from companion.domain import FlightMode
 from companion.guidance import events
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase, Trigger
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import OperatorCommand
-from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.phases import IN_CONTROL, Phase, Trigger
 
 HELD = Finding(Verdict.HOLD, Reason.OPERATOR_HOLDS, "operator requested hold")
 RETURNS = Finding(

@@ -28,13 +28,13 @@ import math
 from companion.domain import PositionEnu, VehicleState
 from companion.geometry.coordinates import wrap_pi
 from companion.guard.gate import GuardLimits, Motion
-from companion.guidance.authority.state_machine import HAS_VEHICLE, IN_CONTROL, Trigger
 from companion.guidance.context import SessionContext
 from companion.guidance.events import OriginSet, VehicleMoved, YawMeasured
+from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.flight.fencing import MAX_STEP_M
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
-from companion.guidance.health.findings import Finding, Reason, Verdict, Watch
-from companion.guidance.tracking.vehicle_track import is_plausible
+from companion.guidance.flight.vehicle_track import is_plausible
+from companion.guidance.phases import HAS_VEHICLE, IN_CONTROL, Trigger
 
 LEAST_STEP_M = 0.5
 """Smallest step that stands out from noise."""

@@ -15,16 +15,16 @@ import math
 from companion.domain import R95_OF_SIGMA, BatteryLevel, TargetEstimate
 from companion.estimation.screening.measurement_screen import Objection
 from companion.guidance import events
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
+from companion.guidance.findings import Finding, Reason, Verdict, Watch, worst
 from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch, LandingWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
 from companion.guidance.health.fence_watch import FenceWatch
-from companion.guidance.health.findings import Finding, Reason, Verdict, Watch, worst
 from companion.guidance.health.operator_commands import OperatorCommandWatch
 from companion.guidance.health.position_jumps import JumpWatch
 from companion.guidance.messages import RateLimited
+from companion.guidance.phases import IN_CONTROL, Phase
 
 REGAIN_S = 1.0
 """Time for which link and position must be back."""

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from companion.errors import CompanionError, LinkError
 from companion.io.links.link import Link, Received, logger
-from companion.io.logs.radio_recording import (
+from companion.io.radio_recording import (
     RadioBytes,
     is_radio_recording,
     read_radio_recording,

@@ -29,7 +29,7 @@ from companion.errors import ConfigError
 from companion.guidance import events
 from companion.guidance.commands import Severity
 from companion.io.background_files import BackgroundFile
-from companion.io.files import json_line, read_file
+from companion.io.files import OnDamage, json_line, read_file
 from companion.io.state.checkpoints import CheckpointError, decode_memory, encode_memory
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
@@ -44,8 +44,6 @@ from companion.mav.framing import (
 from companion.mav.signing import is_secret, is_signed
 
 _STAMP = struct.Struct(">Q")
-OnDamage = Callable[[int], None]
-"""Called with each place where a log is damaged: a byte, a record or a line of it."""
 
 
 class TlogWriter(BackgroundFile):

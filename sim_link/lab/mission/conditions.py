@@ -24,7 +24,7 @@ from enum import Enum
 from typing import Annotated, Any, get_args, get_type_hints
 
 from companion.domain import EstimateState, FlightMode, LandedState, WaypointReason
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 
 
 class Kind(Enum):

@@ -13,8 +13,8 @@ from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
 from companion.guidance import events
-from companion.guidance.authority.state_machine import IN_CONTROL
 from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.phases import IN_CONTROL
 from companion.link.inbound import VehicleInbound
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink

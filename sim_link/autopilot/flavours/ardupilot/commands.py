@@ -44,11 +44,11 @@ from sim_link.autopilot.flavours.base import (
     set_home,
     terminate,
 )
-from sim_link.autopilot.flavours.vehicle_types import ARDUPILOT_TABLES, WireMode
 from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.message_streams import cast_to_uint32
 from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
 from sim_link.autopilot.protocols.plan_rules import commands_named
+from sim_link.autopilot.vehicle_types import ARDUPILOT_TABLES, WireMode
 
 TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
 WARNING, ERROR = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_ERROR

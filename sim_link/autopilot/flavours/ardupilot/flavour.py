@@ -44,10 +44,10 @@ from sim_link.autopilot.flavours.base import (
     FenceState,
     HeartbeatState,
 )
-from sim_link.autopilot.flavours.vehicle_types import IGNORES_LOCAL_SETPOINTS, shown_number
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.vehicle_types import IGNORES_LOCAL_SETPOINTS, shown_number
 from sim_link.world.point_mass import stopping_point
 
 ALTITUDE_MAX, CIRCLE, POLYGON = 1, 2, 4

@@ -12,7 +12,7 @@ from companion.config.schema import load_config
 from companion.config.versions import MIGRATIONS, SCHEMA_VERSION, Gone, Migration, renew
 from companion.errors import ConfigError
 from companion.io.logs.log_files import FAMILY, FORMAT
-from companion.io.logs.radio_recording import VERSION as RECORDING_VERSION
+from companion.io.radio_recording import VERSION as RECORDING_VERSION
 from companion.mav.dialect import (
     MAVLink_radio_ranging_message,
     MAVLink_target_estimate_message,

@@ -21,7 +21,7 @@ from companion.demo.runner import (
 )
 from companion.domain import PositionAccuracy
 from companion.errors import ConfigError
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.io.shared_clock import Pacer
 
 BLOCK = [[30.0, 30.0], [45.0, 30.0], [45.0, 60.0], [30.0, 60.0]]

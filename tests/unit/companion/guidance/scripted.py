@@ -21,7 +21,6 @@ from companion.estimation.tracker import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_session
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import (
     Announce,
     Command,
@@ -47,6 +46,7 @@ from companion.guidance.events import (
     TimerFired,
     VehicleMoved,
 )
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from companion.link.interface import VehicleParams

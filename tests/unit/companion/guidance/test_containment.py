@@ -10,9 +10,9 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.estimation.stepwise import Callee
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
+from companion.guidance.phases import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 PARTS = ["tracker", "planner"]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from companion.guidance.control import TICK_S
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
-from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.messages import CLEARED_AFTER_S, REANNOUNCE_S, FindingMessages
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

@@ -8,7 +8,6 @@ import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState
 from companion.guidance.authority.launch import Launch, LaunchView
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
@@ -25,6 +24,7 @@ from companion.guidance.events import (
     SticksReported,
     StopRequested,
 )
+from companion.guidance.phases import Phase
 from tests.unit.companion.guidance.authority.test_launch import AUTO, launching
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.events import AutopilotClockSlipped
+from companion.guidance.phases import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 

@@ -9,7 +9,6 @@ import pytest
 
 from companion.domain import Autopilot, EstimateState, FlightMode, WaypointReason
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint, TakeOff
 from companion.guidance.events import (
     AutopilotRestarted,
@@ -17,6 +16,7 @@ from companion.guidance.events import (
     SessionMemory,
     UncleanExitFound,
 )
+from companion.guidance.phases import Phase
 from companion.guidance.recovery import ORIGIN_PATIENCE_S
 from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ORIGIN, TARGET, ScriptedFlight

@@ -7,13 +7,13 @@ import math
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     OperatorCommand,
     OperatorCommandReceived,
 )
+from companion.guidance.phases import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import FOREIGN_MODES, silent_since
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.link.endpoint import LOOK_PERIOD_S
 from companion.link.intake import REPORT_PERIOD_S
 from companion.link.interface import LinkParams, LinkRole

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from companion.config.schema import CompanionConfig
 from companion.domain import PositionSetpoint
 from companion.errors import LocalProtocolError
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.events import AutopilotFenceRead
+from companion.guidance.phases import Phase
 from companion.link.interface import LinkParams, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink

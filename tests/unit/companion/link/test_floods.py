@@ -7,7 +7,7 @@ import time
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.link.endpoint import LOOK_PERIOD_S
 from companion.link.executor import TEXT_BURST
 from companion.link.gcs_services import COMMANDS_PER_S, REQUEST_CAPABILITIES

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.authority.control_authority import ID_CONFLICT_S
-from companion.guidance.authority.state_machine import IN_CONTROL, Phase
+from companion.guidance.phases import IN_CONTROL, Phase
 from companion.link import outbound
 from companion.link.outlet import FOREIGN_FRAMES, KEPT, OwnFrames
 from companion.mav.codec import MavCodec

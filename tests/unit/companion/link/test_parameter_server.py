@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import TUNABLES
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw

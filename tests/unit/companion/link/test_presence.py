@@ -11,7 +11,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, PositionAccuracy, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.authority.state_machine import Trigger
+from companion.guidance.phases import Trigger
 from companion.link.interface import LinkParams
 from companion.link.presence import FLOAT32_MAX, estimate_message, icon_message, named_values
 from companion.mav.codec import MavCodec

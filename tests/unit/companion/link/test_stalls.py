@@ -7,8 +7,8 @@ import itertools
 import pytest
 
 from companion.domain import FlightMode
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SetMode
+from companion.guidance.phases import Phase
 from companion.link.quality import STALL_S, TickWatch
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import OFFBOARD, Wire, heartbeat, local_position

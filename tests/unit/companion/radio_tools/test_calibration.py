@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.io.logs.radio_recording import TimedPose
+from companion.io.radio_recording import TimedPose
 from companion.radio_tools.calibration import Calibration, CalibrationRun, RunWindow, calibrate
 from companion.radio_tools.calibration_text import verdict
 from companion.radio_tools.clustered_fit import ratio_figure

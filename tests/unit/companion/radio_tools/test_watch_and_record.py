@@ -15,7 +15,7 @@ from companion.cli import main
 from companion.config.radios import RadioConfig, radio_setup
 from companion.config.schema import CompanionConfig
 from companion.errors import ConfigError
-from companion.io.logs.radio_recording import (
+from companion.io.radio_recording import (
     RadioBytes,
     RadioRecordingWriter,
     RecordedOrigin,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from companion.domain import EstimateState, FlightMode
-from companion.guidance.authority.handover import GRANT_HOW
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.handover import GRANT_HOW
+from companion.guidance.phases import Phase
 from companion.guidance.session import GuidanceStatus
 from companion.view.next_step import next_step
 from tests.loop.loop_helpers import Loop

@@ -8,8 +8,6 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState
-from companion.guidance.authority.handover import GRANT_HOW
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SendSetpoint, SetMode, TakeOff
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
@@ -26,7 +24,9 @@ from companion.guidance.events import (
     StopRequested,
     ThrottleReported,
 )
-from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.handover import GRANT_HOW
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

@@ -6,8 +6,8 @@ import pytest
 
 from companion.domain import BatteryLevel, FlightMode
 from companion.guidance.events import BatteryReported
+from companion.guidance.findings import Verdict
 from companion.guidance.health.autopilot_health import BatteryWatch
-from companion.guidance.health.findings import Verdict
 
 
 def watch_at(

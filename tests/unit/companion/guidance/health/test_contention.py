@@ -10,8 +10,8 @@ import pytest
 
 from companion.domain import PositionEnu
 from companion.guidance.events import SetpointEchoed
+from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.health.contention import TOLERANCE_M, EchoWatch
-from companion.guidance.health.findings import Finding, Reason, Verdict
 
 TICK_S = 0.05
 ECHO_S = 0.1

@@ -11,8 +11,8 @@ from companion.guidance.events import (
     FixReported,
     HeartbeatReceived,
 )
+from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
-from companion.guidance.health.findings import Finding, Reason, Verdict
 
 STEP_S = 0.2
 

@@ -10,10 +10,10 @@ import pytest
 
 from companion.config.schema import PlannerConfig
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
-from companion.guidance.health.findings import Reason
+from companion.guidance.findings import Reason
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

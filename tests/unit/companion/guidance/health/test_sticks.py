@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.events import RcStatusReported, SticksReported
+from companion.guidance.findings import Verdict
 from companion.guidance.health.contention import StickWatch
-from companion.guidance.health.findings import Verdict
 from companion.guidance.session_params import StickReaction
 
 REST = (0.0, 0.0, -1.0, 0.0)

@@ -14,9 +14,9 @@ import pytest
 from companion.domain import DEFAULT_ACCURACY, Autopilot, EstimateState, TargetEstimate
 from companion.estimation.belief import Belief, BelievedPlace
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import ReportResult
 from companion.guidance.events import SessionMemory, VehicleMark
+from companion.guidance.phases import Phase
 from companion.io.state.checkpoints import (
     MAX_BYTES,
     Checkpoint,

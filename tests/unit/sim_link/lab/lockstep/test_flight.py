@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.authority.state_machine import Phase
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario

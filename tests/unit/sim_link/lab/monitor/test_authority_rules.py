@@ -11,8 +11,8 @@ from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.authority import control_authority
 from companion.guidance.authority.control_authority import Authority
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.events import HeartbeatReceived
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id

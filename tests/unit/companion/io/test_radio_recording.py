@@ -7,7 +7,7 @@ import pytest
 
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import Projection
-from companion.io.logs.radio_recording import (
+from companion.io.radio_recording import (
     MOST_DATA_BYTES,
     RadioBytes,
     RadioRecordingWriter,

@@ -9,7 +9,6 @@ from functools import cache
 import pytest
 
 from companion.domain import BatteryLevel, FlightMode, PositionEnu
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Record
 from companion.guidance.events import (
     BatteryReported,
@@ -17,6 +16,7 @@ from companion.guidance.events import (
     SessionMemory,
     UncleanExitFound,
 )
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight

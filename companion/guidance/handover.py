@@ -19,13 +19,13 @@ from companion.guidance.authority.control_authority import (
     Authority,
     hand_back_mode,
 )
-from companion.guidance.authority.state_machine import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.commands import Severity, Topic
 from companion.guidance.context import SessionContext
+from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView, class_refusal
-from companion.guidance.health.findings import Finding, Reason, Verdict
+from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
 
 MISSING_PATIENCE_S = 10.0
 """Inputs missing for less than this may still be starting up."""

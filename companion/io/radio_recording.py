@@ -22,7 +22,7 @@ import msgspec
 from companion.domain import PositionEnu
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import LocalOrigin, Projection
-from companion.io.logs.log_files import OnDamage
+from companion.io.files import OnDamage
 
 VERSION = 1
 MOST_DATA_BYTES = 65_536

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.authority.state_machine import Phase
 from companion.guidance.commands import Arm, SetMode, TakeOff
+from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.guidance.authority.state_machine import (
+from companion.guidance.phases import (
     IN_CONTROL,
     OUT_OF_CONTROL,
     STREAMING,

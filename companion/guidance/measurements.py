@@ -15,9 +15,9 @@ from companion.estimation.antenna import ABOUT_VERTICAL, seen_in_enu
 from companion.estimation.screening.measurement_screen import RejectReason, identity_of
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport
-from companion.guidance.authority.state_machine import FLYING, IN_CONTROL, Phase
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
+from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.health.watches import InputWatch
 from companion.guidance.messages import (
     AntennaMessages,
@@ -28,9 +28,9 @@ from companion.guidance.messages import (
     radii_of,
     waiting_record,
 )
+from companion.guidance.phases import FLYING, IN_CONTROL, Phase
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.guidance.tracking.fusion_queue import FusionQueue, Queued
-from companion.guidance.tracking.vehicle_track import VehicleTrack
 
 MAX_WAITING = 64
 """Measurements that may wait for a vehicle position at their time; the oldest is dropped."""

@@ -10,9 +10,9 @@ from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.guidance.flight.vehicle_track import VehicleTrack
+from companion.guidance.measurements import MAX_WAITING, RangingListener
 from companion.guidance.tracking.emitters import EmitterQueue
-from companion.guidance.tracking.measurements import MAX_WAITING, RangingListener
-from companion.guidance.tracking.vehicle_track import VehicleTrack
 
 PAPER = AntennaParams()
 AT_10_S = RangingMeasurement(emitter_id=7, measured_at_s=10.0, range_m=50.0)
