@@ -145,7 +145,7 @@ class PositionAccuracy:
     horizontal_m: float = DEFAULT_GNSS_SIGMA_M
     """Per axis."""
     vertical_m: float = GNSS_VERTICAL_RATIO * DEFAULT_GNSS_SIGMA_M
-    is_told: bool = False
+    is_reported: bool = False
     """True if the autopilot reported it; False: it is the assumed default."""
 
     def or_worse(self, other: PositionAccuracy | None) -> PositionAccuracy:
@@ -155,7 +155,7 @@ class PositionAccuracy:
         return PositionAccuracy(
             max(self.horizontal_m, other.horizontal_m),
             max(self.vertical_m, other.vertical_m),
-            self.is_told and other.is_told,
+            self.is_reported and other.is_reported,
         )
 
     @property
@@ -165,13 +165,13 @@ class PositionAccuracy:
         Receivers underestimate their errors, because they ignore reflections, except for those with
         corrections, whose accuracy is better than this.
         """
-        is_optimistic = self.is_told and self.horizontal_m >= CORRECTED_GNSS_M
+        is_optimistic = self.is_reported and self.horizontal_m >= CORRECTED_GNSS_M
         return self.horizontal_m * (GNSS_ACCURACY_FACTOR if is_optimistic else 1.0)
 
     @property
     def words(self) -> str:
         """The horizontal accuracy in words."""
-        return f"GNSS {self.horizontal_m:.2f} m{'' if self.is_told else ', assumed'}"
+        return f"GNSS {self.horizontal_m:.2f} m{'' if self.is_reported else ', assumed'}"
 
 
 DEFAULT_ACCURACY = PositionAccuracy()

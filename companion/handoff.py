@@ -153,7 +153,7 @@ def _features(handoff: Handoff) -> list[dict[str, object]]:
         "absolute_r95_m": round(handoff.absolute_r95_m, 2),
         "r95_m": round(handoff.r95_m, 2),
         "own_sigma_m": round(handoff.own.horizontal_m, 2),
-        "own_sigma_told": handoff.own.is_told,
+        "own_sigma_told": handoff.own.is_reported,
         "altitude_amsl_m": round(handoff.altitude_m, 2),  # a third coordinate would be ellipsoidal
         "measurements": handoff.measurements,
         "time": handoff.time_utc,

@@ -263,15 +263,15 @@ def honesty_case(p_nlos: float, offsets: Offsets) -> Case:
 def honesty_figures(campaign: RunSeries, tally: RunTally) -> list[Figure]:
     """Return NEES if the noise is as assumed, and coverage; only the tracker must be consistent."""
     case, label = campaign.case, campaign.system.label
-    is_believed = case.channel.p_nlos == 0.0
+    is_as_assumed = case.channel.p_nlos == 0.0
     must = campaign.system.filter == "tracker"
     offsets = "" if case.offsets == "fixed" else ", offsets drawn"
-    name = f"{label}, {'LOS' if is_believed else 'NLOS'}{offsets}"
+    name = f"{label}, {'LOS' if is_as_assumed else 'NLOS'}{offsets}"
     inside, (low, high) = tally.coverage[SETTLED_STEP:], COVERAGE_BAND
     least, most = float(inside.min()), float(inside.max())
-    is_covered = low <= least and (most <= high or not is_believed)
-    limit = f"{low:g} to {high:g}" if is_believed else f">= {low:g}"
-    share_out = np.mean((inside < low) | ((inside > high) & is_believed))
+    is_covered = low <= least and (most <= high or not is_as_assumed)
+    limit = f"{low:g} to {high:g}" if is_as_assumed else f">= {low:g}"
+    share_out = np.mean((inside < low) | ((inside > high) & is_as_assumed))
     coverage = Figure(
         "honesty",
         f"{name}: coverage of R95, mean over steps",
@@ -280,7 +280,7 @@ def honesty_figures(campaign: RunSeries, tally: RunTally) -> list[Figure]:
         is_covered if must else None,
         f"{least:.3f} to {most:.3f}, {share_out:.0%} of steps outside",
     )
-    if not is_believed:
+    if not is_as_assumed:
         return [coverage]
     return [nees_figure(name, tally, must=must), coverage]
 

@@ -39,7 +39,7 @@ ASYMMETRY = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class BelievedPlace:
+class StoredHypothesis:
     """One hypothesis in plain values."""
 
     log_weight: float
@@ -55,7 +55,7 @@ class Belief:
 
     emitter_id: int | None
     measurements: int
-    places: tuple[BelievedPlace, ...]
+    places: tuple[StoredHypothesis, ...]
     """Best first; empty before the first measurement."""
     own: PositionAccuracy | None = None
     """Worst accuracy of the vehicle position while this was measured; None: not recorded."""
@@ -90,7 +90,7 @@ def belief_of(
         return None
     best = hypotheses[0].log_weight
     places = tuple(
-        BelievedPlace(
+        StoredHypothesis(
             float(hypothesis.log_weight - best),
             tuple(hypothesis.state.mean.tolist()),
             tuple(tuple(row) for row in _widest(hypothesis).tolist()),
@@ -135,7 +135,7 @@ def _widest(hypothesis: Hypothesis) -> Matrix:
     return P * max(1.0, float(np.trace(least) / np.trace(P[:2, :2])))
 
 
-def _problem(place: BelievedPlace, size: int) -> str | None:
+def _problem(place: StoredHypothesis, size: int) -> str | None:
     if len(place.mean) != size or [len(row) for row in place.covariance] != [size] * size:
         return "a state of another size"
     values = (place.log_weight, *place.mean, *(v for row in place.covariance for v in row))

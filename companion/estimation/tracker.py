@@ -213,7 +213,7 @@ class TargetTracker:
 
     def _rate_own(self, own: PositionAccuracy | None) -> None:
         self.own = own if self.own in (None, own) else self.own.or_worse(own)
-        if own is not None and own.is_told:
+        if own is not None and own.is_reported:
             self._best_own_m = min(self._best_own_m, own.horizontal_m)
 
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
@@ -310,9 +310,9 @@ class TargetTracker:
         lag_s, is_auto = params.stamp_lag_sigma_s, self.antenna is not None
         if lag_s is None:
             lag_s = DEFAULT_LAG_SIGMA_S if is_auto else 0.0
-        own_height_m = GNSS_ACCURACY_FACTOR * own.vertical_m if own.is_told else 0.0
+        own_height_m = GNSS_ACCURACY_FACTOR * own.vertical_m if own.is_reported else 0.0
         height_m = math.hypot(DEFAULT_HEIGHT_SIGMA_M, own_height_m) if is_auto else 0.0
-        has_jumped = own.is_told and self._best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
+        has_jumped = own.is_reported and self._best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
         jump_m = own.effective_m if has_jumped else 0.0
         own_m = own.effective_m
         if is_auto and own_m > own.horizontal_m:

@@ -120,7 +120,7 @@ class Reporting:
         reserve, motion = self._context.guard.limits.reserve, self._context.vehicle.motion
         if reserve is None or motion is None or motion.battery_pct is None:
             return False
-        if not self._context.searching.is_worth_telling:
+        if not self._context.searching.is_worth_reporting:
             return False
         away_m = math.dist(motion.position_enu_m[:2], motion.home_enu_m[:2])
         return away_m >= reserve.reach_m(motion.battery_pct)
@@ -166,8 +166,8 @@ class Reporting:
         """Report the estimates of all emitters not reported yet, the current emitter last."""
         emitters = self._context.emitters
         waiting = [emitters.tracker_of(n) for n in reversed(emitters.waiting)]
-        believed = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]
-        known = [(tracker, estimate) for tracker, estimate in believed if estimate is not None]
+        estimates = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]
+        known = [(tracker, estimate) for tracker, estimate in estimates if estimate is not None]
         for tracker, estimate in known:
             self._report(tracker, estimate, ENDED_EARLY)
         emitters.reported.update(t.emitter_id for t, _ in known if t.emitter_id is not None)
@@ -416,7 +416,7 @@ class ControlTick:
                 self._handover.hand_back(finding, now_s)
                 self._watches.note_handback(finding)
                 return
-            case Verdict.GIVE_WAY:
+            case Verdict.YIELD:
                 self._handover.yield_control(finding, now_s)
                 return
         if is_new:

@@ -29,7 +29,7 @@ class Verdict(IntEnum):
     """Stay in place: HOLD."""
     HAND_BACK = 3
     """Request a mode in which the autopilot flies by itself: HANDBACK."""
-    GIVE_WAY = 4
+    YIELD = 4
     """Be silent: YIELD."""
 
 

@@ -236,7 +236,7 @@ class Handover:
         # Echoes after the last HEARTBEAT in offboard may be targets of the mode chosen since.
         shown_s = context.authority.offboard_shown_s
         if finding and finding.reason is Reason.SECOND_SOURCE and finding.since_s <= shown_s:
-            context.authority.demand_grant(GRANT_REASONS[Trigger.GIVE_WAY])
+            context.authority.demand_grant(GRANT_REASONS[Trigger.CONTENTION])
         text = f"control lost: autopilot went to {name}"
         if context.authority.grant_reason is None:
             text += f"; ready again after {REGAIN_QUIET_S:g} s there"
@@ -401,7 +401,7 @@ class Handover:
     def hand_back(self, finding: Finding, now_s: float) -> None:
         """Start the hand-back: the fault does not pass, so the autopilot shall fly by itself."""
         context = self._context
-        if not context.enter(Trigger.GIVE_UP, now_s):
+        if not context.enter(Trigger.HAND_BACK, now_s):
             return
         self._hand_back_mode, self._asked_s = finding.mode, None
         name = context.vehicle.name_of(finding.mode)
@@ -412,7 +412,7 @@ class Handover:
     def yield_control(self, finding: Finding, now_s: float) -> None:
         """Yield to another source of commands: send nothing more."""
         is_pilot = finding.reason is Reason.STICKS
-        if self._context.enter(Trigger.PILOT_TOOK if is_pilot else Trigger.GIVE_WAY, now_s):
+        if self._context.enter(Trigger.PILOT_TOOK if is_pilot else Trigger.CONTENTION, now_s):
             text = f"control yielded: {finding.text}"
             if self._context.authority.grant_reason is None:
                 text += f"; ready again after {REGAIN_QUIET_S:g} s in another mode"

@@ -32,7 +32,7 @@ def radius_fields(estimate: TargetEstimate) -> dict[str, object]:
         "r95_m": estimate.r95_m,
         "absolute_r95_m": estimate.absolute_r95_m,
         "own_sigma_m": estimate.own.horizontal_m,
-        "own_sigma_told": estimate.own.is_told,
+        "own_sigma_told": estimate.own.is_reported,
     }
 
 
@@ -44,7 +44,7 @@ def radii_of(estimate: TargetEstimate) -> str:
 def radius_texts(estimate: TargetEstimate) -> list[str]:
     """Return both radii, and the GNSS accuracy in the absolute one if it is an assumed one."""
     own, texts = estimate.own, [radii_of(estimate)]
-    if not own.is_told:
+    if not own.is_reported:
         texts.append(f"GNSS accuracy not reported: assuming {own.horizontal_m:.3g} m")
     return texts
 

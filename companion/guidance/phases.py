@@ -29,12 +29,12 @@ operator selected it, the mode is confirmed as current (`ModeWatch`), the fence 
 other system sends under our ids; `Handover` checks all of these. In auto, `Launch` leads up to it.
 
 Control is kept: at every tick `ControlTick` asks the `Watches` for the worst finding: SLOW
-(DEGRADED), HOLD, HAND_BACK or GIVE_WAY; without a finding the phase is NORMAL.
+(DEGRADED), HOLD, HAND_BACK or YIELD; without a finding the phase is NORMAL.
 
 Control ends by the autopilot's reports (MODE_LOST, LANDED, DISARMED, RESTARTED: `Handover`), by its
-identity on the link (NOT_OURS), by a verdict (GIVE_UP, GIVE_WAY, PILOT_TOOK), by a stop, or by the
-report. `Authority` decides which reports have to follow before the mode counts as selected again,
-and which ends of control need a grant.
+identity on the link (NOT_OURS), by a verdict (HAND_BACK, CONTENTION, PILOT_TOOK), by a stop, or by
+the report. `Authority` decides which reports have to follow before the mode counts as selected
+again, and which ends of control need a grant.
 
 Three rules stand above the table: a lost mode is never requested again; unanswered requests are
 withdrawn when control ends; and a setpoint is sent only in STREAMING phases, from the control tick.
@@ -93,8 +93,8 @@ class Trigger(Enum):
     INPUT_LOST = "something the plan stands on is missing"
     INPUT_BACK = "everything the plan stands on is there"
     LOCALISED = "the target is reported, or the battery is low"
-    GIVE_UP = "what is wrong does not pass"
-    GIVE_WAY = "another system commands"
+    HAND_BACK = "what is wrong does not pass"
+    CONTENTION = "another system commands"
     PILOT_TOOK = "the pilot moves the sticks"
     MODE_LEFT = "another mode was chosen, and stays"
     NOT_OURS = "the vehicle is not one to fly, or not the one that was given"
@@ -134,8 +134,8 @@ _ROWS: tuple[tuple[Iterable[Phase], Trigger, Phase], ...] = (
     (FLYING, Trigger.INPUT_LOST, Phase.HOLD),
     (IN_CONTROL, Trigger.LOCALISED, Phase.FINISHED),
     ({Phase.YIELD, Phase.FINISHED}, Trigger.GRANTED, Phase.STANDBY),
-    (IN_CONTROL, Trigger.GIVE_UP, Phase.HANDBACK),
-    (IN_CONTROL, Trigger.GIVE_WAY, Phase.YIELD),
+    (IN_CONTROL, Trigger.HAND_BACK, Phase.HANDBACK),
+    (IN_CONTROL, Trigger.CONTENTION, Phase.YIELD),
     (IN_CONTROL, Trigger.PILOT_TOOK, Phase.YIELD),
     ({Phase.YIELD}, Trigger.MODE_LEFT, Phase.WAITING),
     (IN_CONTROL | {Phase.LAUNCHING, Phase.HANDBACK}, Trigger.MODE_LOST, Phase.YIELD),

@@ -121,7 +121,7 @@ def estimate_message(
         emitter_id,
         TargetState[estimate.state.name],
         estimate.absolute_r95_m,
-        estimate.own.horizontal_m if estimate.own.is_told else math.nan,
+        estimate.own.horizontal_m if estimate.own.is_reported else math.nan,
         estimate.own.vertical_m,
     )
     return _with_floats_that_fit(message)

@@ -22,7 +22,7 @@ log = logging.getLogger("companion.flight")
 
 PERIOD_S = 30.0
 FIRST_S = 5.0
-"""After the search is worth telling."""
+"""Wait for the first one, from the moment when the search is worth reporting."""
 MAX_QUEUED = 4
 Snapshot = tuple[SearchedFlight, SearchState | None]
 
@@ -43,7 +43,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         """Write what was searched, if that is due."""
         self._now_s = now_s
         searching = self._session.searching
-        if not searching.is_worth_telling:
+        if not searching.is_worth_reporting:
             return
         if self._next_s is None:
             self._next_s = now_s + FIRST_S

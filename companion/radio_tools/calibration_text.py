@@ -135,39 +135,39 @@ def yaml_to_paste(done: Calibration) -> str:
     Empty if nothing is usable.
     """
     stage: dict[str, str] = {}
-    believed: dict[str, str] = {}
+    estimator: dict[str, str] = {}
     if done.has_ranges and done.range_fit is not None:
-        _add_range_keys(stage, believed, done.range_fit)
+        _add_range_keys(stage, estimator, done.range_fit)
     if done.has_bearings and done.bearing_fit is not None:
-        _add_bearing_keys(stage, believed, done.bearing_fit, is_by_north=done.is_by_north)
-    if not believed:
+        _add_bearing_keys(stage, estimator, done.bearing_fit, is_by_north=done.is_by_north)
+    if not estimator:
         return ""
     if done.lag_s is not None:
         stage["lag_s"] = f"{min(max(done.lag_s.value, -1.0), 5.0):.3f}"
     if done.range_ratio is not None or done.bearing_ratio is not None:
-        believed["use_reported_sigma"] = "true" if done.keeps_reported_sigma else "false"
+        estimator["use_reported_sigma"] = "true" if done.keeps_reported_sigma else "false"
     return "\n".join(
         [
             "# input stage",
             *(f"{key}: {value}" for key, value in stage.items()),
             "# estimator",
-            *(f"{key}: {value}" for key, value in believed.items()),
+            *(f"{key}: {value}" for key, value in estimator.items()),
         ]
     )
 
 
-def _add_range_keys(stage: dict[str, str], believed: dict[str, str], fit: RangeFit) -> None:
+def _add_range_keys(stage: dict[str, str], estimator: dict[str, str], fit: RangeFit) -> None:
     stage["range_offset_m"] = f"{fit.offset_m.value:.2f}"
     stage["range_scale"] = f"{fit.effective_scale:.4f}" if fit.is_scale_used else "1.0"
     prior_m = max(_upwards(PRIOR_WIDTHS * fit.offset_m.half_width), LEAST_PRIOR_M)
-    believed["range_sigma_m"] = f"{_upwards(fit.sigma_m.value):g}"
-    believed["range_offset_sigma_m"] = f"{prior_m:g}"
-    believed["range_offset_min_m"] = f"{-2.0 * prior_m:g}"
-    believed["range_offset_max_m"] = f"{3.0 * prior_m:g}"
+    estimator["range_sigma_m"] = f"{_upwards(fit.sigma_m.value):g}"
+    estimator["range_offset_sigma_m"] = f"{prior_m:g}"
+    estimator["range_offset_min_m"] = f"{-2.0 * prior_m:g}"
+    estimator["range_offset_max_m"] = f"{3.0 * prior_m:g}"
 
 
 def _add_bearing_keys(
-    stage: dict[str, str], believed: dict[str, str], fit: BearingFit, *, is_by_north: bool
+    stage: dict[str, str], estimator: dict[str, str], fit: BearingFit, *, is_by_north: bool
 ) -> None:
     mount_deg = math.degrees(fit.mount_rad.value)
     view_deg = math.degrees(fit.field_of_view_rad)
@@ -181,10 +181,10 @@ def _add_bearing_keys(
         if view_deg < (180.0 if fit.sense.is_folded else WHOLE_DEG):
             stage["field_of_view_deg"] = f"{view_deg:.0f}"
     sigma_deg = _upwards(math.degrees(fit.sigma_rad.value))
-    believed["bearing_sigma_deg"] = f"{min(sigma_deg, 90.0):g}"
-    believed["bearing_offset_sigma_deg"] = f"{max(_upwards(prior_deg), LEAST_PRIOR_DEG):g}"
+    estimator["bearing_sigma_deg"] = f"{min(sigma_deg, 90.0):g}"
+    estimator["bearing_offset_sigma_deg"] = f"{max(_upwards(prior_deg), LEAST_PRIOR_DEG):g}"
     if fit.sense.is_folded:
-        believed["antenna"] = (
+        estimator["antenna"] = (
             f"{{kind: line, mount_deg: [0, 0, {mount_deg:.1f}], "
             f"field_of_view_deg: {min(view_deg, 180.0):.0f}}}"
         )

@@ -121,8 +121,8 @@ def ratio_figure(parts: Vector, weights: Vector) -> Figure:
         return Figure(value, -math.inf, math.inf)
     squares = ((total - parts) / np.maximum(weight - weights, 1e-12) - value) ** 2
     variance = (count - 1.0) / count * float(np.sum(squares))
-    telling = float(np.sum(squares)) ** 2 / max(float(np.sum(squares**2)), 1e-300)
-    return figure(value, math.sqrt(variance), min(count - 1.0, telling))
+    effective_count = float(np.sum(squares)) ** 2 / max(float(np.sum(squares**2)), 1e-300)
+    return figure(value, math.sqrt(variance), min(count - 1.0, effective_count))
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,14 +166,14 @@ def linear_fit(rows: Matrix, values: Vector, weights: Vector, labels: Labels) ->
             information[:, first, second] = sums_of(products, labels)
     total, score = information.sum(axis=0), scores.sum(axis=0)
     freedom = max(float(count - parameters), 1.0)
-    untold = np.full((parameters, parameters), math.inf)
+    undetermined = np.full((parameters, parameters), math.inf)
     if count <= parameters or np.linalg.cond(total) > MOST_CONDITION:
         beta = np.linalg.lstsq(total, score, rcond=1e-10)[0] / scale
-        return LinearFit(beta, untold, freedom)
+        return LinearFit(beta, undetermined, freedom)
     beta = np.linalg.solve(total, score)
     rest = total - information
     if float(np.max(np.linalg.cond(rest))) > MOST_CONDITION:
-        return LinearFit(beta / scale, untold, freedom)
+        return LinearFit(beta / scale, undetermined, freedom)
     moved = np.linalg.solve(rest, (score - scores)[:, :, None])[:, :, 0] - beta
     covariance = (count - 1.0) / count * (moved.T @ moved) / np.outer(scale, scale)
     return LinearFit(beta / scale, covariance, freedom)

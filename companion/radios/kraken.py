@@ -87,7 +87,7 @@ class _Channel:
     last_ms: float
     heard_s: float
     """Time of its first arrival, on the companion's clock."""
-    believed_from_ms: float
+    valid_from_ms: float
     checksum: int | None = None
     is_parallel: bool = False
     """True if another frequency had a result of the same time: no tuning between them."""
@@ -118,7 +118,7 @@ class _Channels:
         self._seen[name] = channel
         if len(self._seen) > MOST_CHANNELS:
             del self._seen[next(iter(self._seen))]
-        return "just tuned to this frequency" if time_ms < channel.believed_from_ms else None
+        return "just tuned to this frequency" if time_ms < channel.valid_from_ms else None
 
     def _next(self, before: _Channel | None, time_ms: float, now_s: float) -> _Channel:
         """Return the channel's next state.
@@ -133,11 +133,11 @@ class _Channels:
         if before is None:
             start_ms = time_ms + (self._settle_ms if others else 0.0)
             if beside:
-                start_ms = max(one.believed_from_ms for one in beside)
+                start_ms = max(one.valid_from_ms for one in beside)
         elif time_ms < before.last_ms:  # the clock was set back
             start_ms = time_ms
         elif is_parallel or time_ms - before.last_ms <= AWAY_MS:
-            start_ms = before.believed_from_ms
+            start_ms = before.valid_from_ms
         else:
             is_replaced = any(one.last_ms > before.last_ms for one in others)
             start_ms = time_ms + (self._settle_ms if is_replaced else 0.0)
@@ -154,7 +154,7 @@ class KrakenDecoder(RadioDecoder):
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
         assert isinstance(self.options, KrakenOptions)
-        self._believed = self.options
+        self._settings = self.options
         self._channels = self._new_channels()
 
     def reset(self) -> None:
@@ -163,7 +163,7 @@ class KrakenDecoder(RadioDecoder):
         self._channels = self._new_channels()
 
     def _new_channels(self) -> _Channels:
-        return _Channels(self._believed.settle_s if self.may_be_unsettled else 0.0)
+        return _Channels(self._settings.settle_s if self.may_be_unsettled else 0.0)
 
     def readings_of(self, result: Result | str, now_s: float) -> list[RadioReading]:
         """Return the reading of a result, if it is new and good enough; else count the reason."""
@@ -193,7 +193,7 @@ class KrakenDecoder(RadioDecoder):
         ]
 
     def _quality(self, result: Result) -> float:
-        best = self._believed.best_confidence
+        best = self._settings.best_confidence
         if best is None:
             best = BEST_CONFIDENCE if result.checksum is None else 1.0
         return result.confidence / best
@@ -212,11 +212,11 @@ class KrakenDecoder(RadioDecoder):
             return tuned
         if result.is_overdriven:
             return "receiver is overdriven"
-        if result.is_line_array and not self._believed.accept_line_array:
+        if result.is_line_array and not self._settings.accept_line_array:
             return "line array: front or back is not known"
-        if self._quality(result) * BEST_CONFIDENCE >= self._believed.min_confidence:
+        if self._quality(result) * BEST_CONFIDENCE >= self._settings.min_confidence:
             return None
-        if self._believed.best_confidence is None and result.confidence <= OLD_CONFIDENCE:
+        if self._settings.best_confidence is None and result.confidence <= OLD_CONFIDENCE:
             return "low confidence (firmware of 2022 or 2023? then set best_confidence to 2)"
         return "low confidence"
 

@@ -78,7 +78,11 @@ def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
         elif isinstance(record, TimedPose):
             poses += 1
             _add_pose(track, record)
-            own = own if record.sigma_m is None else PositionAccuracy(record.sigma_m, is_told=True)
+            own = (
+                own
+                if record.sigma_m is None
+                else PositionAccuracy(record.sigma_m, is_reported=True)
+            )
             for target in targets.values():
                 target.listener.fuse_due(max(now_s, record.t_s), own)
     if poses:

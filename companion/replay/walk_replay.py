@@ -239,7 +239,7 @@ def _walk_row(
         truth_enu_m=truth,
         own=None
         if own_m is None
-        else PositionAccuracy(own_m, GNSS_VERTICAL_RATIO * own_m, is_told=True),
+        else PositionAccuracy(own_m, GNSS_VERTICAL_RATIO * own_m, is_reported=True),
         yaw_sigma_rad=yaw_rad or 0.0,
     )
 
@@ -330,6 +330,6 @@ def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[st
     if open_m:
         words = ", ".join(f"{name} to {radius_m:.2f} m" for name, radius_m in open_m.items())
         yield f"searching: measurements place {words}; localised asks for {localised_r95_m:g} m"
-    if not all(estimate.own.is_told for estimate in estimates.values()):
+    if not all(estimate.own.is_reported for estimate in estimates.values()):
         sigma_m = f"{DEFAULT_GNSS_SIGMA_M:g} m"
         yield f"R95 assumes {sigma_m} for positions of unknown accuracy: see --own-sigma"

@@ -201,7 +201,7 @@ def radii_of_line(r95_m: float, line: Line) -> str:
     own_m = _read(line.get("own_sigma_m"), float)
     if absolute_m is None or own_m is None:
         return f"R95 {r95_m:.2f} m relative to vehicle"
-    own = PositionAccuracy(own_m, is_told=line.get("own_sigma_told") is True)
+    own = PositionAccuracy(own_m, is_reported=line.get("own_sigma_told") is True)
     return radii_text(absolute_m, r95_m, own, decimals=2)
 
 

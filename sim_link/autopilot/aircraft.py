@@ -22,7 +22,7 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import StickInput
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.mission_executor import MissionRun
-from sim_link.autopilot.navigation import Believed
+from sim_link.autopilot.navigation import EstimatedMotion
 from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.protocols.plan_items import (
     AMSL_FRAMES,
@@ -199,7 +199,7 @@ class Aircraft:
         self.estimator = Estimator(origin, scenario.gps, noise_m, noise_rng, navigation)
         self.estimator.step(0.0, self.body.position_enu_m, 0.0)
         error = self.estimator.error
-        self.motion: Kinematics = self.body if error is None else Believed(self.body, error)
+        self.motion: Kinematics = self.body if error is None else EstimatedMotion(self.body, error)
         """What the autopilot steers by."""
         east, north, _ = self.motion.position_enu_m
         self.home_enu_m: PositionEnu = (east, north, self.motion.ground_up_m)

@@ -100,10 +100,10 @@ class NavigationError:
             self._normals = self._rng.standard_normal(3).tolist()
 
 
-class Believed:
-    """A motion as the autopilot takes it: the true one, displaced by the navigation error.
+class EstimatedMotion:
+    """Motion as the autopilot estimates it: the true one, displaced by the navigation error.
 
-    The ground is displaced as well: a vehicle that stands on it knows that it does.
+    The ground is displaced as well, so that a vehicle on the ground is on it in the estimate, too.
     """
 
     def __init__(self, body: PointMass, error: NavigationError) -> None:

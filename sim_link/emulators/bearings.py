@@ -52,9 +52,9 @@ class KrakenDirection:
             f"{self.latency_ms:.1f}",
             STATION,
         ]
-        own_place = ["0.0", "0.0", "0", "0", "GPS", "R", "R", "R", "R"]
+        position = ["0.0", "0.0", "0", "0", "GPS", "R", "R", "R", "R"]
         at = -self.theta_deg % 360
-        return ", ".join([*head, *own_place, *RING[at:], *RING[:at]])
+        return ", ".join([*head, *position, *RING[at:], *RING[:at]])
 
     @property
     def xml(self) -> str:

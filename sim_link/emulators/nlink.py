@@ -258,7 +258,7 @@ class NLinkNode5(NLinkEmulator):
 
 
 class NLinkNode2(NLinkEmulator):
-    """With the node's own place, which is unknown here."""
+    """A tag that prints NodeFrame2, with the node's position, here unknown."""
 
     name = "nlink_node2"
     title = "Nooploop LinkTrack, NodeFrame2"

@@ -41,7 +41,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
-from tools.benches.planner_bench import believed
+from tools.benches.planner_bench import filter_states
 from tools.study.case import (
     TRUTH,
     Case,
@@ -230,7 +230,7 @@ def test_bytes_change_no_estimate(planner: PlannerName) -> None:
     flown = flight(planner, FILTER_ALONE, 0)
     z = np.column_stack([flown.z, np.full(STEPS, math.nan)])
     places = np.array(flown.places)[:, :2].copy()
-    means = believed(places, z, belief_of(CASE, System("asymmetric_huber", planner))).means
+    means = filter_states(places, z, belief_of(CASE, System("asymmetric_huber", planner))).means
     misses_m = np.hypot(*(means[:, :2] - np.array(flown.means)[:, :2]).T)
     assert len(misses_m) == STEPS
     assert misses_m.max() <= WIRE_M

@@ -35,7 +35,7 @@ def flown(navigation: NavigationParams, seed: int) -> tuple[TargetEstimate, floa
 @pytest.mark.parametrize("seed", [0, 2, 4])
 def test_a_position_that_wanders_unreported_is_within_both_radii(seed: int) -> None:
     estimate, relative_m, absolute_m = flown(WANDERING, seed)
-    assert not estimate.own.is_told
+    assert not estimate.own.is_reported
     assert relative_m <= estimate.r95_m
     assert absolute_m <= estimate.absolute_r95_m
     # what the search waits for is what measuring improves
@@ -44,6 +44,6 @@ def test_a_position_that_wanders_unreported_is_within_both_radii(seed: int) -> N
 
 def test_a_receiver_without_error_reports_that_and_both_radii_are_nearly_the_same() -> None:
     estimate, relative_m, absolute_m = flown(NavigationParams(), 0)
-    assert estimate.own.is_told
+    assert estimate.own.is_reported
     assert max(relative_m, absolute_m) <= estimate.r95_m <= estimate.absolute_r95_m
     assert estimate.absolute_r95_m - estimate.settled_r95_m < 0.05

@@ -94,12 +94,15 @@ def recorded_run(case: Case, system: System) -> RecordedRun:
     for step, (east_m, north_m) in enumerate(trial.track_enu_m.tolist()):
         z[step, :2] = measured(draws[step], east_m, north_m, trial.truth)
     walk = Walk(case, np.ascontiguousarray(trial.track_enu_m), z, belief)
-    beliefs, picks = believed(walk.track_enu_m, z, belief), stream(SEED, PLANNER).random(case.steps)
+    beliefs, picks = (
+        filter_states(walk.track_enu_m, z, belief),
+        stream(SEED, PLANNER).random(case.steps),
+    )
     return RecordedRun(system, walk, steering, beliefs, picks)
 
 
 @kernel
-def believed(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Beliefs:
+def filter_states(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Beliefs:
     """Return the state of the recursive filter after every measurement.
 
     Args:

@@ -81,9 +81,9 @@ def _starts(store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
         store.slots = slots
         found = store.load()
         if found.checkpoint is not None and len(slots) == 1:
-            findings.append("a damaged checkpoint was believed")
+            findings.append("a damaged checkpoint was accepted")
         if slots and not found.has_files:
-            findings.append("a damaged checkpoint was taken for no checkpoint at all")
+            findings.append("a damaged checkpoint counted as a missing one")
     return findings
 
 

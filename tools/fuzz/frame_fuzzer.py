@@ -245,7 +245,7 @@ class FuzzCampaign:
             if piece.meant is Meant.VEHICLE:
                 self._spared.receive(chunk, self.now_s)
         except Exception as error:
-            raise FuzzFailure(self._told(piece, f"{type(error).__name__}: {error}")) from error
+            raise FuzzFailure(self._describe(piece, f"{type(error).__name__}: {error}")) from error
         self._compare(piece)
 
     def _step(self, piece: Piece) -> None:
@@ -255,7 +255,7 @@ class FuzzCampaign:
             self._spared.handle_timer(self.now_s)
         except Exception as error:
             problem = f"{type(error).__name__} in the step after it: {error}"
-            raise FuzzFailure(self._told(piece, problem)) from error
+            raise FuzzFailure(self._describe(piece, problem)) from error
         self._compare(piece)
 
     def _compare(self, piece: Piece) -> None:
@@ -264,9 +264,9 @@ class FuzzCampaign:
         if mine != its:
             problem = f"meant for {piece.meant.value}, and the vehicle sends {len(mine)} frames "
             problem += f"where its spared twin sends {len(its)}, or others"
-            raise FuzzFailure(self._told(piece, problem))
+            raise FuzzFailure(self._describe(piece, problem))
 
-    def _told(self, piece: Piece, problem: str) -> str:
+    def _describe(self, piece: Piece, problem: str) -> str:
         return f"frame {self.frames} ({piece.data.hex()}): {problem}"
 
 

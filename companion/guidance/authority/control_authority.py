@@ -34,7 +34,7 @@ CHOICES = frozenset({Trigger.MODE_LOST, Trigger.PILOT_TOOK})
 """Triggers by which a person ends control, unless there is evidence of another cause."""
 GRANT_REASONS = {
     Trigger.HANDED_BACK: "handed back",
-    Trigger.GIVE_WAY: "second source of setpoints",
+    Trigger.CONTENTION: "second source of setpoints",
     Trigger.NOT_OURS: "another vehicle",
     Trigger.LANDED: "landed",
     Trigger.LAUNCH_FAILED: "takeoff aborted",

@@ -57,7 +57,7 @@ class Searching:
         """True if the radio has sent anything at all."""
 
     @property
-    def is_worth_telling(self) -> bool:
+    def is_worth_reporting(self) -> bool:
         """True if there was a search."""
         return self.listened_s >= WORTH_TELLING_S
 
@@ -141,7 +141,7 @@ class Searching:
     def end(self, now_s: float, sweeps: int) -> str | None:
         """Return the reason to end a search without contact, in words; None: it goes on."""
         params = self.params
-        if self.contact_s is not None or not self.is_worth_telling:
+        if self.contact_s is not None or not self.is_worth_reporting:
             return None
         if params.stop_sweeps is not None and sweeps >= params.stop_sweeps:
             return "the area is done"
@@ -158,8 +158,8 @@ class Searching:
         return None if flight is None or state is None else statement(flight, state)
 
     def flight(self, zero_unix_s: float) -> SearchedFlight | None:
-        """Return the record of this flight, or None if there was no search worth telling."""
-        if self._began_s is None or not self.is_worth_telling:
+        """Return the record of this flight, or None if there was no search worth reporting."""
+        if self._began_s is None or not self.is_worth_reporting:
             return None
         looks = [] if self._area is None else self._area.looks
         return SearchedFlight(

@@ -25,7 +25,7 @@ from companion.domain import (
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
-from companion.guidance.flight.own_place import PositionAccuracyWatch
+from companion.guidance.flight.position_accuracy import PositionAccuracyWatch
 from companion.guidance.flight.vehicle_track import VehicleTrack, is_plausible
 
 

@@ -153,7 +153,7 @@ class EchoWatch(Watch):
         if self._contended_since_s is not None:
             went_on = self._foreign_s[-1][0] - self._contended_since_s >= GOES_ON_S
             is_over = now_s - self._contended_since_s >= HOLD_S
-            verdict = Verdict.GIVE_WAY if went_on and is_over else Verdict.HOLD
+            verdict = Verdict.YIELD if went_on and is_over else Verdict.HOLD
             first_s = self._foreign_s[0][0]
             text = "second source of setpoints"
             return Finding(verdict, Reason.SECOND_SOURCE, text, since_s=first_s)
@@ -203,7 +203,7 @@ def _distance_m(point: PositionEnu, start: PositionEnu, end: PositionEnu) -> flo
 
 MOVED = 0.3
 """Deflection from rest that counts as the pilot's request for control."""
-GIVE_WAY_S = 0.5
+LASTING_S = 0.5
 """Time in s after which moved sticks are a lasting request."""
 RELEASED_S = 2.0
 """Time in s after which released sticks no longer hold the vehicle."""
@@ -270,9 +270,9 @@ class StickWatch(Watch):
         if moved_s is None:
             is_held = now_s - seen_s < RELEASED_S
             return _finding(Verdict.HOLD) if is_held else None
-        is_wish = self._reaction == "yield" and seen_s - moved_s >= GIVE_WAY_S
+        is_wish = self._reaction == "yield" and seen_s - moved_s >= LASTING_S
         is_wish = is_wish and self._is_pilots(moved_s, now_s)
-        return _finding(Verdict.GIVE_WAY if is_wish else Verdict.HOLD)
+        return _finding(Verdict.YIELD if is_wish else Verdict.HOLD)
 
     @property
     def _is_lost(self) -> bool:

@@ -117,12 +117,12 @@ class Expectation(Params, frozen=True, kw_only=True):
     final_error_m: EmitterBound | UnsetType = UNSET
     """Distance of the last estimate from the true emitter."""
     error_over_r95: EmitterBound | UnsetType = UNSET
-    """The same in R95: at most 1 in 95 of 100 flights if R95 is honest and the vehicle's own
-    place is right."""
+    """The same in units of R95: at most 1 in 95 of 100 flights if R95 is honest and the vehicle
+    position is exact."""
     error_over_absolute_r95: EmitterBound | UnsetType = UNSET
-    """The same in the absolute R95, which has the error of the own place in it."""
+    """The same in units of the absolute R95, which includes the error of the vehicle position."""
     reported_s: EmitterBound | UnsetType = UNSET
-    """When the target was reported, since control was first given."""
+    """Time of the report of the target, since the first hand-over."""
     time_s: Bound | UnsetType = UNSET
     distance_m: Bound | UnsetType = UNSET
     violations: Violations | UnsetType = UNSET
@@ -131,9 +131,9 @@ class Expectation(Params, frozen=True, kw_only=True):
     never: TextSeen | UnsetType = UNSET
     """It must not have been sent."""
     holds: str | UnsetType = UNSET
-    """A condition that holds at the end."""
+    """Condition that is true at the end."""
     always: str | UnsetType = UNSET
-    """A condition that is never false, from the first step to the last."""
+    """Condition that is true from the first step to the last."""
 
     def __post_init__(self) -> None:
         _one_given(self, "an expectation")

@@ -100,7 +100,7 @@ class OnlyWithAuthority(Invariant):
 
     def heard(self, frame: Frame) -> None:
         """Follow the mode, and the operator's grants."""
-        if not self.scene.is_believable or frame.number not in HEARD:
+        if not self.scene.must_accept or frame.number not in HEARD:
             return
         message = frame.message
         if isinstance(message, mavlink.MAVLink_command_long_message):

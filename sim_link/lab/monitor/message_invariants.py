@@ -353,7 +353,7 @@ class OnlyProvedFrames(Invariant):
     def heard(self, frame: Frame) -> None:  # noqa: ARG002
         """Remember the state before a frame that must not change it."""
         self._before = None
-        if not self.scene.is_believable and not self.scene.is_indistinct:
+        if not self.scene.must_accept and not self.scene.is_indistinct:
             self.unproved += 1
             self._before = self._snapshot()
 

@@ -160,14 +160,14 @@ class FrameMonitor(Observer):
         is_here = frame.peer == VEHICLE_PEER and frame.is_readable and not scene.is_signed
         scene.is_indistinct = is_here and not frame.is_genuine and scene.is_of_autopilot(frame)
         is_judged = frame.is_readable and not scene.is_indistinct
-        scene.is_believable = is_judged and self._is_believed(frame)
+        scene.must_accept = is_judged and self._must_accept(frame)
         scene.is_lied_to = not scene.is_signed and self._whose.follows_unknown_peer
-        if scene.is_believable:
+        if scene.must_accept:
             scene.observe(frame)
             scene.note_fence(frame)
         self._show("heard", frame)
 
-    def _is_believed(self, frame: Frame) -> bool:
+    def _must_accept(self, frame: Frame) -> bool:
         if self._proof is not None:
             return self._proof.accepts(frame.data)
         if frame.sender[1] == AUTOPILOT_COMPONENT:

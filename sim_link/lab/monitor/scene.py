@@ -171,7 +171,7 @@ class ObservedScene:
     """When the companion's control tick last ran."""
     suspended_until_s: float = -1.0
     """The companion process gets no time until then."""
-    is_believable: bool = True
+    must_accept: bool = True
     """True if the last frame had to be accepted."""
     is_indistinct: bool = False
     """True if it was of another vehicle with our ids and address, and without a signature."""

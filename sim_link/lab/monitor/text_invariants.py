@@ -43,7 +43,7 @@ class FewTexts(Invariant):
     def heard(self, frame: Frame) -> None:
         """Count changes of mode and arming, and orders."""
         scene, message = self.scene, frame.message
-        if message is None or not (scene.is_believable or scene.is_indistinct):
+        if message is None or not (scene.must_accept or scene.is_indistinct):
             return
         if message.get_type() in BY_A_PERSON:
             self._deeds += 1

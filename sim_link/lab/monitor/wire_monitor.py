@@ -35,7 +35,7 @@ from sim_link.lab.monitor.scene import (
     is_offboard,
 )
 
-TELLING = OBSERVED_MESSAGES | {
+WATCHED = OBSERVED_MESSAGES | {
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
@@ -63,12 +63,12 @@ class Recording(Observer):
 
     def heard(self, frame: Frame) -> None:
         """Handle a frame that reaches the companion."""
-        if frame.number in TELLING:
+        if frame.number in WATCHED:
             self._keep(frame.time_s, "heard", frame)
 
     def vehicle_sent(self, frame: Frame) -> None:
         """Handle a frame that the vehicle sent."""
-        if frame.number in TELLING:
+        if frame.number in WATCHED:
             self._keep(frame.time_s, "vehicle_sent", frame)
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tools.benches.filter_bench import SEED
-from tools.benches.planner_bench import believed, decided, recorded_run, retraced
+from tools.benches.planner_bench import decided, filter_states, recorded_run, retraced
 from tools.study.case import Case
 from tools.study.systems import PlannerName, System
 from tools.study.trials import run_trial
@@ -26,7 +26,7 @@ def test_what_is_timed_flies_where_the_run_went(planner: PlannerName) -> None:
 
 def test_the_filter_believes_what_it_did_in_the_run() -> None:
     run = recorded_run(SHORT, FILTER_ALONE)
-    beliefs = believed(run.walk.track_enu_m, run.walk.z, run.walk.belief)
+    beliefs = filter_states(run.walk.track_enu_m, run.walk.z, run.walk.belief)
     trial = run_trial(SHORT, FILTER_ALONE, SEED)
     np.testing.assert_allclose(beliefs.means[:, :2], trial.estimates_enu_m, atol=1e-9)
     np.testing.assert_allclose(beliefs.covariances[:, 0, 1], trial.covariances_m2[:, 1], atol=1e-9)

@@ -130,7 +130,7 @@ class CommandRules(VehicleProbe):
         return int(reported.interval_us)
 
     @book.rule(INTERVAL_REPORTED)
-    def interval_is_told(self) -> None:
+    def interval_is_reported(self) -> None:
         """MESSAGE_INTERVAL reports what was set, by command 510 and by REQUEST_MESSAGE."""
         result = self.set_interval(mav.Attitude, 0.2)
         require(result == mav.ACCEPTED, "SET_MESSAGE_INTERVAL")
@@ -175,7 +175,7 @@ class CommandRules(VehicleProbe):
         self.heartbeat()
 
     @book.rule(f"{SERVICE} (UNSUPPORTED_MAV_FRAME; never guess another frame)", effect=CHANGES)
-    def unsupported_frame_is_told(self) -> None:
+    def unsupported_frame_is_refused(self) -> None:
         """A place in a frame that a command does not take is UNSUPPORTED_MAV_FRAME."""
         self.get_ready()
         home = self.home()

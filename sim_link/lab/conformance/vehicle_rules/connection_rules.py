@@ -107,7 +107,7 @@ class HeartbeatRules(VehicleProbe):
         self._require_modes(*[mode for mode in self.notes.base_modes if mode != "mission"])
 
     @book.rule(mav.OBSERVED_ARDUPILOT, effect=CHANGES, flavours=ARDUPILOT)
-    def mode_change_is_told_at_once(self) -> None:
+    def mode_change_is_reported_at_once(self) -> None:
         """A changed mode shows in a HEARTBEAT at once, without waiting for the next second."""
         self.get_ready()
         self.set_mode("stabilized")

@@ -86,7 +86,7 @@ class FrameRules(FrameProbe):
         require(versions == {MAGIC_V2}, f"magic bytes {sorted(map(hex, versions))}")
 
     @book.rule(f"{VERSIONS}; MAVLink common, MAV_PROTOCOL_CAPABILITY")
-    def mavlink2_capability_is_told(self) -> None:
+    def mavlink2_capability_is_reported(self) -> None:
         """AUTOPILOT_VERSION has the MAVLINK2 capability."""
         capabilities = self.request(mav.Version).capabilities
         bit = mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2

@@ -247,7 +247,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
             require(not is_alive, f"{name}: OFFBOARD goes on")
 
     @book.rule(f"{PX4_PAGE} (unknown frame: a text)")
-    def unknown_frame_is_told(self) -> None:
+    def unknown_frame_is_answered(self) -> None:
         """A setpoint in a frame that is not known is answered by a text."""
         setpoint = LocalSetpoint(self.begin(), frame=20)
         mark = self.mark

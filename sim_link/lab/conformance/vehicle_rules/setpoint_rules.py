@@ -108,7 +108,7 @@ class OffboardRules(SetpointClient):
         self.require_place(wanted, "frame 6")
 
     @book.rule(f"{COMMON}, POSITION_TARGET_LOCAL_NED")
-    def flown_target_is_told(self) -> None:
+    def flown_target_is_reported(self) -> None:
         """POSITION_TARGET_LOCAL_NED reports the target that is flown."""
         north, east, down = self.begin()
         wanted = (north + 5.0, east, down)

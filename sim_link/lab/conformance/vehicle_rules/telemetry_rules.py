@@ -142,7 +142,7 @@ class TelemetryRules(VehicleProbe):
     book = RuleBook("telemetry", begin=VehicleProbe.get_ready)
 
     @book.rule(f"{COMMON}, MAV_SYS_STATUS_SENSOR; MAVSDK health")
-    def sensor_bits_are_told(self) -> None:
+    def sensor_bits_are_reported(self) -> None:
         """SYS_STATUS shows gyro, accelerometer, compass, barometer, GPS and battery as healthy."""
         status = self.latest(mav.SysStatus)
         needed = 1 | 2 | 4 | 8 | 32 | 0x2000000 | mav.PREARM
@@ -238,7 +238,7 @@ class TelemetryRules(VehicleProbe):
         require(abs(time_ms - other_ms) < 1_200, f"{time_ms} and {other_ms} ms")
 
     @book.rule(f"{COMMON}, AUTOPILOT_VERSION, MAV_PROTOCOL_CAPABILITY")
-    def capabilities_are_told(self) -> None:
+    def capabilities_are_reported(self) -> None:
         """AUTOPILOT_VERSION reports missions, COMMAND_INT, setpoints, fences and one encoding."""
         reported = self.request(mav.Version).capabilities
         for name, bit in CAPABILITIES.items():
@@ -276,7 +276,7 @@ class TelemetryRules(VehicleProbe):
         self.run(0.2)
 
     @book.rule(f"{COMMON}, HOME_POSITION (sent when it changes)", effect=CHANGES)
-    def moved_home_is_told_unasked(self) -> None:
+    def moved_home_is_sent_unasked(self) -> None:
         """After DO_SET_HOME a HOME_POSITION with the new place comes by itself."""
         home = self.home()
         self.set_interval(mav.HomePosition, -1.0)

@@ -113,7 +113,7 @@ def test_a_computer_that_is_too_busy_is_announced_with_the_speed_that_it_keeps_u
 
 
 def test_the_end_says_both_radii_and_whose_error_the_absolute_one_has() -> None:
-    own = PositionAccuracy(0.02, 0.04, is_told=True)
+    own = PositionAccuracy(0.02, 0.04, is_reported=True)
     estimate = SimpleNamespace(
         position_enu_m=(52.0, 41.0), r95_m=0.33, absolute_r95_m=0.34, own=own, time_s=41.8
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy
-from companion.estimation.belief import RESTORED_VARIANCE_FACTOR, Belief, BelievedPlace
+from companion.estimation.belief import RESTORED_VARIANCE_FACTOR, Belief, StoredHypothesis
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import TARGET, measurement_of, params, reflected, walk
@@ -96,10 +96,12 @@ def test_a_belief_that_was_wrong_is_given_up() -> None:
     assert error_m <= r95_m < 5.0
 
 
-GOOD = BelievedPlace(0.0, (10.0, 20.0, 1.0, 0.0), tuple(tuple(row) for row in np.eye(4).tolist()))
+GOOD = StoredHypothesis(
+    0.0, (10.0, 20.0, 1.0, 0.0), tuple(tuple(row) for row in np.eye(4).tolist())
+)
 
 
-def with_row(row: tuple[float, ...]) -> BelievedPlace:
+def with_row(row: tuple[float, ...]) -> StoredHypothesis:
     return replace(GOOD, covariance=(row, *GOOD.covariance[1:]))
 
 
@@ -132,7 +134,7 @@ def with_row(row: tuple[float, ...]) -> BelievedPlace:
     ],
 )
 def test_nothing_begins_from_an_impossible_belief(
-    places: tuple[BelievedPlace, ...], problem: str
+    places: tuple[StoredHypothesis, ...], problem: str
 ) -> None:
     tracker = TargetTracker(PARAMS)
     refusal = tracker.resume(Belief(1, 10, places), 1.0, 0.0)
@@ -148,7 +150,10 @@ def test_a_belief_about_another_emitter_is_refused() -> None:
     assert tracker.resume(Belief(2, 10, (GOOD,)), 1.0, 0.0) is None
 
 
-RTK, CITY = PositionAccuracy(0.02, 0.03, is_told=True), PositionAccuracy(6.0, 9.0, is_told=True)
+RTK, CITY = (
+    PositionAccuracy(0.02, 0.03, is_reported=True),
+    PositionAccuracy(6.0, 9.0, is_reported=True),
+)
 
 
 def own_after(*accuracies: PositionAccuracy | None) -> TargetTracker:

@@ -126,8 +126,8 @@ def test_height_and_scale_are_told_as_known_or_as_estimated() -> None:
     assert (told.height_m, told.height_sigma_m, told.range_scale) == (6.0, 1.25, 0.03)
 
 
-RTK = PositionAccuracy(0.02, 0.03, is_told=True)
-CITY = PositionAccuracy(6.0, 9.0, is_told=True)
+RTK = PositionAccuracy(0.02, 0.03, is_reported=True)
+CITY = PositionAccuracy(6.0, 9.0, is_reported=True)
 
 
 @pytest.mark.parametrize("own", [DEFAULT_ACCURACY, RTK, CITY])
@@ -164,7 +164,7 @@ def test_the_absolute_radius_counts_rivals_and_never_promises_more() -> None:
 def test_a_radius_that_nobody_worked_out_is_that_of_round_errors() -> None:
     told = TargetEstimate(0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9)
     assert told.absolute_r95_m == pytest.approx(math.hypot(1.0, 3.0 * R95_OF_EQUAL_AXES))
-    assert not told.own.is_told
+    assert not told.own.is_reported
 
 
 def test_a_radius_that_is_no_number_does_not_become_a_good_one() -> None:

@@ -30,7 +30,7 @@ TARGET, HEIGHT_M = (20.0, 10.0, 0.0), 20.0
 LEGS, PER_LEG = ((0.3, 1.0), (1.9, -2.0), (2.8, 1.5)), 30
 SPOILT_FROM_S = 6.0
 SIGMA_RAD = math.radians(3.0)
-RTK, LOST = PositionAccuracy(0.02, 0.04, is_told=True), PositionAccuracy()
+RTK, LOST = PositionAccuracy(0.02, 0.04, is_reported=True), PositionAccuracy()
 
 Known = Callable[[float, Attitude], Attitude | None]
 
@@ -127,7 +127,7 @@ def test_a_fix_that_is_lost_widens_both_radii(
     lost_from_s: float, undisturbed: TargetEstimate
 ) -> None:
     _, estimate = search(lost_from_s=lost_from_s)
-    assert not estimate.own.is_told
+    assert not estimate.own.is_reported
     assert estimate.r95_m > undisturbed.r95_m
     assert estimate.absolute_r95_m > 2.4 * LOST.horizontal_m > undisturbed.absolute_r95_m
 
@@ -135,15 +135,15 @@ def test_a_fix_that_is_lost_widens_both_radii(
 def test_an_accuracy_of_nothing_counts_as_one_that_nobody_told(undisturbed: TargetEstimate) -> None:
     """As the receiver's 0 is read; and no accuracy that is told is worse than that by its name."""
     _, untold = search(before=LOST)
-    _, poor = search(before=PositionAccuracy(2.0, 4.0, is_told=True))
+    _, poor = search(before=PositionAccuracy(2.0, 4.0, is_reported=True))
     assert undisturbed.absolute_r95_m < poor.absolute_r95_m
     assert untold.absolute_r95_m > 2.4 * LOST.horizontal_m
     assert untold.r95_m > undisturbed.r95_m
 
 
 def test_a_receiver_that_knows_its_height_badly_widens_r95_where_no_antenna_is_told() -> None:
-    _, level = search(before=PositionAccuracy(1.0, 0.0, is_told=True), kind="auto")
-    _, poor = search(before=PositionAccuracy(1.0, 6.0, is_told=True), kind="auto")
+    _, level = search(before=PositionAccuracy(1.0, 0.0, is_reported=True), kind="auto")
+    _, poor = search(before=PositionAccuracy(1.0, 6.0, is_reported=True), kind="auto")
     assert poor.r95_m > level.r95_m
     assert poor.position_enu_m == level.position_enu_m
 
@@ -151,7 +151,7 @@ def test_a_receiver_that_knows_its_height_badly_widens_r95_where_no_antenna_is_t
 def test_a_receiver_may_stand_between_walls_where_no_antenna_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    own = PositionAccuracy(1.0, 0.0, is_told=True)
+    own = PositionAccuracy(1.0, 0.0, is_reported=True)
     (_, told), (_, walls) = search(before=own), search(before=own, kind="auto")
     (_, fixed) = search(kind="auto")
     monkeypatch.setattr("companion.estimation.tracker.URBAN_GNSS_FACTOR", GNSS_ACCURACY_FACTOR)

@@ -13,7 +13,7 @@ from companion.guidance.phases import (
 )
 
 TABLE = """
-          READY   FENCE_LOST ID_CONFLICT LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED LANDED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED GIVE_UP  GIVE_WAY RESTARTED STOP     HANDED_BACK YIELD_RECALLED REPORT_RECALLED PILOT_TOOK MODE_LEFT NOT_OURS
+          READY   FENCE_LOST ID_CONFLICT LAUNCH    LAUNCH_FAILED MODE_GIVEN MODE_LOST GRANTED DISARMED LANDED INPUT_AGES INPUT_LOST INPUT_BACK LOCALISED HAND_BACK CONTENTION RESTARTED STOP     HANDED_BACK YIELD_RECALLED REPORT_RECALLED PILOT_TOOK MODE_LEFT NOT_OURS
 WAITING   STANDBY .          .          .         .             .          .         .       .        .      .          .          .          .         .        .        .         STOPPED  .           YIELD          FINISHED               .          .         .
 STANDBY   .       WAITING    WAITING    LAUNCHING .             HOLD       .         .       .        .      .          .          .          .         .        .        WAITING   STOPPED  .           YIELD          FINISHED               .          .         WAITING
 LAUNCHING .       .          .          .         YIELD         HOLD       YIELD     .       WAITING  .      .          .          .          .         .        .        WAITING   HANDBACK .           .              .               .          .         YIELD

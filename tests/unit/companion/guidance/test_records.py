@@ -38,7 +38,7 @@ def test_without_a_place_nothing_is_claimed_of_one() -> None:
     assert "sensor_enu_m" not in estimate_record(FusionReport(None), ESTIMATE).fields
 
 
-CITY = PositionAccuracy(6.0, 9.0, is_told=True)
+CITY = PositionAccuracy(6.0, 9.0, is_reported=True)
 
 
 def test_both_radii_are_told_and_what_is_between_them() -> None:

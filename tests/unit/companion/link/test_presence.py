@@ -44,7 +44,7 @@ ESTIMATE = TargetEstimate(
     alternative_enu_m=(1.0, 2.0),
     height_m=3.0,
     height_sigma_m=1.5,
-    own=PositionAccuracy(1.5, 2.5, is_told=True),
+    own=PositionAccuracy(1.5, 2.5, is_reported=True),
     absolute_r95_m=7.5,
 )
 Estimate = MAVLink_target_estimate_message

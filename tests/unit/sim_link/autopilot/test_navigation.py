@@ -10,7 +10,12 @@ import pytest
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from sim_link.autopilot.estimator import Estimator
-from sim_link.autopilot.navigation import Believed, FixChange, NavigationError, NavigationParams
+from sim_link.autopilot.navigation import (
+    EstimatedMotion,
+    FixChange,
+    NavigationError,
+    NavigationParams,
+)
 from sim_link.autopilot.scenario import GpsParams
 from sim_link.world.point_mass import MulticopterParams, PointMass, WindParams
 
@@ -131,13 +136,13 @@ def test_a_target_goes_to_the_frame_that_is_steered_by() -> None:
     assert estimator.shown_from_world((5.0, 10.0, 10.0)) == pytest.approx((10.0, 10.0, 10.0))
 
 
-def test_the_believed_motion_is_the_true_one_displaced_ground_and_all() -> None:
+def test_the_estimated_motion_is_the_true_one_displaced_ground_and_all() -> None:
     body = PointMass(MulticopterParams(), WindParams(), (10.0, 20.0, 0.0))
     error = NavigationError(WANDERS, np.random.default_rng(1))
-    believed = Believed(body, error)
-    off = [b - a for a, b in zip(body.position_enu_m, believed.position_enu_m, strict=True)]
+    estimated = EstimatedMotion(body, error)
+    off = [b - a for a, b in zip(body.position_enu_m, estimated.position_enu_m, strict=True)]
     assert off == pytest.approx(error.enu_m)
-    assert believed.ground_up_m == pytest.approx(believed.position_enu_m[2])
-    assert believed.is_on_ground
-    assert (believed.height_m, believed.drift_mps, believed.yaw_ned_rad) == (0.0, 0.0, 0.0)
-    assert believed.velocity_enu_mps == body.velocity_enu_mps
+    assert estimated.ground_up_m == pytest.approx(estimated.position_enu_m[2])
+    assert estimated.is_on_ground
+    assert (estimated.height_m, estimated.drift_mps, estimated.yaw_ned_rad) == (0.0, 0.0, 0.0)
+    assert estimated.velocity_enu_mps == body.velocity_enu_mps

@@ -32,7 +32,7 @@ from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTOPILOTS = [Autopilot.PX4, Autopilot.ARDUPILOT]
 CRITICAL = Finding(Verdict.HAND_BACK, Reason.CHECKING, "a test wants it", FlightMode.RETURN)
-FOREIGN = Finding(Verdict.GIVE_WAY, Reason.CHECKING, "a test wants it")
+FOREIGN = Finding(Verdict.YIELD, Reason.CHECKING, "a test wants it")
 
 
 def flying(autopilot: Autopilot = Autopilot.PX4) -> ScriptedFlight:
@@ -211,7 +211,7 @@ def test_a_pilot_who_took_over_by_the_sticks_gives_it_back_by_the_switch(
     autopilot: Autopilot,
 ) -> None:
     flight = flying(autopilot)
-    sticks = Finding(Verdict.GIVE_WAY, Reason.STICKS, "pilot moves the sticks")
+    sticks = Finding(Verdict.YIELD, Reason.STICKS, "pilot moves the sticks")
     flight.session.handover.yield_control(sticks, flight.now_s)
     took_s = flight.now_s
     flight.fly(5.0)  # still in the mode, which is not given again by staying

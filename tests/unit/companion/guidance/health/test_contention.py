@@ -111,7 +111,7 @@ def test_a_second_source_is_held_on_for_a_second_and_then_given_way_to(
     line.intruder_hz = intruder_hz
     began_s = line.now_s
     line.run(20.0)
-    hold_s, way_s = line.first(Verdict.HOLD), line.first(Verdict.GIVE_WAY)
+    hold_s, way_s = line.first(Verdict.HOLD), line.first(Verdict.YIELD)
     assert line.reasons == {Reason.SECOND_SOURCE}
     assert hold_s - began_s <= 4.0 + 2.0 * latency_s
     assert 1.0 <= way_s - hold_s <= 3.0
@@ -124,7 +124,7 @@ def test_a_second_source_that_stops_is_forgotten() -> None:
     line.run(0.8)
     line.intruder_hz = 0.0
     line.run(6.0)
-    assert line.first(Verdict.GIVE_WAY) == math.inf
+    assert line.first(Verdict.YIELD) == math.inf
     line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None
 
@@ -141,7 +141,7 @@ def test_a_slow_source_of_which_few_echoes_tell_is_given_way_to(
     line.run(45.0)
     assert line.reasons == {Reason.SECOND_SOURCE}
     assert line.first(Verdict.HOLD) - began_s <= 30.0 / intruder_hz
-    assert line.first(Verdict.GIVE_WAY) - began_s <= 40.0 / intruder_hz
+    assert line.first(Verdict.YIELD) - began_s <= 40.0 / intruder_hz
 
 
 def test_echoes_just_beside_our_way_now_and_then_are_no_source() -> None:
@@ -164,7 +164,7 @@ def test_a_slow_source_that_stops_is_not_held_on_for_longer_than_it_was_there() 
     line.run(5.0)
     line.watch.tick(line.now_s)
     assert line.watch.finding(line.now_s) is None
-    assert line.first(Verdict.GIVE_WAY) == math.inf
+    assert line.first(Verdict.YIELD) == math.inf
 
 
 def test_one_foreign_echo_is_no_source() -> None:
@@ -259,4 +259,4 @@ def test_a_second_source_that_began_during_a_pause_is_found() -> None:
     line.run(3.0)
     line.is_sending = True
     line.run(6.0)
-    assert line.findings[-1][1].verdict is Verdict.GIVE_WAY
+    assert line.findings[-1][1].verdict is Verdict.YIELD

@@ -51,7 +51,7 @@ def test_a_moved_stick_is_held_on_at_once_and_given_way_to_soon(
     moved = tuple(deflection if n == axis else v for n, v in enumerate(REST))
     first = move(watch, moved, 20.0, 22.0)
     assert first[Verdict.HOLD] == 20.0
-    assert first[Verdict.GIVE_WAY] == pytest.approx(20.6, abs=0.01)
+    assert first[Verdict.YIELD] == pytest.approx(20.6, abs=0.01)
 
 
 def test_pulses_of_a_lost_transmitter_are_no_pilot() -> None:
@@ -74,7 +74,7 @@ def test_a_rating_after_the_move_gives_way() -> None:
     watch.handle(RcStatusReported(19.9, is_healthy=True))
     move(watch, (0.6, 0.0, -1.0, 0.0), 20.0, 21.0)
     watch.handle(RcStatusReported(21.0, is_healthy=True))
-    assert Verdict.GIVE_WAY in move(watch, (0.6, 0.0, -1.0, 0.0), 21.0, 21.4)
+    assert Verdict.YIELD in move(watch, (0.6, 0.0, -1.0, 0.0), 21.0, 21.4)
 
 
 def test_a_transmitter_that_is_heard_again_rests_where_it_is_then() -> None:
@@ -109,13 +109,13 @@ def test_letting_go_of_a_stick_after_the_mode_switch_is_no_wish() -> None:
     watch.begin(10.0)
     assert move(watch, (0.6, 0.0, 0.5, 0.0), 10.0, 12.0) == {}
     assert move(watch, (0.0, 0.0, 0.0, 0.0), 12.0, 15.0) == {}
-    assert Verdict.GIVE_WAY in move(watch, (0.0, 0.6, 0.0, 0.0), 15.0, 17.0)
+    assert Verdict.YIELD in move(watch, (0.0, 0.6, 0.0, 0.0), 15.0, 17.0)
 
 
 def test_a_transmitter_that_appears_with_a_moved_stick_is_a_wish() -> None:
     watch = StickWatch("yield")
     watch.begin(10.0)
-    assert Verdict.GIVE_WAY in move(watch, (0.0, 0.8, -1.0, 0.0), 20.0, 22.0)
+    assert Verdict.YIELD in move(watch, (0.0, 0.8, -1.0, 0.0), 20.0, 22.0)
 
 
 def test_a_transmitter_that_is_switched_on_in_flight_rests_where_it_is() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from companion.domain import DEFAULT_ACCURACY, Autopilot, EstimateState, TargetEstimate
-from companion.estimation.belief import Belief, BelievedPlace
+from companion.estimation.belief import Belief, StoredHypothesis
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.commands import ReportResult
 from companion.guidance.events import SessionMemory, VehicleMark
@@ -50,7 +50,7 @@ def a_checkpoint(places: int = 1, sequence: int = 7) -> Checkpoint:
         1,
         321,
         tuple(
-            BelievedPlace(-float(n), tuple(rng.normal(size=4).tolist()), identity)
+            StoredHypothesis(-float(n), tuple(rng.normal(size=4).tolist()), identity)
             for n in range(places)
         ),
     )

@@ -6,56 +6,56 @@ import pytest
 
 from companion.domain import PositionAccuracy, VehicleState
 from companion.guidance.events import AccuracySource, PositionAccuracyReported, VehicleMoved
-from companion.guidance.flight.own_place import MAX_AGE_S, PositionAccuracyWatch
+from companion.guidance.flight.position_accuracy import MAX_AGE_S, PositionAccuracyWatch
 
 RECEIVER, ESTIMATOR = AccuracySource.RECEIVER, AccuracySource.ESTIMATOR
 MOVED = VehicleMoved(0.0, VehicleState(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 def watch(*told: tuple[float, AccuracySource, float | None, float | None]) -> PositionAccuracyWatch:
-    own_place = PositionAccuracyWatch()
-    own_place.handle(MOVED)
+    accuracies = PositionAccuracyWatch()
+    accuracies.handle(MOVED)
     for each in told:
-        own_place.handle(PositionAccuracyReported(*each))
-    return own_place
+        accuracies.handle(PositionAccuracyReported(*each))
+    return accuracies
 
 
 def test_the_receiver_is_believed() -> None:
-    own_place = watch((1.0, RECEIVER, 0.8, 1.4))
-    assert own_place.accuracy(2.0) == PositionAccuracy(0.8, 1.4, is_told=True)
+    accuracies = watch((1.0, RECEIVER, 0.8, 1.4))
+    assert accuracies.accuracy(2.0) == PositionAccuracy(0.8, 1.4, is_reported=True)
 
 
 def test_of_two_the_worse_counts() -> None:
     worse = watch((1.0, RECEIVER, 0.8, 1.4), (1.0, ESTIMATOR, 2.0, 0.5))
-    assert worse.accuracy(2.0) == PositionAccuracy(2.0, 1.4, is_told=True)
+    assert worse.accuracy(2.0) == PositionAccuracy(2.0, 1.4, is_reported=True)
     better = watch((1.0, RECEIVER, 0.8, 1.4), (1.0, ESTIMATOR, 0.2, 5.0))
-    assert better.accuracy(2.0) == PositionAccuracy(0.8, 5.0, is_told=True)
+    assert better.accuracy(2.0) == PositionAccuracy(0.8, 5.0, is_reported=True)
 
 
 def test_a_height_that_is_not_told_is_worse_than_the_place() -> None:
     assert watch((1.0, RECEIVER, 0.8, None)).accuracy(2.0) == PositionAccuracy(
-        0.8, 1.6, is_told=True
+        0.8, 1.6, is_reported=True
     )
 
 
 @pytest.mark.parametrize("estimator_m", [0.02, 2.9])
 def test_the_estimator_does_not_stand_for_the_receiver(estimator_m: float) -> None:
-    own_place = watch((1.0, RECEIVER, None, None), (1.0, ESTIMATOR, estimator_m, 0.1))
-    assert own_place.accuracy(2.0) == PositionAccuracy(3.0, 6.0, is_told=False)
+    accuracies = watch((1.0, RECEIVER, None, None), (1.0, ESTIMATOR, estimator_m, 0.1))
+    assert accuracies.accuracy(2.0) == PositionAccuracy(3.0, 6.0, is_reported=False)
 
 
 def test_what_is_not_told_counts_as_no_better_than_what_is_known() -> None:
-    own_place = watch((1.0, RECEIVER, None, None), (1.0, ESTIMATOR, 8.0, 20.0))
-    assert own_place.accuracy(2.0) == PositionAccuracy(8.0, 20.0, is_told=False)
+    accuracies = watch((1.0, RECEIVER, None, None), (1.0, ESTIMATOR, 8.0, 20.0))
+    assert accuracies.accuracy(2.0) == PositionAccuracy(8.0, 20.0, is_reported=False)
 
 
 @pytest.mark.parametrize(("before_m", "effective_m"), [(0.02, 3.0), (0.8, 3.0), (5.0, 5.0)])
 def test_a_fix_that_is_lost_makes_it_worse_and_never_better(
     before_m: float, effective_m: float
 ) -> None:
-    own_place = watch((1.0, RECEIVER, before_m, None), (1.5, RECEIVER, None, None))
-    assert own_place.accuracy(2.0) == PositionAccuracy(
-        effective_m, 2.0 * effective_m, is_told=False
+    accuracies = watch((1.0, RECEIVER, before_m, None), (1.5, RECEIVER, None, None))
+    assert accuracies.accuracy(2.0) == PositionAccuracy(
+        effective_m, 2.0 * effective_m, is_reported=False
     )
 
 
@@ -63,16 +63,16 @@ def test_a_fix_that_is_lost_makes_it_worse_and_never_better(
 def test_a_receiver_that_falls_silent_is_not_believed_for_long(
     before_m: float, effective_m: float
 ) -> None:
-    own_place = watch((1.0, RECEIVER, before_m, 0.1))
-    told, counted = own_place.accuracy(1.0 + MAX_AGE_S), own_place.accuracy(1.1 + MAX_AGE_S)
+    accuracies = watch((1.0, RECEIVER, before_m, 0.1))
+    told, counted = accuracies.accuracy(1.0 + MAX_AGE_S), accuracies.accuracy(1.1 + MAX_AGE_S)
     assert told is not None
-    assert told.is_told
+    assert told.is_reported
     assert counted is not None
-    assert (counted.horizontal_m, counted.is_told) == (effective_m, False)
+    assert (counted.horizontal_m, counted.is_reported) == (effective_m, False)
 
 
 def test_a_receiver_may_be_late_by_seconds_and_not_for_ever() -> None:
-    for own_place in (watch(), watch((0.1, ESTIMATOR, 0.3, 0.4))):
-        assert own_place.accuracy(MAX_AGE_S) is None
-        assert own_place.accuracy(0.1 + MAX_AGE_S) == PositionAccuracy(3.0, 6.0, is_told=False)
+    for accuracies in (watch(), watch((0.1, ESTIMATOR, 0.3, 0.4))):
+        assert accuracies.accuracy(MAX_AGE_S) is None
+        assert accuracies.accuracy(0.1 + MAX_AGE_S) == PositionAccuracy(3.0, 6.0, is_reported=False)
     assert PositionAccuracyWatch().accuracy(100.0) is None
