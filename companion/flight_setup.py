@@ -1,4 +1,4 @@
-"""From a configuration to planner, session and endpoint, and `flight.json`.
+"""Builders of planner, session, endpoint and `flight.json` from a configuration.
 
 `flight.json` describes the setup of a flight, for its replay and its report.
 """
@@ -216,7 +216,7 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
     gcs_links: Annotated[int, msgspec.Meta(ge=0, le=MOST_LINKS)] = 0
     """Number of links to ground stations."""
     config: CompanionConfig
-    """As its file had it, with the radios of the command line."""
+    """Configuration as read from its file, with the radios of the command line."""
     parameters: dict[str, float] = {}
     """Parameters changed by a ground station before the flight, by name."""
     version: str = __version__

@@ -45,7 +45,7 @@ class Handoff:
     absolute_r95_m: float
     """The same for everybody else."""
     own: PositionAccuracy
-    """Of the vehicle position, which is in the absolute radius."""
+    """Accuracy of the vehicle position, which is included in the absolute radius."""
     ellipse_deg: tuple[Degrees, ...]
     """The 95 % ellipse of the main place, absolute."""
     alternative_deg: Degrees | None

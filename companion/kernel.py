@@ -139,7 +139,7 @@ def _dispatcher(
 
 
 _FLAGS = 0x401
-"""Of an array: C order, may be written to."""
+"""Flags of an array in C order that may be written to."""
 _KINDS: dict[type, str] = {
     **dict.fromkeys((float, np.float64), "float"),
     **dict.fromkeys((int, np.int64), "int"),

@@ -232,7 +232,7 @@ def _read_input(shell: Shell, orders: queue.SimpleQueue[bytes]) -> None:
 
 
 def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], now_s: float) -> None:
-    """Let incidents happen that were ordered, JSON as in a scenario; anything else is refused."""
+    """Apply the requested incidents, JSON as in a scenario; anything else is refused."""
     while not orders.empty():
         line = orders.get()
         try:

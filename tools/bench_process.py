@@ -33,7 +33,7 @@ from tools.console import OneLineParser, positive
 
 ROOT = Path(__file__).resolve().parents[1]
 SETTLING_S = 15.0
-"""From the start of the client to the first look; the companion has taken off by then."""
+"""Time from the start of the client to the first look; the companion has taken off by then."""
 CLIENTS = ("native", "quiet", "numba", "plain", "mavsdk", "pymavlink")
 """The companion with its kernels compiled ahead, the same where streams that it does not read stop,
 with kernels by numba, or not at all; and who listens only."""
@@ -54,9 +54,9 @@ class Use:
 
     client: str
     resident_mb: float
-    """At the end."""
+    """Resident memory at the end."""
     processor_pct: float
-    """Of one core."""
+    """Load of one core, in percent."""
 
 
 def main() -> int:

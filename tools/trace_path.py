@@ -36,7 +36,8 @@ from sim_link.lab.lockstep.flight import Flight, MemoryJournal  # noqa: E402
 
 PRODUCT = str(ROOT / "companion") + "/"
 END = "TargetTracker.fuse"
-"""When this returns its report, the measurement has moved the estimate, or was refused.
+"""Function at whose report the path ends: the measurement has moved the estimate, or was refused.
+Between its steps it returns numbers, which is no end.
 
 Between its steps it returns numbers, which is no end.
 """
@@ -49,7 +50,7 @@ class TracedPath:
     """Functions that one datagram or one tick passed."""
 
     calls: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """By file and qualified name, in the order of the first call."""
+    """Calls by file and qualified name, in the order of the first call."""
     is_fused: bool = False
 
     @property
@@ -82,7 +83,7 @@ class Traced:
     """Paths in a window of flight."""
 
     datagrams: list[TracedPath] = field(default_factory=list)
-    """Of ranging datagrams that were fused at once."""
+    """Paths of ranging datagrams that were fused at once."""
     later: int = 0
     """Number of others, which waited for a position or whose solution took longer."""
     ticks: list[TracedPath] = field(default_factory=list)

@@ -56,7 +56,7 @@ from tools.walks.walk_figures import walk_lines
 
 Part = Literal["lawnmower", "bound", "honesty", "walks"]
 PARTS: tuple[Part, ...] = ("lawnmower", "bound", "honesty")
-"""What is measured unless something else is asked for."""
+"""Parts that are measured by default."""
 
 MAX_LAWNMOWER_RMSE_M = 0.35
 OFFSET_BAND_M = (4.5, 6.5)
@@ -72,7 +72,7 @@ HONESTY_SYSTEMS: tuple[tuple[FilterName, PlannerName], ...] = (
 )
 
 WALKS = Path(__file__).resolve().parent.parent / "tests" / "data"
-"""Where one recorded walk is."""
+"""Path of one recorded walk."""
 
 OnBlock = Callable[[int, int], None]
 
@@ -85,7 +85,7 @@ class Figure:
     name: str
     value: float
     limit: str = ""
-    """In words; empty: reported only."""
+    """Requirement in words; empty: reported only."""
     is_met: bool | None = None
     """None: nothing is required of it."""
     note: str = ""

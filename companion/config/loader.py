@@ -179,7 +179,7 @@ def record_within(raw: object, kind: type[T], place: str) -> T:
 @dataclass(frozen=True, slots=True)
 class _Problem:
     path: str
-    """Of the value, or of the mapping that misses one."""
+    """Path of the value, or of the mapping that lacks one."""
     text: str
 
     def __str__(self) -> str:

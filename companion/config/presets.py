@@ -8,7 +8,8 @@ from companion.errors import ConfigError
 
 _PACKAGE = Path(__file__).parents[1]
 CONFIG_FOLDERS = (Path("configs"), _PACKAGE.parent / "configs", _PACKAGE / "configs")
-"""Of the working directory, of the checkout, of the installed package; the first one counts."""
+"""Folders in the working directory, in the checkout and in the installed package; the first that
+exists counts."""
 PRESETS = ("companion", "radios")
 
 

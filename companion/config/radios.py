@@ -22,9 +22,9 @@ class RadioConfig(Params, frozen=True):
     """One radio: its kind, its address, and its settings."""
 
     name: Name
-    """As listed by `companion radio list`."""
+    """Name as listed by `companion radio list`."""
     url: str | None = None
-    """Its address; null: given by `--radio NAME@URL`."""
+    """Address of the radio; null: given by `--radio NAME@URL`."""
     settings: dict[str, Any] = msgspec.field(default_factory=dict)
     """Keys of `RadioSettings`; others have the defaults of the radio's kind."""
     options: dict[str, Any] = msgspec.field(default_factory=dict)

@@ -68,11 +68,11 @@ class LimitsConfig(Params, frozen=True):
     speed_mps: Speed = 5.0
     climb_mps: Speed = 2.0
     acceleration_mps2: Positive = 2.5
-    """Of setpoints, and the deceleration that the vehicle reaches in any case."""
+    """Acceleration of setpoints, and the deceleration that the vehicle reaches in any case."""
     step_m: Positive = 8.0
     """Farther ahead of the vehicle than this a setpoint is no faster than the vehicle."""
     latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5
-    """From the measurement of a motion to the setpoint that is obeyed."""
+    """Delay from the measurement of a motion to the setpoint that is obeyed."""
     navigation_sigma_m: NonNegative = 0.3
     """Standard deviation of the vehicle's position, per axis."""
     distance_home_m: Positive | None = None
@@ -173,7 +173,8 @@ class ProcessConfig(Params, frozen=True):
     """State kept from one process to the next."""
 
     state_directory: str | None = None
-    """For checkpoints and locks; null: systemd's StateDirectory, or ~/.local/state/companion."""
+    """Folder of checkpoints and locks; null: systemd's StateDirectory, or
+    ~/.local/state/companion."""
     checkpoint: bool = True
     """Save the mission's state, once a second, for a restart in flight."""
     resume_max_age_s: Positive = 600.0
@@ -209,7 +210,7 @@ class CompanionConfig(Params, frozen=True):
     """All that a file can configure."""
 
     schema_version: Annotated[int, msgspec.Meta(ge=1, le=SCHEMA_VERSION)] = SCHEMA_VERSION
-    """Of these keys; files of earlier versions are read, and brought to this one."""
+    """Version of these keys; files of earlier versions are read, and migrated to this one."""
     mission: SessionParams = SessionParams()
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
     """The emitter to search for; null: the first one heard."""

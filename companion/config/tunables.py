@@ -64,7 +64,7 @@ TUNABLES = (
     Tunable("CMP_STOP_RADIUS", "mission.stop_radius_m"),
     Tunable("CMP_STOP_TIME", "mission.stop_confirm_s"),
 )
-"""In the order of their indices, which is that of their names."""
+"""Parameters in the order of their indices, which is that of their names."""
 
 
 class Tunables:
@@ -74,10 +74,10 @@ class Tunables:
 
     def __init__(self, config: CompanionConfig, build_planner: BuildPlanner) -> None:
         self.file = config
-        """As its file has it."""
+        """Configuration as read from its file."""
         self._build_planner = build_planner
         self.config = config
-        """As it is now."""
+        """Configuration in force."""
         self.changed: dict[str, float] = {}
         """Values that differ from the file, by name."""
 

@@ -51,7 +51,7 @@ MIGRATIONS: tuple[Migration, ...] = (
         },
     ),
 )
-"""In the order of their versions; the last one leads to `SCHEMA_VERSION`."""
+"""Migrations in the order of their versions; the last one leads to `SCHEMA_VERSION`."""
 
 
 def renew(

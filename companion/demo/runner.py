@@ -37,9 +37,9 @@ OBSTACLE_CLEARANCE_M = 5.0
 """Obstacles that end less than this below the search altitude are flown around."""
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 SILENCE_LIMIT_S = 10.0
-"""Of flight and of real time, after which a silent simulator ends the demonstration."""
+"""Silence, in flight time and in real time, after which the demonstration ends."""
 LATE_S = 0.5
-"""Of the flight: a wake-up later than this can cost the autopilot's mode."""
+"""Delay of a wake-up, in flight time, that can cost the autopilot's mode."""
 
 MakeViews = Callable[[CompanionConfig, Point], list[FlightView]]
 """Makes the views of a flight, by its configuration and the emitter's true position."""
@@ -98,9 +98,9 @@ class DemoWatch(FlightView):
         self.ended = ""
         """Reason; empty: interrupted by the user."""
         self.time_s = 0.0
-        """Of the companion, at the last wake-up before the end."""
+        """Time of the companion at the last wake-up before the end."""
         self.worst_gap_s = 0.0
-        """Of the flight, between two wake-ups."""
+        """Largest flight time between two wake-ups."""
         self.estimates: list[tuple[float, float, float, float]] = []
         """(time_s, east_m, north_m, r95_m)"""
         self.crossings_enu_m: list[Point] = []
@@ -254,7 +254,7 @@ class DemoResult:
         self.is_localised = found is not None
         self.estimate = session.estimate if found is None else found.estimate
         self.time_s = watch.time_s if found is None else found.estimate.time_s
-        """Of the companion, at the report or at the end."""
+        """Time of the companion at the report or at the end."""
         self.wall_s = watch.wall_s
         self.ended = watch.ended or "interrupted"
         if self.ended.startswith("the autopilot left"):

@@ -40,7 +40,7 @@ class AutopilotFacts:
     system_id: int
     component_id: int
     mode: str
-    """In its operator's words."""
+    """Mode by the name that its operators use."""
     is_armed: bool
     rates: tuple[StreamRate, ...]
     parameters: Mapping[str, float | None]
@@ -50,7 +50,7 @@ class AutopilotFacts:
     heard: frozenset[str]
     """Kinds of messages received, by MAVLink's names; those without content do not count."""
     origin: LocalOrigin | None
-    """Of the local frame; None: unknown to the autopilot, or not reported."""
+    """Origin of the local frame; None: unknown to the autopilot, or not reported."""
     estimator_flags: int | None
     """ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS; None: not reported."""
     gps_fix: int | None
@@ -61,7 +61,7 @@ class AutopilotFacts:
     loss: float | None
     """Share of its frames that were lost, 0 to 1."""
     fence: AutopilotFenceRead | None = None
-    """Its own fence; None: not requested."""
+    """The autopilot's own fence; None: not requested."""
 
     @property
     def missing(self) -> tuple[Requirement, ...]:
@@ -97,7 +97,7 @@ class LinkFacts:
     resident_mb: float | None = None
     """Memory of this process while it listened, with all that a flight loads."""
     processor_pct: float | None = None
-    """Of one core, for receiving the streams."""
+    """Load of one core by receiving the streams, in percent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ class HostFacts:
     python: tuple[int, int, int]
     numpy: str
     numba: str | None
-    """Its version; None: not installed, or not needed."""
+    """Version of numba; None: not installed, or not needed."""
     has_native_kernels: bool
     """True if the kernels were compiled before they were installed."""
     are_kernels_kept: bool

@@ -171,7 +171,7 @@ class TargetTracker:
         now_s: float,
         own: PositionAccuracy | None = None,
     ) -> Steps[FusionReport]:
-        """Take in one measurement, its bearing in ENU, from the antenna's position (None: unknown).
+        """Process one measurement, its bearing in ENU, from the antenna's position (None: unknown).
 
         `own` is the accuracy of that position on the Earth; None: unknown.
         """

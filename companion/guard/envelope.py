@@ -33,7 +33,7 @@ class Envelope:
     speed_mps: float
     climb_mps: float
     acceleration_mps2: float
-    """Of the setpoint, horizontally and vertically."""
+    """Acceleration limit of the setpoint, horizontally and vertically."""
     step_m: float
     """Farther ahead of the vehicle than this the setpoint is no faster than the vehicle."""
 
@@ -65,7 +65,7 @@ class Stopping:
     """
 
     latency_s: float
-    """From the measurement of a motion to the setpoint that is obeyed."""
+    """Delay from the measurement of a motion to the setpoint that is obeyed."""
     deceleration_mps2: float
     """Deceleration that the vehicle reaches in any case."""
     navigation_sigma_m: float

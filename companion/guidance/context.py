@@ -132,7 +132,7 @@ class SessionContext:
         self.searching = searching or Searching()
         self.estimate: TargetEstimate | None = None
         self.states = StateMessages()
-        """Of the estimate, as announced."""
+        """States of the estimate, as announced."""
         self.reports: dict[int | None, ReportResult] = {}
         """Latest report of each emitter, the newest last."""
         self.launch: Launch | None = None

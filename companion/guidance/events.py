@@ -34,14 +34,14 @@ class SessionMemory:
     phase: Phase | None
     """None: another mission is flown now, and only the fences of the flight count."""
     origin: LocalOrigin | None
-    """Of the frame in which the rest is given."""
+    """Origin of the frame in which the rest is given."""
     belief: Belief | None
     report: ReportResult | None
     """Latest report; None: no emitter was reported."""
     fence_anchor: LocalOrigin | None = None
     """Origin to which a fence in local metres refers; see `Fencing`."""
     others: tuple[Belief, ...] = ()
-    """Of the emitters that were not searched for at that time."""
+    """Beliefs of the emitters that were not searched for at that time."""
     earlier: tuple[ReportResult, ...] = ()
     """Reports of other emitters, the newest last."""
     flown_fences: tuple[GeoFence, ...] = ()
@@ -82,7 +82,7 @@ class VehicleMark:
     uid: str | None
     """Hardware id; None: it reports none, or has not answered yet."""
     boot_s: float
-    """Its boot clock, s."""
+    """Reading of its boot clock, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +240,7 @@ class SticksReported(Event):
     """Positions of the pilot's sticks."""
 
     deflections: tuple[float, ...]
-    """Of the first four channels, -1 to 1."""
+    """Deflections of the first four channels, -1 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,4 +426,4 @@ class IdentityDoubted(Event):
     """Frames with the autopilot's ids may be another vehicle's, or that doubt is over."""
 
     problem: str | None
-    """In words; None: the identity is no longer doubted."""
+    """Description of the problem; None: the identity is no longer doubted."""

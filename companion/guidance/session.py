@@ -58,7 +58,7 @@ class GuidanceStatus:
     height_m: float | None
     distance_m: float
     estimate: TargetEstimate | None
-    """Of the emitter that is searched for now, with the announced state."""
+    """Estimate of the emitter that is searched for now, with the announced state."""
     emitters: tuple[EmitterStatus, ...]
     """All that were heard or listed."""
     waypoint: Waypoint | None

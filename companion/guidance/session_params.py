@@ -73,6 +73,6 @@ class Tuning:
 
     params: SessionParams
     limits: GuardLimits
-    """With the fence that the session began with."""
+    """Limits with the fence that the session began with."""
     planner: Planner[Any]
-    """Of the same kind as before: it continues with the memory of the one before."""
+    """Planner of the same kind as before: it continues with the memory of the one before."""

@@ -30,7 +30,7 @@ MOST_DATA_BYTES = 65_536
 MOST_LINE_BYTES = 262_144
 BUFFER_BYTES = 65_536
 BUFFER_S = 1.0
-"""What a power cut may cost."""
+"""Longest time whose lines a power cut may cost, in s."""
 
 
 class RecordedRadio(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,7 +75,7 @@ class RadioBytes(msgspec.Struct, frozen=True, tag="bytes", tag_field="kind"):
 
     t_s: float
     radio: int
-    """Its index in the header, from 0."""
+    """Index of the radio in the header, from 0."""
     data: bytes
 
 

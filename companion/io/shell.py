@@ -82,7 +82,7 @@ class TimerStatistics:
     late: int = 0
     """Times it was later than `LATE_S`."""
     late_total_s: float = 0.0
-    """How late it was at those times, in all."""
+    """Sum of those delays."""
     worst_late_s: float = 0.0
     stalls: int = 0
     """Times it was later than `STALL_S`, after which the links were emptied first."""
@@ -116,17 +116,17 @@ class Shell:
         self._end: asyncio.Event | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._armed_s = math.inf
-        """What the endpoint's timer was set to."""
+        """Time to which the endpoint's timer is set."""
         self._deadline: asyncio.TimerHandle | None = None
         self.timing = TimerStatistics()
         self._catching_up_until_s: float | None = None
-        """Of the wall clock, while the links are emptied after a stall."""
+        """Wall time until which the links are emptied after a stall."""
         self._is_drained = False
-        """Whether no link had anything since the timer was looked at last."""
+        """True if no link had data since the last check of the timer."""
         self._stop_wanted = threading.Event()
         self._is_stopping = False
         self._signalled_s: float | None = None
-        """When the last signal that counted came; monotonic."""
+        """Monotonic time of the last signal that counted."""
         self._failure: BaseException | None = None
 
     async def run(self) -> None:

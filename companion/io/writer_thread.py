@@ -26,9 +26,9 @@ class WriterHealth:
     dropped: int
     """Items lost so far, to a full queue or a failed write."""
     bytes_kept: int
-    """On disk, older parts included."""
+    """Bytes on disk, older parts included."""
     silent_s: float
-    """How long the disk has not answered; 0 while nothing is being written."""
+    """Time for which the disk has not answered; 0 while nothing is being written."""
     is_alive: bool
 
 

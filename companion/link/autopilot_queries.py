@@ -90,7 +90,7 @@ class StreamFreshness:
         self._streams: dict[int, Stream] = {}
 
     def receive(self, message: Message, now_s: float) -> bool:
-        """Take in a message of the autopilot; return True if its stream made progress."""
+        """Process a message of the autopilot; return True if its stream made progress."""
         number = message.get_msgId()
         stream = self._streams.get(number)
         if stream is None:
@@ -232,7 +232,7 @@ class StreamRequester:
         self._had_rc = False
 
     def note_rc(self, has_rc: bool) -> None:
-        """Take in whether the autopilot receives a transmitter."""
+        """Note whether the autopilot receives a transmitter."""
         if has_rc and not self._had_rc:
             for want in self._wants:
                 if want.is_given_up:
@@ -312,7 +312,7 @@ class StreamStopper:
         """Number and time of the requests."""
 
     def hear(self, message_id: int, now_s: float) -> None:
-        """Take in that a message which is not read came."""
+        """Note a message that is not read."""
         self._heard_s[message_id] = now_s
 
     def due(self, now_s: float, target: Ids) -> Message | None:
@@ -363,7 +363,7 @@ class Px4FailsafeCheck:
         return mavlink.MAVLink_param_request_read_message(system_id, component_id, name, -1)
 
     def receive(self, message: Message) -> str | None:
-        """Take in a message of the autopilot; return the warning, once, if it applies."""
+        """Process a message of the autopilot; return the warning, once, if it applies."""
         if isinstance(message, mavlink.MAVLink_param_value_message):
             self._take_parameter(message)
         elif isinstance(message, mavlink.MAVLink_sys_status_message):
@@ -406,7 +406,7 @@ class AutopilotQueries:
         self._next_pace_text_s = -math.inf
 
     def receive(self, message: Message, now_s: float) -> list[Announce]:
-        """Take in a message of the autopilot; return texts for the operator."""
+        """Process a message of the autopilot; return texts for the operator."""
         self.freshness.receive(message, now_s)
         self.clock.receive(message, now_s)
         self.modes.receive(message)

@@ -87,7 +87,7 @@ class AutopilotBinding:
     binds: int = 0
     """Number of bindings so far."""
     problem: str | None = None
-    """Why no vehicle may be controlled now, in words."""
+    """Reason why no vehicle may be controlled now; None: one may."""
     is_in_control: bool = False
     is_committed: bool = False
     """True if it is in the air, or was when last received, after the companion had control."""
@@ -192,7 +192,7 @@ class AutopilotBinding:
         return True
 
     def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
-        """Take in, once per tick, whether the companion has control and the vehicle is armed."""
+        """Note once per tick whether the companion has control and the vehicle is armed."""
         self._ticked_s = now_s
         self.is_in_control = is_in_control
         self.is_committed = is_in_control or (self.is_committed and is_armed)
@@ -354,7 +354,7 @@ class AutopilotBinding:
         self._bind(bound)
 
     def _take_other_hardware(self, uid: str, now_s: float) -> None:
-        """Take in another hardware id: another vehicle, or one of two."""
+        """Process another hardware id: another vehicle, or one of two."""
         was = self.hardware.uid
         if now_s - self.hardware.heard_s <= VANISHED_S:
             self._doubt(f"two vehicles send as {self._name}: hardware {was} and {uid}", now_s)
@@ -396,7 +396,7 @@ class AutopilotBinding:
     def _take_elsewhere(
         self, message: Message, sign: Sign | None, peer: Address | None, now_s: float
     ) -> bool:
-        """Take in a frame with our ids from another address; return True if that is ours now."""
+        """Process a frame with our ids from another address; return True if that is ours now."""
         is_silent = self._is_silent(now_s)
         self.unknown_senders += not is_silent
         course = self._course_at(peer)

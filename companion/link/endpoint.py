@@ -130,7 +130,7 @@ class CompanionEndpoint:
             for source in self._sources.values()
             if isinstance(source, RadioStage)
         )
-        """In the order of their links."""
+        """Radios in the order of their links."""
         others = [each for each in self._sources.values() if isinstance(each, MavlinkRanging)]
         self._mavlink_ranging = (self._vehicle_ranging, *others)
         self._binds = 0
@@ -163,7 +163,7 @@ class CompanionEndpoint:
     # The Endpoint protocol
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in bytes that arrived on a link."""
+        """Process bytes that arrived on a link."""
         self.authenticity.advance(now_s)
         intake = self._intakes[chunk.link]
         for data in intake.take(chunk):
@@ -240,7 +240,7 @@ class CompanionEndpoint:
         self.handle_event(events.StopRequested(now_s))
 
     def handle_event(self, event: events.Event) -> None:
-        """Take in an event from the process or the operator, besides the mode switch."""
+        """Process an event from the process or the operator, besides the mode switch."""
         if self._recorder is not None:
             self._recorder.event(event)
         if isinstance(event, events.UncleanExitFound) and event.vehicle is not None:
@@ -299,7 +299,7 @@ class CompanionEndpoint:
                 self._serve_station(message, now_s, may_grant=False)
 
     def _receive_on_vehicle_link(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
-        """Take in a frame on the vehicle link; the log has no room for every unknown peer's."""
+        """Process a frame on the vehicle link; the log has no room for every unknown peer's."""
         binding = self.binding
         was_bound, is_peer = binding.is_bound, chunk.peer == binding.peer
         if binding.is_keyed or not was_bound or is_peer:

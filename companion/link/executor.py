@@ -98,7 +98,7 @@ class SessionExecutor:
             self.journal.text(commands.Severity.WARNING, text, now_s)
 
     def note_unread(self, frame: bytes, peer: Address | None, now_s: float) -> None:
-        """Take in that a frame came which is not decoded."""
+        """Note that a frame came which is not decoded."""
         sequence = sequence_of(frame)
         if self.binding.hear(sender_of(frame), peer, now_s, sequence):
             if self._queries.stopper is not None:
@@ -106,7 +106,7 @@ class SessionExecutor:
             self._health.sequence.take(sequence, now_s)
 
     def receive(self, message: Message, now_s: float) -> None:
-        """Take in a message of the autopilot."""
+        """Process a message of the autopilot."""
         order = self._health.sequence.take(message.get_seq(), now_s)
         for text in self._queries.receive(message, now_s):
             self.outlet.announce(text, now_s)
@@ -127,7 +127,7 @@ class SessionExecutor:
                 self.journal.record("autopilot_text", fields, now_s)
 
     def _receive_fence(self, message: Message, now_s: float) -> None:
-        """Take in a message that may be about the autopilot's fence."""
+        """Process a message that may be about the autopilot's fence."""
         queries, own_ids = self._queries, self.outlet.own_ids
         if queries.fence.notice(message, own_ids):
             self.handle(AutopilotFenceChanged(now_s), now_s)

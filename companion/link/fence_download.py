@@ -185,7 +185,7 @@ class FenceDownload:
         return AutopilotFenceRead(now_s, problem=why) if reading.is_wanted else None
 
     def receive(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
-        """Take in a message of the autopilot for us; return its fence, once complete."""
+        """Process a message of the autopilot for us; return its fence, once complete."""
         reading = self._reading
         if reading is None or not isinstance(message, Answer) or message.mission_type != FENCE:
             return None

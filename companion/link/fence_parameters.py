@@ -61,7 +61,7 @@ class FenceParameters:
         return None
 
     def receive(self, message: Message, autopilot: Autopilot) -> bool:
-        """Take in a message of the autopilot; return True if its limits changed."""
+        """Process a message of the autopilot; return True if its limits changed."""
         if not isinstance(message, mavlink.MAVLink_param_value_message):
             return False
         name = name_of(message)

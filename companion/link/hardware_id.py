@@ -53,7 +53,7 @@ class HardwareId:
         self._asks = 0
 
     def differs(self, uid: str, now_s: float) -> bool:
-        """Take in an answered id; return True if another one was answered before."""
+        """Process an answered id; return True if another one was answered before."""
         if self.uid is None:
             self.uid = uid
         if uid == self.uid:

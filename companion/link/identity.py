@@ -184,7 +184,7 @@ class IdentityCourse:
         """Signs of the other course since the last one of this one, and when they began."""
 
     def note_sequence(self, sequence: int, now_s: float) -> None:
-        """Take in the number of any frame, before its sign."""
+        """Process the number of any frame, before its sign."""
         before = sequence if self._sequence is None else self._sequence
         self.is_out_of_sequence = FAR_STEP < (sequence - before) % 256 < BACK_STEP
         if self.is_out_of_sequence:

@@ -79,7 +79,7 @@ class Resource(IntEnum):
 
     BYTES = 0
     FRAMES = 1
-    """With a right CRC."""
+    """Frames with a correct CRC."""
     MESSAGES = 2
     """Verified, or signing is off."""
 

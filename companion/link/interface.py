@@ -67,7 +67,7 @@ class LinkParams(Params, frozen=True):
     """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` has
     precedence."""
     unsigned_ranging: bool = False
-    """With a key: `--ranging` links take unsigned ranging messages, of a radio that cannot sign;
+    """With a key, `--ranging` links accept unsigned ranging messages of a radio that cannot sign;
     anything else that is unsigned is refused on every link."""
 
     stop_unread_streams: bool = False

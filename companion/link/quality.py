@@ -63,7 +63,7 @@ class SequenceMonitor:
         self._seen = 0
         """Bit n is set if number `newest - n` came."""
         self._buckets: deque[tuple[float, int, int]] = deque()
-        """For each tenth of a second: begin, numbers that the count advanced, frames that came."""
+        """Start, numbers that the count advanced, and frames received in each tenth of a second."""
 
     def take(self, sequence: int, now_s: float) -> int:
         """Return the unwrapped number of a frame, which may be a duplicate."""
@@ -176,7 +176,7 @@ class Pacing:
         return 1.0 / (self._params.lossy_rate_hz if self.is_lossy else self._params.rate_hz)
 
     def observe(self, loss: float | None, now_s: float) -> None:
-        """Take in the measured loss, 0 to 1; None, unknown, has no effect."""
+        """Process the measured loss, 0 to 1; None, unknown, has no effect."""
         if loss is None:
             return
         if loss > self._params.lossy_share:

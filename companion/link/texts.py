@@ -55,7 +55,7 @@ class TextGate:
         """Announced texts that did not fit into the budget of the downlink."""
         self._budget_bytes = SHARE_OF_DOWNLINK * bytes_per_s * MINUTE_S
         self._announced_s: dict[str, float] = {}
-        """When a cause was announced last, by its words without numbers."""
+        """Time of the last announcement of each cause, by its text without numbers."""
         self._topics: dict[Topic | str, _TopicState] = {}
         self._sent: deque[tuple[float, int]] = deque()
         self._sent_bytes = 0

@@ -43,7 +43,7 @@ class Endpoint(Protocol):
     """MAVLink participant without sockets or clocks."""
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in bytes that arrived on a link."""
+        """Process bytes that arrived on a link."""
 
     def handle_timer(self, now_s: float) -> None:
         """Run what is due; called at `next_timer_s` or later."""
@@ -74,7 +74,7 @@ class OneShotEndpoint:
         self._output: list[Chunk] = []
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in bytes that arrived."""
+        """Process bytes that arrived."""
         del chunk
         self.now_s = now_s
 

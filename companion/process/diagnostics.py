@@ -84,7 +84,7 @@ class ProcessParts:
     timing: TimerStatistics
     links: Sequence[Link]
     store: CheckpointStore | None
-    """Where checkpoints go; None: nowhere."""
+    """Store of the checkpoints; None: none are kept."""
 
     @property
     def checkpoint_writer(self) -> BackgroundReplacer | None:

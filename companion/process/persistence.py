@@ -97,12 +97,12 @@ class RestartKeeper:
         self._moment = moment
         self._pending: Checkpoint | None = None
         self._age_s = 0.0
-        """Of what is pending, when this process began."""
+        """Age of the pending memory at the start of this process."""
         self._began_s = clock.now_s()
         self._sequence = 0
         self._next_s = 0.0
         self.is_restart = False
-        """Whether an earlier run did not end in order."""
+        """True if an earlier run did not end in order."""
         if is_fresh:
             store.discard()
         else:

@@ -44,7 +44,7 @@ LEAST_FOLDED_RESULTANT = 0.8
 UNLIKELY_PER_S = 1e-3
 """Penalty per second, so that of equally good lags the smallest is chosen."""
 LEAST_LEAD = 0.15
-"""By how much the resultant of one sign must be the longer."""
+"""Least difference by which the resultant of one sign must be the longer."""
 NORTH_LEAD = 0.05
 """The same by north, where most bearings may be of one direction."""
 HUBER_K = 1.5

@@ -112,7 +112,7 @@ class _Found:
     poses: list[TimedPose] = field(default_factory=list)
     measurements: dict[tuple[str, int], list[RangingMeasurement]] = field(default_factory=dict)
     names: dict[int, str] = field(default_factory=dict)
-    """Of emitters in a walk."""
+    """Names of the emitters in a walk."""
 
     def add(self, radio: str, measurement: RangingMeasurement) -> None:
         """Add a measurement."""

@@ -49,7 +49,7 @@ class RunWindow:
 
     name: FieldTestName
     from_s: float = -math.inf
-    """On the recording's clock."""
+    """Start on the recording's clock."""
     to_s: float = math.inf
 
 
@@ -60,7 +60,7 @@ class CalibrationRun:
     radio: str
     emitter_id: int
     measurements: Sequence[RangingMeasurement]
-    """Of the one emitter, through a stage that corrects nothing."""
+    """Measurements of the one emitter, from a stage that corrects nothing."""
     poses: Sequence[TimedPose]
     point_enu_m: PositionEnu
     windows: Sequence[RunWindow] = ()

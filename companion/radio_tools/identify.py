@@ -32,15 +32,17 @@ BAUDS = (115_200, 921_600, 57_600, 9_600)
 FEWEST = 2
 """Readings: a single one may be chance, and slow radios give one or two in the time."""
 HEARD_SHARES = (3.0, 1.5, 0.75, 0.75)
-"""Of the time, for each of those speeds: slow radios are text at the first, the second is fast."""
+"""Share of the time for each of those speeds: slow radios are text at the first, the second is
+fast."""
 ASKED_SHARE = 1.0
-"""Of the time, for each radio that is asked."""
+"""Share of the time for each radio that is polled."""
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 """This many bytes with this share of non-text and no reading mean another speed."""
 FEWEST_POWERS = 3
 """Lines of received power alone, to say so."""
 FEWEST_FRAMES_SHARE = 0.5
-"""Of the bytes, in binary formats, whose short frames without a checksum occur in noise."""
+"""Least share of the bytes in binary formats, whose short frames without a checksum occur in
+noise."""
 TEXT = bytes((*b"\t\n\r\x1b", *range(0x20, 0x7F)))
 NO_LINES = ("lines",)
 """Radios without a format of their own."""
@@ -83,7 +85,7 @@ class Listener:
         ]
 
     def feed(self, data: bytes, now_s: float) -> None:
-        """Let every candidate decode some bytes."""
+        """Decode some bytes with every candidate."""
         self.bytes += len(data)
         self._no_text += len(data.translate(None, TEXT))
         for candidate in self.candidates:
@@ -160,7 +162,7 @@ class Attempt:
     url: str
     baud: int | None = None
     share: float = 1.0
-    """Of the time, beside the other attempts' shares."""
+    """Share of the time, relative to the other attempts' shares."""
     share_s: float = 0.0
     most_s: float = 0.0
     """The same in seconds, and the limit if something was measured."""

@@ -33,7 +33,7 @@ class Seen:
     """The point as seen from the vehicle at some times, (n,) each."""
 
     place_m: Matrix
-    """Of the vehicle, (n, 3)."""
+    """Vehicle positions, (n, 3)."""
     distance_m: Vector
     """Slant."""
     closing_mps: Vector

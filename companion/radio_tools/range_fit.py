@@ -36,7 +36,7 @@ from companion.radio_tools.pose_track import PoseTrack, Seen, distances_of
 K_LONG = 1.5
 """Longer errors than so many sigma count linearly, as in the estimator."""
 K_PLACE = 2.5
-"""Of whole places; they are few, and the smaller one would pull their mean down."""
+"""Threshold for whole places; they are few, and the smaller one would pull their mean down."""
 NLOS_SIGMAS = 3.0
 PLACE_M = 3.0
 """Radius of what counts as one place."""
@@ -48,7 +48,8 @@ LEAST_VALUES_TO_SPLIT = 20
 LEAST_SPEED_MPS = 0.5
 LEAST_SIGMA_M = 1e-3
 HALF_FREEDOM = 0.37 / 3.5
-"""Of a mirrored deviation: by the median's efficiency, of half the values, about a fitted mean."""
+"""Degrees of freedom of a mirrored deviation: by the median's efficiency, of half the values, about
+a fitted mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class RangeSamples:
     """Ranges as the radio reported them, (n,) each."""
 
     times_s: Vector
-    """On the companion's clock, before any lag."""
+    """Times on the companion's clock, before any lag."""
     ranges_m: Vector
 
 
@@ -68,7 +69,7 @@ class RangeMixture:
     """(places,)."""
     sigma_m: float
     free_share: Vector
-    """Of each range, the probability of no reflection, (n,)."""
+    """Probability that each range is not reflected, (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,14 +221,14 @@ class _Level:
     """Fit over the places."""
 
     offset_alone_m: Figure
-    """At a scale of 1."""
+    """Offset at a scale of 1."""
     offset_m: Figure
     scale: Figure
     """Less 1."""
     is_scale_observable: bool
     between_m: float
     residuals_m: Vector
-    """Of the places."""
+    """Residuals of the places."""
     distances_m: Vector
 
 

@@ -239,7 +239,8 @@ class OaiDecoder(_Cell):
         r"timing_offset = ([0-9]{1,6}) \(estimated distance ([0-9]{1,7}\.?[0-9]*) \[m\]\)"
     )
     AGREEMENT = 0.05
-    """Of a step: the log's own value of it is 0.1 % off, and steps of numerologies differ by 2."""
+    """Tolerance in steps: the log's own value of it is 0.1 % off, and steps of numerologies differ
+    by 2."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)

@@ -78,7 +78,7 @@ class Header:
 
     cells: int
     places: dict[str, tuple[int, Column]]
-    """By meaning."""
+    """Columns by meaning."""
     ranges: tuple[tuple[int, Column], ...]
     """One; or one for each emitter."""
     problem: str | None = None

@@ -48,16 +48,16 @@ class RadioReading:
     """One reading of an emitter as its radio reports it; None for values that were not measured."""
 
     emitter: str | int | None = None
-    """By the name on the wire; None: the format has none."""
+    """Emitter by its name on the wire; None: the format has none."""
     device_time_s: float | None = None
     """Device's own clock as on the wire: it may wrap, or restart."""
     age_s: float = 0.0
     """Age at sending, if the device reports it."""
     range_m: float | None = None
-    """As reported: before any offset or scale; may be negative."""
+    """Range as reported, before any offset or scale; may be negative."""
     range_sigma_m: float | None = None
     azimuth_rad: float | None = None
-    """With the device's sign."""
+    """Azimuth with the device's sign."""
     azimuth_sigma_rad: float | None = None
     elevation_rad: float | None = None
     elevation_sigma_rad: float | None = None
@@ -78,7 +78,7 @@ class DecoderCounts:
     resync_bytes: int = 0
     """Bytes that belonged to no frame."""
     refused: Counter[str] = field(default_factory=Counter)
-    """By reason, in the operator's words: `no bearing from above`, `status RX_TIMEOUT`."""
+    """Number of refused readings by reason: `no bearing from above`, `status RX_TIMEOUT`."""
     unrecognised: int = 0
     """Lines that are none of the format's; blank ones do not count."""
     first_unrecognised: str = ""
@@ -109,7 +109,7 @@ class Poll:
     """Query for a radio that reports only when asked."""
 
     path: str
-    """By HTTP, where the link's address gives none."""
+    """Path for HTTP if the link's address has none."""
     period_s: float
     request: bytes = b""
     """Over a serial port or TCP, each period."""
@@ -151,10 +151,10 @@ class RadioKind:
     """Radio that can be chosen by its name: a built-in one, or a plugin's."""
 
     name: str
-    """As in `--radio NAME@URL`: lower case, digits and underscores."""
+    """Name as in `--radio NAME@URL`: lower case, digits and underscores."""
     decoder: type[RadioDecoder]
     title: str
-    """For people: `Nooploop LinkTrack and LinkTrack AOA`."""
+    """Title for people: `Nooploop LinkTrack and LinkTrack AOA`."""
     gives: str
     """`range`, `bearing`, `range, azimuth, elevation`."""
     emitter: str
@@ -164,8 +164,8 @@ class RadioKind:
     needs_emitter: bool = False
     """True if the format names no emitter, so that the settings must."""
     needs_offset: bool = False
-    """Its ranges have a constant of the single device that may be longer than the search: without
-    `range_offset_m` or `offset_steps` nothing is localised."""
+    """True if its ranges have an offset of the single device that may be longer than the search:
+    without `range_offset_m` or `offset_steps` nothing is localised."""
     clock_wrap_s: float | None = None
     """Period after which the device's clock restarts at zero; None: it never does."""
     poll: Poll | None = None

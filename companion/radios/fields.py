@@ -35,7 +35,7 @@ class Unit:
     """Quantity and unit of a name."""
 
     attribute: str
-    """Of the reading."""
+    """Attribute of the reading."""
     factor: float = 1.0
     """To the reading's unit."""
 

@@ -17,7 +17,7 @@ from companion.radios.decoder import AngleFrame, FrameDecoder, RadioKind, RadioR
 PER_RAD = 128.0 * 180.0 / math.pi
 PER_M = 100.0
 NO_DISTANCE = 0xFFFF
-"""By FiRa's texts."""
+"""Value for no distance, by FiRa's specification."""
 OK, OK_NEGATIVE_DISTANCE = 0x00, 0x1B
 STATUS_WORDS = {0x20: "transmission failed", 0x21: "no answer (timeout)"}
 LINE_OF_SIGHT = {0: True, 1: False}

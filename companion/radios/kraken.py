@@ -42,7 +42,7 @@ LEAST_HZ = 1e6
 MOST_CHANNELS = 64
 OVERDRIVEN = {"1", "true"}
 HEADINGS = {"GPS", "Compass"}
-"""What the heading is of; `Compass` since the suite of 2026."""
+"""Sources of the heading; `Compass` since the suite of 2026."""
 MARKS = len(b"<DATA>") + len(b"</DATA>")
 
 
@@ -50,7 +50,7 @@ class KrakenOptions(Params, frozen=True):
     """Conditions under which a KrakenSDR's results are used."""
 
     min_confidence: Annotated[float, msgspec.Meta(ge=0.0, le=BEST_CONFIDENCE)] = 10.0
-    """Of 99; below it the direction is that of the noise."""
+    """Least confidence, of 99; below it the direction is that of the noise."""
     best_confidence: Annotated[float, msgspec.Meta(gt=0.0, le=BEST_CONFIDENCE)] | None = None
     """The scale that the receiver reports on; null: 99, or 1 of the suite of 2026. Firmware of 2022
     and 2023 reports 0.4 to 2: set 2."""
@@ -65,7 +65,7 @@ class Result:
     """Result of one channel."""
 
     time_ms: float
-    """Of the end of the integration."""
+    """Time of the end of the integration."""
     azimuth_deg: float
     confidence: float
     frequency_hz: float
@@ -73,8 +73,8 @@ class Result:
     is_line_array: bool = False
     is_overdriven: bool = False
     checksum: int | None = None
-    """Of the suite of 2026, whose time is that of the request: over the fields that are measured,
-    which stay the same while the squelch is closed. None: an earlier one, or `doa.xml`."""
+    """Checksum of the fields that are measured, for the suite of 2026, whose time is that of the
+    request; it stays the same while the squelch is closed. None: an earlier suite, or `doa.xml`."""
 
     @property
     def name(self) -> str:

@@ -38,7 +38,7 @@ BAND_HEAD = struct.Struct("<IIIfffII")
 """Type, channels, decimation, centre in MHz, gain, averaging, marker, bins."""
 BAND_BIN_BYTES = 6
 FIRST_WIDE_MARKER = 0xFE
-"""From this marker on the picture is of several tuners, and its centre is none of them."""
+"""Least marker of a picture of several tuners, whose centre is none of them."""
 AUDIO_HEAD = struct.Struct("<IIfI")
 CHANNEL = struct.Struct("<IfIIfIf")
 """Id, offset in kHz, bandwidth, angles, radius, blocks, degrees an angle."""
@@ -52,7 +52,7 @@ class KrakenSocketOptions(KrakenOptions, frozen=True):
     """Settings of the socket beside those of every KrakenSDR."""
 
     token: Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9]{0,128}$")] = ""
-    """Of `KRAKEN_API_TOKEN` or the file `api_token` of the receiver; empty: it has none."""
+    """Token from `KRAKEN_API_TOKEN` or the file `api_token` of the receiver; empty: it has none."""
 
 
 class KrakenSocketDecoder(KrakenDecoder):

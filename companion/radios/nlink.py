@@ -78,7 +78,7 @@ VARIABLE: Mapping[int, Layout] = {
     0x09: Layout(14),
     0x0B: Layout(SHORTEST),
 }
-"""By function mark; the number of elements is the last byte of the header."""
+"""Layouts by function mark; the number of elements is the last byte of the header."""
 SKIPPED = {
     0x00: "AnchorFrame0: other nodes' ranges",
     0x02: "NodeFrame0: no ranges",

@@ -26,7 +26,8 @@ ANY_RECORD = "SESSION_"
 CONTINUED = (" ", "\t", "\r", "[")
 """First characters of a line that continues a record."""
 MEASUREMENT = re.compile(r"\[mac_address=((?:[^\[\]]|\[\w*\])*)\]")
-"""From one bracket to its other; names of values have units in brackets of their own."""
+"""Measurement from its opening bracket to its closing one; names of values have units in brackets
+of their own."""
 ADDRESS = re.compile(r"0x[0-9a-fA-F]{1,16}")
 FAILURES = {
     "TX_FAILED",

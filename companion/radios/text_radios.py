@@ -44,7 +44,7 @@ class SlotOptions(Params, frozen=True):
     hidden: Literal["anchor", "tag"] = "anchor"
     """Role of the emitter; the vehicle carries the other one."""
     slot: Annotated[int, msgspec.Meta(ge=0, lt=SLOTS)] = 0
-    """With `hidden: tag`, the slot or number of the anchor on the vehicle."""
+    """Slot or number of the anchor on the vehicle, with `hidden: tag`."""
 
 
 class SlotDecoder(FieldDecoder):
@@ -188,8 +188,8 @@ class Sx1280Options(Params, frozen=True):
     """Selects how the range is computed."""
 
     bandwidth_khz: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
-    """Of the ranging exchange, 406.25, 812.5 or 1625: then the register is read instead of the
-    printed metres, which are rounded, and wrong below zero."""
+    """Bandwidth of the ranging exchange, 406.25, 812.5 or 1625: then the register is read instead
+    of the printed metres, which are rounded, and wrong below zero."""
 
 
 class Sx1280Decoder(FieldDecoder):

@@ -158,4 +158,4 @@ RADIOS: Mapping[str, RadioKind] = {
         ),
     )
 }
-"""By name."""
+"""Radios by name."""

@@ -39,8 +39,8 @@ class FtmCsvOptions(Params, frozen=True):
     """Names of the columns of an FTM firmware's CSV."""
 
     columns: tuple[Annotated[str, msgspec.Meta(max_length=40)], ...] = ()
-    """In order, `emitter`, `range_cm`, `rtt_ns` and so on, `_` for one that is not read; empty:
-    the known ones are recognised."""
+    """Columns in order, `emitter`, `range_cm`, `rtt_ns` and so on, `_` for one that is not read;
+    empty: the known ones are recognised."""
     delimiter: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] = ","
 
 
@@ -142,11 +142,11 @@ class AndroidRttOptions(Params, frozen=True):
     """Properties that an app's CSV leaves open."""
 
     unit: Literal["mm", "cm", "m", "ns", "ps"] | None = None
-    """Of distances and deviations whose columns have none in their names."""
+    """Unit of distances and deviations whose columns have none in their names."""
     single_emitter: bool = False
     """All rows are of one access point, which no column names."""
     time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
-    """Of the timestamp; auto: by the column's name, else by its digits if it is a date."""
+    """Unit of the timestamp; auto: by the column's name, else by its digits if it is a date."""
     header: Annotated[str, msgspec.Meta(max_length=1000)] = ""
     """The first line of a file that is followed from its end, or has none."""
 

@@ -22,7 +22,7 @@ LONGEST_M = 100_000.0
 """An unsigned distance that went below zero is far beyond this."""
 INVALID_RTT_PS = 2**32 - 1
 LEAST_SHARE = 0.125
-"""Of a burst's frames that must be valid: one of eight, the shortest burst."""
+"""Least share of a burst's frames that must be valid: one of eight, the shortest burst."""
 BY_SHARE: Mapping[str, object] = {
     "quality_min": LEAST_SHARE,
     "sigma_factors": ((0.0, 2.8), (0.25, 2.0), (0.5, 1.4), (0.75, 1.0)),

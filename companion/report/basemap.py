@@ -12,7 +12,7 @@ from companion.geometry.web_tiles import corner_of, tile_at
 from companion.web.settings import zooms_of
 
 MOST_TILES = 24
-"""Of a page; at some 20 kB each, as much as the rest of a long report."""
+"""Most tiles of a page; at some 20 kB each, as much as the rest of a long report."""
 KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
 """Magic numbers of pictures, whatever the names of their files."""
 MOST_BYTES = 2_000_000

@@ -17,7 +17,7 @@ MAP_SIZE = 640.0
 CHART_SIZE = (560.0, 220.0)
 BINS = 50
 LEAST_SPAN = 1e-3
-"""Of the axis of a histogram whose values are all the same."""
+"""Least span of the axis of a histogram whose values are all the same."""
 ELLIPSES = 8
 """Shown of each emitter, evenly over the flight; the newer, the stronger."""
 ELLIPSE_CORNERS = 90
@@ -59,7 +59,7 @@ class MapLayers:
 
     track_enu_m: Sequence[Point]
     estimates: Sequence[EstimatePoint]
-    """Of all emitters, in the order of time; each emitter's last one is marked."""
+    """Estimates of all emitters, in the order of time; each emitter's last one is marked."""
     waypoints_enu_m: Sequence[Point] = ()
     fence_enu_m: Sequence[Point] = ()
     keep_outs_enu_m: Sequence[Sequence[Point]] = ()

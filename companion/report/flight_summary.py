@@ -22,7 +22,7 @@ Line = Mapping[str, object]
 Number = Annotated[float, msgspec.Meta(ge=-3.4e38, le=3.4e38)]
 """Range of single precision, as in MAVLink. Beyond it, and infinite, a number was damaged."""
 Metres = Annotated[float, msgspec.Meta(ge=-4e7, le=4e7)]
-"""Of a place or a radius: the Earth is 40,000 km around."""
+"""Coordinate or radius in m: the Earth is 40,000 km around."""
 Scale = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Place = tuple[Metres, Metres]
 Polygons = tuple[list[Place], list[list[Place]]]

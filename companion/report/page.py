@@ -104,7 +104,7 @@ class FlightPage:
     charts: Sequence[Chart | None]
     """Those that are None are left out."""
     events: Sequence[EventRow]
-    """In the order of time; the first `MAX_EVENTS` are shown."""
+    """Events in the order of time; the first `MAX_EVENTS` are shown."""
     footer: str
     began_unix_s: float | None = None
     """Unix time at zero of the flight's own; None: an invented time, which has no date."""

@@ -12,7 +12,7 @@ from companion.geometry.polygons import Point
 MARGIN = 44.0
 """Around the plot, for the ticks."""
 MAX_POINTS = 1500
-"""Of a curve; more cannot be distinguished."""
+"""Most points of a curve; more cannot be distinguished."""
 
 
 @dataclass(frozen=True, slots=True)

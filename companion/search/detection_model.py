@@ -29,7 +29,7 @@ from companion.search.search_grid import Floats, are_inside
 
 Decibels = Annotated[float, msgspec.Meta(ge=0.0, le=20.0)]
 SHARED_VARIANCE = 0.5
-"""Of shadowing, about the emitter; see above."""
+"""Share of the variance of shadowing that is common to all cells, about the emitter; see above."""
 MOST_WALL_EDGES = 200
 
 
@@ -58,7 +58,7 @@ class DetectionModel(Params, frozen=True):
     """Standard deviation of that reach, as power; 4 dB are a factor of 1.4 in range at exponent
     2.5."""
     exponent: Annotated[float, msgspec.Meta(ge=1.5, le=6.0)] = 2.5
-    """Of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
+    """Exponent of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
     shadowing_db: Decibels = 6.0
     """Standard deviation of shadowing: 3 to 4 dB in the open, 6 to 8 dB over rubble."""
     correlation_m: Annotated[float, msgspec.Meta(ge=1.0, le=1000.0)] = 20.0
@@ -142,7 +142,7 @@ def _normal_weights(sigmas: Floats) -> Floats:
 
 _HALF = round(MOST_SIGMAS / NODE_SIGMAS)
 NODE_WEIGHTS = _normal_weights(NODE_SIGMAS * np.arange(-_HALF, _HALF + 1, dtype=float))
-"""Of the offsets of a cell, in its own standard deviations; the same for all models."""
+"""Weights of the offsets of a cell, in its own standard deviations; the same for all models."""
 MARGIN_STEPS = 16
 """Steps of the table's margin to a step of the quadrature."""
 FADING_DB = 25.0
@@ -193,7 +193,8 @@ class MissTable:
 
 
 POISSON_TERMS = 120
-"""Of the series of Rice's distribution: up to 15 dB, a mean of 32, the rest is below 1e-12."""
+"""Terms of the series of Rice's distribution: up to 15 dB, a mean of 32, the rest is below
+1e-12."""
 
 
 def received_share(margins_db: Floats, rice_k_db: float) -> Floats:

@@ -114,7 +114,7 @@ def _in_metres(grid: SearchGrid, ring: list[Node]) -> tuple[Point, ...]:
 GAP_POD = 0.5
 """Cells of a gap: there it would rather have been missed than heard."""
 LEAST_GAP_SHARE = 0.02
-"""Of the chance; smaller gaps are not spoken of."""
+"""Least share of the probability; smaller gaps are not reported."""
 MOST_GAPS = 3
 COMPASS = ("E", "NE", "N", "NW", "W", "SW", "S", "SE")
 

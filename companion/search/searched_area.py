@@ -104,7 +104,7 @@ class SearchedArea:
         """(cells, offsets) of the place that is listened from."""
         self._places: dict[Square, _Place] = {}
         self._square: Square | None = None
-        """Of the last look; work may still be behind."""
+        """Square of the last look; work may still be behind."""
         self._here_square: Square | None = None
         self._pending: Look | None = None
         self._pending_key: tuple[int, int, int] = (0, 0, 0)
@@ -113,7 +113,7 @@ class SearchedArea:
         self._spacing_m = look_spacing_m(model)
 
     def listen(self, place_m: PositionEnu, seconds: float) -> None:
-        """Take in that nothing was heard for so long at a place; up is above the ground."""
+        """Note that nothing was heard for so long at a place; up is above the ground."""
         answers = seconds / self.model.interval_s
         key = _key_of(place_m, self._spacing_m)
         pending = self._pending
@@ -129,7 +129,7 @@ class SearchedArea:
             self._pending_s += seconds
 
     def take(self, looks: Iterable[Look]) -> None:
-        """Take in looks of an earlier flight, and do all the work."""
+        """Process looks of an earlier flight, and do all the work."""
         for look in looks:
             self._commit(look, _key_of(look.place_m, self._spacing_m))
             self.finish()
@@ -230,7 +230,7 @@ class SearchState:
 
     @property
     def area_m2(self) -> float:
-        """Of all cells."""
+        """Area of all cells, m^2."""
         return len(self.pod) * self.grid.cell_m**2
 
 

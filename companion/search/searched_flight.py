@@ -34,7 +34,7 @@ class SearchAreaParams(Params, frozen=True):
     stop_pos: Probability | None = None
     """The search ends, with nothing heard, at this probability of success; null: it goes on."""
     stop_sweeps: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
-    """It ends after a pattern was flown to its end so often; null: it goes on."""
+    """Number of complete patterns after which the search ends; null: it goes on."""
 
 
 class StoredGrid(msgspec.Struct, frozen=True):

@@ -17,11 +17,11 @@ from companion.errors import CompanionError, ConfigError
 from companion.geometry.web_tiles import LATITUDES_DEG, tile_at
 
 MOST_TILES = 20_000
-"""Of one fetch; more is a burden to a server that others pay for."""
+"""Most tiles of one fetch; more is a burden to a server that others pay for."""
 PAUSE_S = 0.05
 TIMEOUT_S = 20.0
 MOST_BYTES = 2_000_000
-"""Of one tile."""
+"""Most bytes of one tile."""
 METRES_PER_DEGREE = 111_319.5
 SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
 """Magic numbers of PNG, JPEG and WebP."""

@@ -33,9 +33,9 @@ from companion.radios.decoder import (
 
 NOISE_BYTES = 1_000_000
 TORN_BYTES = 200_000
-"""Of torn pieces: they contain much to decode."""
+"""Bytes of torn pieces: they contain much to decode."""
 MOST_NOISE_S = 1.0
-"""Of processor time, for each kind of noise."""
+"""Longest processor time for each kind of noise."""
 PIECE_BYTES = 4096
 SETTLED_BYTES = 8192
 """Length of a good stream after which earlier data no longer matter."""
@@ -54,7 +54,7 @@ class ContractFigures:
     """Figures measured by the check."""
 
     readings: int
-    """Of the stream."""
+    """Number of readings in the stream."""
     slowest_noise_s: float
     """Processor time of the slowest kind of noise."""
     most_kept_bytes: int

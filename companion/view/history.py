@@ -45,7 +45,7 @@ class HistoryReader:
     """Reader's position in a history."""
 
     def __init__(self, whole_every: int | None = None) -> None:
-        """Every `whole_every`th part is the whole, should one have been lost on the way."""
+        """Create a reader that gets the whole with every `whole_every`th part."""
         self._whole_every = whole_every
         self._parts, self._count, self._version = 0, 0, -1
 

@@ -46,7 +46,7 @@ STATE_STYLE = {
     EstimateState.DIVERGED: "bold red",
 }
 WIDTH = 78
-"""Of the whole screen, so that it fits an 80-column terminal and does not jump."""
+"""Width of the whole screen, which fits an 80-column terminal and does not jump."""
 OLD_AFTER_S = {"autopilot": 1.0, "position": 0.5, "ranging": 5.0}
 """Ages that are shown as too old."""
 BAR_WIDTH = 30

@@ -44,7 +44,7 @@ class CommandButtons:
         """Flight time of the moment on the page."""
         self._buttons: dict[str, tuple[ui.button, ui.label]] = {}
         self._awaited: dict[str, tuple[float, float, bool]] = {}
-        """By label: flight time and monotonic time of the press, and whether it is reported
+        """Flight time and monotonic time of each press by label, and True if it is reported
         missing."""
         for name, label, colour, question in BUTTONS:
             dialog = _confirmation(question, label, colour, partial(self._send, name, label))

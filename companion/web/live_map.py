@@ -99,7 +99,8 @@ class Collector(FlightView):
 log = logging.getLogger("companion.web")
 
 PICTURE_PERIOD_S = 0.25
-"""Of the flight; faster than an eye needs, slower than a Raspberry Pi notices."""
+"""Period of the pictures in flight time; faster than an eye needs, slower than a Raspberry Pi
+notices."""
 MAX_LINE = 1_000_000
 """More than this without a line's end is no button."""
 END_S = 2.0

@@ -307,7 +307,7 @@ LEAST_OF_GOAL = 0.1
 REDRAW_EVERY = 4
 """Curves change slowly: redrawn with every fourth picture."""
 GREY, LINE = "#7c8a9a", "#3b82f6"
-"""Of lines, seen on white and on black; texts have their colour from the style sheet."""
+"""Colours of lines, visible on white and on black; texts have their colour from the style sheet."""
 
 
 class Charts:

@@ -141,7 +141,7 @@ class Page:
 
 
 NICENESS = 19
-"""On a loaded computer the control tick comes first, and pages wait."""
+"""Niceness of the pages: on a loaded computer the control tick comes first."""
 MOST_DATA_BYTES = 512 * 2**20
 """Data that the page's process may allocate: half of the service's limit (MemoryMax)."""
 OOM_SCORE = b"500"

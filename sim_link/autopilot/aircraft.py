@@ -95,7 +95,7 @@ class Area:
     """A polygon, or a circle if it has a radius."""
 
     corners_enu_m: tuple[Point, ...]
-    """Of the polygon, or only the centre of a circle."""
+    """Corners of the polygon, or only the centre of a circle."""
     is_inclusion: bool
     radius_m: float | None = None
 
@@ -160,7 +160,7 @@ MAX_TEXTS = 32
 
 @dataclass(frozen=True, slots=True)
 class Occurrence:
-    """Something that an operator would want to read."""
+    """Event that an operator would want to read."""
 
     time_s: float
     """Since boot."""
@@ -200,14 +200,15 @@ class Aircraft:
         self.estimator.step(0.0, self.body.position_enu_m, 0.0)
         error = self.estimator.error
         self.motion: Kinematics = self.body if error is None else EstimatedMotion(self.body, error)
-        """What the autopilot steers by."""
+        """Motion that the autopilot uses for control: the estimated one if there is a navigation
+        error."""
         east, north, _ = self.motion.position_enu_m
         self.home_enu_m: PositionEnu = (east, north, self.motion.ground_up_m)
         """Launch-and-return point, as estimated."""
         self.is_home_given = False
-        """Whether a station set it: then arming leaves it alone."""
+        """True if a station set home: then arming does not move it."""
         self.home_set_s = STEP_S
-        """When home was set, since boot."""
+        """Time of the last change of home, in s since boot."""
         self.home_changes = 1
         self.origin_changes = 1
         self.battery = Battery(scenario.battery)
@@ -216,7 +217,7 @@ class Aircraft:
         self.mission = MissionRun(self._locate, first_mission_item)
         corners = scenario.fence.corners_enu_m
         self.plan_ids = (0, 0, 0)
-        """Of mission, fence and rally points, as the autopilot gives them."""
+        """Ids of mission, fence and rally points, as the autopilot reports them."""
         self.fence = Geofence([Area(corners, scenario.fence.is_inclusion)] if corners else [])
         self.is_armed = False
         self.time_s = 0.0
@@ -224,7 +225,7 @@ class Aircraft:
         self.distance_m = 0.0
         self.has_flown = False
         self.stations_s: dict[int, float] = {}
-        """When each ground station's HEARTBEAT last came, by system id."""
+        """Time of the latest HEARTBEAT of each ground station, by system id."""
         self.texts: list[tuple[int, str]] = []
         """MAV_SEVERITY and text, to be sent as STATUSTEXT."""
         self._gust_rng = noise_rng if scenario.wind.gust_sigma_mps > 0.0 else None
@@ -308,7 +309,7 @@ class Aircraft:
         origin = self.estimator.world_origin
 
         def enu_from_e7(lat_e7: int, lon_e7: int) -> Point:
-            """Return a place in 1e-7 degrees, local east and north."""
+            """Return the local east and north, m, of a position in 1e-7 degrees."""
             return origin.enu_from_geodetic(lat_e7 / 1e7, lon_e7 / 1e7, origin.altitude_m)[:2]
 
         self.fence = Geofence(areas_from_items(items, enu_from_e7))

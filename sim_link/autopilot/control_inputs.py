@@ -37,7 +37,7 @@ FIELD_BITS = (
     *(dialect.AX_IGNORE, dialect.AY_IGNORE, dialect.AZ_IGNORE),
     *(dialect.YAW_IGNORE, dialect.YAW_RATE_IGNORE),
 )
-"""In the order of the fields."""
+"""Mask bits in the order of the fields."""
 MAX_LATITUDE_E7 = 900_000_000
 MAX_LONGITUDE_E7 = 1_800_000_000
 
@@ -47,7 +47,7 @@ class Setpoint:
     """Target position and speed; None in a field that is not commanded. All None: stay in place."""
 
     position_en_m: Point | None = None
-    """In the world's frame."""
+    """Position in the world's frame."""
     up_m: float | None = None
     velocity_en_mps: Point | None = None
     climb_mps: float | None = None
@@ -62,7 +62,7 @@ class SetpointMonitor:
 
     def __init__(self) -> None:
         self.arrived_s: float | None = None
-        """When the newest valid one came; None before any."""
+        """Arrival time of the newest valid one; None before the first."""
         self.setpoint = Setpoint()
         self.received = 0
         """Setpoint messages addressed to us, the refused ones included."""
@@ -138,7 +138,7 @@ class Sticks:
 
     @property
     def deflection(self) -> float:
-        """Of the stick that is moved most."""
+        """Return the deflection of the stick that is moved most."""
         return max(abs(self.forward), abs(self.right), abs(self.up), abs(self.yaw))
 
 
@@ -174,7 +174,7 @@ class StickInput:
         self.joystick_timeout_s = JOYSTICK_TIMEOUT_S
         """A joystick or an override that was silent for this long has ended."""
         self.resting = CENTRED if params.is_present else None
-        """Where the transmitter's sticks are at rest; None: there is none."""
+        """Rest positions of the transmitter's sticks; None: there is no transmitter."""
         self._joystick: Sticks = CENTRED
         self._joystick_s: float | None = None
         self._moved: Sticks = CENTRED
@@ -229,7 +229,7 @@ AXIS_BITS = (
     *(dialect.VY_IGNORE, dialect.VX_IGNORE, dialect.VZ_IGNORE),
     *(dialect.AY_IGNORE, dialect.AX_IGNORE, dialect.AZ_IGNORE),
 )
-"""Of place, velocity and acceleration, each east, north and up."""
+"""Mask bits of position, velocity and acceleration, each east, north and up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,14 +237,14 @@ class Echo:
     """One target."""
 
     place_enu_m: Axes = NOTHING
-    """In the world's frame."""
+    """Position in the world's frame."""
     velocity_enu_mps: Axes = NOTHING
     acceleration_enu_mps2: Axes = NOTHING
     yaw_ned_rad: float | None = None
     yaw_rate_ned_radps: float | None = None
     """Clockwise positive."""
     nothing: float = 0.0
-    """What a field holds that means nothing."""
+    """Value of a field without a meaning."""
 
     @property
     def type_mask(self) -> int:

@@ -126,7 +126,7 @@ class SimEndpoint:
         )
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Take in bytes; whatever is no MAVLink, or not for us, is ignored."""
+        """Process bytes; whatever is no MAVLink, or not for us, is ignored."""
         if now_s < self._started_s:
             return
         if now_s < self._stalled_until_s:
@@ -146,7 +146,7 @@ class SimEndpoint:
                 self._reboot(now_s, 0.0)
 
     def apply_incident(self, incident: IncidentRecord, now_s: float) -> None:
-        """Let something happen to the vehicle now, whatever its `start_s` says."""
+        """Apply an incident to the vehicle now, whatever its `start_s` says."""
         if isinstance(incident, VehicleReboot):
             self._reboot(now_s, incident.down_s)
         elif isinstance(incident, AutopilotStall):

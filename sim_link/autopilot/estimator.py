@@ -23,12 +23,12 @@ from sim_link.autopilot.navigation import FixName, NavigationError, NavigationPa
 from sim_link.autopilot.scenario import GpsParams
 
 REACQUIRE_RATE_PER_S = 1.0
-"""How fast the drift of a loss goes once there is a fix again."""
+"""Rate at which the drift of a loss decays once there is a fix again, per s."""
 GOOD_RATIO, BLIND_RATIO = 0.05, 0.6
 PERFECT = NavigationParams()
 RTK_SIGMA_M, RTK_HEIGHT_SIGMA_M = 0.02, 0.04
-"""What a receiver without an error of its own reports: ZED-F9P, 0.01 m + 1 ppm, its base 10 km off;
-heights twice as much."""
+"""Accuracy that a receiver without a simulated error reports: ZED-F9P, 0.01 m + 1 ppm, its base 10
+km off; heights twice as much."""
 
 
 class Estimator:
@@ -51,14 +51,14 @@ class Estimator:
         self.world_origin = origin
         self.origin = origin
         self.reported_enu_m: PositionEnu = (0.0, 0.0, 0.0)
-        """What is reported, in the world's frame."""
+        """Reported position in the world's frame."""
         self.has_fix = True
         self.is_position_valid = True
         self.yaw_bias_rad = math.radians(navigation.compass_error_deg)
         """Estimated heading minus the true one."""
         self.navigation = navigation
         self.error: NavigationError | None = None
-        """Of the place; None: it has none."""
+        """Error of the estimated position; None: it has none."""
         if navigation.errs_in_place:
             self.error = NavigationError(navigation, rng.spawn(1)[0])
         self._origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
@@ -92,7 +92,7 @@ class Estimator:
 
     @property
     def fix(self) -> FixName:
-        """Of which kind the fix is while there is one."""
+        """Return the kind of the fix while there is one."""
         return self.navigation.fix if self.error is None else self.error.fix
 
     @property

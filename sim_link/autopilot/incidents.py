@@ -45,7 +45,7 @@ class FaultRecord(Params, frozen=True, tag_field="kind"):
 
 
 class VehicleFault(FaultRecord, frozen=True):
-    """Something with the vehicle, its autopilot, its pilot or the weather."""
+    """Fault of the vehicle, its autopilot, its pilot or the weather."""
 
 
 class IncidentRecord(VehicleFault, frozen=True):
@@ -85,7 +85,7 @@ class GpsLoss(IncidentRecord, frozen=True, tag="gps_loss"):
     """No satellite is seen; without any the estimate wanders off, and ends being used."""
 
     receiver: Literal["all", "first", "second"] = "all"
-    """Of those that `gps.receivers` has."""
+    """Affected receivers of those in `gps.receivers`."""
 
 
 class EkfPoor(IncidentRecord, frozen=True, tag="ekf_poor"):
@@ -127,7 +127,7 @@ class BatteryCharge(IncidentRecord, frozen=True, tag="battery"):
 
 
 class WindChange(IncidentRecord, frozen=True, tag="wind"):
-    """Another wind, by where it blows to, with the gusts as before; then the scenario's again."""
+    """Change of the wind with a direction to which it blows; then the scenario's wind again."""
 
     east_mps: WindSpeed = 12.0
     north_mps: WindSpeed = 0.0
@@ -140,37 +140,34 @@ class VehicleReboot(IncidentRecord, frozen=True, tag="vehicle_reboot"):
 
 
 class ClockRate(IncidentRecord, frozen=True, tag="clock_rate"):
-    """Its clock runs slow or fast, as on a computer that does not keep up; then as fast as time."""
+    """Rate of the vehicle's clock, as on a computer that does not keep up; then true again."""
 
     rate: ClockPace = 0.988
     """Seconds of its clock a second; PX4's own simulator was 1.2 % slow."""
 
 
 class ClockSlip(IncidentRecord, frozen=True, tag="clock_slip"):
-    """Its clock jumps, and goes on from there; event."""
+    """Jump of the vehicle's clock; event."""
 
     step_s: ClockStep = -0.7
     """Ahead is positive."""
 
 
 class AutopilotStall(IncidentRecord, frozen=True, tag="autopilot_stall"):
-    """Its computer stands still, as by SIGSTOP: nothing is said or flown, and its clock waits.
-
-    What comes meanwhile is read afterwards.
-    """
+    """Stall of the autopilot's computer: its clock waits, and input is read afterwards."""
 
     duration_s: StallLength = 1.2
 
 
 class StationRecord(IncidentRecord, frozen=True):
-    """Another ground station orders something of the autopilot; event."""
+    """Action of another ground station on the autopilot; event."""
 
     shares_line: bool = False
-    """Whether the companion hears what the station is answered, as on a radio that all share."""
+    """True if the companion also receives the answers to the station, as on a shared radio."""
 
 
 class StationFence(StationRecord, frozen=True, tag="station_fence"):
-    """It uploads another fence, a square or a circle about a place, or clears it; event."""
+    """Upload of another fence, a square or a circle, or its removal; event."""
 
     half_side_m: Positive | None = 30.0
     """Or the radius; None: the fence is cleared."""
@@ -181,14 +178,14 @@ class StationFence(StationRecord, frozen=True, tag="station_fence"):
 
 
 class StationParameter(StationRecord, frozen=True, tag="station_parameter"):
-    """It sets a parameter; event."""
+    """Change of a parameter by the station; event."""
 
     name: str = "FENCE_RADIUS"
     value: float = 30.0
 
 
 class StationRates(StationRecord, frozen=True, tag="station_rates"):
-    """It sets the rate of a message on every line, the companion's too; event."""
+    """Change of the rate of a message on every link, the companion's too; event."""
 
     message: str = "LOCAL_POSITION_NED"
     rate_hz: NonNegative = 1.0
@@ -196,7 +193,7 @@ class StationRates(StationRecord, frozen=True, tag="station_rates"):
 
 
 class StationHome(StationRecord, frozen=True, tag="station_home"):
-    """It moves home, in the world's frame; event."""
+    """Move of home by the station, in the world's frame; event."""
 
     east_m: Coordinate = 20.0
     north_m: Coordinate = 0.0
@@ -219,16 +216,16 @@ class OtherVehicle(FaultRecord, frozen=True, tag="other_vehicle"):
     vehicle_type: VehicleTypeName = "quadrotor"
     flavour: Literal["same", "px4", "ardupilot"] = "same"
     uptime_s: NonNegative = 500.0
-    """How long it was on when it is heard first."""
+    """Time since its boot when it is first heard."""
     east_m: Coordinate = 60.0
     north_m: Coordinate = -40.0
     up_m: Positive = 15.0
     is_offboard: bool = True
-    """In the mode that obeys setpoints."""
+    """True in the mode that obeys setpoints."""
 
     @property
     def place_enu_m(self) -> PositionEnu:
-        """Its place in the world's frame."""
+        """Position in the world's frame."""
         return (self.east_m, self.north_m, self.up_m)
 
 

@@ -27,7 +27,7 @@ FixName = Literal["3d", "dgps", "rtk_float", "rtk_fixed"]
 
 
 class FixChange(Params, frozen=True):
-    """From some time on the fix is of another kind."""
+    """Change of the kind of fix at a time."""
 
     at_s: NonNegative
     """Since boot."""
@@ -54,7 +54,7 @@ class NavigationParams(Params, frozen=True):
     told_ratio: NonNegative = 1.0
     """Reported accuracy as a multiple of the true one."""
     fix_changes: tuple[FixChange, ...] = ()
-    """In any order."""
+    """Changes of the fix, in any order."""
 
     @property
     def errs_in_place(self) -> bool:

@@ -44,13 +44,13 @@ IDENTITIES: Mapping[ComponentName, Identity] = {
     ),
     "autopilot": Identity(2, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4),
 }
-"""Of each; `companion` sends setpoints beside, as a second one of ours does, and `autopilot` is a
-second flight controller of the same vehicle."""
+"""Identity of each component; `companion` sends setpoints beside, as a second one of ours does, and
+`autopilot` is a second flight controller of the same vehicle."""
 HEARTBEAT_S, STREAM_S = 1.0, 0.1
 
 
 class OtherComponentSender:
-    """One component, from `began_s` on."""
+    """Sender of one component, from `began_s` on."""
 
     def __init__(self, name: ComponentName, vehicle_system_id: int, began_s: float) -> None:
         self._name = name

@@ -25,7 +25,7 @@ from sim_link.autopilot.vehicle import SimVehicle
 
 IDS = (254, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 CHANNEL = Channel(0, ("other station", 0))
-"""Its own line; only this station hears what is answered there."""
+"""Link of its own; only this station receives the answers on it."""
 E7 = 1e7
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE
 

@@ -30,7 +30,8 @@ SLOW_DESCENT_BELOW_M = 5.0
 REACHED_M = 0.2
 HOME_REACHED_M = 0.5
 CLIMBED_M = 1.0
-"""How far below its cruise height RETURN may start, and dip on, the way home."""
+"""Distance below its cruise height at which RETURN may start, or to which it may sink on the way
+home."""
 STEP_S = 0.02
 
 
@@ -38,7 +39,7 @@ class Task(Enum):
     """Task of the pilot, whatever mode it belongs to."""
 
     STAY = "stay"
-    """At the hold point, which a command may move."""
+    """Stays at the hold point, which a command may move."""
     TAKE_OFF = "take off"
     LAND = "land"
     RETURN = "return"
@@ -71,10 +72,10 @@ class Pilot:
         self.final_up_m: float | None = None
         """Height above which RETURN stays instead of landing; None: it lands."""
         self.return_loiter_s = 0.0
-        """How long RETURN waits over home before it comes down."""
+        """Time for which RETURN waits over home before it descends."""
         self.circle_radius_m = 0.0
         self.circle_rate_radps = 0.0
-        """Of CIRCLE, clockwise positive; 0 only turns the nose to the centre."""
+        """Rate of CIRCLE, clockwise positive; 0 only turns the nose to the centre."""
         self._circle_centre: Point = home_enu_m[:2]
         self._circle_yaw_ned_rad: float | None = None
         self.limits = SpeedLimits()
@@ -89,7 +90,7 @@ class Pilot:
         self._is_staying = False
         self._leg: MissionLeg | None = None
         self.goal_enu_m: PositionEnu | None = None
-        """Where the task goes now; None where it has no place, as with sticks that are moved."""
+        """Current goal of the task; None if it has no position, as with moved sticks."""
         self.wanted_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
         """The velocity that the task wanted last."""
 

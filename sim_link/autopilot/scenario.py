@@ -70,7 +70,7 @@ class AutopilotParams(Params, frozen=True):
     offboard_loss_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 1.0
     """Age of the last valid setpoint that ends OFFBOARD (PX4 COM_OF_LOSS_T)."""
     offboard_loss_action: LossAction = "position"
-    """What happens then (PX4 COM_OBL_RC_ACT)."""
+    """Reaction to lost setpoints (PX4 COM_OBL_RC_ACT)."""
     takeoff_altitude_m: FlightAltitude = 2.5
     """Above home, when the takeoff command names none (PX4 MIS_TAKEOFF_ALT)."""
     return_altitude_m: FlightAltitude = 30.0
@@ -78,13 +78,14 @@ class AutopilotParams(Params, frozen=True):
     disarm_after_landing_s: NonNegative = 2.0
     """PX4 COM_DISARM_LAND; ArduPilot disarms a second after LAND and RTL ended."""
     streams: Literal["all", "asked"] = "all"
-    """What PX4 sends unasked: its onboard link's streams, or HEARTBEAT (a link in mode Custom)."""
+    """Streams that PX4 sends without a request: its onboard link's, or HEARTBEAT (a link in mode
+    Custom)."""
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
     """Defaults of the autopilot's parameters that differ from its own, by name."""
 
     @property
     def link_mode(self) -> LinkMode:
-        """Of links of which nothing else is said."""
+        """Mode of links for which no other is configured."""
         return "asked" if self.streams == "asked" else "onboard"
 
 
@@ -100,16 +101,16 @@ class RcParams(Params, frozen=True):
     """The remote control."""
 
     is_present: bool = False
-    """Whether a transmitter is switched on; its sticks rest in the middle."""
+    """True if a transmitter is switched on; its sticks rest in the middle."""
 
 
 class GpsParams(Params, frozen=True):
     """Effects of GNSS and estimator on the reported position."""
 
     drift_mps: NonNegative = 0.3
-    """How fast the estimate wanders off without a fix."""
+    """Drift of the estimate without a fix, in m/s."""
     valid_without_fix_s: NonNegative = 5.0
-    """How long the estimate is used without a fix."""
+    """Time for which the estimate is used without a fix."""
     receivers: Literal[1, 2] = 1
     """GNSS receivers; the second one reports by GPS2_RAW."""
 
@@ -120,7 +121,7 @@ class FenceParams(Params, frozen=True):
     corners_enu_m: tuple[tuple[Coordinate, Coordinate], ...] = ()
     """A simple polygon, not closed; empty: no fence."""
     is_inclusion: bool = True
-    """Whether the vehicle must stay inside; otherwise outside."""
+    """True if the vehicle must stay inside, otherwise outside."""
 
     def __post_init__(self) -> None:
         """Refuse a polygon that encloses nothing or crosses itself."""
@@ -139,9 +140,9 @@ class PayloadParams(Params, frozen=True):
     measures: Measures = "both"
     """Range and bearing, or one of them."""
     lag_s: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0
-    """How much later than it was made a measurement is stamped and sent, in whole steps."""
+    """Delay between a measurement and its stamp, in whole steps."""
     antenna: AntennaModelParams = AntennaModelParams()
-    """How it measures directions."""
+    """Antenna that measures directions."""
 
 
 class Scenario(Params, frozen=True):
@@ -150,18 +151,18 @@ class Scenario(Params, frozen=True):
     name: str = "canonical"
     system_id: SystemId = 1
     time_limit_s: Positive = 240.0
-    """For the judgement of the flight; the simulator itself flies on."""
+    """Time limit for the judgement of the flight; the simulator itself flies on."""
     origin: OriginParams = OriginParams()
     area_m: tuple[Positive, Positive] = (100.0, 100.0)
     """East and north extent of the search area from the origin; information only."""
     start_enu_m: tuple[Coordinate, Coordinate] = (10.0, 10.0)
-    """Where the vehicle stands at the start: its home."""
+    """Position of the vehicle at the start: its home."""
     emitter: EmitterParams = EmitterParams()
     channel: FieldChannelParams = FieldChannelParams()
     obstacles: tuple[ObstacleParams, ...] = ()
-    """What blocks the line of sight; the vehicle does not collide with it."""
+    """Obstacles to the line of sight; the vehicle does not collide with them."""
     shadow: ShadowParams = ShadowParams()
-    """What a path suffers that an obstacle blocks."""
+    """Effects on a path that an obstacle blocks."""
     payload: PayloadParams = PayloadParams()
     autopilot: AutopilotParams = AutopilotParams()
     vehicle: MulticopterParams = MulticopterParams()
@@ -174,11 +175,11 @@ class Scenario(Params, frozen=True):
     fence: FenceParams = FenceParams()
     emitters: tuple[EmitterParams, ...] = ()
     incidents: tuple[Incident, ...] = ()
-    """What happens at which time, in any order."""
+    """Incidents with their times, in any order."""
     other_vehicles: tuple[OtherVehicle, ...] = ()
     """Other vehicles in the air, with companions of their own, that are heard beside this one."""
     vehicles: VehicleCount = 1
-    """How many of this vehicle fly in one process."""
+    """Number of these vehicles in one process."""
     position_noise_m: NonNegative = 0.0
     """Standard deviation per axis of the position that the autopilot reports."""
 

@@ -99,7 +99,7 @@ CALIBRATION_REPORT_S = 0.5
 
 
 class SensorCalibration:
-    """At most one at a time."""
+    """Calibration of a sensor, at most one at a time."""
 
     def __init__(self, commands: Commands, empty: CommandResult) -> None:
         self._commands = commands
@@ -135,7 +135,7 @@ COMMANDS = (
 )
 Handler = Callable[[Any, Partner, float], Message | None]
 IsKnown = Callable[[int, int], bool]
-"""Whether a system and component were heard, so that what is for them is passed on."""
+"""Predicate for a system and component that were heard, so that messages for them are forwarded."""
 
 
 class Services:
@@ -181,7 +181,7 @@ class Services:
         self._owed: list[Outgoing] = []
         """Parameters that changed by themselves."""
         self.wants_reboot = False
-        """Whether a client asked for one."""
+        """True if a client requested one."""
         self._handlers = self._handlers_by_type()
 
     def _handlers_by_type(self) -> dict[type[Message], Handler]:

@@ -40,7 +40,7 @@ BATTERY_LOW_SHARE, BATTERY_CRITICAL_SHARE = 0.15, 0.07
 NEUTRAL_US = 1500
 LOAD_PERMILLE = 250
 NO_ERRORS = (0, 0, 0, 0, 0, 0)
-"""Of the link, and the autopilot's own."""
+"""Error counts of the link and of the autopilot."""
 
 GOOD_ESTIMATE = flags_of(
     "ESTIMATOR",

@@ -54,7 +54,7 @@ class FlavourParts(NamedTuple):
     kind: type[AutopilotFlavour]
     parameters: Callable[[Scenario], ParameterStore]
     handlers: Mapping[int, Handler]
-    """By MAV_CMD."""
+    """Handlers by MAV_CMD."""
 
 
 FLAVOURS: dict[FlavourName, FlavourParts] = {
@@ -144,7 +144,7 @@ class IncidentSchedule:
 
 
 def apply_to_vehicle(incident: IncidentRecord, vehicle: SimVehicle, now_s: float) -> None:
-    """Let an incident happen to a vehicle now; reboot and stall are its endpoint's business."""
+    """Apply an incident to a vehicle now; reboot and stall are its endpoint's business."""
     aircraft = vehicle.aircraft
     match incident:
         case PilotMode():

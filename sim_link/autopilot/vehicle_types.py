@@ -101,7 +101,7 @@ ARDUPILOT_TABLES: Mapping[VehicleTypeName, Mapping[int, WireMode]] = {
     "sub": SUB,
     "tracker": TRACKER,
 }
-"""Of all types but those that Copter flies."""
+"""Mode tables of all types but those that Copter flies."""
 IGNORES_LOCAL_SETPOINTS = frozenset({"plane", "quadplane", "tiltrotor", "tailsitter", "tracker"})
 """ArduPlane's GUIDED goes to places of commands only, a tracker nowhere."""
 

@@ -33,12 +33,12 @@ class AskedModule(Emulator):
 
     most = 1
     line_end: ClassVar[bytes] = b"\n"
-    """Of a request."""
+    """Line end of a request."""
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
         self._fresh: dict[str, Fresh] = {}
-        """By name on the wire."""
+        """Readings by name on the wire."""
         self._begun = b""
 
     @abstractmethod

@@ -41,7 +41,7 @@ class KrakenDirection:
 
     @property
     def row(self) -> str:
-        """Of `DOA_value.html`, without its end."""
+        """Return the line of `DOA_value.html`, without its end."""
         head = [
             str(self.epoch_ms),
             str(360 - self.theta_deg),
@@ -95,7 +95,7 @@ class Kraken(Emulator):
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
         self._found: dict[int, KrakenDirection] = {}
-        """By frequency."""
+        """Directions by frequency."""
 
     def encode(self, asked: Round) -> bytes:
         """Return the whole table."""

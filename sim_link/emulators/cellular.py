@@ -17,7 +17,7 @@ from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
 
 LTE_STEP_M = 0.5 * LIGHT_MPS * 16.0 / (15_000.0 * 2048.0)
 NR_STEP_M = 0.5 * LTE_STEP_M
-"""At a subcarrier spacing of 30 kHz."""
+"""Step at a subcarrier spacing of 30 kHz."""
 FIRST_CRNTI = 0x46
 FIRST_RNTI = 17_921
 FRAMES, SUBFRAMES = 1024, 10

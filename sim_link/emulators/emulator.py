@@ -24,7 +24,7 @@ from sim_link.world.field_radio import Measures
 LIGHT_MPS = 299_792_458.0
 U32 = 1 << 32
 FLOOR_DBM, AT_ONE_METRE_DBM = -95.0, -45.0
-"""Of the received power that is made up of the range: free space, and no less than noise."""
+"""Received power, derived from the range: free space, and no less than noise."""
 LINE_END = "\r\n"
 
 
@@ -94,7 +94,7 @@ class Emulator(ABC):
     """
 
     name: ClassVar[str]
-    """As in `sim-link radio --as NAME`."""
+    """Name as in `sim-link radio --as NAME`."""
     title: ClassVar[str]
     gives: ClassVar[str] = "range"
     antenna: ClassVar[AntennaKind] = "ideal"
@@ -103,7 +103,7 @@ class Emulator(ABC):
     rate_hz: ClassVar[float] = 10.0
     """Usual."""
     ids: ClassVar[range] = range(1 << 16)
-    """Of the emitters that the format can name."""
+    """Ids of the emitters that the format can name."""
     most: ClassVar[int] = 64
     """Emitters in a round."""
     reports_north: ClassVar[bool] = False

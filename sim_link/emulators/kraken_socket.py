@@ -66,7 +66,7 @@ class KrakenSocket(Kraken):
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
         self._spectra: dict[int, Spectrum] = {}
-        """By frequency."""
+        """Spectra by frequency."""
 
     def boot(self) -> bytes:
         """Return the messages that every client receives first."""

@@ -21,7 +21,7 @@ ANCHOR, TAG = 1, 2
 MOST_INT24 = (1 << 23) - 1
 TAG_FRAME_BYTES, TAG_FRAME_ANCHORS = 128, 8
 LOS_GAP_DB, NLOS_GAP_DB = 2.0, 12.0
-"""By how much the first path is weaker than all that is received (DW1000: under 6 is direct)."""
+"""Power of all signals above that of the first path (DW1000: under 6 is direct)."""
 VOLTAGE_V = 4.85
 SATURATED_DEG = 90.0
 MARK_TAG0, MARK_NODE2, MARK_NODE3, MARK_NODE4, MARK_AOA, MARK_NODE5 = 1, 4, 5, 6, 7, 8
@@ -48,7 +48,7 @@ class Peer:
 
     @property
     def powers(self) -> bytes:
-        """Of the first path and of everything."""
+        """Powers of the first path and of all that is received, dBm."""
         return bytes(clamped(-2.0 * dbm, 0, 255) for dbm in (self.fp_dbm, self.rx_dbm))
 
 
@@ -65,12 +65,12 @@ class Node:
 
     @property
     def clocks(self) -> bytes:
-        """The own, then that of the network: 0 while there is none."""
+        """Clocks of the node and of the network; 0 while there is none."""
         return struct.pack("<II", self.local_ms % U32, self.system_ms % U32)
 
     @property
     def millivolts(self) -> bytes:
-        """Of the supply."""
+        """Supply voltage in mV."""
         return struct.pack("<H", clamped(1e3 * self.voltage_v, 0, 0xFFFF))
 
 
@@ -246,7 +246,7 @@ class NLinkNode3(NLinkEmulator):
 
 
 class NLinkNode5(NLinkEmulator):
-    """With long ids."""
+    """A tag that prints NodeFrame5, with long ids."""
 
     name = "nlink_node5"
     title = "Nooploop LinkTrack, NodeFrame5"
@@ -269,7 +269,7 @@ class NLinkNode2(NLinkEmulator):
 
 
 class NLinkTag0(NLinkEmulator):
-    """With a place for each of eight anchors."""
+    """A tag that prints TagFrame0, with a slot for each of eight anchors."""
 
     name = "nlink_tag0"
     title = "Nooploop LinkTrack, TagFrame0"

@@ -14,7 +14,7 @@ from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
 
 BANDWIDTH_HZ = 812_500.0
 RAW_STEP_M = 150.0 / (4.096 * BANDWIDTH_HZ / 1e3)
-"""Of the ranging engine at that bandwidth."""
+"""Step of the ranging engine at that bandwidth."""
 
 
 def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:

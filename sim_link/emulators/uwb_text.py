@@ -94,7 +94,7 @@ class QorvoRecord:
 
     @property
     def text(self) -> str:
-        """In its brackets."""
+        """Return the record in its brackets."""
         rest = "".join(f", {key}={value}" for key, value in self.values)
         return f'[mac_address=0x{self.address:04x}, status="{self.status}"{rest}]'
 
@@ -203,7 +203,7 @@ class AtRange:
     ranges_cm: tuple[int, ...]
     rssi_dbm: tuple[float, ...] | None = None
     anchors: tuple[int, ...] | None = None
-    """By slot; -1: empty."""
+    """Anchors by slot; -1: empty."""
 
     @property
     def text(self) -> str:

@@ -23,7 +23,7 @@ from sim_link.emulators.emulator import (
 )
 
 FRAMES = 31
-"""Of 32 asked for, as many as can be valid."""
+"""Valid frames of 32 requested, the most possible."""
 UNUSED_SIGMA_M = 0.5
 SIMULATION_BEGAN_S = 1_718_000_000.0
 """The Unix time of a phone or a Pi at its start, where a format has one."""
@@ -258,7 +258,7 @@ class RttRow:
 
     @property
     def text(self) -> str:
-        """In the order of the header."""
+        """Return the row, in the order of the header."""
         ranged = f"{self.distance_mm},{self.std_dev_mm},{self.rssi_dbm}"
         answered = f"{self.attempted},{self.successful}"
         return f"{self.epoch_ms},1,{self.ssid},{self.bssid},{ranged},{answered}"

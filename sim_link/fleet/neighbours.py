@@ -28,7 +28,7 @@ from sim_link.autopilot.scenario import Scenario
 COMPONENT_BYTE = 6
 """Offset of the sender's component id in a MAVLink 2 frame."""
 STREAM_S = 0.1
-"""Of the setpoints of its own companion, and of what it asks for."""
+"""Period of its own companion's setpoints and requests."""
 NEIGHBOURS_UID = 4096
 """Plus the system id: its hardware is another one than that of our vehicle."""
 STREAMS = (
@@ -74,7 +74,7 @@ class Neighbour:
         self._lift(up, now_s)
 
     def _ask(self, number: int, now_s: float) -> None:
-        """Its own companion asks for a stream, as ArduPilot wants it."""
+        """Request a stream as its own companion, in ArduPilot's way."""
         params = (float(number), 1e6 * STREAM_S, *(0.0,) * 5)
         command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         message = mavlink.MAVLink_command_long_message(self.setup.system_id, 1, command, 0, *params)
@@ -119,7 +119,7 @@ class Neighbour:
         return [each for each in self.sim.take_output() if each.data[COMPONENT_BYTE] != payload]
 
     def step(self, now_s: float) -> None:
-        """Let time pass for it."""
+        """Advance its time."""
         if self.setup.is_offboard and now_s >= self._stream_s:
             self._stream_s = now_s + STREAM_S
             self._stay(now_s)
@@ -127,7 +127,7 @@ class Neighbour:
 
     @property
     def place_enu_m(self) -> PositionEnu:
-        """Its true place, in the world's frame."""
+        """True position in the world's frame."""
         return self.sim.vehicle.body.position_enu_m
 
     @property
@@ -165,7 +165,7 @@ class FleetAmongOthers:
 
     @property
     def others(self) -> list[Neighbour]:
-        """Those that are or were there."""
+        """Neighbours that are or were there."""
         return [*self._gone, *(each for each, _ in self._here)]
 
     def receive(self, chunk: Chunk, now_s: float) -> None:

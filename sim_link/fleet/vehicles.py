@@ -1,4 +1,4 @@
-"""From the command line's options to vehicles, links and files, and several behind one shell.
+"""Builders of vehicles, links and files from the options; several run behind one shell.
 
 Vehicle n (from 0) has the system id of the scenario plus n, and so it is with every port but the
 ground station's, which all of them send to, as PX4's simulated vehicles do. In one process their
@@ -74,8 +74,8 @@ PX4_PORTS: dict[int, tuple[LinkMode, int]] = {
     STATION_PORT: ("station", 3990),
     14030: ("narrow", -300),
 }
-"""By the port that PX4 sends to: whom for, and how far the port it sends from is above 14580, which
-is for companions."""
+"""Kind of link by the port that PX4 sends to, and the offset of its own port from 14580, which is
+for companions."""
 MAX_PORT = 65_535
 MAX_SYSTEM_ID = 255
 SAVE_PERIOD_S = 1.0
@@ -191,7 +191,7 @@ def link_specs(options: FleetOptions, number: int) -> list[Transport]:
 
 
 def links_of_others(options: FleetOptions) -> list[Transport]:
-    """One link each, from a free port, of the other vehicles that have an address of their own."""
+    """Return a link for each other vehicle that has an address of its own, from a free port."""
     others = [each for each in options.scenario.other_vehicles if each.has_own_address]
     return [UdpFanOut(options.listen[0], 0, options.send_to) for _ in others]
 

@@ -15,7 +15,7 @@ class EventTail:
     def __init__(self, root: Path) -> None:
         self._root = root
         self._seen = set(root.glob(LOGS))
-        """What an earlier mission may have left there, and what was read."""
+        """Logs of an earlier mission, and those already read."""
         self._path: Path | None = None
         self._offset = 0
         self._rest = b""

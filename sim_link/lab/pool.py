@@ -48,7 +48,7 @@ ADDRESS = re.compile(re.escape(SCHEME) + r"(\[[0-9a-fA-F:]+\]|[^\s:/]+):([0-9]{1
 AHEAD = 2
 """Items for each worker that are given out at a time: one in work, and the next one."""
 GRACE_S = 10.0
-"""How long an interrupted process may clean up before it is killed."""
+"""Time for which an interrupted process may clean up before it is killed."""
 CONNECT_S = 3.0
 FIRST_WORKER_S = 5.0
 FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000

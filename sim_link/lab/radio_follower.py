@@ -129,7 +129,7 @@ class RadioFollower(OneShotEndpoint):
 
     @property
     def emitter_ids(self) -> tuple[int, ...]:
-        """Of everybody who is there."""
+        """Ids of all present emitters."""
         return tuple(emitter.emitter_id for emitter in self._wanted)
 
     def receive(self, chunk: Chunk, now_s: float) -> None:

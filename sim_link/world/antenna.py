@@ -39,13 +39,14 @@ class AntennaModelParams(Params, frozen=True):
     kind: AntennaKind = "ideal"
     """ideal: the azimuth in the world's frame whatever the attitude, as the paper has it."""
     sigma_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] | None = None
-    """At boresight, of each direction cosine; None: the channel's `bearing_sigma_deg`."""
+    """Noise of each direction cosine at boresight; None: the channel's `bearing_sigma_deg`."""
     mount_deg: tuple[Degrees, Degrees, Degrees] = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the antenna on the body; pitch -90 looks straight down."""
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None
     """Full cone about boresight beyond which no direction is measured; None: everywhere."""
     folds: bool = True
-    """Whether a line or two-axis array prints what is behind; otherwise it hears no direction."""
+    """True if a line or two-axis array reports directions from behind; otherwise it measures none
+    there."""
 
 
 class Printed(NamedTuple):
@@ -56,7 +57,7 @@ class Printed(NamedTuple):
     elevation_rad: float | None
     """Arcsine of the direction cosine upwards."""
     is_array_angle: bool
-    """Whether the bearing is an arcsine."""
+    """True if the bearing is an arcsine."""
 
 
 def direction_enu(sensor_enu_m: PositionEnu, target_enu_m: PositionEnu) -> Components:

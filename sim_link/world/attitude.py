@@ -16,7 +16,7 @@ Components = tuple[float, float, float]
 
 
 class EulerAngles(NamedTuple):
-    """Of a turned frame in an outer one, radians; a body's yaw is clockwise from north."""
+    """Euler angles of a turned frame in an outer one, rad; a body's yaw is clockwise from north."""
 
     roll_rad: float = 0.0
     pitch_rad: float = 0.0

@@ -34,7 +34,7 @@ from sim_link.world.line_of_sight import Surroundings, detour, is_blocked_in_spa
 from sim_link.world.point_mass import Share
 
 Drawn = tuple[float, float, float]
-"""By chance, for one path: uniform in [0, 1), exponential of mean 1, standard normal."""
+"""Random draws of one path: uniform in [0, 1), exponential of mean 1, standard normal."""
 
 
 class ChannelParams(Params, frozen=True):
@@ -44,7 +44,7 @@ class ChannelParams(Params, frozen=True):
     bearing_offset_deg: float = -3.0
     """Counter-clockwise positive, as the paper's angles are."""
     p_nlos: Share = 0.9
-    """In the open: outside of every obstacle's shadow."""
+    """Probability of an obstructed path in the open, outside of every obstacle's shadow."""
     range_bias_mean_m: NonNegative = 8.0
     bearing_bias_sigma_deg: NonNegative = 5.0
     range_sigma_m: NonNegative = 1.5
@@ -58,17 +58,18 @@ class LossParams(Params, frozen=True):
     """Probability that a packet is received; theory in `field_radio`."""
 
     half_range_m: Positive = 150.0
-    """In the line of sight, abreast of the antenna, half of the packets are lost at this range."""
+    """Range at which half of the packets are lost, in the line of sight and abreast of the
+    antenna."""
     exponent: Positive = 2.0
-    """Of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
+    """Exponent of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
     wall_db: NonNegative = 10.0
     """Lost at each wall of the obstacles on the straight path."""
     shadow_sigma_db: NonNegative = 4.0
     """Shadowing that stays with the place, over the channel's `correlation_m`."""
     fading_sigma_db: NonNegative = 3.0
-    """From packet to packet."""
+    """Fading from packet to packet."""
     null_depth_db: NonNegative = 0.0
-    """Of a dipole along the vehicle's vertical, straight below and above; 0: none."""
+    """Null of a dipole along the vehicle's vertical, straight below and above; 0: none."""
 
 
 class FieldChannelParams(ChannelParams, frozen=True):
@@ -89,7 +90,7 @@ class FieldChannelParams(ChannelParams, frozen=True):
     gross_correlation_m: NonNegative = 5.0
     """Way over which these last; 0: every draw is new."""
     loss: LossParams | None = None
-    """Which packets are lost; None: none is."""
+    """Model of packet loss; None: no loss."""
 
     @property
     def is_as_in_the_paper(self) -> bool:
@@ -117,9 +118,9 @@ class EmitterParams(Params, frozen=True):
     position_enu_m: tuple[Coordinate, Coordinate] = (50.0, 50.0)
     height_m: Coordinate = 0.0
     channel: FieldChannelParams | None = None
-    """How it is heard, what is left out being canonical; None: over the scenario's `channel`."""
+    """Its channel, whose missing keys are canonical; None: the scenario's `channel`."""
     quality: Share | None = None
-    """What the radio says of its signal; None: nothing."""
+    """Signal quality that the radio reports; None: none."""
 
 
 class Emitter:
@@ -149,7 +150,7 @@ Corners = Annotated[tuple[tuple[Coordinate, Coordinate], ...], msgspec.Meta(min_
 
 
 class ObstacleParams(Params, frozen=True):
-    """Something solid on the ground: an upright prism."""
+    """Solid obstacle on the ground: an upright prism."""
 
     corners_enu_m: Corners
     """A simple polygon, in either direction; not closed."""
@@ -172,9 +173,9 @@ class ShadowParams(Params, frozen=True):
     pull_share: Share = 1.0
     """Share of the turn towards the detour's first corner that the bearing shows."""
     extra_bias_mean_m: NonNegative = 5.0
-    """On top of the detour, exponential."""
+    """Mean of the exponential excess beyond the detour."""
     bearing_bias_sigma_deg: NonNegative = 5.0
-    """On top of the pull, normal."""
+    """Sigma of the normal error beyond the pull."""
     correlation_m: NonNegative = 10.0
     """Distance over which the two on top forget themselves to 1/e; 0: every draw is new."""
 
@@ -201,7 +202,7 @@ class ShadowMemory(NamedTuple):
     """The correlated part of the last shadowed measurement, in standard units, and its place."""
 
     first: float
-    """Of the pair whose half squared length is the extra."""
+    """First of the pair whose half squared length is the excess."""
     second: float
     bend: float
     east_m: float

@@ -124,7 +124,7 @@ class _Moment(NamedTuple):
     """Standard normal, as the following."""
     shadow: float
     gross: list[float]
-    """Whether it is one, and east, north and up of where it comes from."""
+    """Normal that decides whether it is a gross error, and east, north and up of its direction."""
     free: list[float]
     """Components of the direction, range, fading."""
 
@@ -162,7 +162,7 @@ class FieldRadio(RadioChannel):
         self._measures = measures
         self._paths: dict[PositionEnu, _Path] = {}
         self._blocking_normal = 0.0
-        """Of the path that is being drawn."""
+        """Normal of the path that is being drawn."""
 
     def prepare(self, emitter: Emitter) -> None:
         """Prepare as any channel, and forget earlier trials."""

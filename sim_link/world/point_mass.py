@@ -116,7 +116,7 @@ class PointMass:
     ) -> None:
         self._params = params
         self.wind = wind
-        """What blows; `set_wind` changes it."""
+        """Wind; `set_wind` changes it."""
         self._gust = (0.0, 0.0)
         self._drift = self._drift_of_wind()
         self.ground_up_m = ground_up_m

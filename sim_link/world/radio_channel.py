@@ -38,7 +38,7 @@ class ChannelDraw:
     """Errors of one measurement, from noise and obstacles."""
 
     range_bias_m: float
-    """Of an obstructed path; never negative."""
+    """Excess of an obstructed path; never negative."""
     bearing_bias_rad: float
     range_noise_m: float
     bearing_noise_rad: float

@@ -35,11 +35,11 @@ SETPOINT_PERIOD_S = 0.1
 BOOT_S, CLIMB_S, SETTLE_S = 5.0, 6.0, 2.0
 RECEIVE_BUFFER = 1 << 24
 FULL = 0.9
-"""Of a core: more leaves no time to be late and catch up."""
+"""Largest load of a core: more leaves no time to be late and catch up."""
 FEWER = 0.85
-"""How many to try next, by how many were too many."""
+"""Ratio of the next number of vehicles to one that was too large."""
 MAX_WAITING = 0.1
-"""Of the time: who waits longer for a core is on a busy machine."""
+"""Largest share of the time spent waiting for a core; above it the machine is busy."""
 
 
 @dataclass(slots=True)

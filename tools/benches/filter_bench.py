@@ -61,7 +61,7 @@ WINDOW = 200
 MAP_STEPS = 40
 """Steps timed together; one is too short for the clock."""
 START_OFF_M = 2.0
-"""From the target to where a solution of the window starts, east and north."""
+"""Distance east and north from the target to the start of the window's solution."""
 ROUNDS = 25
 SEED = 1
 SYSTEM = System("asymmetric_huber", "passive")

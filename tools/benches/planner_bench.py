@@ -184,7 +184,7 @@ def decided(
 
 
 SIGHTED_LIMIT_US = 5.0
-"""What a decision by the antenna may take, compiled."""
+"""Longest time of a compiled decision by the antenna, in us."""
 TWO_AXIS = Antenna((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0), 2, False, math.pi / 3.0)
 
 
@@ -216,7 +216,7 @@ ROUNDS = 75
 DECISION_PASSES = 4 if IS_COMPILED else 1
 """Over a run, timed together: what the call of a compiled kernel takes is spread over them."""
 FILTERPY_UPDATES = 40
-"""Of a run, timed together."""
+"""Updates of a run that are timed together."""
 
 FILTER_ALONE = System("asymmetric_huber", "passive")
 REACTIVE = System("asymmetric_huber", "reactive")
@@ -239,7 +239,7 @@ SYSTEMS = (
 """Ours, and the two others whose cost the paper prints."""
 
 LIMITS_MS = {REACTIVE: 0.003, LATCHED: 0.003, FIM: 0.015}
-"""What filter and decision together may take, compiled."""
+"""Longest time of filter and decision together, compiled, in ms."""
 PAPER_MS = {REACTIVE: 0.012, FIM: 0.281, HUBER_FIM: 0.281, ADMM_ALONE: 0.002}
 """Paper: table "Comprehensive Performance and Complexity", medium noise."""
 PAPER_FIM_OVER_REACTIVE = 23.0
@@ -256,9 +256,9 @@ class StepCost:
     decision_ms: float | None
     """The planner alone; None: it decides nothing."""
     filterpy_update_ms: float
-    """Of filterpy's filter on measurements of the same run, its prediction not counted."""
+    """Time of filterpy's filter on measurements of the same run, its prediction not counted."""
     ratio: float
-    """Of the step to filterpy's update."""
+    """Ratio of the step to filterpy's update."""
     paper_ms: float | None
     """None: not printed."""
     limit_ms: float | None

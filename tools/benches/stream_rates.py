@@ -38,7 +38,7 @@ ASKED_HZ: dict[type[Message], tuple[float, float, float]] = {
     mavlink.MAVLink_extended_sys_state_message: (2.0, 4.0, 5.0),
     mavlink.MAVLink_heartbeat_message: (1.0, 1.0, 1.0),
 }
-"""What each client asks for; HEARTBEAT is not asked for."""
+"""Rates that each client requests; HEARTBEAT is not requested."""
 TOLERANCE = 0.05
 TICK_MS = 20
 SETPOINTS = 40

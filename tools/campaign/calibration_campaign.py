@@ -266,9 +266,9 @@ class Score:
     name: str
     error: float
     is_within: bool | None
-    """Whether it keeps what is promised; None: nothing is."""
+    """True if it is within the specification; None: there is none."""
     is_covered: bool | None
-    """Whether the interval holds the truth; None: it has none."""
+    """True if the interval contains the truth; None: there is no interval."""
 
 
 def scores(truth: Truth, done: Calibration) -> Iterator[Score]:

@@ -51,9 +51,9 @@ class ClockFlight:
     seed: int
     rate: float
     slips: tuple[tuple[float, float], ...]
-    """When, and by how much, seconds."""
+    """Time and size of each slip, in s."""
     error_m: float | None
-    """Of what was reported; None: nothing was."""
+    """Error of the report; None: nothing was reported."""
     longest_hold_s: float
     farthest_m: float
     """East or north of home."""

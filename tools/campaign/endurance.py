@@ -50,7 +50,7 @@ _ACTED_ON = (
     "LANDING_TARGET RANGING_BEACON RADIO_RANGING"
 )
 HEARD = tuple(_BY_NAME[name] for name in _ACTED_ON.split())
-"""What a companion acts on; some frames are of any message of the dialect."""
+"""Messages that a companion handles; some frames are of any message of the dialect."""
 SPECIAL = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1.0, 1.0, 1e-42)
 
 

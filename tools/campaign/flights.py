@@ -40,7 +40,7 @@ class Trial:
     part: str
     seed: int
     size: float = 1.0
-    """How long or how much, in the unit of the part; a replay uses the same."""
+    """Amount of work, in the unit of the part; a replay uses the same."""
 
     @property
     def name(self) -> str:
@@ -50,7 +50,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class TrialFinding:
-    """Something that must not happen, and how to see it again."""
+    """Fault that was found, and the command that repeats it."""
 
     trial: str
     what: str
@@ -65,7 +65,7 @@ class TrialOutcome:
 
     trial: Trial
     findings: tuple[str, ...] = ()
-    """What must not happen; empty: the trial passed."""
+    """Faults found; empty: the trial passed."""
     sums: Mapping[str, float] = field(default_factory=dict)
     most: Mapping[str, float] = field(default_factory=dict)
     least: Mapping[str, float] = field(default_factory=dict)
@@ -92,7 +92,7 @@ class Part:
     cost_s: float = 1.0
     """About how long a trial of size 1 takes one core; for progress and fair shares."""
     base_cost_s: float = 0.0
-    """What every trial takes beside that, whatever its size."""
+    """Time in s that every trial takes beside that, whatever its size."""
     split: Callable[[float], tuple[int, float]] = lambda amount: (round(amount), 1.0)
     """So much of the part as a number of trials and the size of each."""
 
@@ -234,7 +234,7 @@ MUTED = ("LOCAL_POSITION_NED", "HEARTBEAT", "ATTITUDE", "HOME_POSITION", "EXTEND
 DIRECTIONS: tuple[Direction, ...] = ("both", "to_companion", "to_vehicle")
 FIELDS: tuple[RangingField, ...] = ("both", "range", "bearing")
 FENCE_PARAMETERS = ("FENCE_RADIUS", "FENCE_ALT_MAX", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
-"""Of both autopilots; a station that sets one of the other's changes nothing."""
+"""Fence parameters of both autopilots; one that the other autopilot has changes nothing."""
 COMPONENTS = get_args(ComponentName)
 TYPES = get_args(VehicleTypeName)
 JUMP_M = 7.0

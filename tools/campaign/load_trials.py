@@ -42,7 +42,8 @@ PROGRAMS_PER_CORE = 2
 MOST_BEYOND_QUIET_S = 0.10
 MOST_BUSY_GAP_S = 0.3
 MOST_R95_RATIO = 1.05
-"""Of the estimate's R95 to that without the load: both errors are centimetres, which is chance."""
+"""Largest ratio of the estimate's R95 to that without the load: both errors are centimetres, which
+is chance."""
 RADIO_COMPONENT = mavlink.MAV_COMP_ID_PERIPHERAL + 1
 FORGED = 1_000
 """Different forged frames."""

@@ -146,7 +146,7 @@ SIGNAL_EARLIEST_S, SIGNAL_LATEST_S = 0.5, 36.0
 DOWN_S = (0.1, 1.0)
 """Between a kill and the next start."""
 SIGNAL_AFTER_S = 6.0
-"""How long the next one is watched, in seconds of the flight."""
+"""Time for which the next one is watched, in seconds of the flight."""
 START_S = 60.0
 """Real time that a process may take to start on a busy machine."""
 

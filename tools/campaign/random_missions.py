@@ -93,7 +93,7 @@ SIGNED_SHARE = 0.3
 OPERATED_SHARE = 0.4
 ALTITUDE_M = 15.0
 FLIGHT_S = 50.0
-"""From the moment at which the schedule begins."""
+"""Flight time from the beginning of the schedule."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,8 +48,8 @@ AMOUNTS_BY_PART: Mapping[str, tuple[float, float, float, float]] = {
     "reaction": (6, 100, 500, 2000),
     "soak": (0.02, 0.2, 24.0, 24.0),
 }
-"""Of each part in a campaign of each size: missions; take-overs; hours at each loss; kills; stops;
-signals; flights under each load; frames; cuts; hours."""
+"""Amount of each part in a campaign of each size: missions; take-overs; hours at each loss; kills;
+stops; signals; flights under each load; frames; cuts; hours."""
 AMOUNTS: Mapping[str, Mapping[str, float]] = {
     size: {name: amounts[index] for name, amounts in AMOUNTS_BY_PART.items()}
     for index, size in enumerate(SIZES)
@@ -189,7 +189,7 @@ def _tally_of(outcomes: Mapping[int, TrialOutcome]) -> CampaignTally:
 
 
 ENOUGH_HOURS = 5.0
-"""From so many hours on a rate of rare events is judged as a rate."""
+"""Hours from which on a rate of rare events is judged as a rate."""
 JUDGED_LOSS = "30_pct"
 PROMISED = (
     "missions",

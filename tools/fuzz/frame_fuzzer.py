@@ -55,12 +55,13 @@ HANDLED: tuple[type[Message], ...] = (
     mavlink.MAVLink_ping_message,
     mavlink.MAVLink_timesync_message,
 )
-"""What an autopilot acts on; the other half of the frames is any message of the dialect."""
+"""Messages that an autopilot handles; the other half of the frames is any message of the
+dialect."""
 COMMANDS = (16, 20, 21, 22, 92, 176, 178, 179, 192, 193, 224, 241, 246, 300, 400, 410, 510, 511)
 COMMANDS_ALL = (*COMMANDS, 512, 519, 520, 31_999)
 COMMAND_IDS = (75, 76)
 COMMAND_OFFSET = 28
-"""Of the command's number in the payload of COMMAND_LONG and COMMAND_INT."""
+"""Offset of the command's number in the payload of COMMAND_LONG and COMMAND_INT."""
 
 
 class Meant(Enum):

@@ -41,7 +41,7 @@ ARITHMETIC: dict[type[ast.operator], tuple[type[ast.operator], ...]] = {
     ast.RShift: (ast.LShift,),
 }
 FLAGS = (ast.BitAnd, ast.BitOr, ast.BitXor)
-"""What makes a set of flags has no sign that could matter."""
+"""Operators that form sets of flags, whose sign cannot matter."""
 EXCHANGED_CALLS = {"min": "max", "max": "min", "all": "any", "any": "all"}
 SKIPPED_FIELDS = {"annotation", "returns", "decorator_list", "bases"}
 
@@ -57,7 +57,7 @@ class Mutant:
     before: str
     after: str
     nth: int
-    """Of equal changes in the same place, from 1."""
+    """Number among equal changes in the same place, from 1."""
 
     @property
     def key(self) -> str:

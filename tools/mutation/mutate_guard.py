@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENTS = Path(__file__).with_name("mutate_guard_equivalents.txt")
 MOST_EQUIVALENTS = 3
 TIMEOUT_S = 120.0
-"""Of processor time, so that no process is killed because the machine is busy."""
+"""Timeout of processor time, so that no process is killed because the machine is busy."""
 MEMORY_BYTES = 4 << 30
 PROFILE = "first-example-will-do"
 PYTEST = (

@@ -37,7 +37,7 @@ PYTHONS = ("3.11", "3.13")
 """Debian 12 and Raspberry Pi OS of 2023; Debian 13 and Raspberry Pi OS of 2025."""
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("2_28", "2_27", "2_26", "2_17", "2_12", "2_5")
-"""Of the wheels that are taken: Debian 12 has 2.36."""
+"""glibc versions of the accepted wheels: Debian 12 has 2.36."""
 EXTRAS = (
     f"companion-guidance[mcap]=={__version__}",
     f"companion-sim-link=={__version__}",
@@ -56,7 +56,7 @@ FILES = {
 CONFFILES = ("etc/companion/companion.yaml", "etc/companion/service.env")
 HOME = Path("opt/companion")
 SHARED = HOME / "lib/shared"
-"""What every Python reads: wheels without compiled modules, and the presets."""
+"""Folder that every Python reads: wheels without compiled modules, and the presets."""
 
 
 def main() -> int:

@@ -28,7 +28,7 @@ CLIENTS = {
     "mavsdk": "MAVSDK-Python 4, listening",
     "pymavlink": "pymavlink, listening",
 }
-"""Of tools/bench_process.py, in words."""
+"""Clients of tools/bench_process.py, in words."""
 
 CAMPAIGN_PARTS = {
     "missions": (
@@ -71,7 +71,7 @@ CAMPAIGN_PARTS = {
         "memory grows by {soak_slope_mb_per_h:.3f} MB/h, log of {soak_log_bytes:,} bytes",
     ),
 }
-"""Of tools/faults.py, in words: what was flown, and its figures."""
+"""Parts of tools/faults.py in words: what was flown, and its figures."""
 
 
 def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:

@@ -22,7 +22,7 @@ Fields = dict[str, Any]
 """By name. Expected: a number (NaN too), `[least, greatest]`, the name of a MAVLink constant, or
 for text a regular expression for all of it. Sent: a number, a list, a text or such a name."""
 Messages = dict[str, Fields]
-"""By MAVLink name."""
+"""Messages by MAVLink name."""
 
 
 class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -31,17 +31,17 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     state: str | None = None
     """Another state's steps first."""
     link: str | None = None
-    """Whom it is done and seen on; None: the row's."""
+    """Link on which it is done and observed; None: the row's."""
     seen_on: str | None = None
     """Another link on which it is seen."""
     client: int = 1
-    """Which of several clients of that link."""
+    """Number of the client on that link."""
     sender: tuple[int, int] = (255, 190)
     """System and component."""
     of: tuple[int, int] = (1, 1)
-    """Whose messages are looked at."""
+    """System and component whose messages are examined."""
     incident: Fields | None = None
-    """As in a scenario; it happens at once."""
+    """Incident as in a scenario; it happens at once."""
     command: str | None = None
     """COMMAND_LONG, or COMMAND_INT with a `frame`: MAV_CMD without that prefix."""
     params: tuple[float, ...] = ()
@@ -62,11 +62,11 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     none: Messages | None = None
     """None of it comes."""
     within_s: float = 2.0
-    """How soon, or for how long."""
+    """Deadline or duration, in s."""
     times: dict[str, int] | None = None
-    """How many of a message came since the step began."""
+    """Number of each message since the step began."""
     rates_hz: dict[str, float] | None = None
-    """Of messages over ten seconds, within 5 % and one message."""
+    """Rates of messages over ten seconds, within 5 % and one message."""
     mode: str | None = None
     """`FlightMode` now."""
     armed: bool | None = None
@@ -89,7 +89,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     proved_by: str = ""
     """A test, `path::name`, for what takes processes or files."""
     deliberate: str = ""
-    """What the simulator does instead, and why."""
+    """Deliberate difference of the simulator, with its reason."""
 
     def __post_init__(self) -> None:
         """Refuse a row that proves nothing, or has two proofs."""
@@ -102,7 +102,7 @@ class Sheet(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     firmware: str
     states: dict[str, tuple[Step, ...]]
-    """What brings a vehicle that was just switched on there."""
+    """Steps that bring a vehicle that was just switched on into each state."""
     rows: tuple[Row, ...]
 
 

@@ -77,13 +77,14 @@ class Case(Params, frozen=True):
     channel: ChannelParams = ChannelParams()
     """The truth, outside of shadows."""
     nlos_draws: NlosDraws = "joint"
-    """Whether one draw decides that both range and bearing are obstructed, or one each."""
+    """`joint`: one draw decides whether range and bearing are obstructed; otherwise one draw
+    each."""
     obstacles: tuple[ObstacleParams, ...] = ()
-    """What blocks the radio, not the flight."""
+    """Obstacles to the radio, not to the flight."""
     shadow: ShadowParams = STUDY_SHADOW
     """The truth behind them."""
     belief: FilterParams = PAPER_BELIEF
-    """What the filter takes for the truth."""
+    """Noise model that the filter assumes."""
     steps: Annotated[int, msgspec.Meta(ge=1)] = 500
     step_m: Positive = 5.0
     """Flown between two measurements. Paper: eta."""
@@ -95,9 +96,9 @@ class Case(Params, frozen=True):
     first_lane_north_m: NonNegative | None = None
     """None: half a spacing inside the area."""
     crossing_distance_m: Positive = 20.0
-    """Of reactive crossing. Paper: l."""
+    """Crossing distance of reactive crossing. Paper: l."""
     stop_distance_m: NonNegative = 0.0
-    """Of reactive crossing. Paper: eps_stop."""
+    """Stopping distance of reactive crossing. Paper: eps_stop."""
     latched: LatchedCrossingParams = LatchedCrossingParams()
     fim_headings: Annotated[int, msgspec.Meta(ge=3, le=360)] = HEADINGS
 
@@ -175,7 +176,7 @@ COLUMNS = 6
 TRUTH, CHANNEL, PLANNER, BEARING_CHANNEL = range(4)
 
 RunSeed = int | np.random.SeedSequence
-"""What all randomness of one run follows from."""
+"""Seed of all randomness of one run."""
 
 
 class RunTruth(NamedTuple):

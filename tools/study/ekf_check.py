@@ -23,7 +23,7 @@ from tools.study.trials import RunSeries, run_trial
 from tools.study.walk import RANGE_OFFSET, TARGET_EAST, first_fix, updated
 
 CHECKED_RUNS = 2
-"""Of every cell, from the first."""
+"""Checked runs of every cell, from the first."""
 LARGEST_DIFFERENCE_M = 1e-6
 
 

@@ -35,7 +35,7 @@ from sim_link.world.environment import ChannelParams
 SETTLED_STEP = 20
 """Honesty counts after this step."""
 COVERAGE_BAND = (0.93, 0.97)
-"""Of the R95 circle, where honest."""
+"""Coverage of an honest R95 circle."""
 SETTLED_M = 2.5
 """Paper: Time-to-Threshold."""
 DIVERGED_M = SETTLED_M

@@ -77,7 +77,7 @@ class RangeSums(NamedTuple):
     nlos: float = 0.0
     bias_m: float = 0.0
     noise_m: float = 0.0
-    """Of residual - bias."""
+    """Noise of residual - bias."""
     noise2_m2: float = 0.0
 
     def most_likely(self, prior: RangeNoise, params: AdaptationParams) -> RangeNoise:

@@ -85,7 +85,7 @@ class BiasComparison:
 
     truth: RangeNoise
     printed_limit_m: float
-    """Where the printed EM settles with endless measurements; 0: it collapses."""
+    """Limit of the printed EM with unlimited measurements; 0: it collapses."""
     printed_m: float
     collapsed_share: float
     """Share of runs in which the printed EM collapsed; they count as 0 in `printed_m`."""

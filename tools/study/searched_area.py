@@ -55,7 +55,7 @@ class World:
     exponent: float
     shadowing_db: float
     emitter_share: float
-    """Of the shadowing's variance, that stays with the emitter."""
+    """Share of the shadowing's variance that stays with the emitter."""
     correlation_m: float
     rice_k: float
     """Power of the direct path over that of the scattered ones."""
@@ -72,7 +72,7 @@ class Trial:
     pod: float
     pos: float
     is_first: bool
-    """Whether it is the emitter of the flight, drawn from the POA; the others are cells alone."""
+    """True for the emitter of the flight, drawn from the POA; the others serve the cells alone."""
     is_heard: bool
 
 

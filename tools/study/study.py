@@ -40,11 +40,11 @@ Metric = Literal[
     "coverage",
     "cost_ms_per_step",
 ]
-"""What is said of a cell; `reporting.study_tables` has the definitions."""
+"""Metric of a cell; `reporting.study_tables` has the definitions."""
 FigureName = Literal["losses", "rmse", "offsets", "tracks", "gradients", "sensitivity"]
 """Figures of the report, see `reporting.figures`."""
 Value = float | int | str | bool | None
-"""What a sweep sets a field to; in tables as `value_text` has it."""
+"""Value that a sweep sets a field to; in tables as `value_text` has it."""
 PaperValue = float | int | str | None
 """A number as the paper prints it, ">500", or nothing where it prints none."""
 Overrides = dict[str, Any]
@@ -71,15 +71,15 @@ class Sweep(Params, frozen=True):
     """Dotted fields of the case that a value is set at."""
     values: tuple[Value, ...] = ()
     variants: dict[str, Overrides] = msgspec.field(default_factory=dict)
-    """In the place of `varies` and `values`: overrides of the case by the value's name."""
+    """Overrides of the case by the value's name, instead of `varies` and `values`."""
     case: Overrides = msgspec.field(default_factory=dict)
     """Overrides of the canonical case for all values."""
     systems: Systems | None = None
     metrics: tuple[Metric, ...] | None = None
     after_steps: tuple[Count, ...] = ()
-    """For `rmse_after_steps_m`: one number of steps for each value."""
+    """Numbers of steps for `rmse_after_steps_m`, one for each value."""
     paper: dict[str, dict[Metric, tuple[PaperValue, ...]]] = msgspec.field(default_factory=dict)
-    """By system and metric one number for each value."""
+    """The paper's number of each system and metric, one for each value."""
 
 
 ConfigKind = Literal["configured", "unconfigured"]
@@ -89,14 +89,14 @@ class FlightGrid(Params, frozen=True):
     """Flights of the whole companion: every radio, configuration and planner with each other."""
 
     cut_s: dict[str, Positive]
-    """By scenario of `scenarios/field`: how long after engaging a flight without a report ends."""
+    """Time in s after which a flight without a report ends, by scenario of `scenarios/field`."""
     configs: tuple[ConfigKind, ...] = ("configured", "unconfigured")
-    """With the scenario's preset of `companion/field`, or with the defaults."""
+    """Configurations: the scenario's preset of `companion/field`, or the defaults."""
     planners: tuple[CrossingKind | PatternKind, ...] = ("latched_crossing",)
     ring_m: tuple[Positive, Positive] = (25.0, 90.0)
     """Least and largest distance of the emitter from home."""
     height_spread_m: NonNegative = 2.0
-    """By how much it is higher or lower than in the scenario, at most."""
+    """Largest difference in height from the scenario."""
 
 
 class Study(Params, frozen=True):
@@ -106,7 +106,7 @@ class Study(Params, frozen=True):
     title: str
     note: str = ""
     runs: Count = 200
-    """Of every cell, unless the command line overrides it."""
+    """Runs of every cell, unless the command line overrides it."""
     systems: Systems = ()
     metrics: tuple[Metric, ...] = ()
     sweeps: tuple[Sweep, ...] = ()
@@ -114,7 +114,7 @@ class Study(Params, frozen=True):
     studies: tuple[str, ...] = ()
     """Names of other studies: this one is their collection."""
     flights: FlightGrid | None = None
-    """In the place of `sweeps`."""
+    """Flights instead of `sweeps`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class Cell:
 
     sweep: Sweep
     index: int
-    """Of the value in the sweep."""
+    """Index of the value in the sweep."""
     table: str
     parameter: str
     value: str
@@ -297,8 +297,8 @@ class ResultRow:
     ours_ci95: str
     """The 95 % interval, for example 0.012..0.019."""
     bound: str
-    """What no estimator can beat, of the same metric; for NEES and coverage what an honest one
-    stays within."""
+    """Bound of every estimator for the same metric; for NEES and coverage the band of a consistent
+    one."""
 
 
 class FlightRow(Params, frozen=True):
@@ -310,15 +310,15 @@ class FlightRow(Params, frozen=True):
     seed: int
     is_reported: bool
     time_s: float
-    """From engaging to the report, or to the cut."""
+    """Time from engaging to the report, or to the cut."""
     state: str | None
-    """Of the estimate, as all that follows: that of the report, or the last one."""
+    """State of the estimate, as all that follows: that of the report, or the last one."""
     error_m: float | None
     """Relative: from the truth as the vehicle's own receiver shows it at that time."""
     absolute_error_m: float | None
     r95_m: float | None
     absolute_r95_m: float | None
     east_m: float
-    """Of the emitter."""
+    """Position of the emitter."""
     north_m: float
     flown_m: float

@@ -57,7 +57,7 @@ class Store:
 
 
 Work = Mapping[str, RunSeries]
-"""What studies come to, by key, each once: blocks of runs and checks of the EKF."""
+"""Results of the studies by key, each once: blocks of runs and checks of the EKF."""
 
 COST_MS: dict[FilterName, float] = {"admm": 3.0, "map": 7.5, "tracker": 50.0, "filterpy": 120.0}
 """Roughly, of a run of 500 steps; what is not named takes USUAL_COST_MS."""

@@ -158,7 +158,7 @@ PLANNER_LABELS: dict[PlannerName, str] = {
 }
 _NUMBERS = (walk.FIXED, walk.REACTIVE, walk.LATCHED, walk.FIM, walk.PRINTED_FIM)
 PLANNERS = dict(zip(PLANNER_LABELS, _NUMBERS, strict=True))
-"""As the compiled walk numbers them."""
+"""Planners as the compiled walk numbers them."""
 
 
 @dataclass(frozen=True, slots=True)

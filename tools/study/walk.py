@@ -137,10 +137,10 @@ class WalkFilter(NamedTuple):
     """(3,) factors on the variances; ones, as the paper's filters have it."""
     model: RangingModel
     iterations: int
-    """Of the splitting; 0: the closed form."""
+    """Iterations of the splitting; 0: the closed form."""
     penalty: float
     is_window_solved: bool
-    """Whether the objective over the run corrects the filter."""
+    """True if the objective over the run corrects the filter."""
     information: Matrix
     """(4, 4) of the offsets' priors in that objective; the position's is flat (paper, IV-A)."""
     pull: Vector

@@ -30,7 +30,7 @@ SPEED_MPS, RATE_HZ = 1.0, 4.0
 PATH_M = 40.0
 """Length of a path; who hovers walks a tenth of it."""
 NEAREST_M, FARTHEST_M = 3.0, 18.0
-"""Of the target from the path's middle."""
+"""Distances of the target from the path's middle."""
 OFFSET_M, OFFSET_SIGMA_M = 1.0, 0.4
 EXCESS_M = 0.7
 NOISE_M = 0.3

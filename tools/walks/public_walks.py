@@ -111,7 +111,7 @@ FORMATS: dict[str, tuple[Callable[[Path, Path], Iterator[Answer]], str]] = {
     "librsf": (librsf_answers, "uwb"),
     "rtt": (rtt_answers, "wifi_rtt"),
 }
-"""What reads each format, and the preset that is meant for it."""
+"""Reader of each format, and its preset."""
 
 
 def walk_csv(answers: Iterator[Answer]) -> str:

@@ -41,7 +41,7 @@ class Claim:
     state: EstimateState
     error_m: float
     better_error_m: float
-    """Of the better one of the places that are stated."""
+    """Error of the better one of the stated positions."""
     r95_m: float
 
     @classmethod
@@ -78,7 +78,7 @@ class TargetClaims:
     along: list[Claim] = field(default_factory=list)
     final: Claim | None = None
     seconds: float = 0.0
-    """Of processor time, for all measurements."""
+    """Processor time of all measurements."""
 
 
 def preset_of(path: Path) -> TrackerParams:

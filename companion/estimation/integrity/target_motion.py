@@ -127,7 +127,7 @@ class MotionWatch:
         """Motion that the latest tests indicate, confirmed or not; None: stationary."""
 
     def add(self, time_s: float, row: Row) -> None:
-        """Take in a measurement."""
+        """Process a measurement."""
         if self._is_enabled:
             self._rows.append(row_vector(row, time_s))
             self._left -= 1

@@ -109,7 +109,7 @@ class Agreement:
         """True if agreement was lost for so long that the track should be discarded."""
 
     def add(self, time_s: float, *, agrees: bool) -> None:
-        """Take in a measurement."""
+        """Process a measurement."""
         self._agreed += agrees
         self.is_proven = self._agreed >= PROVEN_COUNT
         self._window.append((time_s, agrees))
@@ -212,7 +212,7 @@ class NisWindow:
         self._above_count = 0
 
     def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
-        """Take in an update; return True if the NIS was above its band for too long."""
+        """Process an update; return True if the NIS was above its band for too long."""
         squares = _normalised_squares(report, inflation)
         if not squares:
             return False

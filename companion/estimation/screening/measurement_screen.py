@@ -149,7 +149,7 @@ class FrozenValue:
         self._count = 0
 
     def add(self, value: float, time_s: float, sensor_enu_m: PositionEnu) -> bool:
-        """Take in a value; return True if it is frozen."""
+        """Process a value; return True if it is frozen."""
         if value != self._value:
             self._value, self._count = value, 1
             self._since_s, self._since_enu_m = time_s, sensor_enu_m
@@ -197,7 +197,7 @@ class BearingCheck:
     def add(
         self, time_s: float, bearing_rad: float, sigma_rad: float, sensor_enu_m: PositionEnu
     ) -> None:
-        """Take in a bearing, and test periodically."""
+        """Process a bearing, and test periodically."""
         self._samples.append((time_s, bearing_rad, sigma_rad, sensor_enu_m))
         while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - RANDOM_S:
             self._samples.popleft()
@@ -251,7 +251,7 @@ class AbsurdShare:
         """True if it exceeds a half."""
 
     def add(self, time_s: float, *, is_absurd: bool) -> None:
-        """Take in a value that arrived at this time."""
+        """Process a value that arrived at this time."""
         self._window.append((time_s, is_absurd))
         self._absurd_count += is_absurd
         while len(self._window) > ABSURD_COUNT and self._window[0][0] < time_s - ABSURD_S:

@@ -147,7 +147,7 @@ class UnitCheck:
         self._since = 0
 
     def add(self, time_s: float, range_m: float, sensor_enu_m: PositionEnu) -> None:
-        """Take in a range as reported, finite and positive, and test periodically."""
+        """Process a range as reported, finite and positive, and test periodically."""
         self._samples.append((time_s, range_m, sensor_enu_m))
         self._forget_other_sizes()
         while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - WINDOW_S:

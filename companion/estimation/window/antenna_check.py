@@ -229,7 +229,7 @@ class ConfiguredAntennaCheck:
         self._since_s = math.inf
 
     def look(self, scores: Scores, time_s: float) -> None:
-        """Take in the directions' residuals at the estimated position."""
+        """Process the directions' residuals at the estimated position."""
         directions = [scores.u[row][scores.is_measured[row]] for row in (BEARING, ELEVATION)]
         off = [float(np.median(np.abs(u))) for u in directions if len(u) >= MIN_CONTRADICTING]
         if max(off, default=0.0) > CONTRADICTED_SIGMAS:

@@ -65,7 +65,7 @@ class FencePlan:
     """Sources of the guard's fence."""
 
     limits: GuardLimits
-    """With the fence if that is local."""
+    """Limits, with the fence if that is local."""
     margin_m: float
     keep_out_enu_m: tuple[Corners, ...] = ()
     """Keep-outs of our own, beside those of a fence in degrees."""

@@ -1,1 +1,1 @@
-"""From ranging measurements to the estimates of one or more emitters."""
+"""Tracking: ranging measurements in, estimates of one or more emitters out."""

@@ -46,9 +46,9 @@ from companion.mav.endpoint import Chunk
 from companion.mav.framing import FrameSplitter
 
 MAX_UNSENT_BYTES = 64 * 1024
-"""For streams whose speed is not known."""
+"""Limit of streams whose speed is not known."""
 QUEUE_S = 0.25
-"""Of a serial line's speed: how much waits here at most."""
+"""Longest queue of a serial line, in seconds of its speed."""
 SYSTEM_QUEUE_S = 0.1
 """The same for what waits in the system."""
 MIN_QUEUE_BYTES = 600
@@ -59,7 +59,7 @@ BACKOFF_MIN_S = 0.5
 BACKOFF_MAX_S = 5.0
 CONNECT_TIMEOUT_S = 5.0
 BITS_PER_BYTE = 10
-"""On a serial line: eight, a start and a stop."""
+"""Bits per byte on a serial line: eight, a start and a stop."""
 STABLE_S = 10.0
 """A connection that lasted for as long was good: the pause before the next one is short again."""
 SILENT_S = 10
@@ -67,7 +67,7 @@ SILENT_S = 10
 take its own absence for the peer's."""
 LOOK_PERIOD_S = 1.0
 USER_TIMEOUT_MS = 5_000
-"""How long sent data may stay unacknowledged."""
+"""Longest time for which sent data may stay unacknowledged."""
 KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
 """A peer that vanished without a word is noticed after about eleven seconds."""
 

@@ -22,7 +22,7 @@ from companion.mav.endpoint import Address, Chunk
 
 logger = logging.getLogger("companion.io")
 NOTICE = logging.INFO + 5
-"""What is news although nothing is wrong: `--quiet` shows it, too."""
+"""Level of a change that is no fault: `--quiet` shows it, too."""
 
 Received = Callable[[list[Chunk]], None]
 """Called once per wake-up of a link with all that it read."""
@@ -59,7 +59,7 @@ class Link(ABC):
         self.request, self.request_period_s = b"", 1.0
         """Query, and its period, over a byte stream to a radio that only answers."""
         self.tells_loss = False
-        """Whether an empty piece of a stream says that its other end is gone."""
+        """True if an empty piece of the stream means that its other end is gone."""
         self.expects_mavlink = False
         """Close a TCP connection that brings no MAVLink frame for `SILENT_S`: its peer is dead, or
         none that sends HEARTBEATs."""
@@ -127,7 +127,7 @@ def bind_problem(kind: str, host: str, port: int, error: OSError) -> str:
 
 
 SPARE_SHARE = 0.25
-"""What can be spared is taken only while less than this share of the limit waits."""
+"""Share of the limit above which data that can be spared is no longer taken."""
 
 
 class SendQueue:

@@ -31,7 +31,7 @@ exec sh -c "$1"
 """
 _SHELL_WORDS = frozenset(";|&(){}<>$=`\n")
 EXIT_LOOK_S = 0.05
-"""From the end of its output until a program is surely gone."""
+"""Time from the end of its output until a program is surely gone."""
 LONGEST_NAME = 60
 STEADY_S = 1.0
 """A program that talks for longer does not end at once."""

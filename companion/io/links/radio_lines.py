@@ -30,7 +30,7 @@ from companion.link.radio_stage import RadioSetup
 from companion.radios.decoder import Poll
 
 DEFAULT_POLL = Poll("/", 1.0)
-"""Of a page that is polled, where the kind does not say it."""
+"""Polling of a page where the radio's kind does not define it."""
 Make = Callable[[int, Received], Link]
 
 

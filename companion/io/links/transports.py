@@ -91,7 +91,7 @@ class OwnLine:
     address: str
     make: Callable[[int, Received], Link]
     listens_at: UdpBind | TcpServer | None = None
-    """Where others send to, if that is so."""
+    """Transport to which others send; None: it does not listen."""
 
     def __str__(self) -> str:
         return self.address

@@ -34,7 +34,7 @@ from companion.mav.endpoint import Address, Chunk
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
 _LOAD_HALF, _LOAD_WORD, _JUMP_EQUAL, _RETURN = 0x28, 0x20, 0x15, 0x06
 _NETWORK_HEADER = 0xFFF00000
-"""Where the IP header is; other offsets count from the UDP header."""
+"""Offset of the IP header; other offsets count from the UDP header."""
 _SOURCE_ADDRESS, _SOURCE_PORT = 12, 0
 _WHOLE, _NOTHING = 0xFFFFFFFF, 0
 
@@ -96,7 +96,7 @@ class UdpLink(Link):
         self._socket: socket.socket | None = None
         self._sole_peer: Address | None = None
         self._address: Address = ("", 0)
-        """What is bound, or connected to."""
+        """Address that is bound, or connected to."""
         self._reopening: asyncio.TimerHandle | None = None
         self._reopen_s = FIRST_REOPEN_S
 
@@ -184,7 +184,7 @@ class UdpLink(Link):
             self._received(chunks)
 
     def _note_peer(self, peer: Address) -> None:
-        """Take note of a sender."""
+        """Note a sender."""
 
     def hear_only(self, peer: Address | None) -> None:
         """Let the kernel drop datagrams of other peers.

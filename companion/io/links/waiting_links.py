@@ -30,13 +30,13 @@ from companion.mav.endpoint import Chunk
 
 PIECE_BYTES = 4096
 TIMEOUT_S = 2.0
-"""For a connection, and for each part of an answer."""
+"""Timeout of a connection, and of each part of an answer."""
 WHOLE_TIMEOUT_S = 5.0
-"""For a whole answer."""
+"""Timeout of a whole answer."""
 MOST_PAGE_BYTES = 1_000_000
 FILE_LOOK_S = 0.05
 LINES_PER_S = 10.0
-"""Of a file without times, where it is played back."""
+"""Rate of a file without times during playback."""
 
 
 class WaitingLink(Link):
@@ -110,7 +110,7 @@ class HttpPollLink(WaitingLink):
         self._period_s = period_s
         self._connection: http.client.HTTPConnection | None = None
         self._is_new = True
-        """Whether it has brought no page yet."""
+        """True until the first page has come."""
 
     def _work(self) -> None:
         due_s = time.monotonic()

@@ -25,7 +25,7 @@ RETRY_S = 1.0
 BINARY = 0x82
 """First byte of a whole binary frame."""
 SHORT, MEDIUM = 126, 1 << 16
-"""From these sizes on the length has two and eight bytes of its own."""
+"""Sizes from which on the length has two and eight bytes of its own."""
 
 
 def on_the_wire(message: str | bytes) -> bytes:

@@ -30,7 +30,7 @@ LEVELS = {
 }
 EVENTS_SHARE = 0.1
 INPUTS_SHARE = 0.45
-"""Of a flight's cap; the tlog takes the rest, which is as much."""
+"""Share of a flight's limit; the tlog takes the rest, which is as much."""
 
 
 class BlackBox:

@@ -153,13 +153,14 @@ class InputKind(IntEnum):
     TICK = 2
     STOP = 3
     OPERATOR_COMMAND = 4
-    """Its data name the operator's command."""
+    """Input whose data name the operator's command."""
     EARLIER_RUN = 5
     """An earlier process did not end in order."""
     RECALL = 6
-    """Its data are the age, float64 seconds, and that process's memory, in MessagePack."""
+    """Input whose data are the age, float64 seconds, and that process's memory, in MessagePack."""
     NOTE = 7
-    """Its data are the severity by name, a space, and the process's text to the operator."""
+    """Input whose data are the severity by name, a space, and the process's text to the
+    operator."""
 
 
 AlsoKeeps = Callable[[bytes, float], None]

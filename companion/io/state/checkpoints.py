@@ -47,7 +47,7 @@ class Moment:
     unix_s: float
     """Wall clock, which may jump."""
     boot_id: str
-    """Of the running kernel; empty where the system does not say."""
+    """Boot id of the running kernel; empty if the system does not provide one."""
     boot_s: float
     """Seconds since it started, suspended ones included; never jumps, ends with the kernel."""
 
@@ -153,7 +153,7 @@ def _problem(checkpoint: Checkpoint) -> str | None:
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 MODE = 0o600
-"""It says where the vehicle was."""
+"""Mode of the file, which reveals the vehicle's position."""
 
 
 def present_moment() -> Moment:
@@ -170,10 +170,10 @@ class StoredCheckpoints:
     """Checkpoint that an earlier process left behind."""
 
     has_files: bool
-    """Whether there was anything, readable or not: then an earlier run did not end in order."""
+    """True if there were any files, readable or not: then an earlier run did not end in order."""
     checkpoint: Checkpoint | None
     problems: tuple[str, ...] = ()
-    """Of files that could not be used, a line each."""
+    """Problems of files that could not be used, a line each."""
 
 
 class CheckpointStore:
@@ -182,7 +182,7 @@ class CheckpointStore:
     def __init__(self, directory: Path, name: str) -> None:
         self.paths = tuple(directory / f"{name}.checkpoint-{number}" for number in (0, 1))
         self.writer: BackgroundReplacer | None = None
-        """Who writes, once something was saved."""
+        """Writer thread; None until something is saved."""
 
     def load(self) -> StoredCheckpoints:
         """Return the newest valid checkpoint; never raises."""

@@ -91,7 +91,7 @@ class _Slot(msgspec.Struct, frozen=True):
 
     version: int
     key: str
-    """Which key, by a name that does not reveal it."""
+    """Name of the key, which does not reveal it."""
     generation: int
     """Rises with every storing."""
     is_end: bool

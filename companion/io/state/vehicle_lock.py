@@ -51,7 +51,7 @@ def state_directory(configured: str | None, environment: Mapping[str, str]) -> P
 
 
 LOOK_UP_S = 2.0
-"""How long a name server may take."""
+"""Longest wait for a name server."""
 logger = logging.getLogger("companion.io")
 
 

@@ -162,7 +162,7 @@ class OffsetFilter:
         return offset_var, self._covar + passed_s * (self._rate_var + CRYSTAL**2 * passed_s / 2.0)
 
     def update(self, offset_s: float, at_s: float, sigma_s: float) -> bool:
-        """Take in an exchange; return False if it deviates too much, and changed nothing."""
+        """Process an exchange; return False if it deviates too much, and changed nothing."""
         passed_s = max(0.0, at_s - self._at_s)
         innovation_s = offset_s - self.at_s(at_s)
         offset_var, covar = self._foretold(passed_s)
@@ -198,7 +198,7 @@ class ExchangeScatter:
         self._beside_s: deque[float] = deque(maxlen=BEST_OF)
 
     def add(self, at_s: float, offset_s: float) -> None:
-        """Take in an exchange."""
+        """Process an exchange."""
         self._last.append((at_s, offset_s))
         if len(self._last) < 3:
             return
@@ -221,7 +221,7 @@ class ClockPace:
         self._exchanges: deque[tuple[float, float]] = deque(maxlen=MAX_OPEN)
 
     def add(self, at_s: float, remote_s: float) -> None:
-        """Take in an exchange: our time in its middle, and the autopilot's."""
+        """Process an exchange: our time in its middle, and the autopilot's."""
         if self._exchanges and at_s <= self._exchanges[-1][0]:
             return
         self._exchanges.append((at_s, remote_s))
@@ -301,7 +301,7 @@ class ClockSync:
         return TargetedTimesync(0, sent_ns, system_id, component_id)
 
     def receive(self, message: Message, now_s: float) -> None:
-        """Take in a message of the autopilot."""
+        """Process a message of the autopilot."""
         if not isinstance(message, mavlink.MAVLink_timesync_message):
             return
         if message.tc1 <= 0 or message.ts1 not in self._open:

@@ -49,7 +49,7 @@ class _Line:
     _variance: list[float] = field(default_factory=lambda: [PRIOR_OFFSET_M**2, 0.0, PRIOR_SCALE**2])
 
     def add(self, projected_m: float, local_m: float) -> None:
-        """Take in a pair."""
+        """Process a pair."""
         pp, ps, ss = self._variance
         to_offset, to_stretch = pp + ps * projected_m, ps + ss * projected_m
         total = to_offset + to_stretch * projected_m + PAIR_SIGMA_M**2
@@ -92,14 +92,14 @@ class GeodesyFit:
         self._waiting: tuple[float, tuple[float, float, float]] | None = None
 
     def note_local(self, stamp_s: float, enu_m: PositionEnu) -> bool:
-        """Take in a local position with the autopilot's stamp; return True if the fit changed."""
+        """Process a local position with the autopilot's stamp; return True if the fit changed."""
         if not all(abs(value) <= MAX_COORDINATE_M for value in enu_m):
             return False
         self._before, self._latest = self._latest, (stamp_s, enu_m)
         return self._compare()
 
     def note_global(self, stamp_s: float, place: tuple[float, float, float]) -> bool:
-        """Take in degrees and altitude in metres; return True if the fit changed."""
+        """Process degrees and altitude in metres; return True if the fit changed."""
         self._waiting = (stamp_s, place)
         return self._compare()
 

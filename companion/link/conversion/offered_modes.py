@@ -56,7 +56,7 @@ class OfferedModes:
         return VehicleCommand(mavlink.MAV_CMD_REQUEST_MESSAGE, params).message(target)
 
     def receive(self, message: Message) -> None:
-        """Take in a message of the autopilot."""
+        """Process a message of the autopilot."""
         match message:
             case mavlink.MAVLink_heartbeat_message():
                 if message.custom_mode != OFFBOARD_NUMBER:

@@ -104,7 +104,7 @@ class ArrivalRate:
         self._until_s = 0.0
 
     def take(self, offset_s: float, now_s: float) -> float | None:
-        """Take in arrival minus stamp of one message that arrived now.
+        """Process arrival minus stamp of one message that arrived now.
 
         Returns:
             The least offset now, if the rate has just become known; otherwise None.
@@ -152,7 +152,7 @@ class _NewClock:
         return abs((remote_s - self.remote_s) - passed_s) <= CONFIRM_JITTER_S
 
     def take(self, remote_s: float, now_s: float) -> bool:
-        """Take in one more; return True if the clock is confirmed."""
+        """Process one more; return True if the clock is confirmed."""
         self.stamps += 1
         self.offset_s = min(self.offset_s, now_s - remote_s)
         return self.stamps >= CONFIRM_STAMPS and now_s - self.local_s >= CONFIRM_S

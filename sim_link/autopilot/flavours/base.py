@@ -124,26 +124,26 @@ class Firmware(NamedTuple):
     version: int
     capabilities: int
     refusal: CommandResult
-    """Of a command whose parameters make no sense."""
+    """Result of a command whose parameters make no sense."""
     frame_refusal: CommandResult
-    """Of a place in a frame that it does not know."""
+    """Result of a position in an unknown frame."""
     busy: CommandResult
-    """Of a calibration or a restart while armed."""
+    """Result of a calibration or a restart while armed."""
     calibrates_at_once: bool
     """Otherwise it takes its time, and reports progress."""
     termination: tuple[int, str]
     """MAV_SEVERITY and text of a flight termination."""
     keeps_given_home: bool
-    """Whether arming leaves a home alone that a station set."""
+    """True if arming does not move a home that a station set."""
     commands: CommandForms
     requests: RequestProfile
     streams: StreamProfile
     parameters: ParameterProfile
     plans: PlanRules
     rejects_for_others: bool
-    """Whether a command for a system or component that it never heard is answered by FAILED."""
+    """True if a command for a system or component that it never heard is answered by FAILED."""
     empty_calibration: CommandResult
-    """Of no sensor."""
+    """Result of a calibration of no sensor."""
     names_timesync_target: bool
     timesync_dated_back_baud: int | None
     """Baud rate by which the arrival of a TIMESYNC request is dated back; null: it is not."""
@@ -152,7 +152,7 @@ class Firmware(NamedTuple):
     """An extra HEARTBEAT on every change of mode."""
     obeys_rc_override: bool
     takes_origin: bool
-    """Whether a station may move the EKF origin; otherwise it comes from the satellites."""
+    """True if a station may move the EKF origin; otherwise it comes from GNSS."""
     first_mission_item: int
     """1 where item 0 is home."""
     home_orientation: tuple[float, float, float, float]
@@ -161,7 +161,7 @@ class Firmware(NamedTuple):
     dialect: Container[int] | None = None
     """Ids of the messages that it knows; it does not pass on others. None: it passes on all."""
     gives_plan_ids: bool = False
-    """Whether MISSION_CURRENT has ids of mission, fence and rally points."""
+    """True if MISSION_CURRENT has ids of mission, fence and rally points."""
 
 
 def read_firmware(

@@ -39,7 +39,7 @@ class Newest(OrderedDict[K, V]):
 
 
 LinkMode = Literal["onboard", "station", "narrow", "asked"]
-"""Whom a link is for, which says what it is sent unasked (PX4 MAV_x_MODE): companions, ground
+"""Kind of peer on a link, which determines its default streams (PX4 MAV_x_MODE): companions, ground
 stations, a line of 4000 bytes/s, a peer that requests all but HEARTBEAT."""
 
 
@@ -91,7 +91,7 @@ class Addressing:
     system_id: int
     component_id: int = mavlink.MAV_COMP_ID_AUTOPILOT1
     is_known: Callable[[int, int], bool] | None = None
-    """Whether a system's component was heard. ArduPilot stands in for those of its system that were
+    """Predicate for components that were heard. ArduPilot answers for those of its system that were
     not; None: it does not."""
 
     def is_for_us(self, message: Message) -> bool:

@@ -22,7 +22,7 @@ ROUNDING_S = 1e-9
 RECEIVE_BUFFER = 512
 """Bytes of a port that can wait to be read: AP_HAL_SITL `UARTDriver`, `_readbuffer`."""
 BITS_PER_BYTE = 10
-"""Of a UART: start bit, eight bits, stop bit."""
+"""Bits per byte of a UART: start bit, eight bits, stop bit."""
 
 
 class StampClock:
@@ -33,7 +33,7 @@ class StampClock:
 
     def __init__(self) -> None:
         self._rates: list[tuple[float, float]] = []
-        """From when on, and how fast: what is to come, latest first."""
+        """Start and rate of the coming changes, latest first."""
         self._since_s = self._shown_s = 0.0
         self._rate = 1.0
 
@@ -49,7 +49,7 @@ class StampClock:
         return max(0.0, self._shown_s + self._rate * (now_s - self._since_s))
 
     def slip(self, step_s: float, now_s: float) -> None:
-        """Let the clock jump, ahead if positive."""
+        """Step the clock, ahead if positive."""
         self._set(now_s, self._rate, step_s)
 
     def run(self, rate: float, now_s: float, until_s: float) -> None:
@@ -70,7 +70,7 @@ class _Question:
     partner: Partner
     arrived_s: float
     bytes_waiting: int
-    """Its own and those behind it."""
+    """Bytes of this frame and of those behind it."""
 
 
 class Clocks:

@@ -23,7 +23,7 @@ NO_VALUE = 2**31 - 1
 """Stands for NaN in COMMAND_INT's integers."""
 UNKNOWN_PROGRESS = 255
 REPEAT_WINDOW_S = 3.0
-"""How long a client may go on repeating a command: MAVSDK gives up after 2 s."""
+"""Time for which a client may repeat a command: MAVSDK gives up after 2 s."""
 UNANSWERED = -1
 """The result of a command that gets no ACK."""
 MAX_REMEMBERED = 64
@@ -72,7 +72,7 @@ class Command:
     """MAV_FRAME of a COMMAND_INT; None for COMMAND_LONG, which has none."""
     confirmation: int = 0
     acknowledged_as: int | None = None
-    """In place of its number, in the ACK."""
+    """Number in the ACK instead of its own."""
 
     def whole(self, place: int, default: int | None = None) -> int | None:
         """Return a parameter that must be a whole number.

@@ -77,7 +77,7 @@ class WireVersion:
     def __init__(self, *, is_signed: bool = False) -> None:
         self._is_settled = is_signed
         self.is_mavlink1 = False
-        """Whether frames are to be sent in MAVLink 1."""
+        """True if frames are sent in MAVLink 1."""
 
     def split_off(self) -> WireVersion:
         """Return the version of a peer that leaves the shared link.
@@ -93,7 +93,7 @@ class WireVersion:
         return other
 
     def observe(self, frame: bytes) -> None:
-        """Take note of a received frame."""
+        """Note a received frame."""
         if not self._is_settled:
             self._is_settled = frame[0] == MAGIC_V2
             self.is_mavlink1 = not self._is_settled
@@ -105,7 +105,7 @@ class WireVersion:
 
 MAX_COMPONENTS = 256
 MAX_CHANNELS = 8
-"""On which one component is known; a component that changes ports drops its oldest."""
+"""Most channels of one component; a component that changes ports drops its oldest."""
 REBOOT_BACKWARD_MS = 1000
 """Less is a frame that was overtaken on its way."""
 WRAP_MS = 2**32
@@ -195,7 +195,7 @@ class LinkSecurity(NamedTuple):
     """Signing of a vehicle, and the links that it trusts without."""
 
     signing: Signing | None = None
-    """With its key; None: neither proves nor signs, until a client sets a key up."""
+    """Signing with its key; None: neither checks nor signs, until a client sets a key up."""
     trusted_links: frozenset[int] = frozenset()
     """Links without other listeners (a wire): unsigned frames are welcome, and keys may be set
     up."""
@@ -233,14 +233,14 @@ class LinkLayer:
         self._may_set_up = security.trusted_links | security.setup_links
         self._receivers = FrameReceivers()
         self._versions = {Channel(link): WireVersion() for link in self._links}
-        """Of every link, and of every peer that is kept apart."""
+        """Versions of every link, and of every peer that is kept apart."""
         self._codecs = {
             (channel, component): MavCodec(system_id, component)
             for channel in self._versions
             for component in component_ids
         }
         self._apart: list[frozenset[Address]] = [frozenset() for _ in self._links]
-        """By link, the peers that are kept apart."""
+        """Peers that are kept apart, by link."""
         self._setup: SigningSetup | None = None
         self._use_key()
 

@@ -56,11 +56,11 @@ class StreamProfile:
     """The streams of an autopilot."""
 
     default_rates_hz: Mapping[int, float]
-    """By message id; 0 for one that is sent only when it is asked for."""
+    """Rates by message id; 0 for one that is sent only on request."""
     min_interval_s: float
     """Faster is not possible: PX4 sends 123 Hz where 1 ms is asked, ArduPilot 333 Hz."""
     rates_by_mode_hz: Mapping[LinkMode, Mapping[int, float]] = field(default_factory=dict)
-    """What links of a mode have instead; what is not named there is sent only on request."""
+    """Rates of the links of a mode; messages not listed there are sent only on request."""
     min_interval_by_mode_s: Mapping[LinkMode, float] = field(default_factory=dict)
     stopped_interval_us: int = -1
     """MESSAGE_INTERVAL of a stream that is off."""
@@ -185,7 +185,7 @@ Build = Callable[[int], Message | None]
 
 @dataclass(frozen=True, slots=True)
 class RequestProfile:
-    """By which results an autopilot refuses."""
+    """Results with which an autopilot refuses requests."""
 
     no_message: CommandResult
     """REQUEST_MESSAGE of what is unknown or has no data."""
@@ -237,7 +237,7 @@ class MessageRequests:
 
     @property
     def channels(self) -> Collection[Channel]:
-        """Those that have streams: every link, and every peer that asked for rates of its own."""
+        """Channels with streams: every link, and every peer that asked for rates of its own."""
         return self._tables.keys()
 
     def forget(self, channel: Channel) -> None:

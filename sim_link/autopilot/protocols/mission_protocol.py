@@ -48,7 +48,7 @@ STORED_FRAMES = {
     mavlink.MAV_FRAME_GLOBAL_INT: mavlink.MAV_FRAME_GLOBAL,
     mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
 }
-"""By which name ArduPilot gives a frame back."""
+"""Frame that ArduPilot reports for each stored one."""
 
 
 class PlanUploads:
@@ -265,7 +265,7 @@ OfOnePlan = (
     | mavlink.MAVLink_mission_request_int_message
     | mavlink.MAVLink_mission_request_message
 )
-"""What begins a transfer or asks for an item: never of all plans at once."""
+"""Messages that begin a transfer or request an item: never of all plans at once."""
 FlyTo = Callable[[PlanItem], PlanResult]
 
 

@@ -26,7 +26,8 @@ from sim_link.autopilot.protocols.parameter_store import ParameterStore
 NO_INDEX = 0xFFFF
 HASH_CHECK = "_HASH_CHECK"
 MAX_LISTS = 16
-"""At a time; who is not served asks again, as clients do when a list does not come."""
+"""Most lists at a time; a client that is not served requests again, as clients do when a list does
+not come."""
 MAX_BURST = 64
 """Values per call: what a slow caller missed is made up for bit by bit."""
 
@@ -44,7 +45,7 @@ class ParameterProfile:
     stores_nan: bool
     """Otherwise what is no number is ignored without a word."""
     tells_read_only: bool = False
-    """By the value and a text; otherwise silence."""
+    """True if it answers with the value and a text; otherwise it is silent."""
     echoes: int = 1
     """Number of times that a changed value is sent."""
     list_rate_hz: float = 1000.0
@@ -57,7 +58,7 @@ def _wrapped(value: float, kind: ParamType) -> int:
 
 
 FENCE_TOTAL = "FENCE_TOTAL"
-"""How many items ArduPilot's fence has; its loader sets and saves it with every other fence."""
+"""Number of items in ArduPilot's fence; its loader sets and saves it with every other fence."""
 
 
 @dataclass(slots=True)

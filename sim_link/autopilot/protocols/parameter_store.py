@@ -38,7 +38,7 @@ class ParamSpec:
     maximum: float | None = None
     unit: str = ""
     is_read_only: bool = False
-    """For clients; the vehicle itself may change it."""
+    """True if clients cannot change it; the vehicle itself may."""
 
     def problem_with(self, value: float) -> str | None:
         """Return the reason why `value` is not allowed, in a few words; None if it is."""

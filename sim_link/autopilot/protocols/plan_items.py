@@ -231,13 +231,13 @@ class MissionProgress:
     state: MissionState
     is_in_mission_mode: bool
     has_home: bool = False
-    """Whether item 0 is home, which the total leaves out."""
+    """True if item 0 is home, which the total does not include."""
     plan_ids: tuple[int, int, int] = (0, 0, 0)
-    """Of mission, fence and rally points; 0 also where the autopilot gives none."""
+    """Ids of mission, fence and rally points; 0 also if the autopilot has none."""
 
     @property
     def fields(self) -> tuple[int, int, int, int, tuple[int, int, int]]:
-        """Of MISSION_CURRENT: item, total, state, mode and ids."""
+        """Return the fields of MISSION_CURRENT: item, total, state, mode and ids."""
         total = max(0, self.count - self.has_home) if self.count else NO_MISSION_TOTAL
         mode = 1 if self.is_in_mission_mode else 2
         return (self.seq, total, self.state, mode, self.plan_ids)

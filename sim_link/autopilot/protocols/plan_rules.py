@@ -43,7 +43,7 @@ def commands_named(names: str) -> frozenset[int]:
 MAY_BE_HERE = commands_named(
     "NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME NAV_LAND NAV_TAKEOFF"
 )
-"""For these 0/0, or no position, means where the vehicle is."""
+"""Commands for which 0/0, or no position, means the current position."""
 POSITION_COMMANDS = MAY_BE_HERE | commands_named(
     "NAV_WAYPOINT DO_SET_ROI_LOCATION DO_SET_ROI DO_LAND_START"
 )
@@ -206,7 +206,7 @@ class Upload:
     plan_type: PlanType
     count: int
     active_s: float
-    """When the last expected item came."""
+    """Arrival time of the last expected item."""
     asked_s: float
     items: list[PlanItem] = field(default_factory=list)
     current: int = 0

@@ -68,7 +68,7 @@ def all_rules() -> list[rules.Rule]:
 
 
 CONNECT_GRACE_S = 0.3
-"""How long a TCP connection or serial device may take before the first byte is sent."""
+"""Longest time in s until a TCP connection or serial device sends its first byte."""
 
 
 class WireLink:

@@ -106,7 +106,7 @@ class FrameSpec:
     incompat: int = 0
     compat: int = 0
     trim: bool = True
-    """Whether trailing zeros of the payload are cut (MAVLink 2 only)."""
+    """True if trailing zeros of the payload are cut (MAVLink 2 only)."""
     crc_change: int = 0
     """Exclusive-or of the CRC with this."""
 

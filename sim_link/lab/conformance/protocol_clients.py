@@ -311,7 +311,7 @@ class PlanClient(ParameterClient):
 
     @property
     def _fence_frame(self) -> int:
-        """In which frame the flavour's clients send a fence."""
+        """Return the frame in which the flavour's clients send a fence."""
         return mavlink.MAV_FRAME_GLOBAL_INT if self.is_px4 else mavlink.MAV_FRAME_GLOBAL
 
     def rally(self) -> list[MissionItem]:

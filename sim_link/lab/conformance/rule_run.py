@@ -43,7 +43,7 @@ LAND_S = 60.0
 NEAR_M = 20.0
 GO_BACK_S = 60.0
 COME_BACK_S = 90.0
-"""How long a silent vehicle is waited for: a real autopilot boots within 40 s."""
+"""Longest wait for a silent vehicle, in s: a real autopilot boots within 40 s."""
 MOST_LANDINGS = 2
 """A vehicle that does not land as often in succession is left to its operator."""
 
@@ -136,7 +136,7 @@ class RuleRun:
         self._baseline = Baseline(HARM_FLAG in options.allowed, report)
         self._first: Any = None
         self._lost = ""
-        """Why the rest cannot be run."""
+        """Reason why the rest cannot be run; empty: it can."""
         self._is_in_order = True
         self._failed_landings = 0
         self._silences: list[str] = []

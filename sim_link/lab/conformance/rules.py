@@ -86,9 +86,9 @@ class AutopilotNotes(msgspec.Struct, frozen=True):
     base_modes: dict[str, int] = {}
     """HEARTBEAT.base_mode, disarmed."""
     parameters: list[str] = []
-    """What clients ask for by name."""
+    """Names of parameters that clients request."""
     rates_hz: dict[str, float] = {}
-    """What clients stand on flows at least this often, on a ground station's link, too."""
+    """Lowest rates of the messages that clients need, also on a ground station's link."""
 
 
 @cache
@@ -114,7 +114,7 @@ class Rule:
     effect: Effect
     flavours: frozenset[Flavour]
     harms: bool
-    """It sends what a weak autopilot may not survive: NaN, absurd values, a reboot."""
+    """True if it sends what a weak autopilot may not survive: NaN, absurd values, a reboot."""
     probe: Probe = field(repr=False)
 
     @property
@@ -154,7 +154,7 @@ class RuleBook:
     ) -> None:
         self.rules: list[Rule] = []
         self.begin = begin
-        """What every rule of the group begins with."""
+        """Start of every rule of the group."""
         self._group, self._effect, self._flavours = group, effect, flavours
 
     def __set_name__(self, owner: type[Any], name: str) -> None:
@@ -225,7 +225,7 @@ class RuleOutcome:
     rule: Rule
     verdict: RuleVerdict
     detail: str = ""
-    """Why it failed or was left out."""
+    """Reason of a failure or of an omission."""
     duration_s: float = 0.0
     """Time of the link that it took."""
 

@@ -115,7 +115,7 @@ class Station:
         self.component_id = component_id
         self.inbox: list[Heard] = []
         self.datagrams: list[bytes] = []
-        """What arrived, as it arrived: on a byte stream in pieces of any length."""
+        """Bytes received, as they arrived: on a byte stream in pieces of any length."""
         self.reader = MavCodec(system_id, component_id)
         self.signer: Signer | None = None
         self.on_message: Callable[[Message], None] = lambda _: None
@@ -150,13 +150,13 @@ class Station:
         return self.link.now_s
 
     def run(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         until_s = self.now_s + duration_s
         while self.now_s < until_s:
             self._advance(until_s)
 
     def run_until(self, condition: Callable[[], bool], within_s: float) -> bool:
-        """Let time pass until a condition holds; return True if it did in time."""
+        """Advance the time until a condition holds; return True if it did in time."""
         until_s = self.now_s + within_s
         while not condition():
             if self.now_s >= until_s:
@@ -169,7 +169,7 @@ class Station:
         return True
 
     def is_heard(self, within_s: float) -> bool:
-        """Let time pass; return True if the peer says anything."""
+        """Advance the time; return True if the peer says anything."""
         mark = self.mark
         return self.run_until(
             lambda: any(self.is_own(entry.message) for entry in self.inbox[mark:]), within_s
@@ -230,7 +230,7 @@ class Station:
         return len(self.inbox)
 
     def listen(self, duration_s: float) -> list[Heard]:
-        """Let time pass; what came meanwhile."""
+        """Advance the time; what came meanwhile."""
         mark = self.mark
         self.run(duration_s)
         return self.inbox[mark:]
@@ -291,7 +291,7 @@ class Station:
         mark: int | None = None,
         what: str = "",
     ) -> None:
-        """Let time pass; nothing of a kind may come after `mark` (default: from now on)."""
+        """Advance the time; nothing of a kind may come after `mark` (default: from now on)."""
         mark = self.mark if mark is None else mark
         self.run(for_s)
         for message in self.heard(kind, mark):

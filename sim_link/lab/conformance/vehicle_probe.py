@@ -33,7 +33,7 @@ READY_S = 90.0
 """A real autopilot needs 20 to 45 s from boot until it can be armed."""
 SHORT_LOOK_S = 2.0
 ARM_S = 15.0
-"""How long arming may be refused although SYS_STATUS says that it is possible."""
+"""Time for which arming may be refused although SYS_STATUS reports that it is possible."""
 STREAM_S = 15.0
 SILENCE_S = 8.0
 """A vehicle that is silent for so long has crashed, or hangs."""
@@ -81,9 +81,9 @@ class Baseline:
     """Messages whose rates could not be read before they were changed."""
     home: tuple[int, int, float] | None = None
     start_e7: tuple[int, int] | None = None
-    """Where flights begin; they come back there, or the next ones would lead ever farther away."""
+    """Start of the flights; they return there, or the next ones would lead ever farther away."""
     unready: str = ""
-    """Why it could not be armed; then later rules do not wait as long."""
+    """Reason why it could not be armed, after which later rules do not wait as long."""
     serves_one_client: bool = False
 
     def leftovers(self) -> list[str]:
@@ -284,7 +284,7 @@ class VehicleProbe(Station):
         return self.is_synchronised(stamp, self.asked, ACK_S)
 
     def is_synchronised(self, stamp: int, mark: int, within_s: float) -> bool:
-        """Let time pass; return True if a TIMESYNC with `ts1` = `stamp` comes after a mark."""
+        """Advance the time; return True if a TIMESYNC with `ts1` = `stamp` comes after a mark."""
         return self.run_until(
             lambda: any(m.ts1 == stamp for m in self.heard(mav.Timesync, mark)), within_s
         )
@@ -323,12 +323,12 @@ class VehicleProbe(Station):
         return bool(self.heartbeat().custom_mode == mav.custom_mode(self.flavour, mode))
 
     def await_mode(self, mode: str, within_s: float = 5.0) -> None:
-        """Let time pass until a HEARTBEAT shows a mode."""
+        """Advance the time until a HEARTBEAT shows a mode."""
         wanted = mav.custom_mode(self.flavour, mode)
         self.heartbeat(lambda m: m.custom_mode == wanted, within_s, f"in {mode}")
 
     def await_disarmed(self, within_s: float) -> None:
-        """Let time pass until a HEARTBEAT says disarmed."""
+        """Advance the time until a HEARTBEAT says disarmed."""
         self.heartbeat(lambda m: not m.base_mode & mav.ARMED, within_s, "of a disarmed vehicle")
 
     def set_mode(self, mode: str) -> int:
@@ -341,7 +341,7 @@ class VehicleProbe(Station):
         require(result == mav.ACCEPTED, f"{mode}: result {result}")
 
     def require_disarmed(self) -> None:
-        """For a rule that is tried on the ground; `NotApplicable`: it is armed."""
+        """Require a disarmed vehicle for a rule on the ground; `NotApplicable`: it is armed."""
         assume(not self.is_armed(), "the vehicle is armed")
 
     def place(self) -> Triple:
@@ -428,7 +428,7 @@ class VehicleProbe(Station):
         raise NotReady(baseline.unready)
 
     def _is_ready(self, within_s: float) -> bool:
-        """Let time pass until it can be armed, or nothing is heard any more; whether it can."""
+        """Advance the time until it can be armed, or nothing is heard any more; whether it can."""
 
         def can_arm() -> bool:
             status = self._newest(mav.SysStatus)

@@ -161,7 +161,7 @@ LINK_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
     faults.LinkRateCap: _RateCap,
     faults.LinkHold: _Hold,
 }
-"""By fault, in the order in which they act on one datagram."""
+"""Effects by fault, in the order in which they act on one datagram."""
 
 
 _READER = MavCodec(9, 9)

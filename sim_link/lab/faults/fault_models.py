@@ -24,7 +24,7 @@ Direction = Literal["both", "to_companion", "to_vehicle"]
 
 
 class LinkFault(FaultRecord, frozen=True):
-    """Something between the two, in one direction or both."""
+    """Fault of the link, in one direction or both."""
 
     direction: Direction = "both"
 
@@ -106,7 +106,7 @@ RangingField = Literal["range", "bearing", "both"]
 
 
 class ContentFault(FaultRecord, frozen=True):
-    """Something in the frames themselves; no matter over which link they come."""
+    """Fault in the frames themselves, on any link."""
 
 
 class StreamMute(ContentFault, frozen=True, tag="stream_mute"):
@@ -142,7 +142,7 @@ class RangingOutliers(ContentFault, frozen=True, tag="ranging_outliers"):
     """Some measurements are grossly wrong: too long or too short, and a bearing from anywhere."""
 
     share: Share = 0.3
-    """Of measurements outside of bursts, with which one begins."""
+    """Share of the measurements outside of bursts that begin one."""
     excess_m: Length = 40.0
     """Mean of what is added to the range; negative: ranges are too short, as no reflection is."""
     is_bearing_hit: bool = True
@@ -177,7 +177,7 @@ class RangingNan(ContentFault, frozen=True, tag="ranging_nan"):
 
 
 class ProcessFault(FaultRecord, frozen=True):
-    """Something with the companion's process or its host."""
+    """Fault of the companion's process or its host."""
 
 
 class CompanionKilled(ProcessFault, frozen=True, tag="companion_killed"):

@@ -49,12 +49,12 @@ class Injector(Observer):
         flight.observers.append(self)
 
     def inject(self, schedule: faults.Schedule) -> None:
-        """Let the schedule begin now; faults that are not on the link yet are put there too."""
+        """Start the schedule now; faults that are not on the link yet are put there too."""
         for fault in schedule.faults:
             self.add(fault)
 
     def add(self, fault: FaultRecord) -> None:
-        """Let one fault happen, its times counted from now."""
+        """Apply one fault, its times counted from now."""
         began_s = self._flight.now_s
         self._link.add(fault, began_s)
         start_s = began_s + fault.start_s

@@ -82,7 +82,7 @@ class WatchedJournal:
         self._notify(kind, fields, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Pass a text on."""
+        """Forward a text."""
         self._journal.text(severity, text, now_s)
         self._notify("text", {"severity": severity.name.lower(), "text": text}, now_s)
 
@@ -100,7 +100,7 @@ COMPANION_PEER: Address = ("127.0.0.1", 14550)
 RADIO_PEER: Address = ("127.0.0.1", 15000)
 FIRST_OTHER_PEER: Address = ("127.0.0.1", 18000)
 SOCKET_BYTES = 212_992
-"""What a UDP socket holds (Linux net.core.rmem_default); it counts each datagram's overhead."""
+"""Capacity of a UDP socket (Linux net.core.rmem_default); it counts each datagram's overhead."""
 DATAGRAM_OVERHEAD = 512
 
 MakeCompanion = Callable[[CompanionConfig, Journal, Sequence[LinkSpec]], CompanionEndpoint]
@@ -156,14 +156,14 @@ class Flight:
             self.at(other.start_s, partial(self.bring_other, other, other.end_s))
 
     def run(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         until_s = self.now_s + duration_s
         while self._next_s() <= until_s:
             self.step()
         self.now_s = until_s
 
     def step(self) -> None:
-        """Let the next thing happen, and everything that is due with it."""
+        """Execute the next event, and all that are due with it."""
         self.now_s = max(self.now_s, self._next_s())
         now_s = self.now_s
         self.settle()
@@ -298,7 +298,7 @@ class Flight:
                 neighbour.sim.receive(Chunk(0, chunk.data, None), self.now_s)
 
     def bring_other(self, setup: OtherVehicle, end_s: float) -> None:
-        """Another vehicle is heard from now on, until its end."""
+        """Let another vehicle be heard from now on, until its end."""
         host, port = FIRST_OTHER_PEER
         peer = (host, port + len(self.neighbours)) if setup.has_own_address else VEHICLE_PEER
         neighbour = Neighbour(setup, self.scenario, peer, self.now_s)
@@ -346,7 +346,7 @@ class Flight:
         self.observers.notify("companion_ended", self.now_s)
 
     def apply_incident(self, incident: IncidentRecord) -> None:
-        """Let something happen to the vehicle."""
+        """Apply an incident to the vehicle."""
         self.sim.apply_incident(incident, self.now_s)
         if isinstance(incident, PilotMode):
             self.tell_chosen(incident.mode)

@@ -58,9 +58,10 @@ class Frame:
     data: bytes
     lane: Lane
     is_genuine: bool = True
-    """Whether it came from the other end of the wire, damaged or not, and not from an attacker."""
+    """True if it came from the other end of the wire, damaged or not, and not from an attacker."""
     is_intact: bool = False
-    """Whether it is bit by bit as it was sent; otherwise only reading it shows."""
+    """True if it is bit by bit as it was sent; otherwise only decoding shows whether it is
+    valid."""
     peer: Address | None = None
     """Address that a frame to the companion came from."""
     _message: object = field(default=_UNREAD, repr=False)

@@ -86,7 +86,7 @@ class MissionBatch:
     files: Sequence[Path]
     seeds: Sequence[int] = (0,)
     autopilot: FlavourName | None = None
-    """In place of the scripts' own."""
+    """Autopilot instead of the scripts' own."""
     reports: Path | None = None
     speed: float | None = None
     connect: str | None = None

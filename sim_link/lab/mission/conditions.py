@@ -132,7 +132,7 @@ def _infos() -> Iterator[tuple[str, FieldInfo]]:
 
 
 FIELDS: dict[str, FieldInfo] = dict(_infos())
-"""What a condition may ask about, by the name it has there."""
+"""Fields that a condition may refer to, by name."""
 
 
 Value = float | bool | str | None
@@ -185,7 +185,7 @@ class _Part:
     get: Getter
     node: ast.expr
     words: tuple[str, ...] = ()
-    """What it may be, where it is a field that is a word."""
+    """Possible values of a field that is a word."""
     word: str | None = None
     """The word itself, where it is none of the fields."""
 

@@ -58,14 +58,14 @@ class TelemetryReader:
         self._track_due_s = 0.0
         self.origin: LocalOrigin | None = None
         self.system_id: int | None = None
-        """Of the autopilot that was heard first."""
+        """System id of the autopilot that was heard first."""
         self.heartbeat: events.HeartbeatReceived | None = None
         """The newest one of the autopilot."""
         self.throttle_us = 0
         """Channel 3 of the pilot's transmitter; 0: none is heard."""
 
     def take(self, frame: bytes, now_s: float) -> None:
-        """Take in a frame from the vehicle's link."""
+        """Process a frame from the vehicle's link."""
         message = self._codec.decode_frame(frame)
         if message is None or not self._is_ours(message):
             return
@@ -194,7 +194,7 @@ class EventReader:
         self.record("result", fields, now_s)
 
     def record(self, kind: str, fields: Mapping[str, Any], now_s: float) -> None:
-        """Take in an event at a time since the mission began."""
+        """Process an event at a time since the mission began."""
         self._record.events.append((now_s, kind, fields))
         match kind:
             case "estimate":
@@ -216,7 +216,7 @@ class EventReader:
                 self._take_result(fields, now_s)
 
     def age(self, now_s: float) -> None:
-        """Let what ages grow older."""
+        """Increase all ages."""
         if self._ranging_heard_s is not None:
             self._situation.companion.ranging_age_s = now_s - self._ranging_heard_s
 
@@ -283,11 +283,11 @@ class WireWatch:
         self._late_s = 0.0
         self._looked_s: float | None = None
         self._events: list[tuple[float, str, Mapping[str, Any]]] = []
-        """Of the companion's present process, at its own time."""
+        """Events of the companion's present process, with its own times."""
 
     @property
     def slack_s(self) -> float:
-        """By how much frames may be late, in seconds of flight: the hub itself was, too."""
+        """Return the time in s of flight by which frames may be late: the hub itself was, too."""
         return self._machine_s + self._late_s
 
     def looked(self, now_s: float) -> None:

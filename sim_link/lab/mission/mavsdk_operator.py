@@ -46,7 +46,7 @@ class MavsdkOperator:
         self._watch: asyncio.Task[None] | None = None
         self._refusal: str | None = None
         self.is_ready = False
-        """Whether the autopilot can be armed and knows its home."""
+        """True if the autopilot can be armed and knows its home."""
         self.is_heard = False
         self.autopilot = Autopilot.OTHER
         """Set by the observer of the vehicle: mode numbers differ between autopilots."""

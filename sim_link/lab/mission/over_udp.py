@@ -54,9 +54,10 @@ HAND_BACK_S = 3.0
 HOME_S = 5.0
 """Real time for asking a vehicle of others to come home after a mission that failed."""
 MID_THROTTLE_US = range(1400, 1601)
-"""Where neither autopilot climbs or sinks in modes for sticks, with its default dead zones."""
+"""Throttle at which neither autopilot climbs or sinks in stick modes, with its default dead
+zones."""
 TRANSMITTER_S = 10.0
-"""Of the mission; by then the companion has asked for the sticks, too."""
+"""Mission time by which the companion has also requested the sticks."""
 Ports = namedtuple("Ports", "vehicle simulator companion operator radio")
 """UDP ports of this machine for one flight; the hub hears a simulated vehicle on the first."""
 

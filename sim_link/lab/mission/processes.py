@@ -141,7 +141,7 @@ class ProcessHarness:
         self._now_s = 0.0
         self._due = sched.scheduler(lambda: self._now_s, lambda _: None)
         self.is_companion_down = False
-        """Whether the companion is meant not to run."""
+        """True while the companion is meant not to run."""
         self._suspended_until_s = -math.inf
         self.has_restarted_companion = False
 

@@ -40,10 +40,10 @@ class StepOutcome:
     """Outcome of a step."""
 
     number: int
-    """From 1, as people count."""
+    """Number from 1."""
     name: str
     what: str
-    """Its parameters that matter, in words."""
+    """Relevant parameters, in words."""
     started_s: float
     ended_s: float
     failure: str = ""
@@ -79,7 +79,7 @@ class FlightRecord:
     """One flight as it was seen; times are seconds since the mission began."""
 
     situation: FlightSituation = field(default_factory=FlightSituation)
-    """What is known at the moment; at the end, of the end."""
+    """Situation at the moment, or at the end."""
     steps: list[StepOutcome] = field(default_factory=list)
     events: list[tuple[float, str, Mapping[str, object]]] = field(default_factory=list)
     """The companion's event log and the mission's own events, in the order of time."""
@@ -89,32 +89,32 @@ class FlightRecord:
     waypoints: list[tuple[float, Point, str]] = field(default_factory=list)
     track: list[tuple[float, PositionEnu]] = field(default_factory=list)
     messages: Counter[tuple[str, int]] = field(default_factory=Counter)
-    """How often each sender's messages were seen, by message id."""
+    """Number of messages of each sender and message id."""
     frames: list[tuple[float, bytes]] = field(default_factory=list)
-    """What companion and vehicle sent, where it was kept in memory."""
+    """Frames of companion and vehicle, if they were kept in memory."""
     violations: list[InvariantViolation] = field(default_factory=list)
     breaches: dict[str, float] = field(default_factory=dict)
-    """When an `always` was first false, by the expectation's name."""
+    """Time at which an `always` was first false, by the expectation's name."""
     engaged_s: float | None = None
     ended_s: float = 0.0
     distance_m: float = 0.0
     closest_approach_m: float | None = None
     """To the fence, in the whole flight."""
     failure: str = ""
-    """What ended the mission, beside a step; empty: nothing."""
+    """Cause that ended the mission, other than a step; empty: none."""
     autopilot: str = ""
-    """Who was flown: px4, ardupilot or other."""
+    """Autopilot that was flown: px4, ardupilot or other."""
     scope: Scope = NOTHING
-    """Which invariants were judged, and why the others were not."""
+    """Invariants that were judged, and the reasons why the others were not."""
     slack_s: float = 0.0
-    """By how much limits of time were wider than in lockstep, in seconds of flight."""
+    """Extension of the time limits over those in lockstep, in seconds of flight."""
     late_s: float = 0.0
-    """How late the hub's turn came at most, in seconds of flight: how busy the machine was."""
+    """Largest delay of the hub's turn, in seconds of flight: the load of the machine."""
     slowed_to: str = ""
-    """What the machine kept up with; empty: the speed that was asked for."""
+    """Speed that the machine kept up with; empty: the requested one."""
     is_interrupted: bool = False
     skipped: str = ""
-    """Why it was not flown on this vehicle; empty: it was."""
+    """Reason why it was not flown on this vehicle; empty: it was flown."""
     wall_s: float = 0.0
     """Real time that it took; not part of the event log."""
     cpu_s: float = 0.0
@@ -167,7 +167,7 @@ class ExpectationVerdict:
     name: str
     is_met: bool
     found: str
-    """What was found, and what was expected of it."""
+    """Result, beside the expected one."""
 
 
 def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerdict, ...]:
@@ -201,7 +201,7 @@ def _judge(expectation: Expectation, mission: Mission, record: FlightRecord) -> 
 
 
 Judged = tuple[bool, str]
-"""Whether an expectation is met, and what was found."""
+"""True if an expectation is met, and the finding in words."""
 
 
 def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord, of: str) -> Judged:
@@ -341,9 +341,9 @@ class MissionResult:
     verdicts: tuple[ExpectationVerdict, ...] = ()
     """Empty: it did not come to an end."""
     report: str = ""
-    """Where the report is; empty: there is none."""
+    """Path of the report; empty: there is none."""
     error: str = ""
-    """Why it did not come to an end, or has no report; empty: nothing went wrong."""
+    """Reason why it did not finish or has no report; empty: nothing went wrong."""
 
     def without_history(self) -> MissionResult:
         """Return the figures of the flight only, small enough to be kept of hundreds."""
@@ -376,12 +376,12 @@ class MissionResult:
 
     @property
     def last_estimate(self) -> EstimatePoint | None:
-        """Of the first emitter."""
+        """Last estimate of the first emitter."""
         return self.record.last_estimate(self.mission.emitter.emitter_id)
 
     @property
     def final_error_m(self) -> float | None:
-        """Of the last estimate of the first emitter."""
+        """Error of the last estimate of the first emitter, in m."""
         point = self.last_estimate
         return None if point is None else self.error_m(point)
 

@@ -25,7 +25,7 @@ from sim_link.world.environment import Coordinate, EmitterId
 Source = Literal["companion", "autopilot"]
 INVARIANTS = tuple(f"I{number}" for number in range(1, 13))
 NEVER_JUDGED = {"I10", "I12"}
-"""What no flight alone can show: see missions.md."""
+"""Invariants that no flight alone can show: see missions.md."""
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
 
@@ -70,7 +70,7 @@ class EmitterBound(Bound, frozen=True):
     """A bound on what concerns one emitter."""
 
     emitter: EmitterId | None = None
-    """Its id; null: the scenario's `emitter`."""
+    """Id of the emitter; null: the scenario's `emitter`."""
 
 
 class TextSeen(Params, frozen=True):
@@ -78,9 +78,9 @@ class TextSeen(Params, frozen=True):
 
     text: str | None = None
     message: str | None = None
-    """For example RADIO_RANGING."""
+    """MAVLink name of the message, for example RADIO_RANGING."""
     from_: Source | None = msgspec.field(default=None, name="from")
-    """Who sent it; null: anybody."""
+    """Sender; null: any."""
 
     def __post_init__(self) -> None:
         if (self.text is None) == (self.message is None):
@@ -90,7 +90,7 @@ class TextSeen(Params, frozen=True):
 
 
 class Appears(TextSeen, frozen=True):
-    """It must have been sent."""
+    """Text or message that must have been sent."""
 
     at_least: Annotated[int, msgspec.Meta(ge=1)] = 1
 
@@ -126,10 +126,10 @@ class Expectation(Params, frozen=True, kw_only=True):
     time_s: Bound | UnsetType = UNSET
     distance_m: Bound | UnsetType = UNSET
     violations: Violations | UnsetType = UNSET
-    """Of the invariants I1 to I13."""
+    """Limit of violations of the invariants I1 to I13."""
     appears: Appears | UnsetType = UNSET
     never: TextSeen | UnsetType = UNSET
-    """It must not have been sent."""
+    """Text or message that must not have been sent."""
     holds: str | UnsetType = UNSET
     """Condition that is true at the end."""
     always: str | UnsetType = UNSET
@@ -215,11 +215,11 @@ class WaitUntilStep(StepParams, frozen=True, kw_only=True):
     condition: str
     limit_s: Limit
     for_s: Duration = 0.0
-    """It must hold for this long without a break."""
+    """Time for which the condition must be true without a break."""
 
 
 class WaitStep(StepParams, frozen=True, kw_only=True):
-    """Let time pass."""
+    """Advance the time."""
 
     for_s: Limit
 
@@ -300,7 +300,7 @@ class Mission(Scenario, frozen=True, kw_only=True):
 
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
     about: str = ""
-    """What it shows, in a sentence."""
+    """Purpose, in a sentence."""
     autopilots: tuple[FlavourName, ...] = ()
     """Those that it fits, and is flown on; empty: any, and it is flown on `autopilot.flavour`."""
     companion: CompanionConfig | str = CompanionConfig()

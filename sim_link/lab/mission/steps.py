@@ -54,7 +54,7 @@ class MissionOperator(Protocol):
 
 ASK_AGAIN_S = 2.0
 ARRIVED_M = 0.5
-"""How far below its height a takeoff may end."""
+"""Distance below its height at which a takeoff may end."""
 LIFTED_M = 0.3
 """A vehicle this high has begun to take off."""
 ROUNDING_S = 1e-9
@@ -187,14 +187,15 @@ class StepRule:
     """Action of a step, and the condition that ends it."""
 
     what: str
-    """What it waits for, in words."""
+    """Condition that it waits for, in words."""
     is_met: Condition
     action: Action | None = None
     has_begun: Condition | None = None
-    """Whether the effect of the action shows already; None: nothing shows before it is met."""
+    """Condition that is true once the effect of the action shows; None: nothing shows before it is
+    met."""
     limit_s: float = math.inf
     for_s: float = 0.0
-    """How long it must be met."""
+    """Time for which it must be met."""
 
 
 @dataclass(slots=True)

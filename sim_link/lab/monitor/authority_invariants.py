@@ -62,7 +62,7 @@ class OnlyWithAuthority(Invariant):
     _is_barred = False
     """Only a grant frees what was lost."""
     _given_s = -1.0
-    """When a person gave the mode since it was lost, or since the process began."""
+    """Time at which a person selected the mode again after its loss, or since the process began."""
     _may_engage = True
     _granted_s = -math.inf
     _is_launching = False

@@ -64,21 +64,21 @@ class FencesInForce:
     fences: list[tuple[float, FlownFence]] = field(default_factory=list)
     """Each with the time when it was complete, in the order of that; equal ones once."""
     read_s: float = -math.inf
-    """When a fence, or that there is none, was complete last."""
+    """Time of the last complete download of a fence, or of its absence."""
     _count: int | None = None
     _items: list[Item] = field(default_factory=list)
 
     def clear(self) -> None:
-        """Another process knows nothing yet."""
+        """Forget all fences: another process knows none yet."""
         self.fences.clear()
         self.read_s, self._count = -math.inf, None
 
     def land(self) -> None:
-        """On the ground only the newest counts."""
+        """Keep only the newest fence, which alone counts on the ground."""
         del self.fences[:-1]
 
     def take(self, frame: Frame, to_enu: ToEnu) -> None:
-        """Take in a frame of the autopilot that reached the companion."""
+        """Process a frame of the autopilot that reached the companion."""
         message = frame.message
         match message:
             case mavlink.MAVLink_mission_count_message() if message.mission_type == FENCE:

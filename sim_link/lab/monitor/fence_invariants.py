@@ -31,7 +31,7 @@ class OwnJumps:
         self._scene = scene
         self._bias = scene.vehicle.estimator.bias_enu_m
         self._seemed: PositionEnu | None = None
-        """Where the vehicle seemed to be after the jump; None: nothing jumped."""
+        """Apparent vehicle position after the jump; None: there was none."""
         self._jumped_m = 0.0
         self._jumped_s = 0.0
         self._is_reported = False
@@ -97,7 +97,7 @@ class SetpointsInside(Invariant):
     name = "I1"
     title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
     _anchor: Point | None = None
-    """Where the setpoint stands, or stood last."""
+    """Position of the current or last setpoint."""
     _near_s = -math.inf
     """Time when the vehicle was reported beyond the border, or nearly there."""
 
@@ -151,29 +151,30 @@ class InsideFence(SetpointsInside):
         self.closest_m = math.inf
         """Least true distance to a border while the companion answered for it."""
         self.breaches = 0
-        """How often the true vehicle left the fence."""
+        """Number of times that the true vehicle left the fence."""
         self._is_out = False
         self._in_control_s = -math.inf
         self._reached = 0
-        """How many of our setpoints reached the vehicle since the last step."""
+        """Number of our setpoints that reached the vehicle since the last step."""
         self._taken = 0
-        """How many it took from anybody, since it was switched on."""
+        """Number of setpoints accepted from any sender since it was switched on."""
         self._is_dragged = False
         """True if it flies to a setpoint of another source."""
         self._dragged_s = -math.inf
         self._given_s = -math.inf
-        """When control was given last."""
+        """Time of the last hand-over."""
         self._mode = FlightMode.OFFBOARD
         self._is_taken_on = False
-        """Whether it left the mode, too, that it was in first after it was ours."""
+        """True if it also left the mode that it was in first after it was ours."""
         self._has_yielded = False
-        """It reports another source in control, whatever mode is shown; I3 holds it to that ..."""
+        """True if it reported another source in control, whatever mode is shown; I3 holds it to
+        that ..."""
         self._has_left = False
         """... and the vehicle has left the mode since: until then it flies our last setpoint."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A place, and how deep inside it is."""
         self._fences = 0
-        """How many fences of the autopilot were in force."""
+        """Number of the autopilot's fences that were in force."""
         self._is_caught = False
         """A new fence came so near that the vehicle could not stop before it."""
 
@@ -384,7 +385,8 @@ class FenceIsRead(Invariant):
         self._truth = scene
         self._fence: object = scene.vehicle.aircraft.fence
         self._since_s: float | None = None
-        """When it could know that there is another fence; None: none that it has not asked for."""
+        """Earliest time at which it could know of another fence; None: none that it has not
+        requested."""
         self._is_shown = not scene.is_px4
         self._asked_s = -math.inf
 
@@ -398,7 +400,7 @@ class FenceIsRead(Invariant):
             self._is_shown, self._since_s = True, self.scene.now_s
 
     def sent(self, frame: Frame) -> None:
-        """It asks."""
+        """Note that it requests the fence."""
         message = frame.message
         is_list = isinstance(message, mavlink.MAVLink_mission_request_list_message)
         if is_list and getattr(message, "mission_type", None) == FENCE:

@@ -156,7 +156,7 @@ EARLY_S, LATE_S = 3.0, 10.0
 YOUNG_S = 5.0
 """A restarted clock shows at most so much more than the time since the vehicle was heard last."""
 REACH_M, REACH_MPS = 10.0, 25.0
-"""How far a vehicle may be from where it was reported last: at once, and for each second since."""
+"""Largest distance from the last reported position: at once, and for each second since."""
 STAMPED = (
     mavlink.MAVLink_local_position_ned_message
     | mavlink.MAVLink_attitude_message
@@ -198,7 +198,7 @@ class Followed:
         return stamp_s is not None and stamp_s <= frame.time_s - self.stamped_s + YOUNG_S
 
     def with_frame(self, frame: Frame) -> Followed:
-        """Take in an accepted frame; a stranger's that contradicts the course is left out."""
+        """Process an accepted frame; a stranger's that contradicts the course is left out."""
         now_s = frame.time_s
         stamp_s, place = _sign_of(frame)
         heard = replace(self, is_genuine=frame.is_genuine, heard_s=now_s)
@@ -238,10 +238,10 @@ class SenderTrust:
     def __init__(self, wanted_system_id: int | None = None) -> None:
         self._wanted_system_id = wanted_system_id
         self._ids: tuple[int, int] | None = None
-        """Of the autopilot that is followed; None: none yet."""
+        """Ids of the autopilot that is followed; None: none yet."""
         self._followed: Followed | None = None
         self._before: Followed | None = None
-        """What was followed before the last frame."""
+        """Peer that was followed before the last frame."""
         self.ticked_s: float | None = None
         """Time of the companion's last control tick; None: not known."""
 

@@ -21,7 +21,7 @@ TOLERANCE_M = 0.02
 LATE_TICK_S = 0.2
 """A control tick that comes later moves the setpoint no farther than one after this time."""
 HERE_M = 1.5
-"""How far from the vehicle's newest place "here" may be, beside what it moved meanwhile."""
+"""Largest distance of "here" from the newest vehicle position, beside its motion meanwhile."""
 STILL_M = 0.02
 
 
@@ -36,7 +36,7 @@ class WithinEnvelope(Invariant):
         self._last: SentSetpoint | None = None
         self._origin_enu_m = scene.observed.origin_enu_m
         self._velocity: Point | None = None
-        """Of the setpoint, once there were two."""
+        """Velocity of the setpoint, once there were two."""
         self._vehicle: Point | None = None
         """Reported vehicle position when the setpoint before was sent."""
 
@@ -380,12 +380,12 @@ class Repeatable(Invariant):
         self._hash = hashlib.blake2b(digest_size=16)
 
     def sent(self, frame: Frame) -> None:
-        """Take it in."""
+        """Update the digest."""
         self._hash.update(frame.data)
 
     @property
     def digest(self) -> str:
-        """Of everything so far."""
+        """Digest of everything so far."""
         return self._hash.hexdigest()
 
     def compare(self, other: str) -> None:

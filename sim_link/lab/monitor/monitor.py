@@ -68,9 +68,9 @@ class Scope:
     """Invariants that are judged, and those that are not."""
 
     judged: Mapping[str, str]
-    """How, by the invariant's name; empty: without any restriction."""
+    """Restriction of the judgement, by the invariant's name; empty: none."""
     unjudged: Mapping[str, str]
-    """Why not, by the invariant's name."""
+    """Reason why it was not judged, by the invariant's name."""
 
     def unjudged_of(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the given invariants that are not judged."""

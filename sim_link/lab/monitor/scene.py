@@ -44,7 +44,7 @@ class Rules(Params, frozen=True):
     acceleration_mps2: Positive = 2.5
     step_m: Positive = 8.0
     latency_s: NonNegative = 0.5
-    """From a motion that is measured to a setpoint that is obeyed."""
+    """Delay from the measurement of a motion to the setpoint that is obeyed."""
     navigation_sigma_m: NonNegative = 0.3
     state_age_s: Positive = 0.5
     """An own position older than this is not flown on."""
@@ -116,17 +116,17 @@ class ObservedState:
     is_ours: bool = False
     """The newest mode is ours and the vehicle is armed."""
     left_s: float = -math.inf
-    """When the newest mode was heard that ended ours."""
+    """Time of the latest report of a mode that ended ours."""
     mode_sent_at: tuple[float, int] = (-1.0, 0)
     position_enu_m: PositionEnu | None = None
-    """In the world's frame, by the reported origin."""
+    """Position in the world's frame, by the reported origin."""
     velocity_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
     position_s: float | None = None
     position_sent_s: float = -math.inf
     position_boot_ms: int = -1
     else_at: tuple[PositionEnu, float] | None = None
-    """Where the vehicle is if its stamps went back without a restart, or if the last position was
-    of the local frame that an origin was reported for later; and when it arrived."""
+    """Vehicle position if its stamps went back without a restart, or if the last position was in a
+    local frame whose origin was reported later; and its arrival time."""
     origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
     """Time of the report that the origin moved; places from before are of another frame."""
@@ -162,13 +162,13 @@ class ObservedScene:
     world_origin: LocalOrigin | None = None
     home_up_m: float | None = None
     height_error_m: float = 0.0
-    """How wrong the autopilot may be about its height."""
+    """Largest error of the autopilot's height."""
     is_flying: bool = False
     now_s: float = 0.0
     observed: ObservedState = field(default_factory=ObservedState)
     is_companion_up: bool = True
     tick_s: float | None = None
-    """When the companion's control tick last ran."""
+    """Time of the companion's last control tick."""
     suspended_until_s: float = -1.0
     """The companion process gets no time until then."""
     must_accept: bool = True
@@ -354,7 +354,7 @@ class TrueScene(ObservedScene):
         self.look_at(self.vehicle)
 
     def look_at(self, vehicle: SimVehicle) -> None:
-        """Take in the vehicle's present state."""
+        """Process the vehicle's present state."""
         self.vehicle = vehicle
         self.system_id = vehicle.system_id
         self.is_px4 = vehicle.scenario.autopilot.flavour == "px4"

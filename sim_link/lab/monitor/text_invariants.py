@@ -31,7 +31,7 @@ class FewTexts(Invariant):
         self._chunks: tuple[int, dict[int, str]] = (0, {})
         """Id of the text that is being sent, and its chunks by number."""
         self._last: dict[str, tuple[float, int]] = {}
-        """When a cause was sent last, and what persons had done by then."""
+        """Time at which a cause was sent last, and the number of operator actions by then."""
         self._deeds = 0
         self._flown: tuple[int, int] | None = None
         """Mode and flags of the autopilot's last HEARTBEAT."""

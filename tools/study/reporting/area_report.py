@@ -15,7 +15,7 @@ from tools.study.reporting.plots import DPI, FIM, INK, LATCHED, MUTED, PASSIVE, 
 from tools.study.searched_area import KINDS, Bin, Kind, Trial, csv_of, reliability, success
 
 MOST_ERROR = 0.03
-"""By how much the share heard may differ from what was stated, in every tenth."""
+"""Largest difference between the share heard and the stated one, in every tenth."""
 COLOURS: dict[Kind, str] = {"open": LATCHED, "rubble": PASSIVE, "walls": FIM}
 
 

@@ -35,7 +35,7 @@ MAX_STEPS = {"0.5": 20, "1.5": 13, "2.5": 13}
 """To 2.5 m, by range noise."""
 MAX_ANYWHERE_RMSE_M, MAX_ANYWHERE_WORST_M = 0.05, 0.5
 MAX_OFF_M = 1.0
-"""Where no run of ten thousand may end beyond."""
+"""Largest final error of any of ten thousand runs, in m."""
 MAX_BOUND_RATIO = 1.3
 FAR_M = 100.0
 """Beyond the area a bound is only large: offsets unknown, a straight track says very little."""

@@ -28,7 +28,7 @@ from tools.study.reporting.study_tables import interval, number
 from tools.study.study import FlightRow, ResultRow
 
 Z95 = 1.959964
-"""Of the standard normal: 2.5 % are beyond."""
+"""Quantile of the standard normal: 2.5 % are beyond."""
 CONFIG_COLOURS = {"configured": plots.LATCHED, "unconfigured": plots.PASSIVE}
 SHOWN_PLANNER = "latched_crossing"
 
@@ -120,7 +120,7 @@ COLUMNS: tuple[tuple[str, Callable[[dict[str, str], dict[str, str]], str]], ...]
     ),
     ("error at the cut, m", lambda own, _: own["cut_error_m"]),
 )
-"""Of the tables in Markdown: heading, and text by metrics and their intervals."""
+"""Columns of the tables in Markdown: heading, and text by metrics and their intervals."""
 
 
 def markdown_of(rows: Iterable[ResultRow]) -> str:

@@ -28,7 +28,7 @@ from tools.study.trials import TrialResult, run_trial
 from tools.study.walk import information_gradient, printed_criteria
 
 FAR_M = 1e4
-"""How far a shadow is drawn; any picture ends before that."""
+"""Length of a drawn shadow in m, beyond the edge of any picture."""
 
 PASSIVE, REACTIVE = System("asymmetric_huber", "passive"), System("asymmetric_huber", "reactive")
 FIM, FIM_PRINTED = System("asymmetric_huber", "fim"), System("asymmetric_huber", "fim_printed")
@@ -40,9 +40,9 @@ COMPARED = (
 )
 """The systems of the paper's figures, and ours."""
 BOUNDED = (PASSIVE, BEST)
-"""Whose Cramer-Rao bound is drawn beside them."""
+"""Systems whose Cramer-Rao bound is drawn."""
 FLOWN = (PASSIVE, REACTIVE, BEST, FIM)
-"""Whose tracks are drawn, and in the shadow of obstacles also those of FIM as printed."""
+"""Systems whose tracks are drawn; in the shadow of obstacles also those of FIM as printed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ def _beyond(corner: Point, target_enu_m: Point) -> Point:
 WATCHED = (FIM, FIM_PRINTED, REACTIVE, CROSSING)
 WATCHED_RUNS = 15
 WATCHED_STEPS = 60
-"""By then a vehicle that left the shadow is at the target."""
+"""Steps after which a vehicle that left the shadow is at the target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +180,7 @@ class GradientWatch:
 
     system: System
     gradient: Matrix
-    """With what the filter knows."""
+    """Gradient with the filter's information."""
     printed_gradient: Matrix
     is_shadowed: Matrix
     """1 where the path to the target is blocked."""

@@ -26,7 +26,7 @@ MARGIN_M = 4.0
 NEAR_M = 4.0
 """Half the side of the enlarged surroundings of the target."""
 NEAR_SHARE = 0.36
-"""How much of the map's side they take."""
+"""Share of the map's side that they take."""
 NEAR_STEPS = 60
 """The last steps, which are what is drawn there."""
 
@@ -106,7 +106,7 @@ PAPER_OFFSET_M = 5.5
 """Effective range offset that the paper's filter converges to, section "Bias Learning"."""
 
 EARLY_STEPS = 20
-"""In which a planner either leaves the shadow or stalls in it."""
+"""Steps in which a planner either leaves the shadow or stalls in it."""
 
 Maker = Callable[[StudyResult, Sequence[ResultRow]], list[Drawing]]
 

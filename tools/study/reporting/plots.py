@@ -81,13 +81,13 @@ class Drawing:
     """Finished figure."""
 
     name: str
-    """Of its files, without an ending."""
+    """Name of its files, without an ending."""
     title: str
     caption: str
     svg: str
     png: bytes
     is_wide: bool = False
-    """Whether it wants the whole width of a page."""
+    """True if it needs the whole width of a page."""
 
 
 @contextmanager

@@ -226,7 +226,7 @@ MEASURED: dict[Metric, Measure] = {
     "nees": _nees,
     "coverage": _coverage,
 }
-"""How each metric is measured; one may come to several rows."""
+"""Function that measures each metric; one may give several rows."""
 
 
 SUFFIX = ".yaml"

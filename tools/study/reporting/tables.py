@@ -21,7 +21,7 @@ PARAMETERS = {
     "step_m": ("Step", ETA, "m"),
     "k_rtt": ("Threshold of ranges", "k", ""),
 }
-"""Of the paper's tables: name, symbol and unit."""
+"""Parameters of the paper's tables: name, symbol and unit."""
 METRICS = {
     "final_rmse_m": "Final RMSE, m",
     "steps_to_2.5m": "Steps until the RMSE settles below 2.5 m",
@@ -132,7 +132,7 @@ class TableView:
     parameter: str
     values: tuple[str, ...]
     groups: dict[str, dict[str, tuple[TableCell, ...]]]
-    """By planner and system, one for each value."""
+    """Cells by planner and system, one for each value."""
     has_paper: bool
     has_bound: bool
     is_open: bool
@@ -256,7 +256,7 @@ class Swing:
     factors: tuple[tuple[str, float], ...]
     """Value, and final RMSE by that of our choice."""
     left_percent: float
-    """Where the bar begins, of the width of the axis."""
+    """Start of the bar, in percent of the axis."""
     width_percent: float
 
     @property
@@ -272,7 +272,7 @@ class Assumption:
     parameter: str
     values: tuple[str, ...]
     swings: tuple[Swing | None, ...]
-    """For each system of the tornado; None: not flown."""
+    """Swing of each system of the tornado; None: not flown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -213,4 +213,4 @@ HANDLERS: Mapping[int, Handler] = {
         answers(ACCEPTED),
     ),
 }
-"""What ArduCopter does about each command; any other is unsupported."""
+"""Handler of each command in ArduCopter; any other command is unsupported."""

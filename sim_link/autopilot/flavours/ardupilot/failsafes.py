@@ -35,14 +35,14 @@ REACTIONS: dict[str, tuple[CopterMode | None, ...]] = {
 }
 """The mode that each value of a parameter asks for; None: at most a text."""
 TERMINATE = 5
-"""Of BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
+"""Value of BATT_FS_LOW_ACT and BATT_FS_CRT_ACT."""
 EVEN_WITHOUT_POSITION = 3
-"""Of FS_EKF_ACTION: also where no position is needed."""
+"""Value of FS_EKF_ACTION: also in modes that need no position."""
 CONTINUE_IN_GUIDED = 4
 """Bit of FS_OPTIONS: GUIDED goes on without the transmitter."""
 TWO_VOTES = 2
 EKF_PATIENCE_S = 1.0
-"""How long the estimate must be bad, and as long good again."""
+"""Time for which the estimate must be bad, and then good again."""
 ROUNDING_S = 1e-6
 FENCE, EKF, STATION, STICKS = "Fence breached", "EKF Failsafe", "GCS Failsafe", "Radio Failsafe"
 BATTERY_LEVELS = (
@@ -60,7 +60,7 @@ class FailsafeEvent:
     reaction: CopterMode | None = None
     stops_motors: bool = False
     tells_mode: bool = False
-    """Whether a second text names the new mode."""
+    """True if a second text names the new mode."""
 
 
 def cleared(name: str) -> FailsafeEvent:
@@ -135,7 +135,7 @@ class CopterFailsafes:
         return reactions[number] if 0 <= number < len(reactions) else None
 
     def _changes(self, name: str, is_present: bool) -> bool:
-        """Note whether a failsafe is active; return True if that is news."""
+        """Record if a failsafe is active; return True if that changed."""
         if is_present == (name in self.active):
             return False
         (self.active.add if is_present else self.active.discard)(name)

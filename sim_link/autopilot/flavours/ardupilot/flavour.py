@@ -58,7 +58,7 @@ THROTTLE_DEAD_ZONE = 0.06
 IDLE_DETECTION_S = 0.5
 """ArduCopter takes this much longer than DISARM_DELAY."""
 LEAST_SPEED_CMPS, LEAST_TIMEOUT_S = 10.0, 0.1
-"""What WPNAV_SPEED and its kin, and GUID_TIMEOUT, are taken for if they are less."""
+"""Least effective values of the speed parameters (WPNAV_SPEED and others) and of GUID_TIMEOUT."""
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
 CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING
@@ -77,7 +77,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         self.chosen_number: int | None = None
         """The mode that was asked for last, where its class or a script numbers it otherwise."""
         self.commanded_mps: dict[int, float] = {}
-        """By SPEED_TYPE, until the mode changes."""
+        """Commanded speeds by SPEED_TYPE, until the mode changes."""
         self._failsafes = CopterFailsafes(aircraft, parameters)
         if aircraft.sticks.resting is None:
             aircraft.sticks.resting = THROTTLE_DOWN  # SITL's RC3 is 1000

@@ -23,7 +23,7 @@ class CopterMode:
     number: int
     name: str
     mode: FlightMode
-    """What it does, in the words that both autopilots share."""
+    """Flight mode common to both autopilots."""
     task: Task
     needs_position: bool = True
     is_armable: bool = True

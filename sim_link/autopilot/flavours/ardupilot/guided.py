@@ -168,7 +168,7 @@ class GuidedState(Enum):
     """States of GUIDED."""
 
     IDLE = "idle"
-    """In place, in the air or on the ground."""
+    """Stays in place, in the air or on the ground."""
     CLIMBING = "climbing"
     FOLLOWING = "following"
 

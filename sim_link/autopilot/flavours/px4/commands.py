@@ -172,4 +172,4 @@ HANDLERS: Mapping[int, Handler] = {
     mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _tell_prearm,
 }
-"""What PX4 does about each command; any other is unsupported."""
+"""Handler of each command in PX4; any other command is unsupported."""

@@ -27,7 +27,7 @@ from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.parameter_store import ParameterStore
 
 REGROWTH = 0.25
-"""How fast the delay grows back."""
+"""Rate at which the delay recovers, in s per s."""
 
 
 class Reaction(Enum):
@@ -49,18 +49,18 @@ class Reaction(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cause:
-    """Something that may be wrong, and what PX4 does about it."""
+    """Cause of a failsafe, and PX4's reaction to it."""
 
     text: str
-    """In the words of the report."""
+    """Text of the report."""
     parameter: str | None
     """Says which reaction it is; None: the first."""
     reactions: tuple[Reaction | None, ...]
-    """By the parameter's value; None: this is not watched."""
+    """Reactions by the parameter's value; None: this is not watched."""
     waits: bool = True
-    """Whether COM_FAIL_ACT_T comes first."""
+    """True if it waits for COM_FAIL_ACT_T first."""
     ends: bool = False
-    """Whether it ends with its condition."""
+    """True if it ends with its condition."""
 
 
 WARN, HOLD, RETURN = Reaction.WARN, Reaction.HOLD, Reaction.RETURN
@@ -92,11 +92,11 @@ class Px4Failsafes:
         self._aircraft = aircraft
         self._parameters = parameters
         self.delay_s = 0.0
-        """How long it will hold before the reaction; 0 once that is flown."""
+        """Time for which it holds before the reaction; 0 once that time has passed."""
         self._active: dict[Cause, Reaction] = {}
         self._taken_over: set[Cause] = set()
         self._spent_s = 0.0
-        """By how much the next such hold is shorter than COM_FAIL_ACT_T."""
+        """Time by which the next such hold is shorter than COM_FAIL_ACT_T."""
         self._had_sticks = False
         self._has_warned = False
 

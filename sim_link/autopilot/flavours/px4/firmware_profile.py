@@ -60,14 +60,15 @@ def _rates_hz(link: str) -> dict[int, float]:
 
 
 ONBOARD_HZ = _rates_hz("onboard")
-"""As measured on 14540, ATTITUDE's 98 Hz limited to a message per physics step. RC_CHANNELS come
+"""Rates measured on 14540, ATTITUDE's 98 Hz limited to a message per physics step. RC_CHANNELS come
 while there is a remote control."""
 STATION_HZ = _rates_hz("station")
 """Measured on 14550: ATTITUDE, LOCAL_POSITION_NED, GPS_RAW_INT, VFR_HUD, HEARTBEAT, PING; the
 others make up the 154 messages a second that came in all."""
 HEARTBEAT_ONLY_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 NARROW_SHARE = 0.14
-"""On 14030 (4000 bytes/s) LOCAL_POSITION_NED had 4.2 of its 30 Hz, and never more than 5."""
+"""Share of the rates on 14030 (4000 bytes/s), where LOCAL_POSITION_NED had 4.2 of its 30 Hz, and
+never more than 5."""
 STREAMS = StreamProfile(
     ONBOARD_HZ,
     STEP_S,

@@ -22,7 +22,7 @@ TASKS: dict[FlightMode, Task] = {
     FlightMode.MISSION: Task.FLY_MISSION,
     FlightMode.OFFBOARD: Task.FOLLOW,
 }
-"""Of all modes but those for sticks."""
+"""Tasks of all modes but those for sticks."""
 ENDED_BY_DISARMING = frozenset(TASKS) - {FlightMode.OFFBOARD}
 AUTO_FLAGS = flags_of("MAV_MODE_FLAG", "STABILIZE_ENABLED GUIDED_ENABLED AUTO_ENABLED")
 MANUAL_FLAGS = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
@@ -31,4 +31,4 @@ BASE_MODE_FLAGS: dict[FlightMode, int] = {
     **dict.fromkeys((FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED), STICK_FLAGS),
     **dict.fromkeys((FlightMode.MANUAL, FlightMode.ACRO), MANUAL_FLAGS),
 }
-"""What a mode adds to CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""
+"""Flags of a mode beside CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""

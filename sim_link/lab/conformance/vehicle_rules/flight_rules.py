@@ -16,7 +16,7 @@ STRICT = "(stricter than the real one, which accepts it)"
 LOCATION = f"{SERVICE} (location commands belong in COMMAND_INT); {mav.OBSERVED_ARDUPILOT}"
 REBOOTING = "MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN"
 NO_PLACE = (1_000_000_000, 85_000_000, 500.0)
-"""At a latitude of 100 degrees."""
+"""Position at a latitude of 100 degrees."""
 
 
 class FlightRules(VehicleProbe):

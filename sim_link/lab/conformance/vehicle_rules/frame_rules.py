@@ -38,7 +38,7 @@ class FrameProbe(VehicleProbe):
         return self.is_synchronised(asked, mark, within_s)
 
     def push_through(self) -> None:
-        """On a byte stream, send as much as a lying length byte can make a parser wait for."""
+        """Send as many bytes on a byte stream as a lying length byte can make a parser wait for."""
         if not self.link.is_datagram:
             for _ in range(LONGEST_FRAME // SHORTEST_HEARTBEAT + 1):
                 self.send(heartbeat(mavlink.MAV_TYPE_GCS))

@@ -45,7 +45,7 @@ class StreamRules(VehicleProbe):
         self.send(request(*self.target, group, rate_hz, int(rate_hz > 0)))
 
     def _require_rates(self, wanted_hz: float, slack_hz: float, *names: str) -> None:
-        """Every one of the messages must soon come at a rate."""
+        """Require that each of the messages soon comes at a rate."""
         self.run(1.0)
         counts = self._rates()
         for name in names:
