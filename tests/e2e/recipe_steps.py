@@ -381,8 +381,8 @@ class Acme(Emulator):
         ),
         Edit(
             "docs/radios.md",
-            "| [Acme](radios/uwb.md#acme) | `acme` | range | I | a tag | `phone_ftm` |\n",
-            r"^\| \[SX1280\].*\n",
+            "| an Acme tag | [Acme](radios/uwb.md#acme) | `acme` | I | `phone_ftm` |\n",
+            r"^\| a LoRa module .*\n",
         ),
         Edit("docs/radios/uwb.md", "\n## Acme\n\nPlug it in.\n"),
     ),
