@@ -141,7 +141,7 @@ LEAST_PIXELS = 400
 """Least pixels of the longer side, so that cells stay sharp in viewers that smooth what they
 enlarge."""
 POOR, GOOD = np.array((213.0, 94.0, 0.0)), np.array((0.0, 114.0, 178.0))
-"""Vermilion and blue of M. Okabe and K. Ito, "Color Universal Design": readable to everybody."""
+"""Vermilion and blue of M. Okabe and K. Ito, "Color Universal Design"."""
 OPACITY = 150
 
 

@@ -193,11 +193,11 @@ class EstimateState(Enum):
     """Knowledge of the target's position."""
 
     SEARCHING = "searching"
-    """Too little to name a place."""
+    """Too little to name a position."""
     AMBIGUOUS = "ambiguous"
-    """Two or more places explain the measurements about equally well (mirror image)."""
+    """Two or more positions explain the measurements about equally well (mirror image)."""
     LOCALISED = "localised"
-    """One place, with R95 under the configured radius."""
+    """One position, with R95 under the configured radius."""
     DIVERGED = "diverged"
     """The filter contradicts its own measurements or lost its covariance."""
 

@@ -40,16 +40,16 @@ class Handoff:
     altitude_m: float
     """Above mean sea level: the assumed or estimated height of the emitter."""
     r95_m: float
-    """Relative: radius that holds the emitter with 95 % probability, rival places included, for the
-    vehicle that measured it."""
+    """Relative: radius that holds the emitter with 95 % probability, rival positions included, for
+    the vehicle that measured it."""
     absolute_r95_m: float
-    """The same for everybody else."""
+    """The same on the Earth, for other vehicles and people."""
     own: PositionAccuracy
     """Accuracy of the vehicle position, which is included in the absolute radius."""
     ellipse_deg: tuple[Degrees, ...]
-    """The 95 % ellipse of the main place, absolute."""
+    """Absolute 95 % ellipse of the main position."""
     alternative_deg: Degrees | None
-    """The second place while the state is ambiguous."""
+    """Second position while the state is ambiguous."""
     measurements: int
     unix_s: float
     altitude_sigma_m: float | None = None
@@ -99,12 +99,12 @@ def handoff_of(
 
 
 def degrees_text(place: Degrees) -> str:
-    """Return a WGS84 place in decimal degrees, latitude first, to about a decimetre."""
+    """Return a WGS84 position in decimal degrees, latitude first, to about a decimetre."""
     return f"{place[0]:.6f}, {place[1]:.6f}"
 
 
 def minutes_text(place: Degrees) -> str:
-    """Return a WGS84 place in degrees and minutes, to about 2 m: `47° 23.881' N, 8° 32.767' E`."""
+    """Return a WGS84 position in degrees and minutes, to 2 m: `47° 23.881' N, 8° 32.767' E`."""
     return f"{_minutes(place[0], 'NS')}, {_minutes(place[1], 'EW')}"
 
 
@@ -119,15 +119,15 @@ MIN_DIGITS, MAX_DIGITS = 1, 5
 
 
 def geo_uri(place: Degrees) -> str:
-    """Return a WGS84 place as phones open it on their maps (RFC 5870), to about a decimetre."""
+    """Return a WGS84 position as phones open it on their maps (RFC 5870), to about a decimetre."""
     return f"geo:{place[0]:.6f},{place[1]:.6f}"
 
 
 def mgrs_text(place: Degrees, r95_m: float) -> str:
-    """Return a WGS84 place as MGRS with spaces, no finer than its radius: `32T PT 6894 3510`.
+    """Return a WGS84 position as MGRS with spaces, no finer than its radius: `32T PT 6894 3510`.
 
-    The named square holds the place, and is at most as large as R95 (1 m at least). The poles are
-    in UPS squares.
+    The named square contains the position, and is at most as large as R95 (1 m at least). The poles
+    are in UPS squares.
     """
     digits = MAX_DIGITS - math.floor(math.log10(min(max(r95_m, 1.0), 1e4)))
     digits = min(max(digits, MIN_DIGITS), MAX_DIGITS)
@@ -190,7 +190,7 @@ ELLIPSE_FILL = "4000a5ff"
 
 
 def kml(handoffs: Iterable[Handoff]) -> str:
-    """Return a document with a placemark per place and one per ellipse."""
+    """Return a document with a placemark per position and one per ellipse."""
     root = ET.Element("kml", xmlns=NAMESPACE)
     document = ET.SubElement(root, "Document")
     _add_text(document, "name", "Emitters")

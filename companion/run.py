@@ -225,7 +225,7 @@ class ViewedJournal:
             listener.record(kind, fields, now_s)
 
     def text(self, severity: Severity, text: str, now_s: float) -> None:
-        """Pass a text on."""
+        """Forward a text."""
         for listener in self._listeners:
             listener.text(severity, text, now_s)
 

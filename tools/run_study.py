@@ -175,7 +175,7 @@ AREA, AREA_FLIGHTS = "area", 2000
 
 
 def run_area(arguments: argparse.Namespace, out: Path) -> int:
-    """Flights that search worlds: whether a stated probability of detection is right."""
+    """Fly searches to check stated probabilities of detection."""
     runs = arguments.runs or AREA_FLIGHTS
     flown: dict[int, list[Trial]] = {}
     with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:

@@ -27,7 +27,7 @@ Measured on one core of a laptop: 0.22 ms and 0.22 us for each measurement; comp
 
 
 def passes(count: int, rows: int) -> int:
-    """Return the cost of `count` passes over so many measurements."""
+    """Return the cost of `count` passes over this number of measurements."""
     return count * (PASS_ROWS + rows)
 
 

@@ -12,7 +12,7 @@ from companion.domain import EstimateState, TargetEstimate
 
 
 class StopRule:
-    """Met once the estimate names one place within a radius for long enough without a break."""
+    """Met once the estimate names one position within a radius for long enough without a break."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
@@ -44,7 +44,7 @@ ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
 
 
 class SettledRule:
-    """Met once R95 of one place no longer improves although measurements arrive.
+    """Met once R95 of one position no longer improves although measurements arrive.
 
     Only time between measurements that were accepted in flight counts: while the vehicle holds, or
     its radio or its clock fails, there is no information, and a constant R95 is no evidence.

@@ -18,7 +18,7 @@ from pathlib import Path
 from companion.errors import CompanionError, ConfigError
 
 OnDamage = Callable[[int], None]
-"""Called with each place where a log is damaged: a byte, a record or a line of it."""
+"""Called with each damaged position of a log: a byte, a record or a line of it."""
 _FLIGHT_NAME = re.compile(r"(?P<time>\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)(-(?P<number>\d+))?")
 
 

@@ -125,7 +125,7 @@ class FloodBudget:
         return self._heartbeats <= HEARTBEATS
 
     def spend_raw(self, count: int) -> bool:
-        """Return True if so many bytes of a radio's own format may pass."""
+        """Return True if this number of bytes of a radio's own format may pass."""
         if count > self._raw_left:
             self.dropped[Resource.BYTES] += 1
             return False
@@ -135,7 +135,7 @@ class FloodBudget:
     def spend(
         self, resource: Resource, amount: int, peer: Address | None, *, is_known: bool
     ) -> bool:
-        """Return True, and charge it, if a source may use so much more of a resource."""
+        """Charge a source for a resource; return False if that exceeds its budget."""
         if is_known:
             left = KNOWN[resource] - self._known[resource] - amount
             if left < 0:

@@ -88,7 +88,7 @@ class TextGate:
         return due
 
     def fits(self, text: Announce, size_bytes: int, now_s: float) -> bool:
-        """Return True if the downlink may carry a text of so many bytes, and count it."""
+        """Return True if the downlink may carry a text of this size in bytes, and count it."""
         while self._sent and self._sent[0][0] <= now_s - MINUTE_S:
             self._sent_bytes -= self._sent.popleft()[1]
         is_needed = text.must_pass or text.severity is Severity.ERROR

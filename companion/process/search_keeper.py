@@ -64,7 +64,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         return snapshot
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write the last of it, for so long at most, and say it."""
+        """Write the last state within `timeout_s`, and log it."""
         self._session.searching.finish()
         snapshot = self._write()
         if snapshot is not None and snapshot[0].contact_unix_s is None:

@@ -54,7 +54,7 @@ PIECE_S = 5.0
 VIEW_STEP_RAD = math.radians(15.0)
 LEAST_IN_A_STEP = 8
 WIDER = 2.5
-"""Beyond the field of view bearings scatter so many times as much as in its middle."""
+"""Least ratio of the scatter of bearings beyond the field of view to that in its middle."""
 CLIP_SIGMAS = 3.0
 LAG_SIGMA_S = 0.15
 LEAST_SIGMA_RAD = 1e-4

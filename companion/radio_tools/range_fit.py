@@ -34,7 +34,7 @@ from companion.radio_tools.clustered_fit import (
 from companion.radio_tools.pose_track import PoseTrack, Seen, distances_of
 
 K_LONG = 1.5
-"""Longer errors than so many sigma count linearly, as in the estimator."""
+"""Errors above this multiple of sigma count linearly, as in the estimator."""
 K_PLACE = 2.5
 """Threshold for whole places; they are few, and the smaller one would pull their mean down."""
 NLOS_SIGMAS = 3.0

@@ -71,7 +71,7 @@ class Course:
         return len(self.estimates), len(self.setpoints)
 
     def first(self, estimates: int, setpoints: int) -> Course:
-        """Return its beginning: so many estimates and setpoints."""
+        """Return its beginning, with these numbers of estimates and setpoints."""
         return Course(self.estimates[:estimates], self.setpoints[:setpoints], self.localised_s)
 
 

@@ -113,7 +113,7 @@ class SearchedArea:
         self._spacing_m = look_spacing_m(model)
 
     def listen(self, place_m: PositionEnu, seconds: float) -> None:
-        """Note that nothing was heard for so long at a place; up is above the ground."""
+        """Note that nothing was heard for a time at a position; up is above the ground."""
         answers = seconds / self.model.interval_s
         key = _key_of(place_m, self._spacing_m)
         pending = self._pending

@@ -278,7 +278,7 @@ class Aircraft:
         self.origin_changes += 1
 
     def shift_origin(self, offset_enu_m: PositionEnu) -> None:
-        """Move the zero of the local frame by so much."""
+        """Move the zero of the local frame."""
         self.estimator.shift_origin(offset_enu_m)
         self.origin_changes += 1
 

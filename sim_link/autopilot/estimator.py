@@ -186,7 +186,7 @@ class Estimator:
         )
 
     def shift_origin(self, offset_enu_m: PositionEnu) -> None:
-        """Move the zero of the local frame by so much."""
+        """Move the zero of the local frame."""
         (e, n, u), (de, dn, du) = self._origin_enu_m, offset_enu_m
         place = self.world_origin.geodetic_from_enu((e + de, n + dn, u + du))
         self.set_origin(LocalOrigin(*place, self.world_origin.projection))
@@ -197,7 +197,7 @@ class Estimator:
         return (e - oe, n - on, u - ou)
 
     def shown_from_world(self, enu_m: PositionEnu) -> PositionEnu:
-        """Return the estimated local position of a place; inverse of `world_from_local`."""
+        """Return the estimated local position of a true one; inverse of `world_from_local`."""
         (e, n, u), (oe, on, ou), (be, bn, bu) = enu_m, self._origin_enu_m, self._shift_enu_m
         return (e - oe + be, n - on + bn, u - ou + bu)
 

@@ -31,7 +31,7 @@ TIMED_PLACES = (
 """Places to stay at for the seconds of their first parameter."""
 
 Locate = Callable[[PlanItem], PositionEnu]
-"""The place of an item, in the world's frame."""
+"""Position of an item, in the world's frame."""
 
 
 class LegKind(Enum):

@@ -206,7 +206,7 @@ def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
 
 
 def position_target_global_int(vehicle: SimVehicle) -> Fields | None:
-    """Return the same above sea level; None where no place is flown to."""
+    """Return the same above sea level; None without a target position."""
     echo = vehicle.flavour.echo()
     place = None if echo is None else echo.whole_place
     if echo is None or place is None or any(abs(value) > FARTHEST_M for value in place):

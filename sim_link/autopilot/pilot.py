@@ -110,7 +110,7 @@ class Pilot:
             self._circle_centre = (self.hold_enu_m[0] + ahead[0], self.hold_enu_m[1] + ahead[1])
 
     def go_to(self, goal_enu_m: PositionEnu, speed_mps: float | None, yaw: float | None) -> None:
-        """Stay at another place from now on; needs the task STAY."""
+        """Stay at another position from now on; needs the task STAY."""
         self.hold_enu_m = goal_enu_m
         self._holds_the_ground = False
         self.hold_speed_mps, self.hold_yaw_ned_rad = speed_mps, yaw

@@ -146,7 +146,7 @@ class PayloadParams(Params, frozen=True):
 
 
 class Scenario(Params, frozen=True):
-    """One flight: place, vehicle, emitter, channel, obstacles and limits."""
+    """One flight: location, vehicle, emitter, channel, obstacles and limits."""
 
     name: str = "canonical"
     system_id: SystemId = 1

@@ -103,7 +103,7 @@ ARDUPILOT_TABLES: Mapping[VehicleTypeName, Mapping[int, WireMode]] = {
 }
 """Mode tables of all types but those that Copter flies."""
 IGNORES_LOCAL_SETPOINTS = frozenset({"plane", "quadplane", "tiltrotor", "tailsitter", "tracker"})
-"""ArduPlane's GUIDED goes to places of commands only, a tracker nowhere."""
+"""ArduPlane's GUIDED flies to positions of commands only, a tracker to none."""
 
 
 def shown_number(vehicle_type: VehicleTypeName, copter_number: int, chosen: int | None) -> int:

@@ -21,7 +21,7 @@ NR_STEP_M = 0.5 * LTE_STEP_M
 FIRST_CRNTI = 0x46
 FIRST_RNTI = 17_921
 FRAMES, SUBFRAMES = 1024, 10
-"""The counters wrap after so many: 10.24 s."""
+"""Number after which the counters wrap: 10.24 s."""
 PREAMBLES = 64
 
 

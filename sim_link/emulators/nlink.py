@@ -136,7 +136,7 @@ def node_frame5(node: Node, peers: Sequence[Peer]) -> bytes:
 
 
 def node_frame2(node: Node, motion: NodeState, peers: Sequence[Peer]) -> bytes:
-    """Return LinkTrack_NodeFrame2: place and motion, and ranges."""
+    """Return LinkTrack_NodeFrame2: position and motion, and ranges."""
     body = struct.pack("<BBI", node.role, node.id, node.system_ms % U32) + motion.eop
     body += b"".join(int24(metres) for metres in motion.place_m)
     body += b"".join(int24(mps, 1e4) for mps in motion.velocity_mps) + motion.inertial

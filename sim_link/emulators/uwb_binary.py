@@ -208,7 +208,7 @@ LOC_GET, UNKNOWN_COMMAND = b"\x0c\x00", b"\x40\x01\x01"
 
 
 def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnchor]) -> bytes:
-    """Return the answer to `dwm_loc_get`: no error, the tag's place, its anchors."""
+    """Return the answer to `dwm_loc_get`: no error, the tag's position, its anchors."""
     place = struct.pack("<iiiB", *(round(1e3 * metres) for metres in place_m), quality)
     distances = bytes((len(anchors),)) + b"".join(anchor.wire for anchor in anchors)
     return b"\x40\x01\x00\x41\x0d" + place + bytes((0x49, len(distances))) + distances

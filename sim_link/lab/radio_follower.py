@@ -48,7 +48,7 @@ POSITION_INTERVAL_US = 50_000.0
 
 @dataclass(frozen=True, slots=True)
 class GeodeticEmitter:
-    """An emitter by its place on Earth."""
+    """An emitter by its position on the Earth."""
 
     emitter_id: int
     latitude_deg: float
@@ -77,7 +77,7 @@ def seen_from_nose(heard: RangingMeasurement, yaw_rad: float) -> RangingMeasurem
 
 
 class RadioFollower(OneShotEndpoint):
-    """A radio that flies along; emitters with a place on Earth wait for the origin.
+    """A radio that flies along; emitters with a position on the Earth wait for the origin.
 
     With a link of its own measurements go to link 1 instead of back to the vehicle's.
     """

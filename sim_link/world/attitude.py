@@ -38,7 +38,7 @@ def seen_from(attitude: EulerAngles, outer: Components) -> Components:
 
 
 def leaning(forward_mps2: float, right_mps2: float, down_mps2: float) -> tuple[float, float]:
-    """Return roll and pitch of a multicopter whose thrust gives so much horizontal acceleration.
+    """Return roll and pitch of a multicopter whose thrust gives a horizontal acceleration.
 
     `down_mps2` is what the thrust holds against, gravity in steady flight. The roll leaves out that
     the pitch has shortened the upright part of the thrust: 1 degree at 20 degrees of both.

@@ -65,7 +65,7 @@ class LossParams(Params, frozen=True):
     wall_db: NonNegative = 10.0
     """Lost at each wall of the obstacles on the straight path."""
     shadow_sigma_db: NonNegative = 4.0
-    """Shadowing that stays with the place, over the channel's `correlation_m`."""
+    """Spatially correlated shadowing, over the channel's `correlation_m`."""
     fading_sigma_db: NonNegative = 3.0
     """Fading from packet to packet."""
     null_depth_db: NonNegative = 0.0
@@ -112,7 +112,7 @@ Coordinate = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 
 
 class EmitterParams(Params, frozen=True):
-    """The emitter's identity and place, local east-north-up metres about the origin."""
+    """The emitter's identity and position, local east-north-up metres about the origin."""
 
     emitter_id: EmitterId = 1
     position_enu_m: tuple[Coordinate, Coordinate] = (50.0, 50.0)
@@ -199,7 +199,7 @@ class Shadow(NamedTuple):
 
 
 class ShadowMemory(NamedTuple):
-    """The correlated part of the last shadowed measurement, in standard units, and its place."""
+    """The correlated part of the last shadowed measurement, in standard units, and its position."""
 
     first: float
     """First of the pair whose half squared length is the excess."""
@@ -230,7 +230,7 @@ def open_obstruction(
 def remembered(
     drawn: Drawn, place: PositionEnu, correlation_m: float, memory: ShadowMemory
 ) -> ShadowMemory:
-    """Return the part, correlated over so many metres (0: none), at the next measurement."""
+    """Return the part, correlated over a length in m (0: none), at the next measurement."""
     (uniform, exponential, normal), (e, n, up) = drawn, place
     kept = 0.0
     if correlation_m > 0.0 and not math.isnan(memory.east_m):
@@ -259,7 +259,7 @@ def obstruction(
 ) -> tuple[float, float, ShadowMemory]:
     """Return range excess, metres, never negative; bearing bias, radians; what to remember.
 
-    The place is the sensor's (height 0 in the plane); the memory of the measurement before is
+    The position is the sensor's (height 0 in the plane); the memory of the measurement before is
     `NO_MEMORY` at first. Paper: b of eq. (1).
     """
     e, n, up = place

@@ -1,9 +1,9 @@
-"""A radio as it is in the field: an antenna, places that stay as they are, burial, lost packets.
+"""A radio in the field: an antenna, spatially correlated errors, burial, lost packets.
 
 Theory of operation. `RadioChannel` is the paper's channel; every part that is added here is off by
 default, and draws from a generator of its own.
 
-What belongs to a place stays with it. Whether an open path is obstructed, its excess and its bend,
+Errors are spatially correlated. Whether an open path is obstructed, its excess and its bend,
 the direction of a gross error and the shadowing of the signal are first-order Gauss-Markov over the
 way of the sensor (M. Gudmundson, Electronics Letters 27, 1991), as in the shadows of `environment`:
 the excess as the squared length of a pair, obstruction and gross errors as a standard normal that
@@ -92,7 +92,7 @@ class PlaceNormals:
         self._place: PositionEnu = (0.0, 0.0, 0.0)
 
     def move(self, fresh: list[float], place: PositionEnu, correlation_m: float) -> list[float]:
-        """Return the draws at another place, some way on; a correlation of 0 forgets at once."""
+        """Return the draws at another position, some way on; a correlation of 0 forgets at once."""
         kept = 0.0
         if self._values and correlation_m > 0.0:
             kept = math.exp(-math.dist(place, self._place) / correlation_m)

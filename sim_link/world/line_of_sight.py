@@ -78,7 +78,7 @@ def share_to_wall(ae: float, an: float, be: float, bn: float, index: int, edges:
 
 @kernel
 def is_left_of_wall(e: float, n: float, up: float, index: int, edges: Matrix) -> bool:
-    """Return True if a place is level with a wall, below its top and west of it."""
+    """Return True if a position is level with a wall, below its top and west of it."""
     pn, qn = edges[index, START_NORTH], edges[index, END_NORTH]
     if (pn > n) == (qn > n) or up >= edges[index, TOP]:
         return False
@@ -88,7 +88,7 @@ def is_left_of_wall(e: float, n: float, up: float, index: int, edges: Matrix) ->
 
 @kernel
 def is_inside(e: float, n: float, up: float, edges: Matrix) -> bool:
-    """Return True if a place is inside an obstacle, by the crossing number."""
+    """Return True if a position is inside an obstacle, by the crossing number."""
     odd = False
     for index in range(len(edges)):
         if odd and edges[index, OWNER] != edges[index - 1, OWNER]:
@@ -100,7 +100,7 @@ def is_inside(e: float, n: float, up: float, edges: Matrix) -> bool:
 
 @kernel
 def holding(e: float, n: float, up: float, edges: Matrix) -> Flags:
-    """Mark the walls of obstacles that contain the place; flags of shape (k,)."""
+    """Mark the walls of obstacles that contain the position; flags of shape (k,)."""
     flags = np.zeros(len(edges), np.bool_)
     first, odd = 0, False
     for index in range(len(edges)):

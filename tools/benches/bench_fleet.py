@@ -213,7 +213,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def measure(flavour: str, count: int, seconds: int, port: int) -> Outcome:
-    """Fly so many vehicles and count."""
+    """Fly a number of vehicles and count."""
     with (
         Crowd(port, count, is_px4=flavour == Flavour.PX4.value) as crowd,
         running(flavour, count, port) as pid,

@@ -274,7 +274,7 @@ def object_seconds(walk: Walk) -> Seconds:
 def stepped_often(
     rows: Matrix, start: Vector, belief: WalkFilter, information: Matrix, pull: Vector, steps: int
 ) -> float:
-    """Return the sum of the eastings that so many first steps of the window end at."""
+    """Return the sum of the eastings at which `count` first steps of the window end."""
     total = 0.0
     for _ in range(steps):
         moved, *_ = map_step(

@@ -35,7 +35,7 @@ class AreaCost:
 
 
 def searched_area_cost(seconds: int) -> AreaCost:
-    """Return the cost of searching for so many seconds along a line over the middle."""
+    """Return the cost of a search of some seconds along a line over the middle."""
     corners = ((0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M))
     tracemalloc.start()
     grid = grid_over([WeightedArea(corners)], CELL_M)

@@ -29,7 +29,7 @@ PRESET = Path(__file__).resolve().parents[2] / "configs" / "radios" / "srsran_4g
 ATTACHES, PERIOD_S, SPEED_MPS = 120, 2.0, 5.0
 LEG_M, HEIGHT_M = 240.0, 40.0
 DETOUR_M = 20.0
-"""Mean of the exponential excess, and the preset's sigma of the place."""
+"""Mean of the exponential excess, and the preset's multipath sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Outcome:
 
 
 def preset_with(offset_steps: int | None) -> CompanionConfig:
-    """Return the shipped preset, calibrated to so many steps; None: uncalibrated."""
+    """Return the shipped preset, calibrated to a number of steps; None: uncalibrated."""
     config = load_config(PRESET)
     (radio,) = config.radios
     if offset_steps is not None:

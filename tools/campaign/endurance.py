@@ -96,7 +96,7 @@ class FrameMaker:
 
 
 def fuzz(trial: Trial) -> TrialOutcome:
-    """Feed a companion that restarts every so often, so that it is in every phase.
+    """Feed a companion that restarts now and then, so that it is in every phase.
 
     Loaded modules are excluded from garbage collection, as the companion's own process does before
     it flies.
@@ -160,7 +160,7 @@ SAMPLE_S = 300.0
 SETTLED_H = 1.0
 SLOPE_MB_PER_H = 0.1
 PROGRESS_FROM_H = 2.0
-"""A flight of more than so many hours reports each, because it takes minutes."""
+"""Hours from which on a flight reports each hour, because it takes minutes."""
 LOG_CAP_BYTES = 20_000_000
 LOG_SLACK = 1.1
 """The file that is being written, and the names of the others."""
@@ -200,7 +200,7 @@ class Usage:
 
 
 def soak(trial: Trial) -> TrialOutcome:
-    """Fly for so many hours and measure."""
+    """Fly for some hours and measure."""
     with tempfile.TemporaryDirectory(prefix="soak-", ignore_cleanup_errors=True) as folder:
         directory = Path(folder)
         flight, monitor, journal = _soak_flight(trial.seed, directory)

@@ -73,7 +73,7 @@ class TrialOutcome:
 
 
 def frames_each(frames: int) -> Callable[[float], tuple[int, float]]:
-    """Return trials of about so many frames each, all of one size."""
+    """Return trials of about this number of frames each, all of one size."""
 
     def split(amount: float) -> tuple[int, float]:
         count = -(-round(amount) // frames)
@@ -166,7 +166,7 @@ def flavour_of(seed: int) -> FlavourName:
 
 @dataclass(slots=True)
 class Monitored:
-    """A flight and everybody around it."""
+    """A flight with all its observers."""
 
     flight: Flight
     operator: Operator

@@ -65,7 +65,7 @@ def pauses_of(gaps: Gaps, share: float) -> list[str]:
 
 
 def gap_pieces(amount_h: float) -> tuple[int, float]:
-    """Return so many hours at each loss, in quarters of an hour."""
+    """Return the hours at each loss, in quarters of an hour."""
     pieces = max(1, math.ceil(amount_h / PIECE_H))
     return len(LOSSES) * pieces, amount_h / pieces
 
@@ -91,7 +91,7 @@ def hold_for_hours(trial: Trial) -> TrialOutcome:
 
 
 def hold_over(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
-    """Fly a hold over a link with so much loss, in both directions."""
+    """Fly a hold over a link with loss in both directions."""
     scenario = Scenario(
         autopilot=AutopilotParams(flavour=flights.flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e6),

@@ -146,7 +146,7 @@ def run_all(
     on_done: Callable[[TrialOutcome], None] | None = None,
     backend: str = LOCAL,
 ) -> CampaignTally:
-    """Run trials in so many processes, or on a backend, and add them up in their order.
+    """Run trials in `jobs` processes, or on a backend, and add them up in their order.
 
     A trial whose process may have ended by force is a finding, and those after it are not run.
     After an interruption a KeyboardInterrupt has the tally so far as its argument.

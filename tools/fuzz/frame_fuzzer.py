@@ -227,7 +227,7 @@ class FuzzCampaign:
         """Frames that the vehicle sent of its own."""
 
     def run(self, frames: int) -> None:
-        """Send so many more frames.
+        """Send more frames.
 
         Raises:
             FuzzFailure: An exception was raised, or irrelevant input had an effect.

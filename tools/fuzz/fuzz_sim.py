@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def fuzz(flavour: Flavour, frames: int, seed: int) -> bool:
-    """Send so many frames to one simulator; return True without findings."""
+    """Send frames to one simulator; return True without findings."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour.value))
     rng = np.random.default_rng(seed)
     campaign = FuzzCampaign(lambda: SimEndpoint(scenario, seed), rng, flavour)

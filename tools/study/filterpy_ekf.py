@@ -74,7 +74,7 @@ class FilterpyEkf:
         return target_filter.UpdateReport(after, ranged, borne, elevated, nis, is_sane)
 
     def _filter(self, state: FilterState, rows: int) -> Any:
-        """Return the library's filter at a state, for so many rows."""
+        """Return the library's filter at a state, for a number of rows."""
         size = len(state.mean)
         ekf = ExtendedKalmanFilter(dim_x=size, dim_z=max(rows, 1))
         ekf.x, ekf.P = np.array(state.mean), np.array(state.covariance)

@@ -117,7 +117,7 @@ FIXED, REACTIVE, LATCHED, FIM, PRINTED_FIM = range(5)
 
 VEHICLE_EAST, VEHICLE_NORTH, TARGET_EAST, TARGET_NORTH, RANGE_OFFSET, BEARING_OFFSET = range(6)
 VARIANCE_EAST, COVARIANCE, VARIANCE_NORTH = range(6, 9)
-"""Columns of a record: the sensor's place, and the estimate after its measurement."""
+"""Columns of a record: the sensor's position, and the estimate after its measurement."""
 COLUMNS = 9
 
 

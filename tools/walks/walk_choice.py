@@ -107,7 +107,7 @@ def results_of(
     jobs: int,
     progress: Callable[[int, int], None],
 ) -> dict[AnyJob, list[TargetClaims]]:
-    """Return the claims of every job, by so many processes."""
+    """Return the claims of every job, by `jobs` processes."""
     results: dict[AnyJob, list[TargetClaims]] = {}
     with open_pool(jobs=jobs) as pool:
         for position, targets in pool.results(run, work):

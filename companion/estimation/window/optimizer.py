@@ -173,7 +173,7 @@ class WindowOptimizer:
         self._begin(MIN_MEASUREMENTS)
 
     def _begin(self, due_at: int) -> None:
-        """Start an empty window, to be solved after so many measurements."""
+        """Start an empty window, to be solved after this number of measurements."""
         columns = COLUMNS if self.storage_params.model.antenna == AZIMUTH else ARRAY_COLUMNS
         self.window = MeasurementWindow(self._params.size, columns)
         self.noise: Inflation | None = None

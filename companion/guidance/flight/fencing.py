@@ -455,6 +455,6 @@ def _all_keep_outs(fences: Iterable[LocalFence]) -> Iterator[Corners]:
 
 
 def _moved(polygons: Iterable[Corners], step_m: Point) -> list[Corners]:
-    """Return the same places in a frame whose zero is elsewhere."""
+    """Return the same positions in a frame whose zero is elsewhere."""
     east_m, north_m = step_m
     return [tuple((e + east_m, n + north_m) for e, n in polygon) for polygon in polygons]

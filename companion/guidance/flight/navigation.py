@@ -43,7 +43,7 @@ class FlightPlan:
     def forget(self) -> None:
         """Start the next plan without memory."""
         self._forbidden_text = ""
-        """Text about a target at a place that is forbidden to the vehicle; empty: it is allowed."""
+        """Text about a target at a position forbidden to the vehicle; empty: it is allowed."""
         self.waypoint: Waypoint | None = None
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
@@ -144,7 +144,7 @@ class FlightPlan:
         return [Announce(Severity.WARNING, text, Topic.CONTACT)]
 
     def _target_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
-        """Return a text when the estimate enters a place that is forbidden to the vehicle.
+        """Return a text when the estimate enters an area that is forbidden to the vehicle.
 
         An estimate that crosses the fence to and fro is announced every `REPEAT_AFTER_S` at most.
         """
@@ -170,7 +170,7 @@ def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
 
 
 def _forbidden_place(fence: Fence, place: Point) -> str:
-    """Return why the vehicle may not be at an estimated place; empty: it may."""
+    """Return why the vehicle may not be at an estimated position; empty: it may."""
     if fence.allows(place):
         return ""
     borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)
@@ -223,7 +223,7 @@ class Steering:
         return self._keep(self._guard.stand(place))
 
     def stay(self, motion: Motion, dt_s: float) -> PositionSetpoint:
-        """Hold at the place where holding began."""
+        """Hold at the position where holding began."""
         if self._last is None:
             return self.stay_with(motion)
         return self._keep(self._guard.hold(self._last, motion, dt_s))

@@ -46,7 +46,7 @@ MEMORY_S = 30.0
 GRACE_S = 2.0
 """Time after the start of control, or a pause, during which an echo may be of earlier targets."""
 PAUSE_S = 0.5
-"""Pause of ours after which the autopilot echoes a place of its own."""
+"""Pause of ours after which the autopilot echoes a position of its own."""
 MAX_LAG_S = 2.0
 """Longest age of the newest setpoint that is known to have arrived."""
 FOREIGN_ECHOES = 3
@@ -91,7 +91,7 @@ class EchoWatch(Watch):
         self._forget_echoes()
 
     def frame_moved(self, now_s: float) -> None:
-        """Drop the path, because every local position means another place from now on."""
+        """Drop the path, because every local position changes its meaning."""
         self._path.clear()
         if self._control_s is not None:
             self.begin(now_s)
@@ -176,7 +176,7 @@ class EchoWatch(Watch):
         return span_s >= FOREIGN_SPAN_S and silent_s <= max(NEAR_S, span_s)
 
     def _last_on_path_s(self, place_enu_m: PositionEnu | None) -> tuple[float | None, float]:
-        """Return when our path was last at a place, None if never, and the distance to it."""
+        """Return when our path was last at a position, None if never, and the distance to it."""
         if place_enu_m is None:
             return None, 0.0
         following: PositionEnu | None = None

@@ -163,7 +163,7 @@ class SendQueue:
         return b"".join(data for data, _ in self._waiting)[self._written :]
 
     def consume(self, count: int) -> None:
-        """Remove so many written bytes of `head`."""
+        """Remove this number of written bytes of `head`."""
         self._written += count
         while self._waiting and self._written >= len(self._waiting[0][0]):
             data, _ = self._waiting.popleft()

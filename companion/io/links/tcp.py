@@ -100,7 +100,7 @@ class TcpServerLink(TcpListener, StreamLink):
 class TcpFanOutLink(TcpListener):
     """TCP port for 16 clients; a chunk without a peer goes to all.
 
-    When all places are taken, a new client replaces the oldest one that never sent MAVLink.
+    When all slots are taken, a new client replaces the oldest one that never sent MAVLink.
     """
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:

@@ -49,7 +49,7 @@ UNSUPPORTED_MAV_FRAME = CommandResult.UNSUPPORTED_MAV_FRAME
 MAX_DISTANCE_M = 1e5
 """Beyond it a flat local frame means nothing."""
 MAX_HEIGHT_M = 1000.0
-"""Above home, of a take-off or a place to go to."""
+"""Largest height above home of a take-off or a goal, in m."""
 CHANGE_MODE_FLAG = 1
 FORCE_ARMING = 21196
 """Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
@@ -254,7 +254,7 @@ class AutopilotFlavour(ABC):
 
     @abstractmethod
     def fence_margin_m(self, place: PositionEnu) -> float:
-        """Return the distance from a place to the nearest breach of the fence, negative in one."""
+        """Return the distance from a position to the nearest fence breach, negative in one."""
 
     @abstractmethod
     def fence_state(self, place: PositionEnu) -> FenceState:

@@ -16,7 +16,7 @@ from sim_link.autopilot.protocols.addressing import Addressing, Outgoing, Partne
 
 NS_PER_S = 1_000_000_000
 LOOP_S = 0.0025
-"""ArduCopter looks at its links so often: SCHED_LOOP_RATE is 400 Hz."""
+"""Period at which ArduCopter reads its links: SCHED_LOOP_RATE is 400 Hz."""
 ROUNDING_S = 1e-9
 """Times since boot and since the simulator began differ by less, but they differ."""
 RECEIVE_BUFFER = 512
@@ -53,7 +53,7 @@ class StampClock:
         self._set(now_s, self._rate, step_s)
 
     def run(self, rate: float, now_s: float, until_s: float) -> None:
-        """Show so many seconds a second; then one."""
+        """Run the clock at `rate` seconds per second, then at one."""
         self._set(now_s, rate)
         self._rates = [(until_s, 1.0)]
 

@@ -187,7 +187,7 @@ class Commands:
     ) -> Outgoing:
         """Return the ACK of a command.
 
-        The result IN_PROGRESS leaves it open, at so many percent.
+        The result IN_PROGRESS leaves it open, with its progress in percent.
         """
         if result == CommandResult.IN_PROGRESS:
             if command.number in self._running or len(self._running) < MAX_RUNNING:

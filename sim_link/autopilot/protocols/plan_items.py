@@ -80,7 +80,7 @@ ItemMessage = mavlink.MAVLink_mission_item_int_message | mavlink.MAVLink_mission
 def item_from(message: ItemMessage) -> PlanItem | PlanResult:
     """Return the item that a message carries, not yet checked.
 
-    Or why its place cannot be integers.
+    Or the reason why its position cannot be integers.
     """
     params = (message.param1, message.param2, message.param3, message.param4)
     if isinstance(message, mavlink.MAVLink_mission_item_int_message):

@@ -135,7 +135,7 @@ class WireLink:
         return other
 
     def close_others(self) -> None:
-        """Close the connections made from this one: a server takes so many and no more."""
+        """Close the connections made from this one: a server accepts only a few."""
         while self._others:
             self._others.pop().close()
 

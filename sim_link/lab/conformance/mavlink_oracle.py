@@ -280,13 +280,13 @@ class GlobalSetpoint:
 
 
 def moved_e7(latitude_e7: int, longitude_e7: int, north_m: float, east_m: float) -> tuple[int, int]:
-    """Return a place some metres away; flat earth."""
+    """Return a position some metres away; flat earth."""
     east_scale = METRES_PER_E7 * math.cos(math.radians(latitude_e7 / 1e7))
     return (latitude_e7 + round(north_m / METRES_PER_E7), longitude_e7 + round(east_m / east_scale))
 
 
 def distance_m(start_e7: tuple[int, int], end_e7: tuple[int, int]) -> float:
-    """Return the distance between two places in m; flat earth."""
+    """Return the distance between two positions in m; flat earth."""
     north_m = (end_e7[0] - start_e7[0]) * METRES_PER_E7
     east_m = (end_e7[1] - start_e7[1]) * METRES_PER_E7
     return math.hypot(north_m, east_m * math.cos(math.radians(start_e7[0] / 1e7)))

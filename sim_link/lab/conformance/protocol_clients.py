@@ -190,7 +190,7 @@ class PlanClient(ParameterClient):
         return int(ack.type)
 
     def ack_of(self, message: Message) -> int:
-        """Send a message; the type of the MISSION_ACK that follows."""
+        """Send a message; return the type of the MISSION_ACK that follows."""
         self.send(message)
         return self.await_ack()
 
@@ -290,7 +290,7 @@ class PlanClient(ParameterClient):
         require(found == places, f"the mission is {found}, not {places}")
 
     def prepare(self, count: int = 3) -> list[MissionItem]:
-        """Upload a mission; the items without home."""
+        """Upload a mission; return its items without home."""
         items = self.square(count)
         self.require_upload(items)
         return self.without_home(items)
@@ -362,14 +362,14 @@ class SetpointClient(VehicleProbe):
         return stop
 
     def begin_streaming(self) -> Callable[[], None]:
-        """Take off and follow a streamed setpoint where the vehicle is; ends the stream."""
+        """Take off and follow a streamed setpoint here; return the end of the stream."""
         self.take_off()
         stop = self.enter_offboard(LocalSetpoint(self.place()))
         self.run(1.0)
         return stop
 
     def begin(self) -> Triple:
-        """Take off and follow setpoints, which then end; where the vehicle is."""
+        """Take off and follow setpoints, which then end; return the vehicle position."""
         self.begin_streaming()()
         return self.place()
 
@@ -389,7 +389,7 @@ class SetpointClient(VehicleProbe):
         stop()
 
     def measure_speed(self, setpoint: Setpoint) -> Triple:
-        """Stream one setpoint for 4 s; the velocity then, while it still flows."""
+        """Stream one setpoint for 4 s; return the velocity before the stream ends."""
         stop = self.stream(setpoint)
         self.run(4.0)
         speed = self.speed()

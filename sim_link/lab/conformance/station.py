@@ -46,7 +46,7 @@ class ProbeLink(Protocol):
         """Return a second client of the same peer; None where the link has room for one only."""
 
     def close_others(self) -> None:
-        """Close the connections made from this one: a server takes so many and no more."""
+        """Close the connections made from this one: a server accepts only a few."""
 
 
 MAVLINK_VERSION = 3
@@ -226,11 +226,11 @@ class Station:
 
     @property
     def mark(self) -> int:
-        """The place in the inbox after which messages are new."""
+        """Position in the inbox after which messages are new."""
         return len(self.inbox)
 
     def listen(self, duration_s: float) -> list[Heard]:
-        """Advance the time; what came meanwhile."""
+        """Advance the time; return what was received meanwhile."""
         mark = self.mark
         self.run(duration_s)
         return self.inbox[mark:]
@@ -278,7 +278,7 @@ class Station:
         within_s: float = 2.0,
         what: str = "",
     ) -> M:
-        """Send a message; the first of a kind after it."""
+        """Send a message; return the first of a kind after it."""
         self.send(message)
         return self.expect(kind, where, within_s=within_s, mark=self.asked, what=what)
 
@@ -299,7 +299,7 @@ class Station:
                 raise Violation(f"{what or 'not to be sent'}: {brief(message)}")
 
     def frames_since(self, mark: int) -> list[bytes]:
-        """Return the frames in what arrived after so many pieces."""
+        """Return the frames in what arrived after this number of pieces."""
         return cut(b"".join(self.datagrams[mark:]))
 
     def _advance(self, until_s: float) -> None:

@@ -36,7 +36,7 @@ ARM_S = 15.0
 """Time for which arming may be refused although SYS_STATUS reports that it is possible."""
 STREAM_S = 15.0
 SILENCE_S = 8.0
-"""A vehicle that is silent for so long has crashed, or hangs."""
+"""Silence in s after which a vehicle has crashed, or hangs."""
 SECOND_CLIENT_S = 3.0
 ACK_S = 2.0
 POSITION_INTERVAL_S = 0.05
@@ -187,7 +187,7 @@ class VehicleProbe(Station):
         raise NotApplicable("this link serves one client only")
 
     def command(self, number: int, *params: float, confirmation: int = 0) -> int:
-        """Send COMMAND_LONG, unused parameters NaN as MAVSDK does; the final MAV_RESULT."""
+        """Send COMMAND_LONG, unused parameters NaN as MAVSDK does; return the result."""
         padded = [*params, *[mav.NAN] * (PADDING - len(params))]
         return self.result_of(mav.CommandLong(*self.target, number, confirmation, *padded), number)
 
@@ -198,13 +198,13 @@ class VehicleProbe(Station):
         params: tuple[float, float, float, float] = (mav.NAN, mav.NAN, mav.NAN, mav.NAN),
         place: tuple[int, int, float] = (0, 0, mav.NAN),
     ) -> int:
-        """Send COMMAND_INT; the final MAV_RESULT. A global place is in 1e-7 degrees."""
+        """Send COMMAND_INT; return the final MAV_RESULT. A global position is in 1e-7 degrees."""
         x, y, z = place
         message = mav.CommandInt(*self.target, frame, number, 0, 0, *params, x, y, z)
         return self.result_of(message, number)
 
     def result_of(self, message: Message, number: int) -> int:
-        """Send a command; its result after any IN_PROGRESS."""
+        """Send a command; return its result after any IN_PROGRESS."""
         ack = self.ask(
             message,
             mav.Ack,
@@ -428,7 +428,7 @@ class VehicleProbe(Station):
         raise NotReady(baseline.unready)
 
     def _is_ready(self, within_s: float) -> bool:
-        """Advance the time until it can be armed, or nothing is heard any more; whether it can."""
+        """Advance the time until it can be armed or is silent; return True if it can."""
 
         def can_arm() -> bool:
             status = self._newest(mav.SysStatus)

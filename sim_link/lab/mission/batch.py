@@ -188,7 +188,7 @@ def fly_all(
     progress: Progress | None = None,
     backend: str = LOCAL,
 ) -> None:
-    """Fly them, so many at once (1: in this process) or on a backend of `open_pool`.
+    """Fly them, `jobs` at once (1: in this process) or on a backend of `open_pool`.
 
     `done` gets the position of a task and its result, as they come; `progress` every slice where
     they are flown in this process. `ConfigError`: the backend is not there. After a
@@ -266,7 +266,7 @@ def _rename_folder(folder: Path, name: str) -> None:
 
 
 def write_report(folder: Path, result: MissionResult) -> str:
-    """Write report and event log of a flight; the place of the report."""
+    """Write report and event log of a flight; return the report's path."""
     name = result.flight_name
     path = folder / f"{name}.html"
     if result.record.frames:

@@ -270,7 +270,7 @@ def _point(value: Any) -> Point:
 
 
 MACHINE_S = 0.25
-"""Real time that a process may wait for its turn without anybody noticing."""
+"""Real time that a process may wait for its turn without an effect."""
 
 
 class WireWatch:

@@ -32,7 +32,7 @@ from sim_link.lab.monitor.monitor import LOCKSTEP, Monitor
 
 SLICE_S = 0.1
 TRACK_SLICES = 2
-"""The track has a point for so many slices."""
+"""Number of slices for each point of the track."""
 Progress = Callable[[steps.StepRunner, FlightSituation], None]
 
 

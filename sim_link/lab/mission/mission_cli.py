@@ -253,7 +253,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly what the arguments say; the exit code. Errors are raised before anything is started."""
+    """Fly what the arguments name; return the exit code. Errors are raised before the start."""
     campaign = _campaign(arguments)
     if campaign.reports is not None:
         batch.check_reports(campaign.reports)

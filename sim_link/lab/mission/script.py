@@ -237,7 +237,7 @@ class PilotOverrideStep(StepParams, frozen=True):
 
 
 class HoldStep(StepParams, frozen=True):
-    """The operator has the vehicle hold its place, for a while."""
+    """The operator has the vehicle hold its position, for a while."""
 
     for_s: Duration = 0.0
     limit_s: Limit = 15.0

@@ -39,7 +39,7 @@ class FlownFence:
     circles_out: tuple[tuple[Point, float], ...] = ()
 
     def depth_m(self, place: Point) -> float:
-        """Return the depth of a place inside what is allowed, m; negative: violated."""
+        """Return the depth of a position inside the allowed area, m; negative: violated."""
         inside = [independent_checks.depth_m(each, (), place) for each in self.inclusions]
         inside += [radius_m - math.dist(at, place) for at, radius_m in self.circles_in]
         outside = [-independent_checks.depth_m(each, (), place) for each in self.exclusions]

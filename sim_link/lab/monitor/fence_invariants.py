@@ -104,7 +104,7 @@ class SetpointsInside(Invariant):
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge a setpoint by the vehicle position that the companion knew.
 
-        Without control it repeats the vehicle's place; for an unknown peer's only the peer answers.
+        Without control it repeats the vehicle position; for an unknown peer's the peer answers.
         """
         self._judge_height(setpoint.place_enu_m[2])
         if not self.scene.is_lied_to or self.scene.observed.is_ours:
@@ -142,7 +142,7 @@ class SetpointsInside(Invariant):
 
 
 class InsideFence(SetpointsInside):
-    """Setpoint, way to it and place to stop are inside the fence, and so is the true vehicle."""
+    """Setpoint, way to it and stopping point are inside the fence, and so is the true vehicle."""
 
     def __init__(self, scene: TrueScene) -> None:
         super().__init__(scene)
@@ -172,7 +172,7 @@ class InsideFence(SetpointsInside):
         self._has_left = False
         """... and the vehicle has left the mode since: until then it flies our last setpoint."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
-        """A place, and how deep inside it is."""
+        """A position and its depth inside."""
         self._fences = 0
         """Number of the autopilot's fences that were in force."""
         self._is_caught = False
@@ -314,7 +314,7 @@ class SafeToFreeze(PlacesOnly):
         self._frozen_s = -math.inf
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
-        """Fly on to it for a minute, every so often.
+        """Fly on to it for a minute, from time to time.
 
         One that was given within the clearance may be taken out by a gust wherever it is held.
         """

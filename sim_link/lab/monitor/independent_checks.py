@@ -21,7 +21,7 @@ Corners = Sequence[Point]
 BORDER_M = 4.0
 """Nearer to a border than this, "here" may be moved inwards by the margin."""
 INWARDS_M = 2.0 * BORDER_M
-"""A place in a corner, or in the notch of one, may be moved by more than the margin."""
+"""A position in a corner, or in the notch of one, may be moved by more than the margin."""
 
 
 def _is_wound_around(corners: Corners, point: Point) -> bool:
@@ -167,7 +167,7 @@ STAMPED = (
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """Clock and place of the sender that is followed, as its accepted frames show them."""
+    """Clock and position of the sender that is followed, as its accepted frames show them."""
 
     is_genuine: bool
     heard_s: float
@@ -217,7 +217,7 @@ class Followed:
 
 
 def _sign_of(frame: Frame) -> tuple[float | None, tuple[float, float, float] | None]:
-    """Return the stamp and place in a frame, as far as it has them."""
+    """Return the stamp and position in a frame, as far as it has them."""
     message, place = frame.message, None
     if not isinstance(message, STAMPED) or not message.time_boot_ms:
         return None, None

@@ -129,7 +129,7 @@ class ObservedState:
     local frame whose origin was reported later; and its arrival time."""
     origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
-    """Time of the report that the origin moved; places from before are of another frame."""
+    """Time of the report that the origin moved; earlier positions are of another frame."""
     origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
     """Zero of the local frame, as last reported."""
 
@@ -153,7 +153,7 @@ class SentSetpoint:
 class ObservedScene:
     """Shared by all invariants of one flight; subclasses know more or less of the vehicle.
 
-    What is None is not known yet; heights and places are in the world's frame.
+    What is None is not known yet; heights and positions are in the world's frame.
     """
 
     rules: Rules

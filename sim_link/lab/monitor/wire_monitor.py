@@ -97,7 +97,7 @@ RATES = ("sent_frames_per_s", "sent_bytes_per_s", "records_per_s")
 
 
 def widen_rules(rules: Rules, slack_s: float) -> Rules:
-    """Return the rules, where every frame may be late by so much."""
+    """Return the rules, where every frame may be late by `slack_s`."""
     late = {name: getattr(rules, name) + slack_s for name in TIMES}
     more = {name: getattr(rules, name) * (1.0 + slack_s) for name in RATES}
     return msgspec.structs.replace(rules, **late, **more)

@@ -40,7 +40,7 @@ MAX_BOUND_RATIO = 1.3
 FAR_M = 100.0
 """Beyond the area a bound is only large: offsets unknown, a straight track says very little."""
 INFORMED = (PLANNER_LABELS["latched"], PLANNER_LABELS["fim"])
-"""Planners whose tracks leave no doubt about the place: there the bound can be reached."""
+"""Planners whose tracks leave one hypothesis: there the bound can be reached."""
 MAX_COST_MS = {"Proposed (Reactive)": 0.003, "Proposed (FIM)": 0.015}
 PAPER_COST_RATIO = 23
 """Section "Bias Learning and the Performance-Complexity Trade-off"."""

@@ -178,7 +178,7 @@ def _enable_fence(flavour: ArduPilotFlavour, command: Command, _now_s: float) ->
 
 
 def _pause(flavour: ArduPilotFlavour, _command: Command, _now_s: float) -> int:
-    """Only in AUTO or GUIDED there is something to pause; here it goes on."""
+    """Refuse a pause outside of AUTO and GUIDED; inside, it has no effect here."""
     is_flying = flavour.is_armed and not flavour.aircraft.body.is_on_ground
     return ACCEPTED if is_flying else FAILED
 

@@ -171,7 +171,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
 
     def choose(self, mode: CopterMode, now_s: float) -> int:
-        """Change the mode; a MAV_RESULT, and the reason as a text if refused."""
+        """Change the mode; return a MAV_RESULT, and send the reason as a text if refused."""
         why = self._mode_refusal(mode, now_s)
         if why is not None:
             self.aircraft.say(WARNING, f"Mode change to {mode.name} failed: {why}")

@@ -123,7 +123,7 @@ def target_from(message: PositionTarget, aircraft: Aircraft) -> Target | None:
 def _target(
     message: PositionTarget, place: PositionEnu | None, body_yaw_rad: float | None
 ) -> Target:
-    """Return the target at a place (None: not given), its vectors about a heading (None: north)."""
+    """Return the target at a position (None: none), its vectors about a heading (None: north)."""
     mask = message.type_mask
     has_velocity = not mask & dialect.VELOCITY_IGNORE
     has_acceleration = not mask & dialect.ACCELERATION_IGNORE

@@ -80,7 +80,7 @@ def _default_takeoff_up_m(flavour: Px4Flavour) -> float:
 
 
 def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
-    """Go to a place and stay there; a height that is left open stays as it is."""
+    """Go to a position and stay there; a missing height leaves it unchanged."""
     aircraft, pilot = flavour.aircraft, flavour.aircraft.pilot
     frame = GLOBAL if command.frame is None else command.frame
     altitude_m = command.params[6]

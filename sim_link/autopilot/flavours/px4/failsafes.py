@@ -103,7 +103,7 @@ class Px4Failsafes:
     def watch(
         self, intention: FlightMode, fence_margin_m: float, now_s: float, *, is_stream_alive: bool
     ) -> list[Cause]:
-        """Look what is wrong with an armed vehicle; the causes that became active just now."""
+        """Check an armed vehicle; return the causes that became active just now."""
         before, delay_s = self.flown, self._parameters["COM_FAIL_ACT_T"]
         is_reacting = before is not None and before.severity > HOLD.severity
         self.delay_s = max(0.0, self.delay_s - STEP_S)

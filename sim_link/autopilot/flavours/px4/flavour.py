@@ -150,7 +150,7 @@ class Px4Flavour(AutopilotFlavour):
         return None
 
     def fence_margin_m(self, place: PositionEnu) -> float:
-        """Return the distance from a place to the nearest breach of the fence, negative in one."""
+        """Return the distance from a position to the nearest fence breach, negative in one."""
         margin = self.aircraft.fence.margin_m(place)
         home = self.aircraft.home_enu_m
         horizontal_m = self.parameters["GF_MAX_HOR_DIST"]

@@ -107,7 +107,7 @@ def _assemble(
     enu_m: PositionEnu | None,
     body_yaw_rad: float | None = None,
 ) -> Setpoint:
-    """Return the setpoint at a place (None: not given), its vectors by heading (None: north)."""
+    """Return the setpoint at a position (None: not given), its vectors by heading (None: north)."""
     has_en = enu_m is not None and not mask & HORIZONTAL_POSITION_IGNORE
     has_up = enu_m is not None and not mask & dialect.Z_IGNORE
     has_velocity_en = not mask & HORIZONTAL_VELOCITY_IGNORE

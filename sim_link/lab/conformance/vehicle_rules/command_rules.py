@@ -49,7 +49,7 @@ class CommandRules(VehicleProbe):
 
     @book.rule(SERVICE)
     def command_int_works_like_long(self) -> None:
-        """A command without a place is obeyed as COMMAND_INT, too."""
+        """A command without a position is obeyed as COMMAND_INT, too."""
         params = (VERSION_ID, 0.0, 0.0, 0.0)
         result = self.command_int(mav.REQUEST, mavlink.MAV_FRAME_GLOBAL, params)
         require(result == mav.ACCEPTED, f"result {result}")
@@ -176,7 +176,7 @@ class CommandRules(VehicleProbe):
 
     @book.rule(f"{SERVICE} (UNSUPPORTED_MAV_FRAME; never guess another frame)", effect=CHANGES)
     def unsupported_frame_is_refused(self) -> None:
-        """A place in a frame that a command does not take is UNSUPPORTED_MAV_FRAME."""
+        """A position in a frame that a command does not accept is UNSUPPORTED_MAV_FRAME."""
         self.get_ready()
         home = self.home()
         place = (home.latitude + 900, home.longitude, home.altitude / 1e3)
@@ -228,7 +228,7 @@ class CommandRules(VehicleProbe):
         self.require_hearing()
 
     def _calibrate(self) -> mav.Ack:
-        """Ask for a calibration, which takes its time; the first answer."""
+        """Request a calibration, which takes time; return the first answer."""
         message = mav.CommandLong(*self.target, CALIBRATION, 0, 1, *[0] * 6)
         return self.ask(message, mav.Ack, lambda m: m.command == CALIBRATION, within_s=ACK_S)
 

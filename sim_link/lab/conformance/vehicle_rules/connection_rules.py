@@ -218,7 +218,7 @@ class RoutingRules(ParameterClient):
         require(target == self.address, f"target {target}")
 
     def _companion(self) -> Station:
-        """Return a companion of the same vehicle, on a connection of its own."""
+        """Return a companion of the same vehicle, with its own connection."""
         return self.another(self.target[0], 191, ONBOARD)
 
     def _require_not_forwarded(
@@ -365,7 +365,7 @@ def asks_for_message(ack: mav.Ack) -> bool:
 
 
 def text_message(text: bytes) -> Message:
-    """Return a STATUSTEXT, which is for everyone."""
+    """Return a STATUSTEXT, a broadcast."""
     return mav.StatusText(6, text, 0, 0)
 
 

@@ -97,7 +97,7 @@ class FlightRules(VehicleProbe):
 
     @book.rule("MAVLink common, MAV_CMD_DO_REPOSITION; MAVSDK action.goto_location")
     def reposition_flies_there(self) -> None:
-        """DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its place and altitude."""
+        """DO_REPOSITION as COMMAND_INT in GLOBAL_INT flies to its position and altitude."""
         self.take_off()
         self.watch(mav.GlobalPosition, 0.1)
         here = self.latest(mav.GlobalPosition)
@@ -109,7 +109,7 @@ class FlightRules(VehicleProbe):
         require(near, f"{self._distance_m(wanted):.1f} m away after 40 s")
 
     def _distance_m(self, wanted: tuple[int, int, float]) -> float:
-        """Return the newest GLOBAL_POSITION_INT's distance from a place, metres; flat earth."""
+        """Return the newest GLOBAL_POSITION_INT's distance from a position, metres; flat earth."""
         here = self.expect(mav.GlobalPosition, within_s=3.0)
         return math.hypot(
             mav.distance_m((here.lat, here.lon), wanted[:2]), here.alt / 1e3 - wanted[2]
@@ -166,7 +166,7 @@ class FlightRules(VehicleProbe):
 
     @book.rule("MAVLink common, MAV_CMD_DO_SET_HOME; HOME_POSITION", effect=CHANGES)
     def home_can_be_set(self) -> None:
-        """DO_SET_HOME to a place near by moves HOME_POSITION there."""
+        """DO_SET_HOME to a position near by moves HOME_POSITION there."""
         self.get_ready()
         home = self.home()
         lat, lon = home.latitude + 500, home.longitude - 500

@@ -157,7 +157,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
     book = RuleBook("offboard_loss", FLIES, PX4)
 
     def _lose_stream(self) -> LocalSetpoint:
-        """Fly in OFFBOARD and end the stream; the setpoint that it had."""
+        """Fly in OFFBOARD and end the stream; return its setpoint."""
         stop = self.begin_streaming()
         setpoint = LocalSetpoint(self.place())
         stop()

@@ -84,7 +84,7 @@ class OffboardRules(SetpointClient):
         require(east > 1.3 and abs(north) < 0.8, f"{north:.1f} m/s north, {east:.1f} east")
 
     def _target_north_east(self) -> tuple[Triple, int, int]:
-        """Return a place 8 m north, 6 m east and 3 m higher: local, latitude and longitude."""
+        """Return a position 8 m north, 6 m east and 3 m higher: local, latitude and longitude."""
         north, east, down = self.begin()
         origin = self.request(mav.Origin)
         wanted = (north + 8.0, east + 6.0, down - 3.0)

@@ -277,7 +277,7 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, HOME_POSITION (sent when it changes)", effect=CHANGES)
     def moved_home_is_sent_unasked(self) -> None:
-        """After DO_SET_HOME a HOME_POSITION with the new place comes by itself."""
+        """After DO_SET_HOME a HOME_POSITION with the new position comes without a request."""
         home = self.home()
         self.set_interval(mav.HomePosition, -1.0)
         for latitude in (home.latitude + 450, home.latitude):
