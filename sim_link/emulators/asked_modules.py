@@ -79,6 +79,7 @@ class Ryuw122(AskedModule):
 
     name = "ryuw122"
     title = "REYAX RYUW122"
+    names = "TAG{0:05d}"
     request = b"AT+ANCHOR_SEND="
     VERSION = "+VER=RYUW122_V1.0.21"
 
@@ -99,17 +100,13 @@ class Ryuw122(AskedModule):
         """Return its four bytes."""
         return f"AT+ANCHOR_SEND={name},4,PING\r\n".encode()
 
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return eight characters."""
-        return f"TAG{emitter_id:05d}"
-
 
 class Bu03(AskedModule):
     """Metres with six digits; exactly 0 where there is nothing."""
 
     name = "bu03"
     title = "Ai-Thinker BU03, AT+DISTANCE"
+    names = ""
     request = b"AT+DISTANCE\r\n"
 
     def answer(self, command: str) -> list[str]:
@@ -124,17 +121,13 @@ class Bu03(AskedModule):
         """Return the same for every emitter."""
         return cls.request
 
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  it has one partner
-        """Return nothing: the format has no name for emitters."""
-        return ""
-
 
 class Pozyx(AskedModule):
     """The USB port of a Pozyx: functions by their register, data in hexadecimal."""
 
     name = "pozyx"
     title = "Pozyx, USB"
+    names = "0x{0:04x}"
     request = b"F,c7,"
     line_end = b"\r"
     WHO_AM_I, DONE, FAILED = "D,43", "D,01", "D,00"
@@ -165,8 +158,3 @@ class Pozyx(AskedModule):
         """Return the requests to range, and to read the range."""
         swapped = name[4:] + name[2:4]
         return f"F,b5,{swapped},1\rF,c7,{swapped},11\r".encode()
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return its network id."""
-        return f"0x{emitter_id:04x}"

@@ -193,6 +193,7 @@ class Uudf(Emulator):
 
     name = "uudf"
     title = "u-blox C209 and ANNA-B4, +UUDF"
+    names = "02000000{0:04X}"
     gives = "azimuth, elevation"
     antenna = "planar"
     measures = "bearing"
@@ -216,11 +217,6 @@ class Uudf(Emulator):
         tail = f'{rssi_dbm - 1},{channel},"{self.ANCHOR}","",{clock_ms},{number}'
         name = self.name_on_wire(answer.emitter_id)
         return uudf_line(name, azimuth_deg, elevation_deg, rssi_dbm, tail)
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the tag's address without colons."""
-        return f"02000000{emitter_id:04X}"
 
 
 def turned_rad(answer: Answer) -> float:

@@ -106,6 +106,7 @@ class Oai(Emulator):
 
     name = "oai"
     title = "OpenAirInterface gNB, RAPROC lines"
+    names = ""
     rate_hz = 2.0
     most = 1
 
@@ -122,11 +123,6 @@ class Oai(Emulator):
                 texts.append(raproc_line(f"{frame}.{slot}", preamble, energy, delay))
                 texts.append(msg2_line(f"{frame}.{slot}", preamble, delay))
         return lines(texts)
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
-        """Return nothing: the format has no name for emitters."""
-        return ""
 
 
 def raproc_line(when: str, preamble: int, energy_tenths: int, delay: int) -> str:

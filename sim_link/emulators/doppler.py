@@ -32,6 +32,7 @@ class Kn5r(Emulator):
 
     name = "doppler_kn5r"
     title = "Doppler direction finder, KN5R-RDF sentences"
+    names = ""
     gives = "azimuth"
     antenna = "planar"
     measures = "bearing"
@@ -53,11 +54,6 @@ class Kn5r(Emulator):
             return c_sentence(float(azimuth_deg), int(magnitude), 150, epoch_ms)
         azimuth_deg = math.degrees(turned_rad(answer)) % 360.0
         return c_sentence(azimuth_deg, round(999.0 * answer.quality), 640, epoch_ms)
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  none is named
-        """Return nothing: the format has no name for emitters."""
-        return ""
 
 
 class Rotaryclub(Kn5r):

@@ -102,6 +102,8 @@ class Emulator(ABC):
     measures: ClassVar[Measures] = "range"
     rate_hz: ClassVar[float] = 10.0
     """Usual."""
+    names: ClassVar[str] = "{0}"
+    """Template of an emitter's name, by its id (0) or address; empty: the format has no names."""
     ids: ClassVar[range] = range(1 << 16)
     """Ids of the emitters that the format can name."""
     most: ClassVar[int] = 64
@@ -141,7 +143,8 @@ class Emulator(ABC):
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
         """Return the name of an emitter in this format; empty: the format has no names."""
-        return str(emitter_id)
+        mac = mac_of(emitter_id)
+        return cls.names.format(emitter_id, mac=mac, mac_capitals=mac.upper())
 
     def device_s(self, sent_at_s: float) -> float:
         """Return the reading of the radio's clock."""

@@ -49,6 +49,7 @@ class ChannelSounding(Emulator):
 
     name = "channel_sounding"
     title = "Nordic channel sounding, RAS initiator"
+    names = ""
     rate_hz = 5.0
     most = 1
 
@@ -68,17 +69,13 @@ class ChannelSounding(Emulator):
             ]
         )
 
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  no id is printed
-        """Return nothing: the format has no id of the emitter."""
-        return ""
-
 
 class SilabsAoa(Emulator):
     """A locator upright: degrees about it, to the right and upwards, hundredths."""
 
     name = "silabs_aoa"
     title = "Silicon Labs AoA, JSON by MQTT"
+    names = "02000000{0:04X}"
     gives = "azimuth, elevation"
     antenna = "planar"
     measures = "bearing"
@@ -106,11 +103,6 @@ class SilabsAoa(Emulator):
                 "}",
             ]
         )
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the tag's address."""
-        return f"02000000{emitter_id:04X}"
 
 
 class Bu01(Emulator):
@@ -141,6 +133,7 @@ class PozyxSketch(Emulator):
 
     name = "pozyx_sketch"
     title = "Pozyx, Arduino sketch ready_to_range"
+    names = ""
     most = 1
 
     def encode(self, asked: Round) -> bytes:
@@ -153,17 +146,13 @@ class PozyxSketch(Emulator):
             return "ERROR: ranging"
         return f"{clock_ms}ms, {round(1e3 * answer.range_m)}mm, {round(answer.power_dbm)}dBm"
 
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  no id is printed
-        """Return nothing: the format has no id of the emitter."""
-        return ""
-
 
 class Lr11xx(Emulator):
     """The manager of Semtech's ranging example: whole metres."""
 
     name = "lr11xx"
     title = "Semtech LR1110 and LR1120, RTToF example"
+    names = ""
     rate_hz = 2.0
     most = 1
 
@@ -181,8 +170,3 @@ class Lr11xx(Emulator):
         if answer.range_m is None:
             return "RTTOF request timeout"
         return f"RTToF result: Distance: {round(answer.range_m)}m, RSSI: {round(answer.power_dbm)} "
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  no id is printed
-        """Return nothing: the format has no id of the emitter."""
-        return ""

@@ -24,7 +24,7 @@ LOS_GAP_DB, NLOS_GAP_DB = 2.0, 12.0
 """Power of all signals above that of the first path (DW1000: under 6 is direct)."""
 VOLTAGE_V = 4.85
 SATURATED_DEG = 90.0
-MARK_TAG0, MARK_NODE2, MARK_NODE3, MARK_NODE4, MARK_AOA, MARK_NODE5 = 1, 4, 5, 6, 7, 8
+MARK_TAG0, MARK_NODE2, MARK_NODE3, MARK_AOA, MARK_NODE5 = 1, 4, 5, 7, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +115,6 @@ def node_frame3(node: Node, peers: Sequence[Peer]) -> bytes:
     """Return LinkTrack_NodeFrame3: ranges."""
     elements = (bytes((p.role, p.id)) + p.distance + p.powers for p in peers)
     return variable_frame(MARK_NODE3, _head_of(node, len(peers)) + b"".join(elements))
-
-
-def node_frame4(node: Node, tags: Sequence[tuple[bytes, float, Sequence[Peer]]]) -> bytes:
-    """Return LinkTrack_NodeFrame4: an anchor's ranges of the tags: id and reserved, volts."""
-    body = _head_of(node, len(tags))
-    for id_and_reserved, voltage_v, peers in tags:
-        body += id_and_reserved + bytes((clamped(20.0 * voltage_v, 0, 255), len(peers)))
-        body += b"".join(bytes((peer.id,)) + peer.distance for peer in peers)
-    return variable_frame(MARK_NODE4, body)
 
 
 def node_frame5(node: Node, peers: Sequence[Peer]) -> bytes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 
-from sim_link.emulators.emulator import Answer, Emulator, Round, clamped, lines, mac_of
+from sim_link.emulators.emulator import Answer, Emulator, Round, clamped, lines
 from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
 
 BANDWIDTH_HZ = 812_500.0
@@ -69,6 +69,7 @@ class Lines(Emulator):
 
     name = "lines"
     title = "lines of one's own, `MAC,12.34 m, 82 ns, 90`"
+    names = "{mac_capitals}"
 
     def encode(self, asked: Round) -> bytes:
         """Return a line for each that answered."""
@@ -79,11 +80,6 @@ class Lines(Emulator):
         rtt_ns, percent = round(1e9 * round_trip_s(range_m)), round(100.0 * answer.quality)
         name = self.name_on_wire(answer.emitter_id)
         return f"{name},{range_m:.2f} m, {rtt_ns} ns, {percent}"
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return an address in capitals."""
-        return mac_of(emitter_id).upper()
 
 
 def sx1280_valid(raw: int, rssi_dbm: int) -> str:
@@ -97,6 +93,7 @@ class Sx1280(Emulator):
 
     name = "sx1280"
     title = "Semtech SX1280, lines of the SX12XX-LoRa ranging master"
+    names = ""
     most = 1
     rate_hz = 5.0
 
@@ -113,8 +110,3 @@ class Sx1280(Emulator):
             return "NotValid,Irq,8000"
         raw = clamped(answer.range_m / RAW_STEP_M, 0, (1 << 23) - 1)
         return sx1280_valid(raw, round(answer.power_dbm))
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
-        """Return nothing: the format has no name for emitters."""
-        return ""

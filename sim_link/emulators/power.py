@@ -16,6 +16,7 @@ class PowerScan(Emulator):
 
     name = "rssi_scan"
     title = "scans and gateways that print received powers alone"
+    names = "{mac_capitals}"
     gives = "power"
     rate_hz = 5.0
 
@@ -32,8 +33,3 @@ class PowerScan(Emulator):
             [f"Received packet 'hello 12' with RSSI {dbm}"],
         )
         return kinds[self.next_number(len(kinds))]
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return an address."""
-        return mac_of(emitter_id).upper()

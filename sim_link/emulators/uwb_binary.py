@@ -219,6 +219,7 @@ class PansTlv(Emulator):
 
     name = "pans_tlv"
     title = "Decawave DWM1001 PANS, TLV"
+    names = "{0:04X}"
     most = 12
     request = LOC_GET
 
@@ -249,8 +250,3 @@ class PansTlv(Emulator):
         ]
         self._latest = pans_location((0.0, 0.0, 0.0), 0, anchors)
         return b""
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return four hexadecimal digits, as PANS has them."""
-        return f"{emitter_id:04X}"

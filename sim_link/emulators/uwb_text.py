@@ -48,6 +48,7 @@ class Pans(Emulator):
 
     name = "pans"
     title = "Decawave DWM1001 PANS, shell"
+    names = "{0:04X}"
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
@@ -77,11 +78,6 @@ class Pans(Emulator):
             return b""
         return lines([dist_line(anchors, (*nowhere, 0))])
 
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return four hexadecimal digits."""
-        return f"{emitter_id:04X}"
-
 
 @dataclass(frozen=True, slots=True)
 class QorvoRecord:
@@ -110,6 +106,7 @@ class QorvoCli(Emulator):
 
     name = "qorvo_cli"
     title = "Qorvo QM33 and DW3xxx CLI, SESSION_INFO_NTF"
+    names = "0x{0:04x}"
     gives = "range, azimuth, elevation"
     antenna = "two_axis"
     measures = "both"
@@ -136,11 +133,6 @@ class QorvoCli(Emulator):
                 values.append((f"loc_{side}", f"{math.degrees(angle_rad):.2f}"))
         return QorvoRecord(answer.emitter_id, "SUCCESS", tuple(values))
 
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the name as printed."""
-        return f"0x{emitter_id:04x}"
-
 
 def js_frame(value: Mapping[str, object], *, after_colon: str = "") -> str:
     """Return `JS`, the length in hexadecimal, JSON."""
@@ -155,6 +147,7 @@ class PdoaJs(Emulator):
 
     name = "pdoa_js"
     title = "Decawave PDoA kit and Makerfabs MaUWB_AOA, JS frames"
+    names = "{0:04X}"
     gives = "range, azimuth"
     antenna = "line"
     measures = "both"
@@ -186,11 +179,6 @@ class PdoaJs(Emulator):
         ranged = {"R": number, "T": time_us, "D": round(range_cm), "P": phase_mrad}
         placed = {"Xcm": x_cm, "Ycm": y_cm, "O": 14, "V": 1, "X": 12, "Y": -31, "Z": 1003}
         return {"a16": self.name_on_wire(answer.emitter_id), **ranged, **placed}
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return four hexadecimal digits."""
-        return f"{emitter_id:04X}"
 
 
 @dataclass(frozen=True, slots=True)

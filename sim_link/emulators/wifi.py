@@ -65,6 +65,7 @@ class Esp32Ftm(Emulator):
 
     name = "esp32_ftm"
     title = "ESP32 Wi-Fi FTM, console of esp-idf"
+    names = "{mac}"
     rate_hz = 2.0
 
     def boot(self) -> bytes:
@@ -106,11 +107,6 @@ class Esp32Ftm(Emulator):
             esp_log("I", clock_ms, esp_estimate(answer.range_m)),
         ]
 
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the responder's address."""
-        return mac_of(emitter_id)
-
 
 def arduino_estimate(range_m: float) -> str:
     """Format the line of the Arduino example."""
@@ -124,6 +120,7 @@ class Esp32Arduino(Emulator):
 
     name = "esp32_arduino"
     title = "ESP32 Wi-Fi FTM, Arduino example"
+    names = ""
     rate_hz = 2.0
     most = 1
 
@@ -137,11 +134,6 @@ class Esp32Arduino(Emulator):
         return lines(
             ["FTM Error: FAIL" if each is None else arduino_estimate(each) for each in ranges_m]
         )
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:  # noqa: ARG003  the format has no names
-        """Return nothing: the format has no name for emitters."""
-        return ""
 
 
 def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) -> str:
@@ -210,6 +202,7 @@ class IwFtm(Emulator):
 
     name = "iw_ftm"
     title = "Linux iw, measurement ftm_request"
+    names = "{mac}"
     rate_hz = 1.0
 
     def encode(self, asked: Round) -> bytes:
@@ -231,11 +224,6 @@ class IwFtm(Emulator):
         rtt_ps = round(1e12 * round_trip_s(heard.range_m))
         rssi, variance_ps2 = round(answer.power_dbm), round(spread_ps * spread_ps)
         return IwBurst(mac, boot_ns, rssi, rtt_ps, variance_ps2, round(spread_ps)).text
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the responder's address."""
-        return mac_of(emitter_id)
 
 
 ANDROID_HEADER = (
@@ -269,6 +257,7 @@ class AndroidRtt(Emulator):
 
     name = "android_rtt"
     title = "Android Wi-Fi RTT, rows of a logging program"
+    names = "{mac}"
     rate_hz = 5.0
     epoch_s = SIMULATION_BEGAN_S
     ATTEMPTED = 8
@@ -295,8 +284,3 @@ class AndroidRtt(Emulator):
             self.ATTEMPTED,
             clamped(self.ATTEMPTED * answer.quality, 2, self.ATTEMPTED),
         )
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the access point's address."""
-        return mac_of(emitter_id)

@@ -16,7 +16,6 @@ from sim_link.emulators.nlink import (
     iot_frame,
     node_frame2,
     node_frame3,
-    node_frame4,
     node_frame5,
 )
 from sim_link.emulators.plain_lines import sx1280_valid
@@ -89,23 +88,6 @@ def test_nooploop_prints_ranges() -> None:
         "00 00 00 e6 14 00 b8 a0 ac"
     )
     assert node_frame5(node, PEERS) == of_hex(vector)
-
-
-def test_nooploop_prints_what_an_anchor_knows() -> None:
-    node = Node(3, 105_870, 105_870, 4.456, ANCHOR, of_hex("ff ff 03 01"))
-    ranges_m = ((2.445, 1.748, 2.038, 1.709), (2.744, 1.427, 2.408, 1.347))
-    tags = [
-        (of_hex(head), volts, [Peer(i, metres, 0.0, 0.0) for i, metres in enumerate(told)])
-        for head, volts, told in zip(("02 00 00", "05 00 00"), (4.4, 3.5), ranges_m, strict=True)
-    ]
-    vector = (
-        "55 06 40 00 01 03 8e 9d 01 00 8e 9d 01 00 ff ff 03 01 68 11 02 02 00 00 58 04 00 8d "
-        "09 00 01 d4 06 00 02 f6 07 00 03 ad 06 00 05 00 00 46 04 00 b8 0a 00 01 93 05 00 02 "
-        "68 09 00 03 43 05 00 60"
-    )
-    expected = of_hex(vector)
-    made = node_frame4(node, tags)
-    assert made == expected
 
 
 def test_nooploop_prints_place_and_ranges() -> None:
