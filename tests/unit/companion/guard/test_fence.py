@@ -226,6 +226,12 @@ def test_a_keep_out_that_is_none_or_leaves_nothing_is_refused(
         Fence(SQUARE, 3.0, (keep_out,))
 
 
+def test_borders_that_leave_nothing_of_the_fence_are_named() -> None:
+    beside = ((90.0, 0.0), (99.0, 0.0), (99.0, 9.0))
+    with pytest.raises(ValueError, match=r"^its other borders leave nothing of the fence$"):
+        Fence(SQUARE, 3.0, also_inside_enu_m=(beside,))
+
+
 def test_a_mast_may_be_a_keep_out() -> None:
     mast = ((10.0, 10.0), (10.1, 10.0), (10.1, 10.1), (10.0, 10.1))
     assert not Fence(SQUARE, 3.0, (mast,)).allows((12.0, 10.0))
