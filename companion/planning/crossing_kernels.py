@@ -1,8 +1,8 @@
 """Arithmetic of the crossing planners, as kernels.
 
 Points and unit vectors are east and north, metres. A latch is the memory of `LatchedCrossing` of
-the current crossing. `latched_step` is the whole planner without a fence; with a fence the class
-chooses among directions, by the same kernels. Source: see `crossing`.
+the current crossing. The class chooses among directions by these
+kernels. Source: see `crossing`.
 """
 
 from __future__ import annotations
@@ -160,19 +160,6 @@ def new_latch(
         heading = turned(heading, GOLDEN_ANGLE_RAD)
     flown = max(latch.crossings, 0) + (1 if verdict == FLOWN else 0)
     return Latch(point, target, heading, vehicle, over_m, flown, latch.descent_m)
-
-
-@kernel
-def latched_step(
-    latch: Latch, vehicle: Point, target: Point, over_m: float, is_at_height: bool, rule: LatchRule
-) -> Latch:
-    """Return the next latch without a fence; in the plane `is_at_height` is always true."""
-    verdict = latch_verdict(latch, vehicle, target, over_m, is_at_height, rule)
-    if verdict == KEPT:
-        return latch
-    heading = next_direction(latch, verdict, vehicle, target)
-    point = (target[0] + over_m * heading[0], target[1] + over_m * heading[1])
-    return new_latch(latch, verdict, point, heading, vehicle, target, over_m, rule)
 
 
 @kernel

@@ -34,7 +34,7 @@ import numpy as np
 
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 from companion.planning.crossing import LatchedCrossingParams
-from companion.planning.crossing_kernels import NO_LATCH, LatchRule, latched_step
+from companion.planning.crossing_kernels import NO_LATCH, LatchRule
 from companion.planning.views import Antenna, best_reach_m, leg_over, rate
 from tools.benches.filter_bench import (
     FILTERPY_UPDATE,
@@ -55,6 +55,7 @@ from tools.study.walk import (
     WalkFilter,
     WalkSteering,
     first_fix,
+    latched_step,
     next_place,
     updated,
 )

@@ -16,9 +16,9 @@ from companion.config import schema
 from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
 from companion.link.interface import VehicleParams
-from sim_link.autopilot.incidents import PilotMode
+from sim_link.autopilot.incidents import FaultRecord, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule, fields_of
+from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.world.environment import EmitterParams
 from sim_link.world.point_mass import MulticopterParams, WindParams
 from tools.campaign.flights import (
@@ -34,6 +34,13 @@ from tools.campaign.flights import (
 )
 
 Corners = tuple[tuple[float, float], ...]
+
+
+def fields_of(fault: FaultRecord) -> dict[str, object]:
+    """Return the mapping that names a fault, without what is as by default."""
+    usual = msgspec.to_builtins(type(fault)())
+    fields: dict[str, object] = msgspec.to_builtins(fault)
+    return {name: value for name, value in fields.items() if name == "kind" or value != usual[name]}
 
 
 @dataclass(frozen=True, slots=True)

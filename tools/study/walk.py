@@ -51,12 +51,16 @@ from companion.estimation.window.map_kernels import (
     row_sigmas,
 )
 from companion.estimation.window.window_map import SAME_PLACE_M
+from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing_kernels import (
+    KEPT,
     NO_LATCH,
     Latch,
     LatchRule,
-    latched_step,
+    latch_verdict,
+    new_latch,
+    next_direction,
     overshoot_m,
 )
 from companion.planning.fim import MIN_DISTANCE_M, STAY, best_candidate
@@ -279,6 +283,19 @@ def curvature_at(rows: Matrix, mean: Vector, belief: WalkFilter) -> tuple[Matrix
         rows, mean, offs, sigmas, belief.thresholds, belief.information, belief.pull, belief.model
     )
     return curvature, cost
+
+
+@kernel
+def latched_step(
+    latch: Latch, vehicle: Point, target: Point, over_m: float, is_at_height: bool, rule: LatchRule
+) -> Latch:
+    """Return the next latch without a fence; in the plane `is_at_height` is always true."""
+    verdict = latch_verdict(latch, vehicle, target, over_m, is_at_height, rule)
+    if verdict == KEPT:
+        return latch
+    heading = next_direction(latch, verdict, vehicle, target)
+    point = (target[0] + over_m * heading[0], target[1] + over_m * heading[1])
+    return new_latch(latch, verdict, point, heading, vehicle, target, over_m, rule)
 
 
 @kernel

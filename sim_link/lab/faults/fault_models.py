@@ -293,10 +293,3 @@ def fault_from(fields: dict[str, object]) -> Fault:
     """Return the fault that a mapping names by its `kind`, or a msgspec.ValidationError."""
     fault: Fault = msgspec.convert(fields, Fault)
     return fault
-
-
-def fields_of(fault: FaultRecord) -> dict[str, object]:
-    """Return the mapping that names a fault, without what is as by default."""
-    usual = msgspec.to_builtins(type(fault)())
-    fields: dict[str, object] = msgspec.to_builtins(fault)
-    return {name: value for name, value in fields.items() if name == "kind" or value != usual[name]}

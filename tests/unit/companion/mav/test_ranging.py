@@ -17,7 +17,8 @@ from companion.mav.dialect import (
     Message,
     mavlink,
 )
-from companion.mav.ranging import estimate_in, message_from_ranging, tunnelled
+from companion.mav.ranging import message_from_ranging, tunnelled
+from tests.target_estimates import estimate_in
 
 
 def over_the_wire(message: Message) -> Message:

@@ -11,18 +11,17 @@ from hypothesis import strategies as st
 
 from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.polygons import Point
-from companion.planning import crossing_kernels as kernels
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
 from companion.planning.crossing_kernels import (
     NO_LATCH,
     Latch,
     altitude_offset_m,
     direction,
-    latched_step,
     overshoot_m,
     turned,
 )
 from companion.planning.planner import PlanRequest
+from tools.study.walk import latched_step
 
 PARAMS = LatchedCrossingParams()
 PLANNER = LatchedCrossing(PARAMS)
@@ -99,7 +98,7 @@ def test_directions() -> None:
 
 @pytest.mark.skipif(not hasattr(latched_step, "py_func"), reason="numba is not installed")
 def test_compiled_and_plain_agree() -> None:
-    plain = kernels.latched_step.py_func  # type: ignore[attr-defined]
+    plain = latched_step.py_func  # type: ignore[attr-defined]
     rule, rng = PARAMS.rule(), np.random.default_rng(2)
     one = other = NO_LATCH
     for _ in range(200):

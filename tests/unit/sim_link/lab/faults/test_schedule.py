@@ -9,7 +9,8 @@ import pytest
 
 from companion.domain import FlightMode
 from sim_link.autopilot.incidents import PilotMode, VehicleReboot
-from sim_link.lab.faults.fault_models import KINDS, Fault, LinkLoss, Schedule, fault_from, fields_of
+from sim_link.lab.faults.fault_models import KINDS, Fault, LinkLoss, Schedule, fault_from
+from tools.campaign.random_missions import fields_of
 
 LOSS = LinkLoss(share=0.3, start_s=20.0, duration_s=5.0)
 
