@@ -51,7 +51,7 @@ from companion.link.interface import (
 )
 from companion.mav.signing import Signing
 from companion.planning.crossing import LatchedCrossing, SensorGeometry
-from companion.planning.fim import FimPlanner
+from companion.planning.fim import FimParams, FimPlanner
 from companion.planning.planner import Planner
 from companion.planning.search import (
     SearchParams,
@@ -83,7 +83,7 @@ def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Pla
             bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
             is_array = noise.antenna.kind not in ABOUT_VERTICAL
             antenna = _antenna(noise.antenna) if is_array else None
-            return FimPlanner(planner.fim, noise.range_sigma_m, bearing_sigma_rad, antenna)
+            return FimPlanner(FimParams(), noise.range_sigma_m, bearing_sigma_rad, antenna)
         case _:
             return SearchPlanner(_pattern(kind, planner))
 

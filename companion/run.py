@@ -139,7 +139,7 @@ def prepare(config: CompanionConfig) -> None:
     if not IS_COMPILED_ON_CALL:
         return
     with _reported_progress():
-        warm_up(config.estimation, build_planner(config))
+        warm_up(config.tracking, build_planner(config))
 
 
 @contextmanager

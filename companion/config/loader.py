@@ -23,7 +23,7 @@ import yaml
 from companion.errors import ConfigError
 
 T = TypeVar("T")
-Renew = Callable[[dict[str, Any]], None]
+Renew = Callable[[dict[str, Any]], object]
 SMALLEST = 1e-12
 """The square of a number much smaller than this is zero, and its inverse infinite."""
 MAX_PROBLEMS = 20

@@ -17,7 +17,7 @@ import yaml
 
 from companion.config.loader import parse_value, read_text
 from companion.config.schema import CompanionConfig
-from companion.config.versions import KEY, renew
+from companion.config.versions import KEY, SCHEMA_VERSION, renew
 from companion.link.radio_stage import RadioSettings
 
 DEFAULT = "default"
@@ -77,6 +77,13 @@ def as_json(values: Sequence[Shown]) -> list[dict[str, object]]:
     ]
 
 
+def notes_of(file: Path | None) -> list[str]:
+    """Return remarks about keys of a file that an earlier schema had and that have no effect."""
+    raw = {} if file is None else parse_value(read_text(file), str(file))
+    dropped = renew(raw, str(file)) if isinstance(raw, dict) else []
+    return [f"# $.{path} is gone since schema {SCHEMA_VERSION}: delete it" for path in dropped]
+
+
 def json_schema() -> str:
     """Return the JSON Schema of a configuration file, with the meaning of each key."""
     kinds = (CompanionConfig, RadioSettings)
@@ -87,7 +94,8 @@ def json_schema() -> str:
     remarks = dict(_remarks(CompanionConfig)) | dict(_remarks(RadioSettings))
     for record, name in remarks:
         properties = records[record]["properties"]
-        properties[name] = {**properties[name], "description": remarks[record, name]}
+        if name in properties:  # others are fixed, and no keys
+            properties[name] = {**properties[name], "description": remarks[record, name]}
     head = {"$schema": DIALECT, "title": "companion-guidance configuration"}
     return json.dumps({**head, **whole, "$defs": records}, indent=2)
 

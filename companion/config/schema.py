@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 import msgspec
 
@@ -21,7 +21,7 @@ from companion.config.search_files import read_search_site
 from companion.config.versions import SCHEMA_VERSION, renew
 from companion.domain import Distance, NonNegative, Params, Positive
 from companion.errors import ConfigError
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker import EstimationConfig, TrackerParams
 from companion.geometry.geofence import GeoFence
 from companion.geometry.obstacles import check_corners
 from companion.geometry.polygons import Corners
@@ -33,7 +33,6 @@ from companion.guidance.session_params import SessionParams
 from companion.guidance.tracking.emitters import QueueParams
 from companion.link.interface import LinkParams, VehicleParams
 from companion.planning.crossing import LatchedCrossingParams
-from companion.planning.fim import FimParams
 from companion.planning.planner import PlanRequest
 from companion.planning.search import (
     ExpandingSquareParams,
@@ -69,12 +68,12 @@ class LimitsConfig(Params, frozen=True):
     climb_mps: Speed = 2.0
     acceleration_mps2: Positive = 2.5
     """Acceleration of setpoints, and the deceleration that the vehicle reaches in any case."""
-    step_m: Positive = 8.0
+    step_m: ClassVar[float] = 8.0
     """Farther ahead of the vehicle than this a setpoint is no faster than the vehicle."""
     latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5
     """Delay from the measurement of a motion to the setpoint that is obeyed."""
-    navigation_sigma_m: NonNegative = 0.3
-    """Standard deviation of the vehicle's position, per axis."""
+    navigation_sigma_m: ClassVar[float] = 0.3
+    """Standard deviation of the vehicle's position in its local frame, per axis."""
     distance_home_m: Positive | None = None
     """Largest distance of setpoints from home; null: up to the fence."""
     battery_pct_per_km: Positive | None = 15.0
@@ -196,7 +195,6 @@ class PlannerConfig(Params, frozen=True):
     lost_after_s: Positive = 20.0
     """Without a usable measurement for this long, the search goes on."""
     latched_crossing: LatchedCrossingParams = LatchedCrossingParams()
-    fim: FimParams = FimParams()
     lawnmower: LawnmowerParams = LawnmowerParams()
     expanding_square: ExpandingSquareParams = ExpandingSquareParams()
     sector: SectorParams = SectorParams()
@@ -215,7 +213,7 @@ class CompanionConfig(Params, frozen=True):
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
     """The emitter to search for; null: the first one heard."""
     emitters: QueueParams = QueueParams()
-    estimation: TrackerParams = TrackerParams()
+    estimation: EstimationConfig = EstimationConfig()
     search: SearchAreaParams = SearchAreaParams()
     planner: PlannerConfig = PlannerConfig()
     limits: LimitsConfig = LimitsConfig()
@@ -230,8 +228,8 @@ class CompanionConfig(Params, frozen=True):
     def tracking(self) -> TrackerParams:
         """`estimation`, with the calibration that the radios lack."""
         if not any(is_uncalibrated(radio) for radio in self.radios):
-            return self.estimation
-        return msgspec.structs.replace(self.estimation, is_range_calibrated=False)
+            return self.estimation.params()
+        return msgspec.structs.replace(self.estimation.params(), is_range_calibrated=False)
 
 
 def load_config(path: Path | None) -> CompanionConfig:
@@ -309,7 +307,7 @@ def inconsistency(config: CompanionConfig) -> str | None:
     limits, mission = config.limits, config.mission
     least_m, most_m = limits.guard_limits().altitude_m
     if not least_m <= mission.altitude_m <= most_m:
-        band = f"{least_m:g} to {most_m:g} m, 3 navigation_sigma_m inside"
+        band = f"{least_m:g} to {most_m:g} m, less 3 sigma of the position at each end"
         return f"$.mission.altitude_m: {mission.altitude_m:g} m is outside $.limits ({band})"
     if config.emitter_id is not None and config.emitters.order != "first":
         return (

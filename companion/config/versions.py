@@ -20,8 +20,8 @@ KEY = "schema_version"
 class Gone:
     """A key without a successor."""
 
-    advice: str
-    """The advice to an operator whose file sets the key."""
+    advice: str = ""
+    """The advice to an operator whose file sets the key; empty: the value is fixed."""
     default: object = None
     """The former default: a copy of default.yaml may have it, and changes nothing by it."""
 
@@ -37,10 +37,13 @@ class Migration:
     """Earlier path to the remedy; a file that has another value there is refused."""
 
 
+_OF_RADIO = "set {} in the radio's `settings` instead"
 MIGRATIONS: tuple[Migration, ...] = (
     Migration(
         2,
         gone={
+            "mission.coast_drift_mps": Gone(default=1.0),
+            "mission.coast_sigma_max_m": Gone(default=30.0),
             "estimation.adaptation": Gone(
                 "delete it: noise is no longer learnt by EM, R95 follows the innovations as before"
             ),
@@ -48,6 +51,40 @@ MIGRATIONS: tuple[Migration, ...] = (
                 "delete it: the planner flies in the studies only, latched_crossing in flight",
                 {"step_m": 5.0, "crossing_distance_m": 20.0, "stop_distance_m": 0.0},
             ),
+            "estimation.initial_inflation": Gone(default=4.0),
+            "estimation.adapt_inflation": Gone(default=True),
+            "estimation.range_gross_k": Gone("set filter.range_k_short instead", 6.0),
+            "estimation.acceptance.max_range_m": Gone(_OF_RADIO.format("range_max_m"), 2000.0),
+            "estimation.acceptance.max_age_s": Gone(_OF_RADIO.format("max_age_s"), 1.0),
+            "estimation.hypotheses.nearest_m": Gone(default=3.0),
+            "estimation.window.enabled": Gone(default=True),
+            "estimation.window.size": Gone(default=512),
+            "estimation.window.every": Gone(default=25),
+            "estimation.window.starts": Gone(default=12),
+            "estimation.filter.elevation_sigma_deg": Gone(
+                _OF_RADIO.format("elevation_sigma_deg"), 5.0
+            ),
+            "estimation.filter.use_elevation": Gone(
+                "delete it, and set elevation_sigma_deg: 90 in the radio's `settings`", True
+            ),
+            "estimation.filter.range_scale_min": Gone(
+                "delete it: range_scale_max bounds the scale to both sides"
+            ),
+            "estimation.filter.stamp_lag_s": Gone(_OF_RADIO.format("lag_s"), 0.0),
+            "estimation.filter.near_target_terms": Gone(default=True),
+            "planner.latched_crossing.arrival_radius_m": Gone(default=1.5),
+            "planner.latched_crossing.reaim_distance_m": Gone(default=3.0),
+            "planner.fim.step_m": Gone(default=5.0),
+            "planner.fim.headings": Gone(default=16),
+            "planner.fim.range_offset_sigma_m": Gone(default=5.0),
+            "planner.fim.bearing_offset_sigma_deg": Gone(default=5.0),
+            "planner.fim.near_target_terms": Gone(default=True),
+            "limits.step_m": Gone(default=8.0),
+            "limits.navigation_sigma_m": Gone(
+                "delete it: raise fence_margin_m and altitude_min_m instead", 0.3
+            ),
+            "link.lossy_rate_hz": Gone("delete it: it is 50; rate_hz is the rate elsewhere", 50.0),
+            "link.lossy_share": Gone(default=0.2),
         },
     ),
 )
@@ -59,17 +96,21 @@ def renew(
     name: str,
     present: int = SCHEMA_VERSION,
     migrations: Sequence[Migration] = MIGRATIONS,
-) -> None:
+) -> list[str]:
     """Bring plain values of the file `name` to the present schema, in place.
 
-    Raises `ConfigError` for an unknown version, for removed keys, and for a value that is given
-    under its earlier and its present name.
+    Returns the paths of keys that are gone and had their default. Raises `ConfigError` for an
+    unknown version, for other values of keys that are gone, and for a value that is given under its
+    earlier and its present name.
     """
     version = _version(raw, name, present)
+    dropped = []
     for migration in migrations:
         if migration.to > version:
-            _apply(migration, raw, name)
+            dropped += _drop(migration, raw, name)
+            _move(migration, raw, name)
     raw[KEY] = present
+    return dropped
 
 
 def _version(raw: Mapping[str, Any], name: str, present: int) -> int:
@@ -84,13 +125,29 @@ def _version(raw: Mapping[str, Any], name: str, present: int) -> int:
     return version
 
 
-def _apply(migration: Migration, raw: dict[str, Any], name: str) -> None:
-    for path, gone in migration.gone.items():
-        owner = _owner(raw, path)
-        if owner is None:
-            continue
-        if owner.pop(path.rpartition(".")[2]) != gone.default:
-            raise ConfigError(f"{name}: $.{path}: gone since schema {migration.to}; {gone.advice}")
+def _drop(migration: Migration, raw: dict[str, Any], name: str) -> list[str]:
+    """Delete keys that are gone and had their default, with sections that they leave empty."""
+    dropped = [path for path in migration.gone if _owner(raw, path) is not None]
+    for path in dropped:
+        gone = migration.gone[path]
+        if _pop(raw, path) != gone.default:
+            advice = gone.advice or f"delete it: it is fixed at {gone.default}"
+            raise ConfigError(f"{name}: $.{path}: gone since schema {migration.to}; {advice}")
+    return dropped
+
+
+def _pop(raw: dict[str, Any], path: str) -> object:
+    """Take a value out, with the sections that are empty then."""
+    key, _, rest = path.partition(".")
+    if not rest:
+        return raw.pop(key)
+    value = _pop(raw[key], rest)
+    if not raw[key]:
+        del raw[key]
+    return value
+
+
+def _move(migration: Migration, raw: dict[str, Any], name: str) -> None:
     for earlier, path in migration.moved.items():
         owner = _owner(raw, earlier)
         if owner is None:

@@ -32,6 +32,7 @@ from companion.estimation.filter_bank import update_hypotheses
 from companion.estimation.filters.kalman import FilterKind, filter_of
 from companion.estimation.filters.target_filter import (
     NO_INFLATION,
+    FilterConfig,
     FilterParams,
     Inflation,
     UpdateReport,
@@ -75,20 +76,31 @@ FIX_DEGRADED_RATIO = 2.0
 """Ratio of reported accuracies from which a fix counts as degraded: its error is another one."""
 
 
-class TrackerParams(Params, frozen=True):
-    """Parameters of the estimate of one target."""
+class EstimationConfig(Params, frozen=True):
+    """Estimation of one target as a file configures it; `TrackerParams` completes it."""
 
     kind: FilterKind = "asymmetric_huber"
     """The recursive filter; the others are baselines."""
+    filter: FilterConfig = FilterConfig()
+    localised_r95_m: Distance = 2.0
+    """R95 up to which the state is `localised`."""
+
+    def params(self) -> TrackerParams:
+        """Return the parameters of a tracker with this configuration."""
+        return TrackerParams(
+            kind=self.kind, filter=self.filter.params(), localised_r95_m=self.localised_r95_m
+        )
+
+
+class TrackerParams(EstimationConfig, frozen=True):
+    """Parameters of a tracker: those of a file, and those that only studies vary."""
+
     filter: FilterParams = FilterParams()
     acceptance: AcceptanceParams = AcceptanceParams()
     hypotheses: HypothesisParams = HypothesisParams()
     window: WindowParams = WindowParams()
-    localised_r95_m: Distance = 2.0
-    """R95 up to which the state is `localised`."""
     is_range_calibrated: bool = True
-    """False: the radio adds an unknown constant, so no position is `localised`. Presets of radios
-    that do so set it until their offset is configured."""
+    """False: the radio adds an unknown constant, so no position is `localised`."""
     initial_inflation: Positive = 4.0
     """Variance inflation that is assumed until it has been measured."""
     range_gross_k: Positive | None = 6.0
@@ -96,6 +108,10 @@ class TrackerParams(Params, frozen=True):
     `filter.range_k_short` is null: noise does not produce them; null: quadratic at any size."""
     adapt_inflation: bool = True
     """True: the inflation is measured; false: it stays at 1, as in the paper's filter."""
+
+    def params(self) -> TrackerParams:
+        """Return these parameters."""
+        return self
 
     @property
     def effective_filter(self) -> FilterParams:

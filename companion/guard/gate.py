@@ -78,12 +78,12 @@ class GuardLimits:
         if not self.altitude_m[0] < self.altitude_m[1]:
             band = f"{envelope.altitude_min_m:g} to {envelope.altitude_max_m:g} m"
             raise ValueError(
-                f"altitude_min_m: nothing is left of {band} at 3 navigation_sigma_m from both ends"
+                f"altitude_min_m: nothing is left of {band} at {clearance_m:g} m from both ends"
             )
         if self.fence is not None and not self.fence.margin_m >= clearance_m:
             raise ValueError(
-                f"fence_margin_m: {self.fence.margin_m:g} m is less than 3 navigation_sigma_m "
-                f"({clearance_m:g} m), which a vehicle needs even at rest"
+                f"fence_margin_m: {self.fence.margin_m:g} m is less than {clearance_m:g} m, "
+                "3 sigma of the vehicle position, which it needs even at rest"
             )
 
     @property

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 
-from companion.domain import Distance, NonNegative, Params, Positive, Waiting
+from companion.domain import Distance, Params, Waiting
 from companion.guard.gate import GuardLimits
 from companion.planning.planner import Planner
 
@@ -42,9 +42,9 @@ class SessionParams(Params, frozen=True):
     """Without a usable measurement for this long: hold."""
     degraded_after_s: Waiting = 2.0
     """Without one for this long: continue, slower."""
-    coast_drift_mps: NonNegative = 1.0
+    coast_drift_mps: ClassVar[float] = 1.0
     """Assumed speed of the target, relative to its estimate, without measurements."""
-    coast_sigma_max_m: Positive = 30.0
+    coast_sigma_max_m: ClassVar[float] = 30.0
     """Without ranging the vehicle holds if the estimate is less certain than this, one sigma."""
     on_sticks: StickReaction = "yield"
     """Reaction to a pilot who moves the sticks: `yield` holds, then leaves the vehicle to the

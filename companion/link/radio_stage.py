@@ -64,7 +64,7 @@ class RadioSettings(Params, frozen=True):
     range_min_m: Signed = 0.0
     """A shorter corrected range is refused."""
     range_max_m: Positive | None = None
-    """A longer corrected range is refused; null: by `estimation.acceptance.max_range_m`."""
+    """A longer corrected range is refused; null: by `AcceptanceParams`, 2 km."""
     zero: Literal["refuse", "accept"] = "refuse"
     """Treatment of a range of exactly 0: most radios report it where nothing was measured."""
     range_sigma_m: Positive | None = None
@@ -94,7 +94,7 @@ class RadioSettings(Params, frozen=True):
     lag_s: Annotated[float, msgspec.Meta(ge=-1.0, le=5.0)] = 0.0
     """Delay of that time after the measurement."""
     max_age_s: Positive | None = None
-    """An older reading is refused; null: by `estimation.acceptance.max_age_s`."""
+    """An older reading is refused; null: by `AcceptanceParams`, 1 s."""
     rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = RATE_MAX_HZ
     """Limit of measurements per second of one emitter, because each costs milliseconds; null:
     none."""

@@ -32,11 +32,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import msgspec
 
-from companion.domain import Distance, NonNegative, Params, Positive, Waypoint, WaypointReason
+from companion.domain import Distance, NonNegative, Params, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
 from companion.planning.crossing_kernels import (
     GOLDEN_ANGLE_RAD,
@@ -95,9 +95,9 @@ class LatchedCrossingParams(Params, frozen=True):
     """Overshoot in standard deviations of the worst direction."""
     overshoot_min_m: Distance = 2.0
     overshoot_max_m: Distance = 20.0
-    arrival_radius_m: Positive = 1.5
+    arrival_radius_m: ClassVar[float] = 1.5
     """The crossing point counts as reached within this distance."""
-    reaim_distance_m: Positive = 3.0
+    reaim_distance_m: ClassVar[float] = 3.0
     """A move of the estimate by more than this, or half the overshoot, re-aims the crossing."""
     altitude_swing_m: NonNegative = 0.0
     """Crossings are flown alternately this much above and below the search altitude; 0: level."""

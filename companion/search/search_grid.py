@@ -60,8 +60,11 @@ class SearchGrid:
 def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
     """Return the grid over all areas, with their weights spread evenly over each.
 
+    Cells are larger than `cell_m` where the areas would have more than `MOST_CELLS`, and smaller
+    in a small area.
+
     Raises:
-        ValueError: no area has a weight, or there would be more than `MOST_CELLS`.
+        ValueError: no area has a weight, or all are smaller than a cell.
     """
     corners = np.array([corner for area in areas for corner in area.corners_enu_m], dtype=float)
     if not len(corners) or not any(area.weight > 0.0 for area in areas):
@@ -69,12 +72,10 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
     west_m, south_m = corners.min(axis=0)
     width_m, height_m = corners.max(axis=0) - (west_m, south_m)
     cell_m = min(cell_m, min(width_m, height_m) / LEAST_ACROSS)
+    if math.ceil(width_m / cell_m) * math.ceil(height_m / cell_m) > MOST_CELLS:
+        half_m, most = 0.5 * (width_m + height_m), MOST_CELLS - 1
+        cell_m = (half_m + math.sqrt(half_m**2 + most * width_m * height_m)) / most
     columns, rows = max(1, math.ceil(width_m / cell_m)), max(1, math.ceil(height_m / cell_m))
-    if columns * rows > MOST_CELLS:
-        raise ValueError(
-            f"{columns * rows} cells of {cell_m:g} m over the search area; at most {MOST_CELLS}: "
-            "make cells larger or the area smaller"
-        )
     everywhere = np.ones((rows, columns), dtype=bool)
     centres = _centres(float(west_m), float(south_m), cell_m, everywhere)
     mass = np.zeros(len(centres))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ class SearchAreaParams(Params, frozen=True):
     area_file: str | None = None
     """Possible locations of the emitter, relative to this file: GeoJSON polygons or an ASCII grid,
     in degrees; null: anywhere in the fence."""
-    cell_m: Positive = 20.0
+    cell_m: ClassVar[float] = 20.0
     """Side of a cell."""
     stop_pos: Probability | None = None
     """The search ends, with nothing heard, at this probability of success; null: it goes on."""

@@ -6,7 +6,15 @@ import argparse
 import json
 import sys
 
-from companion.config.origins import DEFAULT, Shown, as_json, as_yaml, json_schema, shown_values
+from companion.config.origins import (
+    DEFAULT,
+    Shown,
+    as_json,
+    as_yaml,
+    json_schema,
+    notes_of,
+    shown_values,
+)
 from companion.config.schema import load_config, with_fence, with_radios, with_signing_key
 
 
@@ -18,7 +26,10 @@ def run(arguments: argparse.Namespace) -> int:
     values = _values(arguments)
     if arguments.changed:
         values = [each for each in values if each.origin != DEFAULT]
-    _say(json.dumps(as_json(values), indent=2) if arguments.json else "\n".join(as_yaml(values)))
+    if arguments.json:
+        _say(json.dumps(as_json(values), indent=2))
+    else:
+        _say("\n".join([*notes_of(arguments.config), *as_yaml(values)]))
     return 0
 
 

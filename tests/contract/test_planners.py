@@ -51,9 +51,7 @@ CROSSING: dict[str, Planner[Any]] = as_configured(CrossingKind) | {
     "reactive": ReactiveCrossing(ReactiveCrossingParams()),
     "reactive, parking": ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=500.0)),
     "latched, without a sensor": LatchedCrossing(LatchedCrossingParams()),
-    "latched, tight": LatchedCrossing(
-        LatchedCrossingParams(overshoot_max_m=2.0, arrival_radius_m=0.1)
-    ),
+    "latched, tight": LatchedCrossing(LatchedCrossingParams(overshoot_max_m=2.0)),
     "latched, swinging": LatchedCrossing(LatchedCrossingParams(altitude_swing_m=5.0)),
     "latched, by the antenna": LatchedCrossing(LatchedCrossingParams(descend=True), SIGHT),
     "fim, by the antenna": FimPlanner(FimParams(), antenna=DOWN),

@@ -24,8 +24,8 @@ from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
 from companion.config.versions import renew
 from companion.domain import FlightMode
 from companion.estimation.antenna import AntennaParams
-from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.filters.target_filter import FilterConfig
+from companion.estimation.tracker import EstimationConfig
 from companion.flight_setup import FlightFacts, build_endpoint, open_flight, write_facts
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.guidance.session_params import SessionParams
@@ -56,7 +56,7 @@ DURATION_S = 24.0
 SAMPLE_EVERY = 10
 MISSION = SessionParams(engage="auto", altitude_m=ALTITUDE_M)
 NEAR = EmitterParams(position_enu_m=(35.0, 30.0))
-TOLD = TrackerParams(filter=FilterParams(antenna=AntennaParams(kind="azimuth")))
+TOLD = EstimationConfig(filter=FilterConfig(antenna=AntennaParams(kind="azimuth")))
 AUTO = CompanionConfig(mission=MISSION, estimation=TOLD)
 CANONICAL = Scenario(emitter=NEAR)
 SECOND = EmitterParams(emitter_id=2, position_enu_m=(15.0, 40.0))
@@ -268,7 +268,7 @@ ARDUPILOT = Scenario(emitter=NEAR, autopilot=AutopilotParams(flavour="ardupilot"
 PLANS: dict[str, Plan] = {
     "px4": Plan(),
     "ardupilot": Plan(scenario=ARDUPILOT),
-    "untold": Plan(configured(estimation=TrackerParams())),
+    "untold": Plan(configured(estimation=EstimationConfig())),
     "global_setpoints": Plan(configured(vehicle=VehicleParams(setpoint="global_int"))),
     "fim": Plan(configured(planner=PlannerConfig(kind="fim"))),
     "swing": Plan(

@@ -11,8 +11,8 @@ import pytest
 
 from companion.config.schema import PlannerConfig, load_config
 from companion.estimation.antenna import AntennaParams
-from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.filters.target_filter import FilterConfig
+from companion.estimation.tracker import EstimationConfig
 from companion.guidance.phases import Phase
 from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.navigation import NavigationParams
@@ -84,9 +84,9 @@ def test_an_array_is_crossed_lower_where_that_tells_more_and_never_below_the_ban
     """The operator is told; the report comes from down there, and the climb back is not ours."""
     array = AntennaModelParams(kind="planar")
     scenario = Scenario(emitter=NEAR, channel=CLEAR, payload=PayloadParams(antenna=array))
-    believed = FilterParams(antenna=AntennaParams(kind="planar"))
+    believed = FilterConfig(antenna=AntennaParams(kind="planar"))
     planner = PlannerConfig(latched_crossing=LatchedCrossingParams(descend=True))
-    estimation = TrackerParams(filter=believed)
+    estimation = EstimationConfig(filter=believed)
     exacting = msgspec.structs.replace(AUTO.mission, stop_radius_m=0.5)
     config = msgspec.structs.replace(AUTO, estimation=estimation, planner=planner, mission=exacting)
     loop = Loop(config=config, scenario=scenario, seed=1)

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker import EstimationConfig
 from companion.kernel import IS_COMPILED
 from companion.replay.flight_replay import replay_flight
 from tests.loop.golden_flights import (
@@ -67,7 +67,7 @@ def test_there_are_as_many_as_planned_and_they_are_small() -> None:
 @pytest.mark.slow
 def test_another_estimator_is_noticed() -> None:
     golden = load(FOLDER / f"px4{SUFFIX}")
-    config = msgspec.structs.replace(golden.facts.config, estimation=TrackerParams(kind="ekf"))
+    config = msgspec.structs.replace(golden.facts.config, estimation=EstimationConfig(kind="ekf"))
     facts = msgspec.structs.replace(golden.facts, config=config)
     course = GoldenCourse.of(replayed(msgspec.structs.replace(golden, facts=facts)))
     assert course.estimates_digest != load_courses()["px4"].estimates_digest

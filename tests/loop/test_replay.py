@@ -11,7 +11,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker import EstimationConfig
 from companion.flight_setup import (
     FlightFacts,
     build_endpoint,
@@ -109,7 +109,7 @@ def test_a_flight_with_several_emitters_replays_to_the_bit(tmp_path: Path) -> No
 
 
 def test_another_estimator_is_compared_side_by_side(recorded: Path) -> None:
-    config = msgspec.structs.replace(AUTO, estimation=TrackerParams(kind="ekf"))
+    config = msgspec.structs.replace(AUTO, estimation=EstimationConfig(kind="ekf"))
     replay = replay_flight(recorded, config, REMARKS.append)
     assert replay.verdict.startswith("another configuration")
     assert not replay.is_failed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
@@ -34,7 +35,7 @@ def flown(search: SearchAreaParams, reach_m: float = 1.0, **limits: float) -> Lo
 
 
 def test_a_search_ends_at_its_pos_and_says_what_it_searched() -> None:
-    loop = flown(SearchAreaParams(detection=DETECTION, cell_m=5.0, stop_pos=0.5))
+    loop = flown(SearchAreaParams(detection=DETECTION, stop_pos=0.5))
     loop.run_until(lambda: loop.companion.session.is_search_over, 120.0)
     assert loop.phase is Phase.FINISHED
     assert loop.said("SEARCH OVER, nothing heard: POS ")
@@ -67,7 +68,7 @@ def test_a_search_ends_where_the_charge_is_for_the_way_home() -> None:
 
 def test_contact_ends_the_count_and_the_flight_is_as_without_it() -> None:
     """The same setpoints and estimates with a searched area as without one."""
-    with_area = flown(SearchAreaParams(detection=DETECTION, cell_m=5.0), reach_m=30.0)
+    with_area = flown(SearchAreaParams(detection=DETECTION), reach_m=30.0)
     without = flown(SearchAreaParams(), reach_m=30.0)
     for loop in (with_area, without):
         loop.run_until(lambda: bool(loop.notes.results), 240.0)  # noqa: B023
@@ -89,19 +90,20 @@ def test_what_is_heard_at_once_was_no_search() -> None:
     assert loop.companion.session.searching.flight(0.0) is None
 
 
-def test_an_area_that_cannot_be_laid_is_said_once() -> None:
-    loop = flown(SearchAreaParams(detection=DETECTION, cell_m=0.1))
+def test_an_area_that_cannot_be_laid_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.search.search_grid._within", lambda *_: np.False_)
+    loop = flown(SearchAreaParams(detection=DETECTION))
     loop.run(40.0)
     warnings = [text for _, text in loop.notes.texts if text.startswith("no searched area: ")]
     assert len(warnings) == 1
-    assert "at most 40000" in warnings[0]
+    assert "smaller than one of its cells" in warnings[0]
 
 
 def test_a_replayed_record_states_the_same() -> None:
     """`searched_area.json` alone gives the figures of the flight."""
     from companion.search.searched_flight import SearchedFlight, searched_again
 
-    loop = flown(SearchAreaParams(detection=DETECTION, cell_m=5.0, stop_pos=0.5))
+    loop = flown(SearchAreaParams(detection=DETECTION, stop_pos=0.5))
     loop.run_until(lambda: loop.companion.session.is_search_over, 120.0)
     searching = loop.companion.session.searching
     searching.finish()

@@ -36,6 +36,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
 from companion.planning.crossing_kernels import NO_LATCH
+from companion.planning.fim import FimParams
 from companion.planning.planner import Plan, Planner, PlanRequest
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
@@ -175,7 +176,7 @@ def flight(
         mission=SessionParams(engage="auto", altitude_m=HEIGHT_M, stop_confirm_s=1e6),
         estimation=estimation,
     )
-    watched, tracker = WatchedPlanner(planner_of(planner)), WatchedTracker(config.estimation)
+    watched, tracker = WatchedPlanner(planner_of(planner)), WatchedTracker(config.tracking)
     emitters = EmitterQueue.of(tracker)
     guard = Guard(config.limits.guard_limits())
     session = GuidanceSession(config.mission, emitters, watched, guard)
@@ -242,7 +243,7 @@ def test_the_companion_flies_by_the_studys_parameters() -> None:
     reactive = ReactiveCrossingParams()
     assert flown.kind == KINDS["latched"]
     assert flown.latched_crossing == studied.latched
-    assert (flown.fim.step_m, flown.fim.headings) == (studied.step_m, studied.fim_headings)
+    assert (FimParams().step_m, FimParams().headings) == (studied.step_m, studied.fim_headings)
     assert (reactive.step_m, reactive.crossing_distance_m, reactive.stop_distance_m) == (
         studied.step_m,
         studied.crossing_distance_m,

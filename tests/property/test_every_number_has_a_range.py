@@ -119,7 +119,6 @@ PATHS = [
             "range_offset_min_m",
             "range_offset_max_m",
             "range_k_short",
-            "range_scale_min",
             "reach_m",
             "stamp_lag_sigma_s",
         )
@@ -154,7 +153,7 @@ def test_an_extreme_of_any_configured_number_is_refused_or_flown_with(
         if config is None:
             continue
         if path[0] == "estimation":
-            tracker = TargetTracker(config.estimation)
+            tracker = TargetTracker(config.tracking)
             for seen, place in flown(np.random.default_rng(5), is_array=False):
                 tracker.fuse(seen, place, seen.measured_at_s)
             check(tracker, COUNT * 0.2)

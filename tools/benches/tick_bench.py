@@ -159,7 +159,7 @@ def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
         emitters=QueueParams() if emitters == 1 else QueueParams(order="nearest", most=16),
     )
     if IS_COMPILED:
-        warm_up(config.estimation, build_planner(config))
+        warm_up(config.tracking, build_planner(config))
     wire = Spread(emitters) if phase == "spread" else None
     flight = Flight(
         config, scenario, SEED, SilentJournal(), wire=wire, makers=Makers(build_endpoint)

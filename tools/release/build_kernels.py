@@ -179,7 +179,7 @@ def warm_everything_up() -> None:
     from companion.warm_up import warm_up
 
     for number, config in enumerate(configurations()):
-        warm_up(config.estimation, build_planner(config))
+        warm_up(config.tracking, build_planner(config))
         print(f"\r{number + 1} configurations", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
 

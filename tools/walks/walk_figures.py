@@ -83,7 +83,7 @@ class TargetClaims:
 
 def preset_of(path: Path) -> TrackerParams:
     """Return the estimation of the preset that a walk of this name is replayed with."""
-    return load_config(CONFIGS / f"{name_of_preset(path)}.yaml").estimation
+    return load_config(CONFIGS / f"{name_of_preset(path)}.yaml").tracking
 
 
 def name_of_preset(path: Path) -> str:
@@ -196,7 +196,7 @@ def walk_lines(folder: Path, placed: int, seed: int) -> list[str]:
         lines += [target_line(target) for target in found]
         pooled.setdefault(name_of_preset(path), []).extend(found)
     if placed:
-        params = load_config(CONFIGS / "wifi_rtt.yaml").estimation
+        params = load_config(CONFIGS / "wifi_rtt.yaml").tracking
         for case in placed_cases():
             walks = walks_of(case, range(seed, seed + placed))
             found = [replayed(str(case), rows, params) for rows in walks]

@@ -131,10 +131,10 @@ FLOAT32_STEP = 2.0**-23
 """Relative rounding of float32: a configured sigma may be reported this much smaller."""
 
 
-class FilterParams(Params, frozen=True, dict=True):
-    """Assumptions of a filter about the radio; the defaults are the paper's canonical scenario.
+class FilterConfig(Params, frozen=True):
+    """Assumptions about the radio that a file configures; `FilterParams` completes them.
 
-    The derived arrays for the kernels are cached; they must not be written to.
+    The defaults are the paper's canonical scenario.
     """
 
     range_sigma_m: Positive = 1.5
@@ -150,10 +150,6 @@ class FilterParams(Params, frozen=True, dict=True):
     """Threshold for ranges that are too short; null: the paper's one-sided loss."""
     bearing_k: Positive | None = 1.5
     """Threshold for bearings and elevations on both sides; null: quadratic loss."""
-    elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 5.0
-    """Thermal noise of an elevation, in the same way."""
-    use_elevation: bool = True
-    """True: measured elevations are used; false where the antenna tilts with the vehicle."""
     range_offset_m: Signed = 0.0
     """Prior mean of the constant range offset."""
     range_offset_sigma_m: Positive = 5.0
@@ -172,8 +168,6 @@ class FilterParams(Params, frozen=True, dict=True):
     """Prior standard deviation of the range's scale error; 0: no scale error."""
     range_scale_max: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.5
     """Hard bound of the scale error, to both sides."""
-    range_scale_min: Annotated[float, msgspec.Meta(gt=-1.0, le=0.0)] | None = None
-    """Hard lower bound of the scale error, where it differs; 0: ranges are never too short."""
     reach_m: Positive | None = None
     """Reach of this radio, as the standard deviation per axis of the target about the path; null:
     unlimited."""
@@ -190,17 +184,13 @@ class FilterParams(Params, frozen=True, dict=True):
     """Standard deviation of the vehicle position; part of every measurement's noise and of R95."""
     process_noise_m_per_sqrt_s: NonNegative = 0.0
     """Random walk of the target; 0: it is stationary."""
-    stamp_lag_s: NonNegative = 0.0
-    """Delay of the radio's stamps after the measurement."""
     stamp_lag_sigma_s: NonNegative | None = None
-    """Standard deviation of that delay; null: 0 with a configured antenna, else 0.15 s."""
+    """Standard deviation of the delay of the radio's stamps; null: 0 with a configured antenna,
+    else 0.15 s."""
     target_height_m: Signed = 0.0
     """Height of the emitter above the local origin."""
     target_height_sigma_m: NonNegative = 0.0
     """Standard deviation of that height; above 0 it is estimated."""
-    near_target_terms: bool = True
-    """Second-order terms of the measurement model, without which the filter diverges near the
-    target."""
     antenna: AntennaParams = AntennaParams()
     """Antenna that measures the bearing."""
 
@@ -209,6 +199,34 @@ class FilterParams(Params, frozen=True, dict=True):
         low, high = self.range_offset_min_m, self.range_offset_max_m
         if low is not None and high is not None and low >= high:
             raise ValueError("range_offset_min_m must be below range_offset_max_m")
+
+    def params(self) -> FilterParams:
+        """Return the parameters of a filter with these assumptions."""
+        return FilterParams(**msgspec.structs.asdict(self))
+
+
+class FilterParams(FilterConfig, frozen=True, dict=True):
+    """Parameters of a filter: those of a file, and those that only studies vary.
+
+    The derived arrays for the kernels are cached; they must not be written to.
+    """
+
+    elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 5.0
+    """Thermal noise of an elevation where the radio reports none, and the lower limit of a reported
+    one."""
+    use_elevation: bool = True
+    """False: measured elevations are ignored."""
+    range_scale_min: Annotated[float, msgspec.Meta(gt=-1.0, le=0.0)] | None = None
+    """Hard lower bound of the scale error, where it differs; 0: ranges are never too short."""
+    stamp_lag_s: NonNegative = 0.0
+    """Delay of the radio's stamps after the measurement."""
+    near_target_terms: bool = True
+    """Second-order terms of the measurement model, without which the filter diverges near the
+    target."""
+
+    def params(self) -> FilterParams:
+        """Return these parameters."""
+        return self
 
     @cached_property
     def model(self) -> RangingModel:

@@ -15,6 +15,7 @@ import yaml
 
 from companion.config.loader import parse_yaml, read_text
 from companion.config.schema import CompanionConfig, inconsistency, load_config
+from companion.config.versions import renew
 from companion.errors import ConfigError
 from sim_link.autopilot.incidents import renew_incidents
 from sim_link.fleet.scenario_io import load_scenario
@@ -56,7 +57,7 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
     Files that it names are in the folder, errors call it by name.
     """
     try:
-        mission = parse_yaml(text, Mission, name, lambda raw: _renew(raw, folder))
+        mission = parse_yaml(text, Mission, name, lambda raw: _renew(raw, name, folder))
     except ConfigError as error:
         problems = _split_problems(str(error), name)
         if not problems:
@@ -70,9 +71,11 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
     return mission
 
 
-def _renew(raw: dict[str, Any], folder: Path) -> None:
+def _renew(raw: dict[str, Any], name: str, folder: Path) -> None:
     """Rename old keys, and add the file's scenario where the script has none."""
     renew_incidents(raw)
+    if isinstance(raw.get("companion"), dict):
+        renew(raw["companion"], f"{name}: $.companion")
     path = raw.pop("scenario", None)
     if isinstance(path, str):
         for key, value in msgspec.to_builtins(load_scenario(folder / path)).items():

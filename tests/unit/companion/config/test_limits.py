@@ -28,8 +28,7 @@ def plan_file(folder: Path, corners: list[list[float]] = CORNERS) -> Path:
         ("altitude_min_m: 50, altitude_max_m: 10", r"\$\.limits\.altitude_min_m: must be above 0"),
         ("altitude_min_m: 59.0", r"\$\.limits\.altitude_min_m: nothing is left of 59 to 60 m"),
         ("fence_margin_m: 150", r"\$\.limits\.fence_margin_m: the margin of 150 m leaves nothing"),
-        ("fence_margin_m: 0.8", r"\$\.limits\.fence_margin_m: 0.8 m is less than 3 navigation_si"),
-        ("navigation_sigma_m: 1.1", r"\$\.limits\.fence_margin_m: 3 m is less than 3 navigation"),
+        ("fence_margin_m: 0.8", r"\$\.limits\.fence_margin_m: 0.8 m is less than 0.9 m, 3 sigma"),
         ("autopilot_fence: use, fence_margin_m: 0.8", r"\$\.limits\.fence_margin_m: 0.8 m is less"),
         ("fence_enu_m: [[0, 0], [9, 9]]", r"\$\.limits\.fence_enu_m: a fence needs at least 3"),
         (

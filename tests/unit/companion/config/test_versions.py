@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from companion.config.schema import load_config
+from companion.cli import main
+from companion.config.schema import CompanionConfig, load_config
 from companion.config.versions import MIGRATIONS, SCHEMA_VERSION, Gone, Migration, renew
 from companion.errors import ConfigError
+from companion.flight_setup import build_session
 from companion.io.logs.log_files import FAMILY, FORMAT
 from companion.io.radio_recording import VERSION as RECORDING_VERSION
 from companion.mav.dialect import (
@@ -71,6 +74,54 @@ def test_a_section_that_is_gone_says_what_to_do(tmp_path: Path) -> None:
         ConfigError, match=r"estimation\.adaptation: gone since schema 2; delete it"
     ):
         load_config(path)
+
+
+RC1: dict[str, dict[str, Any]] = yaml.safe_load(
+    (Path(__file__).parents[4] / "tests/data/configs_1.0.0rc1.yaml").read_text()
+)
+
+
+@pytest.mark.parametrize("preset", RC1)
+def test_every_file_of_the_first_candidate_is_read_and_shown(
+    preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, again = tmp_path / "rc1.yaml", tmp_path / "now.yaml"
+    path.write_text(yaml.safe_dump(RC1[preset]))
+    config = load_config(path)
+    build_session(config)
+    assert main(["config", "show", "--config", str(path)]) == 0
+    again.write_text(capsys.readouterr().out)
+    assert load_config(again) == config
+
+
+def test_the_defaults_of_the_first_candidate_are_those_of_now(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "rc1.yaml"
+    path.write_text(yaml.safe_dump(RC1["companion/default"]))
+    assert load_config(path) == CompanionConfig()
+    assert main(["config", "show", "--changed", "--config", str(path)]) == 0
+    assert "# $.limits.step_m is gone since schema 2: delete it\n" in capsys.readouterr().out
+
+
+GONE = [
+    (path, gone) for path, gone in MIGRATIONS[0].gone.items() if path != "estimation.adaptation"
+]
+
+
+@pytest.mark.parametrize(("path", "gone"), GONE)
+def test_a_key_that_is_gone_is_refused_with_another_value(path: str, gone: Gone) -> None:
+    for value, is_refused in ((gone.default, False), ("other", True)):
+        *sections, key = path.split(".")
+        raw: dict[str, Any] = {key: value}
+        for section in reversed(sections):
+            raw = {section: raw}
+        if is_refused:
+            with pytest.raises(ConfigError, match=rf"^site: \$\.{re.escape(path)}: gone since"):
+                renew(raw, "site")
+        else:
+            assert renew(raw, "site") == [path]
+            assert raw == {"schema_version": SCHEMA_VERSION}
 
 
 def test_a_file_of_a_later_version_takes_only_the_steps_after_it() -> None:

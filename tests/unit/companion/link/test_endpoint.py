@@ -119,9 +119,9 @@ def test_setpoints_come_more_often_where_frames_get_lost_and_slow_down_after_cal
 
 
 def test_the_pace_is_configured() -> None:
-    config = CompanionConfig(link=LinkParams(rate_hz=25.0, lossy_rate_hz=25.0))
+    config = CompanionConfig(link=LinkParams(rate_hz=25.0))
     wire = Wire(config).ready()
-    assert fly_over_a_lossy_line(wire, 0.3, 8.0) == pytest.approx(200, abs=3)
+    assert fly_over_a_lossy_line(wire, 0.1, 8.0) == pytest.approx(200, abs=3)
 
 
 def test_its_own_frames_come_back_without_effect() -> None:

@@ -49,10 +49,7 @@ def test_one_bad_moment_begins_the_calm_anew() -> None:
     "wrong",
     [
         {"rate_hz": 10.0},
-        {"lossy_rate_hz": 60.0},
-        {"rate_hz": 40.0, "lossy_rate_hz": 30.0},
-        {"lossy_share": 0.0},
-        {"lossy_share": 1.0},
+        {"rate_hz": 60.0},
     ],
 )
 def test_rates_that_make_no_sense_are_refused(wrong: dict[str, float]) -> None:

@@ -32,7 +32,7 @@ def errors_m(results: list[TargetResult]) -> list[float]:
 @pytest.mark.slow
 def test_recorded_wifi_walk_is_localised_within_its_claimed_radius_by_the_window() -> None:
     """All six radios that were recorded there."""
-    params = load_config(WIFI).estimation
+    params = load_config(WIFI).tracking
     results = replay_walk(MALL, params)
     assert [r.target_id for r in results] == RADIOS
     assert sum(r.rows for r in results) == 7872
@@ -184,7 +184,7 @@ def test_a_place_that_is_not_on_the_earth_is_refused_by_its_line(
 
 def test_what_is_stated_of_the_positions_narrows_the_radius(tmp_path: Path) -> None:
     """By column, by the JSON object beside the walk, by the caller, who has the last word."""
-    params = load_config(ROOT / "configs/companion/uwb.yaml").estimation
+    params = load_config(ROOT / "configs/companion/uwb.yaml").tracking
     silent = write_walk(tmp_path / "silent.csv", circle())
     column = write_walk(tmp_path / "column.csv", [{**row, "own_sigma_m": 0.05} for row in circle()])
     beside = write_walk(tmp_path / "beside.csv", circle())
@@ -206,7 +206,7 @@ def test_a_yaw_of_unknown_quality_makes_bearings_count_less(tmp_path: Path) -> N
     vague = write_walk(tmp_path / "vague.csv", [{**row, "own_yaw_sigma_rad": 0.3} for row in rows])
     radii_m = []
     for path in (sure, vague):
-        (result,) = replay_walk(path, load_config(None).estimation, own_sigma_m=0.0)
+        (result,) = replay_walk(path, load_config(None).tracking, own_sigma_m=0.0)
         assert result.estimate is not None
         radii_m.append(result.estimate.r95_m)
     assert radii_m[0] < radii_m[1]
@@ -274,7 +274,7 @@ def test_errors_that_repeat_are_named_in_the_budget(tmp_path: Path) -> None:
         walk = [{**row, "range_m": r} for row, r in zip(rows, ranges_m, strict=True)]
         walk = [{k: v for k, v in row.items() if k != "bearing_rad"} for row in walk]
         path = write_walk(tmp_path / f"{name}.csv", walk)
-        (result,) = replay_walk(path, load_config(None).estimation, own_sigma_m=0.0)
+        (result,) = replay_walk(path, load_config(None).tracking, own_sigma_m=0.0)
         budgets.append(result.budget_m)
     calm, wave = budgets
     assert wave["thermal noise"] == pytest.approx(calm["thermal noise"], rel=0.3)

@@ -15,7 +15,7 @@ from tests.unit.companion.estimation.walks import START, params, walk
 from tools.walks.placed_walks import PlacedCase, walks_of
 from tools.walks.walk_figures import CONFIGS, TargetClaims, replayed
 
-WIFI = load_config(CONFIGS / "wifi_rtt.yaml").estimation
+WIFI = load_config(CONFIGS / "wifi_rtt.yaml").tracking
 COUNT = 300
 LINE = np.stack([np.linspace(0.0, 150.0, COUNT), np.zeros(COUNT)], axis=1)
 OFFSET_ALONE, NO_PRIOR = np.ones((COUNT, 1)), np.zeros((1, 1))

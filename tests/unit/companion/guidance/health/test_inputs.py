@@ -101,15 +101,15 @@ def test_while_ranging_ages_it_flies_slower_and_slower() -> None:
 
 
 def test_a_vague_estimate_is_not_coasted_on() -> None:
-    flight = ScriptedFlight(SessionParams(coast_sigma_max_m=20.0)).in_control()
+    flight = ScriptedFlight().in_control()
     estimate = flight.session.estimate
     assert estimate is not None
     flight.has_ranging = False
-    flight.session.context.estimate = replace(estimate, r95_m=60.0)
+    flight.session.context.estimate = replace(estimate, r95_m=90.0)
     flight.fly(1.9)
     assert flight.is_in(Phase.NORMAL)
     seconds_until(flight, Phase.HOLD)
-    assert flight.texts[-1] == "hold: estimate too uncertain to coast: relative R95 60 m"
+    assert flight.texts[-1] == "hold: estimate too uncertain to coast: relative R95 90 m"
     assert Phase.DEGRADED.value not in [record["new"] for record in flight.records("phase")]
 
 
