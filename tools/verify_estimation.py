@@ -51,8 +51,8 @@ from tools.study.metrics import (
 from tools.study.reporting.study_tables import rmse_interval_m
 from tools.study.systems import FilterName, PlannerName, System
 from tools.study.trials import RunSeries, RunTally, joined_in_order, tally_of
-from tools.walks.walk_choice import left_out_lines
-from tools.walks.walk_figures import walk_lines
+from tools.study.walks.walk_choice import left_out_lines
+from tools.study.walks.walk_figures import walk_lines
 
 Part = Literal["lawnmower", "bound", "honesty", "walks"]
 PARTS: tuple[Part, ...] = ("lawnmower", "bound", "honesty")

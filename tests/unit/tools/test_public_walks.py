@@ -8,7 +8,7 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.replay.walk_replay import read_walk
-from tools.walks.public_walks import FORMATS, librsf_answers, main, rtt_answers, walk_csv
+from tools.study.walks.public_walks import FORMATS, librsf_answers, main, rtt_answers, walk_csv
 
 LIBRSF = """range2 10.50 2.25 0.01 -1.5 4.0 105 0
 odom2diff 10.50 0 0 0 0.0785 0.0001 0.0001 0.0001

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from companion.domain import EstimateState
-from tools.walks.walk_choice import (
+from tools.study.walks.walk_choice import (
     TRIED,
     Job,
     choices,
@@ -16,7 +16,7 @@ from tools.walks.walk_choice import (
     variants_of,
     varied,
 )
-from tools.walks.walk_figures import Claim, TargetClaims, preset_of
+from tools.study.walks.walk_figures import Claim, TargetClaims, preset_of
 
 A, B = Path("wsr_a.csv"), Path("wsr_b.csv")
 VARIANTS = list(variants_of("wifi_aoa"))

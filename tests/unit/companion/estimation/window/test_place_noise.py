@@ -12,8 +12,8 @@ from companion.estimation.window.place_noise import SpatialPrior, cells_of, fit_
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, walk
-from tools.walks.placed_walks import PlacedCase, walks_of
-from tools.walks.walk_figures import CONFIGS, TargetClaims, replayed
+from tools.study.walks.placed_walks import PlacedCase, walks_of
+from tools.study.walks.walk_figures import CONFIGS, TargetClaims, replayed
 
 WIFI = load_config(CONFIGS / "wifi_rtt.yaml").tracking
 COUNT = 300

@@ -20,7 +20,7 @@ from companion.domain import EstimateState, TargetEstimate
 from companion.errors import ConfigError
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.replay.walk_replay import WalkRow, read_walk
-from tools.walks.placed_walks import placed_cases, walks_of
+from tools.study.walks.placed_walks import placed_cases, walks_of
 
 PRESETS = {
     "rtt": "wifi_rtt",
@@ -31,7 +31,7 @@ PRESETS = {
 """Preset by how the name of a recorded walk begins."""
 CLAIMS = 10
 """Claims of a target along its walk."""
-CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "companion"
+CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "companion"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 r"""Converts recorded walks of public data sets into the CSV that `companion replay` reads.
 
-    .venv/bin/python tools/walks/public_walks.py librsf \
+    .venv/bin/python tools/study/walks/public_walks.py librsf \
         Indoor_UWB_Input.txt Indoor_UWB_GT.txt uwb_1.csv
-    .venv/bin/python tools/walks/public_walks.py rtt M1_13_mod.csv AP_idx.csv rtt_1.csv
+    .venv/bin/python tools/study/walks/public_walks.py rtt M1_13_mod.csv AP_idx.csv rtt_1.csv
 
 Users fetch the raw files themselves, after reading their licence; none is part of this project. The
 name of the CSV should begin with that of the preset's kind (`uwb`, `rtt`), by which

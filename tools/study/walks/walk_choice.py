@@ -18,7 +18,7 @@ import msgspec
 
 from companion.estimation.tracker import TrackerParams
 from sim_link.lab.pool import open_pool
-from tools.walks.walk_figures import (
+from tools.study.walks.walk_figures import (
     TargetClaims,
     claims_of,
     name_of_preset,
