@@ -65,7 +65,7 @@ class Containment(Watch):
         self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
         self._texts = RateLimited(TEXT_PERIOD_S)
 
-    def finding(self, now_s: float) -> Finding | None:
+    def step(self, now_s: float) -> Finding | None:
         """Return the finding that recent errors cause, or None."""
         times_s = self._times_s
         if len(times_s) == MOST_ERRORS and now_s - times_s[0] <= WINDOW_S:
@@ -100,7 +100,7 @@ class PassingHold(Watch):
         """Hold with this finding until a time."""
         self._finding, self._until_s = finding, until_s
 
-    def finding(self, now_s: float) -> Finding | None:
+    def step(self, now_s: float) -> Finding | None:
         """Return the finding until its hold is over."""
         return self._finding if now_s < self._until_s else None
 

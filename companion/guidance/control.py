@@ -67,7 +67,8 @@ class Reporting:
 
     def tick(self, now_s: float) -> None:
         """Report an emitter if a report is due."""
-        self._ask_again(now_s)
+        if self._final is not None:
+            self._ask_again(*self._final, now_s)
         context, params = self._context, self._context.params
         heard_s = context.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
@@ -89,7 +90,7 @@ class Reporting:
             self._battery.note_mission_end()
             self._report_rest(now_s)
             self._finish(self._low_battery_mode, now_s)
-        elif context.phase in FLYING:
+        elif context.phase in FLYING and context.searching.contact_s is None:
             self._end_search(now_s)
 
     @property
@@ -100,9 +101,7 @@ class Reporting:
     def _end_search(self, now_s: float) -> None:
         """End a search without contact that is complete, or has no charge left to search with."""
         context, searching = self._context, self._context.searching
-        if searching.contact_s is not None or not context.vehicle.mode_watch.may_request_mode(
-            now_s
-        ):
+        if not context.vehicle.mode_watch.may_request_mode(now_s):
             return
         mode = FlightMode(context.params.on_localised)
         why = searching.end(now_s, context.flight_plan.sweeps)
@@ -191,15 +190,12 @@ class Reporting:
         self.has_finished, self._final = True, (mode, now_s)
         self._context.ask_mode(mode)
 
-    def _ask_again(self, now_s: float) -> None:
+    def _ask_again(self, mode: FlightMode, asked_s: float, now_s: float) -> None:
         """Request the mode after the report until it, or another mode, is shown.
 
         An answer may be lost, and a stall of the computer withdraws earlier requests.
         """
         context, vehicle = self._context, self._context.vehicle
-        if self._final is None:
-            return
-        mode, asked_s = self._final
         is_left = vehicle.is_mode_known(now_s) and not vehicle.is_ours
         if context.phase is not Phase.FINISHED or is_left:
             self._final = None
@@ -253,9 +249,9 @@ class ControlTick:
         context = self._context
         dt_s = TICK_S if self._tick_s is None else now_s - self._tick_s
         self._tick_s = now_s
-        self._watches.tick(now_s)
+        finding = self._watches.step(now_s)
         self._search(now_s)
-        self._advance_phase(now_s)
+        self._advance_phase(finding, now_s)
         fence = self._fence_messages.record(context.guard.limits.fence)
         if fence is not None:
             context.record("fence", **fence)
@@ -288,7 +284,7 @@ class ControlTick:
             now_s,
             context.vehicle,
             None if fence is None else tuple(fence.polygon_enu_m),
-            is_heard=context.emitters.accepted > 0 or context.estimate is not None,
+            is_heard=context.estimate is not None or context.emitters.accepted > 0,
         )
         if problem is not None:
             context.warn(f"no searched area: {problem}")
@@ -334,7 +330,8 @@ class ControlTick:
         if names is not None:
             self._context.record("guard", reasons=names)
 
-    def _advance_phase(self, now_s: float) -> None:
+    def _advance_phase(self, finding: Finding | None, now_s: float) -> None:
+        """Advance the phase by the finding of the watches, if they have one that counts in it."""
         context = self._context
         if context.phase in (Phase.WAITING, Phase.STANDBY):
             self._permit.tick(now_s)
@@ -350,9 +347,9 @@ class ControlTick:
             case Phase.STANDBY if self._permit.is_given:
                 context.begin_launch(now_s)
             case Phase.LAUNCHING:
-                self._advance_launch(now_s)
+                self._advance_launch(finding, now_s)
             case Phase.NORMAL | Phase.DEGRADED | Phase.HOLD:
-                self._apply_finding(now_s)
+                self._apply_finding(finding, now_s)
             case Phase.HANDBACK:
                 self._handover.continue_hand_back(now_s)
         self.reporting.tick(now_s)
@@ -373,13 +370,12 @@ class ControlTick:
             text = "ready: automatic takeoff begins" if self._permit.is_wanted else guided
             context.announce(severity, text, Topic.READINESS)
 
-    def _advance_launch(self, now_s: float) -> None:
+    def _advance_launch(self, finding: Finding | None, now_s: float) -> None:
         context = self._context
         launch, vehicle = context.launch, context.vehicle
         heartbeat, height_m, home = vehicle.heartbeat, vehicle.height_m, vehicle.home_enu_m
         if launch is None:
             return
-        finding = self._watches.launch_finding(now_s)
         if finding is not None:
             launch.note_problem(finding.text, now_s)
         elif heartbeat is None or height_m is None or home is None or not vehicle.is_usable(now_s):
@@ -394,9 +390,9 @@ class ControlTick:
             context.announce(Severity.ERROR, f"takeoff aborted: {launch.failure}")
             context.enter(Trigger.LAUNCH_FAILED, now_s)
 
-    def _apply_finding(self, now_s: float) -> None:
+    def _apply_finding(self, finding: Finding | None, now_s: float) -> None:
         """Follow the plan, slow down, hold, or end control, by the worst finding now."""
-        context, finding = self._context, self._watches.finding(now_s)
+        context = self._context
         if finding is not None and finding.verdict is Verdict.HAND_BACK:
             finding = self._handover.hold_if_unconfirmed(finding, now_s)
         before = context.announced_finding

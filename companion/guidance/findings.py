@@ -90,11 +90,8 @@ class Watch:
     def begin(self, now_s: float) -> None:
         """Note the start of control."""
 
-    def tick(self, now_s: float) -> None:
-        """Advance the time, in control or not."""
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Return the worst finding now, or None."""
+    def step(self, now_s: float) -> Finding | None:
+        """Advance to the time of a control tick, in control or not; return the worst finding."""
 
 
 def worst(findings: Iterable[Finding | None]) -> Finding | None:

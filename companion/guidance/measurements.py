@@ -190,12 +190,13 @@ class Measuring:
     @property
     def is_behind(self) -> bool:
         """True while measurements are left to be fused."""
-        return len(self._queue) > 0
+        return bool(self._queue)
 
     def fuse_due(self, now_s: float) -> None:
         """Queue measurements whose position is known, and fuse within the steps of this wake-up."""
         self._take_due(now_s)
-        self._advance(now_s)
+        if self.is_behind:
+            self._advance(now_s)
 
     def go_on(self, now_s: float) -> None:
         """Fuse within the steps of another wake-up."""
@@ -206,12 +207,13 @@ class Measuring:
     def tick(self, now_s: float) -> None:
         """Queue due measurements; fuse if there was no spare time between two control ticks."""
         self._take_due(now_s)
-        if self.is_behind:
-            self._ticks_behind += 1
-            if self._ticks_behind == 1:
-                return
-        self._queue.renew()
-        self._advance(now_s)
+        if not self.is_behind:
+            self._queue.renew()
+            return
+        self._ticks_behind += 1
+        if self._ticks_behind > 1:
+            self._queue.renew()
+            self._advance(now_s)
 
     def _take_due(self, now_s: float) -> None:
         if not self._listener.waiting:
@@ -222,8 +224,6 @@ class Measuring:
                 self._context.emitters.current.reject(RejectReason.TOO_MANY)
 
     def _advance(self, now_s: float) -> None:
-        if not self.is_behind:
-            return
         with self._contained(now_s):
             reports = self._queue.advance(self._context.tracker.emitter_id)
             if reports:

@@ -136,6 +136,8 @@ class GuidanceSession:
             self._measuring.receive(event.measurement, event.time_s)
         elif isinstance(event, events.TimeLeft):
             self._measuring.go_on(event.time_s)
+        elif isinstance(event, events.TimerFired):
+            self._tick(event)
         elif isinstance(event, MODE_EVENTS) and self.authority.is_out_of_date(event):
             self.context.record("overtaken", what=type(event).__name__)
         elif isinstance(event, events.LandedStateChanged) and self._doubts_landing(event):
@@ -144,6 +146,13 @@ class GuidanceSession:
             self._note(event)
             self._react(event)
         return self.context.take_commands()
+
+    def _tick(self, event: events.TimerFired) -> None:
+        """Run the control tick; the measurements that wait come after its setpoint."""
+        self.vehicle.tick(event.heard_s, event.time_s)
+        self._recollection.advance(event.time_s)
+        self._control.run(event.time_s)
+        self._measuring.tick(event.time_s)
 
     def _doubts_landing(self, event: events.LandedStateChanged) -> bool:
         height_m, floor_m = self.vehicle.height_m, self.context.guard.limits.envelope.altitude_min_m
@@ -160,9 +169,6 @@ class GuidanceSession:
                 self.handover.take_origin(event)
             case events.HomeSet():
                 self.handover.take_home(event)
-            case events.TimerFired():
-                self.vehicle.handle(event)
-                return  # watches have a tick of their own
             case events.VehicleMoved():
                 self._watches.jumps.take_position(event)
                 return
@@ -192,10 +198,6 @@ class GuidanceSession:
                 self.authority.demand_another_mode()
             case events.MemoryRecalled():
                 self._recollection.recall(event.memory, event.age_s, event.time_s)
-            case events.TimerFired():
-                self._recollection.advance(event.time_s)
-                self._control.run(event.time_s)
-                self._measuring.tick(event.time_s)
             case _:
                 self.handover.handle(event)
                 if isinstance(event, events.AutopilotRestarted):
@@ -244,7 +246,7 @@ class GuidanceSession:
     @property
     def phase(self) -> Phase:
         """Phase of the session."""
-        return self.context.phase
+        return self.authority.phase
 
     @property
     def memory(self) -> events.SessionMemory:
@@ -264,7 +266,7 @@ class GuidanceSession:
     @property
     def is_stopped(self) -> bool:
         """True if the process may end."""
-        return self.phase is Phase.STOPPED
+        return self.authority.phase is Phase.STOPPED
 
     def objection_to(self, command: events.OperatorCommand) -> str | None:
         """Return why an operator's command would have no effect now, in a few words, or None."""

@@ -173,7 +173,8 @@ class Shell:
                 self._endpoint.receive(chunk, now_s)
             if chunks:
                 self._is_drained = False
-            if self._endpoint.next_timer_s() <= now_s and self._may_fire(now_s):
+            due_s = self._endpoint.next_timer_s()
+            if due_s <= now_s and self._may_fire(due_s, now_s):
                 self._endpoint.handle_timer(now_s)
             for chunk in self._endpoint.take_output():
                 self.links[chunk.link].send(chunk)
@@ -187,9 +188,8 @@ class Shell:
             self._failure = error
             self._end.set()
 
-    def _may_fire(self, now_s: float) -> bool:
+    def _may_fire(self, due_s: float, now_s: float) -> bool:
         """Return True if the due timer may fire; after a stall the links come first."""
-        due_s = self._endpoint.next_timer_s()
         late_s = 0.0 if math.isinf(due_s) else (now_s - due_s) / self._clock.speed
         if self._catching_up_until_s is None and late_s > STALL_S:
             self.timing.stalls += 1

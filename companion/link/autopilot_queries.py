@@ -417,25 +417,22 @@ class AutopilotQueries:
 
     def due(self, now_s: float, *, is_mode_wanted: bool = False) -> list[Message]:
         """Return the requests to send now; `is_mode_wanted` adds one for a HEARTBEAT."""
-        binding = self._binding
-        if binding.system_id is None:
+        binding, fencing = self._binding, self._fencing
+        if binding.bound is None:
             return []
-        ids = (binding.system_id, binding.component_id)
-        fencing = self._fencing
+        ids, autopilot = binding.bound.ids, binding.bound.autopilot
         if fencing.is_urgent:
             self.fence.hurry()
         request = self.fence.due(
             now_s, ids, is_wanted=fencing.wants_reading, is_followed=fencing.is_followed
         )
         if request is None and fencing.is_followed:
-            request = self.fence_parameters.due(now_s, binding.autopilot, ids)
-        request = request or self._streams.due(
-            now_s, ids, binding.autopilot, is_mode_wanted=is_mode_wanted
-        )
+            request = self.fence_parameters.due(now_s, autopilot, ids)
+        request = request or self._streams.due(now_s, ids, autopilot, is_mode_wanted=is_mode_wanted)
         if request is None and self.stopper is not None:
             request = self.stopper.due(now_s, ids)
-        request = request or self._px4_check.due(now_s, binding.autopilot, *ids)
-        request = request or self.modes.due(now_s, binding.autopilot, ids)
+        request = request or self._px4_check.due(now_s, autopilot, *ids)
+        request = request or self.modes.due(now_s, autopilot, ids)
         if request is None and binding.hardware.is_due(now_s):
             request = request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, ids)
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, ids) if self._asks_mode else None

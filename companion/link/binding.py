@@ -196,9 +196,11 @@ class AutopilotBinding:
         self._ticked_s = now_s
         self.is_in_control = is_in_control
         self.is_committed = is_in_control or (self.is_committed and is_armed)
-        self._choose(now_s)
-        is_over = now_s - self._doubted_s > DOUBT_S and not self._is_silent(now_s)
-        if self.is_doubted and is_over:
+        if not self.is_committed:
+            self._choose(now_s)
+        if self.problem is None or self._is_of_choice or now_s - self._doubted_s <= DOUBT_S:
+            return
+        if not self._is_silent(now_s):
             self.problem = None
 
     @property

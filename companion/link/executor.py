@@ -142,21 +142,22 @@ class SessionExecutor:
 
     def execute(self, command: commands.Command, now_s: float) -> None:
         """Execute a command of the session."""
-        ids, autopilot = self.outlet.target_ids, self.binding.autopilot
         match command:
             case commands.SendHeartbeat():
                 self.outlet.broadcast(outbound.heartbeat(), now_s)
             case commands.SendSetpoint():
                 self._send_setpoint(command, now_s)
             case commands.SetMode():
+                autopilot = self.binding.autopilot
                 order = outbound.set_mode(command.mode, autopilot, is_armed=command.is_armed)
-                self._requests.submit(RequestKind.SET_MODE, order, ids)
+                self._requests.submit(RequestKind.SET_MODE, order, self.outlet.target_ids)
             case commands.Arm():
-                self._requests.submit(RequestKind.ARM, outbound.arm(), ids)
+                order = outbound.arm()
+                self._requests.submit(RequestKind.ARM, order, self.outlet.target_ids)
             case commands.TakeOff():
                 origin = self.session.vehicle.origin
-                order = outbound.take_off(command, origin, autopilot)
-                self._requests.submit(RequestKind.TAKE_OFF, order, ids)
+                order = outbound.take_off(command, origin, self.binding.autopilot)
+                self._requests.submit(RequestKind.TAKE_OFF, order, self.outlet.target_ids)
             case commands.WithdrawRequest():
                 self._requests.cancel()
             case commands.Announce():

@@ -163,7 +163,8 @@ class Outlet:
     @property
     def target_ids(self) -> tuple[int, int]:
         """System and component of the autopilot."""
-        return (self._binding.system_id or 1, self._binding.component_id)
+        bound = self._binding.bound
+        return (1, 0) if bound is None else bound.ids
 
     def adopt(self, system_id: int) -> None:
         """Adopt the vehicle's system id."""

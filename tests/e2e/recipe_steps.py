@@ -423,7 +423,7 @@ class VibrationWatch(Watch):
         if isinstance(event, events.VibrationReported):
             self._is_strong = event.worst_mps2 > STRONG_MPS2
 
-    def finding(self, now_s: float) -> Finding | None:
+    def step(self, now_s: float) -> Finding | None:
         """Hold."""
         del now_s
         if not self._is_strong:
@@ -503,7 +503,7 @@ def test_it_holds_while_it_shakes() -> None:
     verdicts = []
     for time_s, worst_mps2 in enumerate((10.0, 31.0, 29.0)):
         watch.handle(VibrationReported(float(time_s), worst_mps2))
-        found = watch.finding(float(time_s))
+        found = watch.step(float(time_s))
         verdicts.append(found and found.verdict)
     assert verdicts == [None, Verdict.HOLD, None]
 """,

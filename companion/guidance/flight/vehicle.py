@@ -163,12 +163,14 @@ class VehicleView:
 
     def handle(self, event: events.Event) -> None:
         """Apply an event about the vehicle; ignore others."""
-        self.position_accuracy.handle(event)
         match event:
             case events.HeartbeatReceived():
                 self.heartbeat, self.heard_s = event, event.time_s
                 self.mode_watch.note_heartbeat(event)
+            case events.PositionAccuracyReported():
+                self.position_accuracy.handle(event)
             case events.VehicleMoved():
+                self.position_accuracy.handle(event)
                 self._move(event)
             case events.YawMeasured() if math.isfinite(event.yaw_ned_rad):
                 attitude = Attitude(event.yaw_ned_rad, event.tilt_rad)
@@ -185,9 +187,11 @@ class VehicleView:
                 self.landed, self._landed_s = event.landed, event.time_s
             case events.IdentityDoubted():
                 self.identity_problem = event.problem
-            case events.TimerFired():
-                self.heard_s = event.heard_s
-                self.mode_watch.tick(event.time_s)
+
+    def tick(self, heard_s: float | None, now_s: float) -> None:
+        """Note at a control tick when the autopilot was heard, and what its silence means."""
+        self.heard_s = heard_s
+        self.mode_watch.tick(now_s)
 
     def forget(self) -> None:
         """Drop all state that a restart of the autopilot invalidates."""

@@ -95,7 +95,7 @@ class BatteryWatch(Watch):
         """Note the end of the flight."""
         self._was_handed_back = self._has_ended_mission = False
 
-    def finding(self, now_s: float) -> Finding | None:
+    def step(self, now_s: float) -> Finding | None:
         """Return the finding at a critical charge, or None."""
         del now_s
         if self.level is not BatteryLevel.CRITICAL:
@@ -212,13 +212,9 @@ class HealthWatch(Watch):
         del now_s
         self._accepted_failsafe = self._is_failsafe
 
-    def finding(self, now_s: float) -> Finding | None:
-        """Return the worst finding now, or None."""
-        return worst(self.findings(now_s))
-
-    def findings(self, now_s: float) -> list[Finding]:
-        """Return all findings now."""
-        found = []
+    def step(self, now_s: float) -> Finding | None:
+        """Return the worst finding, the first of equals, or None."""
+        found: list[Finding | None] = []
         doubt_s, no_fix_s = self._doubt.lasted_s(now_s), self._no_fix.lasted_s(now_s)
         no_position_s = self._no_position.lasted_s(now_s)
         if no_position_s is not None:
@@ -232,7 +228,7 @@ class HealthWatch(Watch):
         if self._is_failsafe and not self._accepted_failsafe and not self._battery.is_low:
             text = "autopilot failsafe active"
             found.append(Finding(Verdict.HOLD, Reason.FAILSAFE, text))
-        return found
+        return worst(found)
 
     def _without_fix(self, lasted_s: float, now_s: float) -> Finding:
         """Return the finding for a lost fix, by the estimator's verdict."""
@@ -280,7 +276,7 @@ class LandingWatch(Watch):
         del now_s
         self._is_doubted = False
 
-    def finding(self, now_s: float) -> Finding | None:
+    def step(self, now_s: float) -> Finding | None:
         """Return a hold while the autopilot reports a landing that is doubted."""
         del now_s
         if not self._is_doubted:

@@ -140,16 +140,14 @@ class EchoWatch(Watch):
         is_far, self._is_far = self._is_far, False
         return is_far
 
-    def tick(self, now_s: float) -> None:
-        """Drop old foreign echoes, and note the start of contention with a second source."""
-        self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
-        if not self._is_contended(now_s):
+    def step(self, now_s: float) -> Finding | None:
+        """Drop old foreign echoes; return a finding on a second source, or on missing echoes."""
+        if self._foreign_s:
+            self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
+        if len(self._foreign_s) < FOREIGN_ECHOES or not self._is_contended(now_s):
             self._contended_since_s = None
         elif self._contended_since_s is None:
             self._contended_since_s = now_s
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Return the finding of the echoes at a tick in control, or None."""
         if self._contended_since_s is not None:
             went_on = self._foreign_s[-1][0] - self._contended_since_s >= GOES_ON_S
             is_over = now_s - self._contended_since_s >= HOLD_S
@@ -169,8 +167,6 @@ class EchoWatch(Watch):
 
     def _is_contended(self, now_s: float) -> bool:
         """Return True while a second source is active, or not silent for long."""
-        if len(self._foreign_s) < FOREIGN_ECHOES:
-            return False
         span_s = self._foreign_s[-1][0] - self._foreign_s[0][0]
         silent_s = now_s - self._foreign_s[-1][0]
         return span_s >= FOREIGN_SPAN_S and silent_s <= max(NEAR_S, span_s)
@@ -256,14 +252,11 @@ class StickWatch(Watch):
             self._moved_s = event.time_s
         self._seen_moved_s = event.time_s
 
-    def tick(self, now_s: float) -> None:
-        """Treat sticks that are no longer reported as not moved."""
-        if self._latest is not None and now_s - self._latest.time_s > STALE_S:
-            self._moved_s = None
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Return the finding of the sticks at a tick in control, or None."""
+    def step(self, now_s: float) -> Finding | None:
+        """Return the finding of the sticks; those no longer reported count as not moved."""
         seen_s, latest = self._seen_moved_s, self._latest
+        if latest is not None and now_s - latest.time_s > STALE_S:
+            self._moved_s = None
         if self._reaction == "ignore" or seen_s is None or latest is None:
             return None
         moved_s = self._moved_s

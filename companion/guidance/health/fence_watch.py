@@ -34,8 +34,11 @@ class FenceWatch(Watch):
         if self._texts.is_due("changed", event.time_s):
             self._context.warn("the autopilot's fence changed: reading it again")
 
-    def tick(self, now_s: float) -> None:
-        """Update the fence with home and control, and note the start of a problem."""
+    def step(self, now_s: float) -> Finding | None:
+        """Update the fence with home and control; hold while it is unknown or cannot be kept.
+
+        Hand back when that lasts.
+        """
         context, vehicle, fencing = self._context, self._context.vehicle, self._context.fencing
         if vehicle.reported_home_enu_m is not None:
             before = fencing.note
@@ -47,14 +50,10 @@ class FenceWatch(Watch):
             fencing.follow(is_airborne=context.is_airborne, is_in_control=is_in_control)
         if fencing.refusal is None and not fencing.is_doubted:
             self._wrong_since_s = None
-        elif self._wrong_since_s is None:
-            self._wrong_since_s = now_s
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Hold while the fence is unknown or cannot be kept; hand back when that lasts."""
-        refusal, since_s = self._context.fencing.refusal, self._wrong_since_s
-        if since_s is None:
             return None
+        if self._wrong_since_s is None:
+            self._wrong_since_s = now_s
+        refusal = fencing.refusal
         text = "the autopilot's fence is not read yet" if refusal is None else refusal
-        has_lasted = now_s - since_s > UNREAD_PATIENCE_S
+        has_lasted = now_s - self._wrong_since_s > UNREAD_PATIENCE_S
         return Finding(Verdict.HAND_BACK if has_lasted else Verdict.HOLD, Reason.FENCE, text)

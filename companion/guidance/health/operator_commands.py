@@ -85,13 +85,9 @@ class OperatorCommandWatch(Watch):
                 text += f": switch to {context.vehicle.guided_name}"
         context.announce(Severity.NOTICE, text)
 
-    def tick(self, now_s: float) -> None:
-        """Drop a command when control ends."""
+    def step(self, now_s: float) -> Finding | None:
+        """Return the finding of the operator's command, which is dropped when control ends."""
         del now_s
         if self._context.phase not in IN_CONTROL:
             self._finding = None
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Return the finding of the operator's command, or None."""
-        del now_s
         return self._finding

@@ -159,33 +159,24 @@ class JumpWatch(Watch):
         """True after a jump, until the position may be used for guidance again."""
         return self._jumped_m is not None
 
-    def tick(self, now_s: float) -> None:
-        """Clear the doubt once the position is steady, unless a breach of the fence is possible.
+    def step(self, now_s: float) -> Finding | None:
+        """Clear the doubt once the position is steady; hand back if a breach of the fence may come.
 
         An operator who hands control over after the jumps knows where the vehicle is.
         """
-        phase, is_placed = self._context.phase, self._context.vehicle.motion is not None
-        if self._jumped_m is None or not self._is_steady(now_s):
-            return
-        is_safe = phase in IN_CONTROL and is_placed and not self._may_breach()
+        if self._jumped_m is None or now_s - self._last_s < STEADY_S:
+            return None
+        phase, motion = self._context.phase, self._context.vehicle.motion
+        limits = self._context.guard.limits
+        is_unsafe = motion is not None and may_breach(limits, motion, self._jumped_m)
+        is_safe = phase in IN_CONTROL and motion is not None and not is_unsafe
         if is_safe or phase not in HAS_VEHICLE:
             self._jumped_m = None
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Return a hand-back if the way back inside may be wrong by the jumps, or None."""
-        if self._jumped_m is None or not self._is_steady(now_s) or not self._may_breach():
+            return None
+        if not is_unsafe:
             return None
         text = f"vehicle position jumped by {math.hypot(*self._jumped_m):.0f} m: may breach fence"
         return Finding(Verdict.HAND_BACK, Reason.OWN_JUMP, text)
-
-    def _may_breach(self) -> bool:
-        motion, limits = self._context.vehicle.motion, self._context.guard.limits
-        if self._jumped_m is None or motion is None:
-            return False
-        return may_breach(limits, motion, self._jumped_m)
-
-    def _is_steady(self, now_s: float) -> bool:
-        return now_s - self._last_s >= STEADY_S
 
     def take_position(self, event: VehicleMoved) -> None:
         """Compare a reported position with those before, and pass it to the vehicle."""

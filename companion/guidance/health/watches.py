@@ -64,25 +64,21 @@ class InputWatch(Watch):
         self._agreed = agreeing
         self._is_dropout = agreeing < AGREEING
 
-    def tick(self, now_s: float) -> None:
-        """Update the state of the inputs."""
+    def step(self, now_s: float) -> Finding | None:
+        """Update the state of the inputs; return the worst finding about them, or None."""
         lost = self.missing(now_s)
         if lost is not None:
             self._lost, self._lost_s, self._back_s = lost, now_s, None
         elif self._lost is not None:
             self._watch_return(now_s)
-        heard_s = self._context.tracker.last_accepted_s
-        if heard_s is None or now_s - heard_s > self._context.params.ranging_timeout_s:
+        context = self._context
+        estimate, heard_s = context.estimate, context.tracker.last_accepted_s
+        if heard_s is None or now_s - heard_s > context.params.ranging_timeout_s:
             self._is_dropout, self._agreed = True, 0
         elif self._agreed >= AGREEING:
             self._is_dropout = False
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Return the worst finding about the inputs, or None."""
         if self._lost is not None:
             return self._lost
-        context = self._context
-        estimate, heard_s = context.estimate, context.tracker.last_accepted_s
         if self._is_searching(now_s):
             return None
         if estimate is None or heard_s is None:
@@ -194,7 +190,6 @@ class Watches:
             self.inputs,
         )
         self._hearing = tuple(w for w in self._all if type(w).handle is not Watch.handle)
-        self._ticking = tuple(w for w in self._all if type(w).tick is not Watch.tick)
         self._other_targets = RateLimited(OTHER_TARGET_EVERY_S)
         self._was_in_control = self._was_launching = False
         self._is_battery_announced = False
@@ -226,10 +221,11 @@ class Watches:
             text = f"another target was sent to the autopilot{who}: ours replaces it"
             self._context.warn(f"{text}; change the mode to take over")
 
-    def tick(self, now_s: float) -> None:
-        """Advance all watches, and note the start and end of control."""
-        for watch in self._ticking:
-            watch.tick(now_s)
+    def step(self, now_s: float) -> Finding | None:
+        """Note the start and end of control, and advance all watches.
+
+        Return the worst finding in control, or of those that prevent a launch in a launch, or None.
+        """
         phase = self._context.phase
         is_in_control = phase in IN_CONTROL
         if is_in_control and not self._was_in_control:
@@ -241,19 +237,17 @@ class Watches:
         if phase is Phase.WAITING and not self._context.vehicle.is_armed:
             self.battery.note_flight_end()
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
+        found = [(watch, watch.step(now_s)) for watch in self._all]
+        if is_in_control:
+            return worst(finding for _, finding in found)
+        if phase is Phase.LAUNCHING:
+            return worst(finding for watch, finding in found if watch in self._for_launch)
+        return None
 
     def note_handback(self, finding: Finding) -> None:
         """Note a hand-back for this finding."""
         if finding.reason is Reason.BATTERY_CRITICAL:
             self.battery.note_handback()
-
-    def finding(self, now_s: float) -> Finding | None:
-        """Return the worst finding at a tick in control, or None."""
-        return worst(watch.finding(now_s) for watch in self._all)
-
-    def launch_finding(self, now_s: float) -> Finding | None:
-        """Return the worst finding of the watches that prevent a launch, in control or not."""
-        return worst(watch.finding(now_s) for watch in self._for_launch)
 
     def _begin(self, now_s: float) -> None:
         for watch in self._all:

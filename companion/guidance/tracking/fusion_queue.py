@@ -47,6 +47,10 @@ class FusionQueue:
         """Remaining steps for the first measurement of a queue."""
         self._left = WAKE_ROWS
 
+    def __bool__(self) -> bool:
+        """Return True while measurements are not fused yet; cheaper than their number."""
+        return bool(self._queues)
+
     def __len__(self) -> int:
         """Return the number of measurements that are not fused yet."""
         return sum(len(queue) for queue in self._queues.values())

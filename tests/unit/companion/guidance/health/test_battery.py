@@ -56,22 +56,22 @@ def test_one_report_is_not_believed() -> None:
 
 def test_critical_is_handed_back_once_in_a_flight() -> None:
     watch = watch_at(5.0)
-    finding = watch.finding(0.0)
+    finding = watch.step(0.0)
     assert finding is not None
     assert (finding.verdict, finding.mode) == (Verdict.HAND_BACK, FlightMode.RETURN)
     watch.note_handback()
-    finding = watch.finding(0.0)
+    finding = watch.step(0.0)
     assert finding is not None
     assert finding.verdict is Verdict.HOLD
     watch.note_flight_end()
-    finding = watch.finding(0.0)
+    finding = watch.step(0.0)
     assert finding is not None
     assert finding.verdict is Verdict.HAND_BACK
 
 
 def test_low_ends_a_mission_once_in_a_flight() -> None:
     watch = watch_at(15.0)
-    assert watch.finding(0.0) is None
+    assert watch.step(0.0) is None
     assert watch.ends_mission
     watch.note_mission_end()
     assert not watch.ends_mission

@@ -47,8 +47,7 @@ class Line:
             self._ticks += 1
             self.now_s = self._ticks * TICK_S
             self._carry()
-            self.watch.tick(self.now_s)
-            finding = self.watch.finding(self.now_s)
+            finding = self.watch.step(self.now_s)
             if finding is not None:
                 self.findings.append((self.now_s, finding))
             if self.is_moving:
@@ -125,8 +124,7 @@ def test_a_second_source_that_stops_is_forgotten() -> None:
     line.intruder_hz = 0.0
     line.run(6.0)
     assert line.first(Verdict.YIELD) == math.inf
-    line.watch.tick(line.now_s)
-    assert line.watch.finding(line.now_s) is None
+    assert line.watch.step(line.now_s) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -159,11 +157,9 @@ def test_a_slow_source_that_stops_is_not_held_on_for_longer_than_it_was_there() 
     for _ in range(3):
         line.watch.handle(SetpointEchoed(line.now_s, FOREIGN))
         line.run(4.0)
-    line.watch.tick(line.now_s)
-    assert line.watch.finding(line.now_s) is not None
+    assert line.watch.step(line.now_s) is not None
     line.run(5.0)
-    line.watch.tick(line.now_s)
-    assert line.watch.finding(line.now_s) is None
+    assert line.watch.step(line.now_s) is None
     assert line.first(Verdict.YIELD) == math.inf
 
 
@@ -195,8 +191,7 @@ def test_setpoints_that_do_not_arrive_are_noticed_within_two_seconds() -> None:
     assert line.findings[0][0] - cut_s <= 2.5
     line.is_uplink_up = True
     line.run(1.0)
-    line.watch.tick(line.now_s)
-    assert line.watch.finding(line.now_s) is None
+    assert line.watch.step(line.now_s) is None
 
 
 def test_echoes_that_stop_are_noticed_within_two_seconds() -> None:
@@ -223,8 +218,7 @@ def test_what_was_flown_before_control_began_is_not_held_against_it() -> None:
         now_s = 100.0 + TICK_S * tick
         watch.note_setpoint((0.0, 0.0, 20.0), now_s)
         watch.handle(SetpointEchoed(now_s, FOREIGN))
-        watch.tick(now_s)
-        assert watch.finding(now_s) is None
+        assert watch.step(now_s) is None
 
 
 def test_a_frame_that_moved_begins_anew() -> None:
@@ -234,8 +228,7 @@ def test_a_frame_that_moved_begins_anew() -> None:
     for _ in range(20):
         line.watch.handle(SetpointEchoed(line.now_s, FOREIGN))
         line.now_s += 0.05
-    line.watch.tick(line.now_s)
-    assert line.watch.finding(line.now_s) is None
+    assert line.watch.step(line.now_s) is None
 
 
 def test_what_the_autopilot_follows_while_we_pause_is_no_second_source() -> None:

@@ -38,7 +38,8 @@ def times(
 
 
 def only(watch: HealthWatch, now_s: float) -> list[Finding]:
-    return watch.findings(now_s)
+    worst = watch.step(now_s)
+    return [] if worst is None else [worst]
 
 
 def test_a_healthy_autopilot_is_flown() -> None:
@@ -127,7 +128,7 @@ def test_a_failsafe_raised_in_flight_is_held_on_until_it_is_over() -> None:
     assert (finding.verdict, finding.reason) == (Verdict.HOLD, Reason.FAILSAFE)
     for _ in range(2):
         battery.handle(BatteryReported(20.9, 15.0, BatteryLevel.UNKNOWN))
-    assert watch.findings(21.0) == []
+    assert watch.step(21.0) is None
     watch.handle(heartbeat(22.0, is_failsafe=False))
     assert only(watch, 22.0) == []
 

@@ -30,8 +30,7 @@ def move(
     for number in range(round((until_s - from_s) / RATE_S)):
         now_s = from_s + RATE_S * number
         watch.handle(SticksReported(now_s, deflections))
-        watch.tick(now_s)
-        finding = watch.finding(now_s)
+        finding = watch.step(now_s)
         if finding is not None:
             first.setdefault(finding.verdict, now_s)
     return first
@@ -91,10 +90,8 @@ def test_a_touch_is_held_on_for_two_seconds() -> None:
     watch.handle(SticksReported(20.2, REST))
     for number in range(10):
         watch.handle(SticksReported(20.4 + RATE_S * number, REST))
-    watch.tick(21.9)
-    assert watch.finding(21.9) is not None
-    watch.tick(22.1)
-    assert watch.finding(22.1) is None
+    assert watch.step(21.9) is not None
+    assert watch.step(22.1) is None
 
 
 def test_a_reaction_is_a_matter_of_configuration() -> None:
@@ -121,15 +118,12 @@ def test_a_transmitter_that_appears_with_a_moved_stick_is_a_wish() -> None:
 def test_a_transmitter_that_is_switched_on_in_flight_rests_where_it_is() -> None:
     watch = StickWatch("yield")
     watch.begin(10.0)
-    watch.tick(11.0)
-    assert watch.finding(11.0) is None
+    assert watch.step(11.0) is None
     assert move(watch, (0.0, 0.0, 1.0, 0.0), 20.0, 25.0) == {}
 
 
 def test_a_transmitter_that_falls_silent_is_not_moved() -> None:
     watch = watch_of()
     watch.handle(SticksReported(20.0, (0.5, 0.0, -1.0, 0.0)))
-    watch.tick(20.1)
-    assert watch.finding(20.1) is not None
-    watch.tick(25.0)
-    assert watch.finding(25.0) is None
+    assert watch.step(20.1) is not None
+    assert watch.step(25.0) is None
