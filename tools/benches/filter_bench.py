@@ -277,7 +277,7 @@ def stepped_often(
     """Return the sum of the eastings at which `count` first steps of the window end."""
     total = 0.0
     for _ in range(steps):
-        moved, *_ = map_step(
+        moved, _, _, _, _ = map_step(
             rows,
             start,
             measured_innovations(rows, start, belief.model),

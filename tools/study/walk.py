@@ -244,7 +244,7 @@ def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) ->
     mean: Vector = np.minimum(np.maximum(start, bounds[0]), bounds[1])
     damping, offs = DAMPING_START, measured_innovations(rows, mean, model)
     for _ in range(MAX_ITERATIONS):
-        moved, offs, damping, *_ = map_step(
+        moved, offs, damping, _, _ = map_step(
             rows, mean, offs, damping, limits, bounds, information, pull, model
         )
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
