@@ -10,6 +10,11 @@ target's height where these are not known:
 A measurement is three numbers in that order, NaN where nothing was measured: inside the kernels
 they are one array. With a known height and no elevation the geometry is that of the plane.
 
+This module is the only place of h, H and R. Each function takes one measurement, a pose (3,) or
+(9,), or n of them at once, a pose (3, n) or (9, n), and its result has the same last axis: the
+filters update with one, the window solves and planners compare many. The first axis of a result is
+the modality; only the leading ones that it has room for are computed.
+
 An antenna array does not measure an azimuth about the vertical. It measures the components of u,
 the unit vector to the target, along its own axes a and b, which turn with the vehicle's attitude.
 The rows of bearing and elevation then hold, with R(c) the rotation by the bearing offset c,
@@ -30,10 +35,11 @@ Source of the arrays: H. L. Van Trees, Optimum Array Processing (2002), chapters
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from companion.estimation.number_or_array import arctan2, components, larger, root, wrapped
 from companion.kernel import Matrix, Vector, kernel
 
 EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = 0, 1, 2, 3
@@ -47,8 +53,9 @@ MODALITIES = 3
 ABSENT = -1
 """Index of a component that is not part of the state."""
 
-MIN_RANGE_M = 1e-3
-"""Distance below which the direction to the target is undefined."""
+NEAREST2_M2 = 0.05**2
+"""Lower limit of squared distances where they divide: a direction to a target nearer than the
+accuracy of any vehicle position is undefined."""
 
 AZIMUTH, PLANAR, COSINES = 0, 1, 2
 """Content of the bearing row: an azimuth about the vertical, as in the paper, the azimuth of a
@@ -100,167 +107,234 @@ def range_factor(mean: Vector, model: RangingModel) -> float:
     return 1.0
 
 
+class Sight(NamedTuple):
+    """Line from sensor to target: numbers for one measurement, arrays (n,) for many."""
+
+    east_m: Any
+    north_m: Any
+    up_m: Any
+    ground2_m2: Any
+    slant2_m2: Any
+
+
 @kernel
-def cosines(de: float, dn: float, du: float, turn_rad: float, pose: Vector) -> tuple[float, float]:
-    """Return the unit vector (de, dn, du), turned by `turn_rad`, along the antenna's two axes."""
+def sight_of(mean: Vector, pose: Matrix, model: RangingModel) -> Sight:
+    """Return the line to a target at `mean` from a sensor's pose, (3 or 9,) or (3 or 9, n)."""
+    m, p = components(mean), components(pose)
+    de, dn, du = m[0] - p[0], m[1] - p[1], target_height_m(mean, model) - p[2]
+    ground2 = de * de + dn * dn
+    return Sight(de, dn, du, ground2, ground2 + du * du)
+
+
+@kernel
+def cosines(sight: Sight, mean: Vector, pose: Matrix) -> tuple[Any, Any]:
+    """Return the unit vector to the target, turned by the bearing offset, along both axes."""
+    p, turn_rad = components(pose), float(mean[BEARING_OFFSET])
     c, s = math.cos(turn_rad), math.sin(turn_rad)
-    east, north = c * de - s * dn, s * de + c * dn
-    return (
-        float(pose[3] * east + pose[4] * north + pose[5] * du),
-        float(pose[6] * east + pose[7] * north + pose[8] * du),
-    )
+    east = c * sight.east_m - s * sight.north_m
+    north = s * sight.east_m + c * sight.north_m
+    slant = root(larger(sight.slant2_m2, NEAREST2_M2))
+    first = (p[3] * east + p[4] * north + p[5] * sight.up_m) / slant
+    return first, (p[6] * east + p[7] * north + p[8] * sight.up_m) / slant
 
 
 @kernel
-def predicted(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
-    """Return the range, bearing and elevation, (3,), of a state; metres and radians, not wrapped.
+def sine2_off_normal(sight: Sight, mean: Vector, pose: Matrix) -> Any:
+    """Return the squared sine of the angle to a planar array's normal, limited below."""
+    x, y = cosines(sight, mean, pose)
+    return larger(x * x + y * y, MIN_SINE2)
 
-    The sensor is its position, (3,), or with an antenna array its pose, (9,): position and two
-    axes.
-    """
-    de = float(mean[0]) - float(sensor_enu_m[0])
-    dn = float(mean[1]) - float(sensor_enu_m[1])
-    du = target_height_m(mean, model) - float(sensor_enu_m[2])
-    ground = math.sqrt(de * de + dn * dn)
-    slant = math.sqrt(de * de + dn * dn + du * du)
-    z = np.empty(3)
-    z[0] = range_factor(mean, model) * slant + mean[2]
+
+@kernel
+def fill_predicted(z: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> None:
+    """Fill the first modalities of z, (m,) or (m, n), as a state predicts them, not wrapped."""
+    sight = sight_of(mean, pose, model)
+    z[RANGE] = range_factor(mean, model) * root(sight.slant2_m2) + float(mean[RANGE_OFFSET])
+    if z.shape[0] == 1:
+        return
     if model.antenna == AZIMUTH:
-        z[1] = math.atan2(dn, de) + mean[3]
-        z[2] = math.atan2(du, ground)
-        return z
-    unit = 1.0 / max(slant, MIN_RANGE_M)
-    z[1], z[2] = cosines(de * unit, dn * unit, du * unit, float(mean[3]), sensor_enu_m)
-    if model.antenna == PLANAR:
-        z[1] = math.atan2(z[2], z[1])
+        z[BEARING] = arctan2(sight.north_m, sight.east_m) + float(mean[BEARING_OFFSET])
+        if z.shape[0] > ELEVATION:
+            z[ELEVATION] = arctan2(sight.up_m, root(sight.ground2_m2))
+        return
+    x, y = cosines(sight, mean, pose)
+    z[BEARING] = arctan2(y, x) if model.antenna == PLANAR else x
+    if z.shape[0] > ELEVATION:
+        z[ELEVATION] = y
+
+
+@kernel
+def predicted(mean: Vector, pose: Vector, model: RangingModel) -> Vector:
+    """Return range, bearing and elevation, (3,), of a state; metres and radians, not wrapped.
+
+    The pose is the sensor's position, (3,), or with an antenna array also its two axes, (9,).
+    """
+    z = np.empty(MODALITIES)
+    fill_predicted(z, mean, pose, model)
     return z
 
 
 @kernel
-def jacobian(mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Matrix:
-    """Return the partials by the state, (3, n); zero where a direction is undefined."""
-    de = float(mean[0]) - float(sensor_enu_m[0])
-    dn = float(mean[1]) - float(sensor_enu_m[1])
-    du = target_height_m(mean, model) - float(sensor_enu_m[2])
-    ground2 = de * de + dn * dn
-    slant2 = ground2 + du * du
-    H = np.zeros((3, mean.size))
-    H[0, 2] = 1.0
-    H[1, 3] = 1.0
+def innovations(z: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> Matrix:
+    """Return measured minus predicted, of the shape of z, (m,) or (m, n); angles wrapped.
+
+    NaN where not measured.
+    """
+    y = np.empty(z.shape)
+    fill_predicted(y, mean, pose, model)
+    y = z - y
+    if z.shape[0] > BEARING and model.antenna != COSINES:
+        y[BEARING] = wrapped(y[BEARING])
+    return y
+
+
+@kernel
+def fill_partials(H: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> None:
+    """Fill the partials by the state, (m, k) or (m, k, n), which are zero before."""
+    sight = sight_of(mean, pose, model)
+    de, dn, du = sight.east_m, sight.north_m, sight.up_m
+    slant = root(larger(sight.slant2_m2, NEAREST2_M2))
+    by_slant = range_factor(mean, model) / slant
+    H[RANGE, EAST] = de * by_slant
+    H[RANGE, NORTH] = dn * by_slant
+    H[RANGE, RANGE_OFFSET] = 1.0
     if model.scale_index >= 0:
-        H[0, model.scale_index] = math.sqrt(slant2)
-    if slant2 > MIN_RANGE_M * MIN_RANGE_M:
-        by_slant = range_factor(mean, model) / math.sqrt(slant2)
-        H[0, 0] = de * by_slant
-        H[0, 1] = dn * by_slant
-        if model.height_index >= 0:
-            H[0, model.height_index] = du * by_slant
-            H[2, model.height_index] = math.sqrt(ground2) / slant2
+        H[RANGE, model.scale_index] = root(sight.slant2_m2)
+    if model.height_index >= 0:
+        H[RANGE, model.height_index] = du * by_slant
+    if H.shape[0] == 1:
+        return
     if model.antenna != AZIMUTH:
-        fill_array_partials(H, mean, de, dn, du, sensor_enu_m, model)
-    elif ground2 > MIN_RANGE_M * MIN_RANGE_M:
-        H[1, 0] = -dn / ground2
-        H[1, 1] = de / ground2
-        down = -du / (slant2 * math.sqrt(ground2))
-        H[2, 0] = de * down
-        H[2, 1] = dn * down
+        fill_array_partials(H, sight, mean, pose, model)
+        return
+    ground2 = larger(sight.ground2_m2, NEAREST2_M2)
+    H[BEARING, EAST] = -dn / ground2
+    H[BEARING, NORTH] = de / ground2
+    H[BEARING, BEARING_OFFSET] = 1.0
+    if H.shape[0] > ELEVATION:
+        ground, slant2 = root(ground2), ground2 + du * du
+        down = -du / (slant2 * ground)
+        H[ELEVATION, EAST] = de * down
+        H[ELEVATION, NORTH] = dn * down
+        if model.height_index >= 0:
+            H[ELEVATION, model.height_index] = root(sight.ground2_m2) / slant2
+
+
+@kernel
+def jacobian(mean: Vector, pose: Vector, model: RangingModel) -> Matrix:
+    """Return the partials by the state, (3, k); zero where a direction is undefined."""
+    H = np.zeros((MODALITIES, mean.size))
+    fill_partials(H, mean, pose, model)
     return H
 
 
 @kernel
 def fill_array_partials(
-    H: Matrix,
-    mean: Vector,
-    de: float,
-    dn: float,
-    du: float,
-    pose: Vector,
-    model: RangingModel,
+    H: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: RangingModel
 ) -> None:
-    """Fill the direction rows of H, (3, n), with an array's partials (cosines or azimuth)."""
-    slant = max(math.sqrt(de * de + dn * dn + du * du), MIN_RANGE_M)
-    e, n, up = de / slant, dn / slant, du / slant
-    c, s = math.cos(mean[3]), math.sin(mean[3])
-    H[1, :] = 0.0
-    H[2, :] = 0.0
-    for row in range(2):
-        axis = pose[3 + 3 * row : 6 + 3 * row]
-        east, north = c * axis[0] + s * axis[1], c * axis[1] - s * axis[0]
-        cosine = east * e + north * n + axis[2] * up
-        H[1 + row, 0] = (east - cosine * e) / slant
-        H[1 + row, 1] = (north - cosine * n) / slant
-        H[1 + row, 3] = north * e - east * n
+    """Fill the direction rows of H with an antenna array's partials (cosines or azimuth)."""
+    p = components(pose)
+    slant = root(larger(sight.slant2_m2, NEAREST2_M2))
+    e, n, up = sight.east_m / slant, sight.north_m / slant, sight.up_m / slant
+    c, s = math.cos(mean[BEARING_OFFSET]), math.sin(mean[BEARING_OFFSET])
+    x, y = cosines(sight, mean, pose)
+    first, second = np.zeros(H.shape[1:]), np.zeros(H.shape[1:])
+    for axis in range(2):
+        by_state, cosine = (first, x) if axis == 0 else (second, y)
+        axis_e, axis_n, axis_up = p[3 + 3 * axis], p[4 + 3 * axis], p[5 + 3 * axis]
+        east, north = c * axis_e + s * axis_n, c * axis_n - s * axis_e
+        by_state[EAST] = (east - cosine * e) / slant
+        by_state[NORTH] = (north - cosine * n) / slant
+        by_state[BEARING_OFFSET] = north * e - east * n
         if model.height_index >= 0:
-            H[1 + row, model.height_index] = (axis[2] - cosine * up) / slant
+            by_state[model.height_index] = (axis_up - cosine * up) / slant
     if model.antenna == PLANAR:
-        x, y = cosines(e, n, up, float(mean[3]), pose)
-        H[1, :] = (x * H[2] - y * H[1]) / max(x * x + y * y, MIN_SINE2)
-        H[2, :] = 0.0
+        H[BEARING] = (x * second - y * first) / larger(x * x + y * y, MIN_SINE2)
+        return
+    H[BEARING] = first
+    if H.shape[0] > ELEVATION:
+        H[ELEVATION] = second
 
 
 @kernel
-def variances(
-    P: Matrix, mean: Vector, sensor_enu_m: Vector, sigma: Vector, model: RangingModel
-) -> Vector:
-    """Return the variances of range, bearing and elevation about the model, (3,), m^2 and rad^2.
+def fill_noise(R: Matrix, sigma: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> None:
+    """Fill the variances R, (m,) or (m, n), with those of radio and vehicle position.
 
-    They contain the radio's noise `sigma` (3,), the vehicle's position error (for angles, the angle
-    that it subtends at the target), and the spread of the model's second-order part: (tr P / 2r)^2
-    for the range, (tr P / r^2)^2 with the ground range r for the bearing. Without these an EKF
-    trusts a linearisation that is meaningless near the target, and diverges. The elevation is as
-    nonlinear right above the target.
+    `sigma` of the radio has at least the modalities of R. The position error is for angles the one
+    that it subtends at the target. Where bearings are inflated it is scaled down accordingly:
+    otherwise it would excuse any bearing to a target near the vehicle.
     """
-    de = float(mean[0]) - float(sensor_enu_m[0])
-    dn = float(mean[1]) - float(sensor_enu_m[1])
-    du = target_height_m(mean, model) - float(sensor_enu_m[2])
-    ground2 = max(de * de + dn * dn, MIN_RANGE_M * MIN_RANGE_M)
-    slant2 = max(de * de + dn * dn + du * du, MIN_RANGE_M * MIN_RANGE_M)
     own2 = model.own_sigma_m * model.own_sigma_m
-    if model.antenna != AZIMUTH:
-        return array_variances(P, mean, sensor_enu_m, sigma, model)
-    ranged, borne, elevated = float(sigma[0]), float(sigma[1]), float(sigma[2])
-    ranged = ranged * ranged + own2
-    borne = borne * borne + own2 / ground2
-    elevated = elevated * elevated + own2 / slant2
-    if model.near_target_terms:
-        trace = float(P[0, 0]) + float(P[1, 1])
-        bend = trace / ground2
-        borne += bend * bend
-        if model.height_index >= 0:
-            trace += float(P[model.height_index, model.height_index])
-        ranged += trace * trace / (4.0 * slant2)
-        bend = trace / slant2 * (1.0 + 0.5 * abs(du) / math.sqrt(ground2))
-        elevated += bend * bend
-    R = np.empty(3)
-    R[0], R[1], R[2] = ranged, borne, elevated
-    return R
+    R[RANGE] = sigma[RANGE] * sigma[RANGE] + own2
+    if R.shape[0] == 1:
+        return
+    sight, share2 = sight_of(mean, pose, model), own2 / model.bearing_inflation
+    slant2 = larger(sight.slant2_m2, NEAREST2_M2)
+    thermal = sigma[BEARING] * sigma[BEARING]
+    if model.antenna == AZIMUTH:
+        R[BEARING] = thermal + share2 / larger(sight.ground2_m2, NEAREST2_M2)
+    elif model.antenna == PLANAR:
+        sine2 = sine2_off_normal(sight, mean, pose)
+        thermal = thermal / sine2
+        # Rician phase: a large angle carries less information than its variance
+        R[BEARING] = thermal * (1.0 + thermal) + share2 / (slant2 * sine2)
+    else:
+        R[BEARING] = thermal + share2 / slant2
+    if R.shape[0] > ELEVATION:
+        subtended2 = own2 / slant2 if model.antenna == AZIMUTH else share2 / slant2
+        R[ELEVATION] = sigma[ELEVATION] * sigma[ELEVATION] + subtended2
 
 
 @kernel
-def array_variances(
-    P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel
-) -> Vector:
-    """Return the variances as in `variances` for an antenna array; `sigma` of a component, (3,)."""
-    de = float(mean[0]) - float(pose[0])
-    dn = float(mean[1]) - float(pose[1])
-    du = target_height_m(mean, model) - float(pose[2])
-    slant2 = max(de * de + dn * dn + du * du, MIN_RANGE_M * MIN_RANGE_M)
-    own2 = model.own_sigma_m * model.own_sigma_m
-    trace = 0.0
-    if model.near_target_terms:
-        trace = float(P[0, 0] + P[1, 1])
-        if model.height_index >= 0:
-            trace += float(P[model.height_index, model.height_index])
-    R = sigma * sigma
-    R[0] += own2 + trace * trace / (4.0 * slant2)
-    view2 = slant2
+def add_second_order(
+    R: Matrix, ground_m2: float, space_m2: float, mean: Vector, pose: Matrix, model: RangingModel
+) -> None:
+    """Add the spread of the model's second-order part to the variances R, (m,) or (m, n).
+
+    (tr P / 2r)^2 for the range, (tr P / r^2)^2 with the ground range r for the bearing; the
+    elevation is as nonlinear right above the target. Without these an EKF trusts a linearisation
+    that is meaningless near the target, and diverges. `ground_m2` is the trace of the horizontal
+    position's covariance, `space_m2` that with the height's variance.
+    """
+    sight = sight_of(mean, pose, model)
+    slant2 = larger(sight.slant2_m2, NEAREST2_M2)
+    R[RANGE] += space_m2 * space_m2 / (4.0 * slant2)
+    if R.shape[0] == 1:
+        return
+    if model.antenna == AZIMUTH:
+        ground2 = larger(sight.ground2_m2, NEAREST2_M2)
+        bend = ground_m2 / ground2
+        R[BEARING] += bend * bend
+        if R.shape[0] > ELEVATION:
+            rise_m = larger(sight.up_m, -sight.up_m)
+            bend = space_m2 / slant2 * (1.0 + 0.5 * rise_m / root(ground2))
+            R[ELEVATION] += bend * bend
+        return
+    bend = space_m2 / slant2
+    if R.shape[0] > ELEVATION:
+        R[ELEVATION] += bend * bend
     if model.antenna == PLANAR:
-        unit = 1.0 / math.sqrt(slant2)
-        x, y = cosines(de * unit, dn * unit, du * unit, float(mean[3]), pose)
-        sine2 = max(x * x + y * y, MIN_SINE2)
-        view2 = slant2 * sine2
-        R[1] /= sine2
-        R[1] *= 1.0 + R[1]  # Rician phase: a large angle carries less information than its variance
-    R[1] += own2 / view2 + (trace / view2) ** 2
-    R[2] += own2 / slant2 + (trace / slant2) ** 2
+        bend = bend / sine2_off_normal(sight, mean, pose)
+    R[BEARING] += bend * bend
+
+
+@kernel
+def fill_variances(
+    R: Matrix, P: Matrix, mean: Vector, pose: Matrix, sigma: Matrix, model: RangingModel
+) -> None:
+    """Fill the variances R about the model, (m,) or (m, n), with the state's covariance P."""
+    fill_noise(R, sigma, mean, pose, model)
+    if model.near_target_terms:
+        ground_m2 = float(P[0, 0]) + float(P[1, 1])
+        space_m2 = ground_m2
+        if model.height_index >= 0:
+            space_m2 += float(P[model.height_index, model.height_index])
+        add_second_order(R, ground_m2, space_m2, mean, pose, model)
+
+
+@kernel
+def variances(P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel) -> Vector:
+    """Return the variances of range, bearing and elevation, (3,), m^2 and rad^2."""
+    R = np.empty(MODALITIES)
+    fill_variances(R, P, mean, pose, sigma, model)
     return R

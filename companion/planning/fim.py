@@ -7,8 +7,8 @@ eigenvalue of the *marginal* information about the position, the offsets being n
     J' = J + H^T R^-1 H,    I(s) = J'_pp - J'_po J'_oo^-1 J'_op,    s* = argmax lambda_min(I(s))
 
 I(s) is the inverse of the position block of the updated covariance, so that block is computed
-instead, P_pp - G S^-1 G^T with G = (P H^T)_p and S = H P H^T + R: the same s*, by two-by-two
-algebra only, and it needs no inverse of P, which may be singular.
+instead, by a Kalman update with one row after the other: the same s*, and it needs no inverse of P,
+which may be singular. H and R are those of `measurement_model`.
 
 Paper: section V-B, eq. (FIM objective). Deviations: the paper leaves the candidates, the prior
 information and the offsets open (with them known, any new position looks equally good); ranges are
@@ -16,35 +16,45 @@ slant, as the radio measures them; and `near_target_terms` adds the second-order
 filter, without which the bearing from a position above the estimate counts as perfect. Without them
 the criterion is the linearised one.
 
-With an antenna array the rows are those of its own measurement model, about a level vehicle that
-keeps its heading: for an azimuth in the array's plane, sigma_0 over the sine off its normal, or for
-direction cosines, sigma_0 each; outside the field of view there is no row.
+An antenna array is that of a level vehicle that keeps its heading; outside the field of view there
+is no direction.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from companion.domain import Params, Positive, TargetEstimate, Waypoint, WaypointReason
+from companion.estimation.measurement_model import (
+    ABSENT,
+    AZIMUTH,
+    BEARING,
+    COSINES,
+    ELEVATION,
+    MODALITIES,
+    PLANAR,
+    RangingModel,
+    cosines,
+    fill_partials,
+    fill_variances,
+    sight_of,
+)
+from companion.estimation.number_or_array import root
 from companion.geometry.coordinates import bearing_ned_from_enu
 from companion.geometry.polygons import Point
-from companion.kernel import Matrix, Vector, frozen, kernel
+from companion.kernel import IS_COMPILED, Matrix, Vector, frozen, kernel
 from companion.planning.planner import Plan, PlanRequest, hold_position, route_to, way_finder
-from companion.planning.views import Antenna, Triple
+from companion.planning.views import Antenna
 
 HEADINGS = 16
 """Default number of candidate directions."""
 STAY = -1
 """Index of the candidate that stays."""
-MIN_DISTANCE_M = 1e-3
-"""Distance below which the direction to the target is undefined."""
-NO_BEARINGS_RAD2 = math.inf
-"""Bearing variance where bearings are not measured."""
 
 
 class FimParams(Params, frozen=True):
@@ -62,157 +72,127 @@ class FimParams(Params, frozen=True):
     """True: variances contain the second-order terms; false: as the paper prints it."""
 
 
+class FieldOfView(NamedTuple):
+    """Directions that an antenna sees."""
+
+    boresight_enu: Vector
+    """Unit vector, (3,)."""
+    least_cosine: float
+    """Cosine of the half angle about it; -1: all around."""
+
+
+ALL_AROUND = FieldOfView(np.zeros(3), -1.0)
+"""Field of view of an azimuth about the vertical."""
+
+
 @kernel
-def worst_variance_m2(
-    P: Matrix,
-    de_m: float,
-    dn_m: float,
-    du_m: float,
-    range_variance_m2: float,
-    bearing_variance_rad2: float,
-    near_target_terms: bool,
-) -> float:
+def projected(P: Matrix, h: Matrix) -> tuple[Any, Any, Any, Any]:
+    """Return P h^T of the partials h, (4,) or (4, n), by component."""
+    return (
+        P[0, 0] * h[0] + P[0, 1] * h[1] + P[0, 2] * h[2] + P[0, 3] * h[3],
+        P[1, 0] * h[0] + P[1, 1] * h[1] + P[1, 2] * h[2] + P[1, 3] * h[3],
+        P[2, 0] * h[0] + P[2, 1] * h[1] + P[2, 2] * h[2] + P[2, 3] * h[3],
+        P[3, 0] * h[0] + P[3, 1] * h[1] + P[3, 2] * h[2] + P[3, 3] * h[3],
+    )
+
+
+@kernel
+def product(h: Matrix, g: tuple[Any, Any, Any, Any]) -> Any:
+    """Return h g of partials h, (4,) or (4, n), and four components."""
+    return h[0] * g[0] + h[1] * g[1] + h[2] * g[2] + h[3] * g[3]
+
+
+@kernel
+def worst_variance_m2(P: Matrix, H: Matrix, R: Matrix) -> Any:
     """Return the largest eigenvalue of the position covariance after one expected measurement.
 
     Its inverse is the smallest eigenvalue of the marginal information. P is (4, 4), of [east,
-    north, range offset, bearing offset]; `de_m` and `dn_m` lead from the measuring position to the
-    estimate. A bearing variance is thermal noise; infinite: bearings are not measured.
+    north, range offset, bearing offset]; H is (2 or 3, 4), or (2 or 3, 4, n) for n measurements,
+    with the variances R (2 or 3,) or (2 or 3, n); infinite: not measured.
     """
-    ground2 = max(de_m * de_m + dn_m * dn_m, MIN_DISTANCE_M * MIN_DISTANCE_M)
-    slant2 = ground2 + du_m * du_m
-    slant = math.sqrt(slant2)
-    trace = P[0, 0] + P[1, 1] if near_target_terms else 0.0
-    ue, un = de_m / slant, dn_m / slant
-    # columns of P H^T: of the range, (ue, un, 1, 0), and of the bearing, (ve, vn, 0, 1)
-    ge = P[0, 0] * ue + P[0, 1] * un + P[0, 2]
-    gn = P[1, 0] * ue + P[1, 1] * un + P[1, 2]
-    go = P[2, 0] * ue + P[2, 1] * un + P[2, 2]
-    s_rr = ue * ge + un * gn + go + range_variance_m2 + trace * trace / (4.0 * slant2)
-    if math.isinf(bearing_variance_rad2):
-        ee = P[0, 0] - ge * ge / s_rr
-        en = P[0, 1] - ge * gn / s_rr
-        nn = P[1, 1] - gn * gn / s_rr
-    else:
-        ve, vn = -dn_m / ground2, de_m / ground2
-        he = P[0, 0] * ve + P[0, 1] * vn + P[0, 3]
-        hn = P[1, 0] * ve + P[1, 1] * vn + P[1, 3]
-        ho = P[3, 0] * ve + P[3, 1] * vn + P[3, 3]
-        s_bb = ve * he + vn * hn + ho + bearing_variance_rad2 + (trace / ground2) ** 2
-        s_rb = ue * he + un * hn + P[2, 0] * ve + P[2, 1] * vn + P[2, 3]
-        det = s_rr * s_bb - s_rb * s_rb
-        ee = P[0, 0] - (ge * ge * s_bb - 2.0 * ge * he * s_rb + he * he * s_rr) / det
-        en = P[0, 1] - (ge * gn * s_bb - (ge * hn + he * gn) * s_rb + he * hn * s_rr) / det
-        nn = P[1, 1] - (gn * gn * s_bb - 2.0 * gn * hn * s_rb + hn * hn * s_rr) / det
-    return float(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
-
-
-class View(NamedTuple):
-    """Antenna array on a level vehicle, and its noise."""
-
-    antenna: Antenna
-    yaw_enu_rad: float
-    sigmas: tuple[float, float]
-    """Standard deviations of a range, m (infinite: not measured), and of a direction cosine."""
+    g = projected(P, H[0])
+    S = product(H[0], g) + R[0]
+    ee = P[0, 0] - g[0] * g[0] / S
+    en = P[0, 1] - g[0] * g[1] / S
+    nn = P[1, 1] - g[1] * g[1] / S
+    k = projected(P, H[1])
+    share = product(H[1], g) / S
+    k = (k[0] - share * g[0], k[1] - share * g[1], k[2] - share * g[2], k[3] - share * g[3])
+    T = product(H[1], k) + R[1]
+    ee, en, nn = ee - k[0] * k[0] / T, en - k[0] * k[1] / T, nn - k[1] * k[1] / T
+    if H.shape[0] > ELEVATION:
+        first, second = product(H[2], g) / S, product(H[2], k) / T
+        last = projected(P, H[2])
+        last = (
+            last[0] - first * g[0] - second * k[0],
+            last[1] - first * g[1] - second * k[1],
+            last[2] - first * g[2] - second * k[2],
+            last[3] - first * g[3] - second * k[3],
+        )
+        U = product(H[2], last) + R[2]
+        ee, en, nn = ee - last[0] * last[0] / U, en - last[0] * last[1] / U, nn - last[1] ** 2 / U
+    half = 0.5 * (ee - nn)
+    return 0.5 * (ee + nn) + root(half * half + en * en)
 
 
 @kernel
-def array_worst_variance_m2(
-    P: Matrix, to_target_m: Triple, view: View, near_target_terms: bool
-) -> float:
-    """Return `worst_variance_m2` for an antenna array, updated row by row."""
-    de, dn, du = to_target_m
-    slant = max(math.sqrt(de * de + dn * dn + du * du), MIN_DISTANCE_M)
-    u, antenna, cosine2 = (de / slant, dn / slant, du / slant), view.antenna, view.sigmas[1] ** 2
-    spread = (P[0, 0] + P[1, 1]) / slant if near_target_terms else 0.0
-    after, h = P.copy(), np.array([u[0], u[1], 1.0, 0.0])
-    if not math.isinf(view.sigmas[0]):
-        take_in(after, h, view.sigmas[0] ** 2 + 0.25 * spread * spread)
-    second_order = (spread / slant) ** 2
-    first, x = cosine_row(antenna.first, u, slant, view.yaw_enu_rad)
-    second, y = cosine_row(antenna.second, u, slant, view.yaw_enu_rad)
-    _, off = cosine_row(antenna.boresight, u, slant, view.yaw_enu_rad)
-    edge = math.cos(antenna.half_view_rad)
-    if antenna.is_planar:
-        sine2 = max(x * x + y * y, MIN_DISTANCE_M * MIN_DISTANCE_M)
-        if x >= math.sqrt(sine2) * edge:
-            noise2 = cosine2 / sine2 * (1.0 + cosine2 / sine2) + second_order / (sine2 * sine2)
-            take_in(after, (x * second - y * first) / sine2, noise2)
-    elif abs(off) >= edge:
-        take_in(after, first, cosine2 + second_order)
-        if antenna.rows > 1:
-            take_in(after, second, cosine2 + second_order)
-    ee, en, nn = after[0, 0], after[0, 1], after[1, 1]
-    return float(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
+def worst_variances_m2(
+    P: Matrix, mean: Vector, poses: Matrix, sigma: Vector, view: FieldOfView, model: RangingModel
+) -> Vector:
+    """Return `worst_variance_m2` of a measurement at each of the poses (3 or 9, n), (n,).
+
+    The mean is (4,), `sigma` (3,) the noise of range and directions; infinite: not measured.
+    """
+    n = poses.shape[1]
+    if model.antenna == AZIMUTH and IS_COMPILED:  # needs no array but these
+        H, R, worst = np.zeros((2, 4)), np.empty(2), np.empty(n)
+        for index in range(n):
+            fill_partials(H, mean, poses[:, index], model)
+            fill_variances(R, P, mean, poses[:, index], sigma, model)
+            worst[index] = worst_variance_m2(P, H, R)
+        return worst
+    count = 2 if model.antenna == AZIMUTH else MODALITIES
+    all_H, all_R = np.zeros((count, 4, n)), np.empty((count, n))
+    fill_partials(all_H, mean, poses, model)
+    fill_variances(all_R, P, mean, poses, sigma, model)
+    if view.least_cosine > -1.0:
+        is_hidden = ~is_in_view(mean, poses, view, model)
+        for row in range(BEARING, count):
+            all_R[row][is_hidden] = math.inf
+    return np.asarray(worst_variance_m2(P, all_H, all_R))
 
 
 @kernel
-def cosine_row(axis: Triple, u: Triple, slant_m: float, yaw_rad: float) -> tuple[Vector, float]:
-    """Return the partials (4,) of the cosine along an axis of the level body, and the cosine."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    east, north = c * axis[0] - s * axis[1], s * axis[0] + c * axis[1]
-    cosine = east * u[0] + north * u[1] + axis[2] * u[2]
-    by_east, by_north = (east - cosine * u[0]) / slant_m, (north - cosine * u[1]) / slant_m
-    return np.array([by_east, by_north, 0.0, north * u[0] - east * u[1]]), cosine
-
-
-@kernel
-def take_in(P: Matrix, h: Vector, variance: float) -> None:
-    """Update a covariance (4, 4) in place with one row (4,), as a Kalman filter does."""
-    Ph = (P * h).sum(axis=1)
-    P -= np.outer(Ph, Ph) / ((Ph * h).sum() + variance)
-
-
-@kernel
-def best_array_candidate(
-    P: Matrix,
-    to_target_m: Triple,
-    ring_m: Matrix,
-    may_fly: NDArray[np.bool_],
-    view: View,
-    near: bool,
-) -> int:
-    """Return the result of `best_candidate` for an antenna array."""
-    de, dn, du = to_target_m
-    best, least = STAY, array_worst_variance_m2(P, to_target_m, view, near)
-    for index in range(ring_m.shape[0]):
-        if may_fly[index]:
-            there = (de - ring_m[index, 0], dn - ring_m[index, 1], du)
-            variance = array_worst_variance_m2(P, there, view, near)
-            if variance < least:
-                best, least = index, variance
-    return best
+def is_in_view(mean: Vector, poses: Matrix, view: FieldOfView, model: RangingModel) -> Any:
+    """Return which of the poses, (n,), see the target: a line or two axes see the cone behind."""
+    sight = sight_of(mean, poses, model)
+    if model.antenna == PLANAR:
+        x, y = cosines(sight, mean, poses)
+        return x >= np.sqrt(x * x + y * y) * view.least_cosine
+    axis = view.boresight_enu
+    along_m = axis[0] * sight.east_m + axis[1] * sight.north_m + axis[2] * sight.up_m
+    return np.abs(along_m) >= view.least_cosine * np.sqrt(sight.slant2_m2)
 
 
 @kernel
 def best_candidate(
     P: Matrix,
-    de_m: float,
-    dn_m: float,
-    du_m: float,
-    ring_m: Matrix,
+    mean: Vector,
+    poses: Matrix,
     may_fly: NDArray[np.bool_],
-    range_variance_m2: float,
-    bearing_variance_rad2: float,
-    near_target_terms: bool,
+    sigma: Vector,
+    view: FieldOfView,
+    model: RangingModel,
 ) -> int:
-    """Return the index of the E-optimal row of `ring_m` (k, 2) that `may_fly` (k,), or `STAY`."""
-    best = STAY
-    least = worst_variance_m2(
-        P, de_m, dn_m, du_m, range_variance_m2, bearing_variance_rad2, near_target_terms
-    )
-    for index in range(ring_m.shape[0]):
-        if may_fly[index]:
-            variance = worst_variance_m2(
-                P,
-                de_m - ring_m[index, 0],
-                dn_m - ring_m[index, 1],
-                du_m,
-                range_variance_m2,
-                bearing_variance_rad2,
-                near_target_terms,
-            )
-            if variance < least:
-                best, least = index, variance
+    """Return the index of the E-optimal of the poses (3 or 9, k + 1), or `STAY`.
+
+    The last pose is the present one; of the others those count that `may_fly` (k,).
+    """
+    worst = worst_variances_m2(P, mean, poses, sigma, view, model)
+    best, least = STAY, worst[-1]
+    for index in range(may_fly.size):
+        if may_fly[index] and worst[index] < least:
+            best, least = index, worst[index]
     return best
 
 
@@ -220,6 +200,27 @@ def candidate_ring_m(step_m: float, headings: int = HEADINGS) -> Matrix:
     """Return the steps of the candidates, (headings, 2) ENU, counter-clockwise from east."""
     bearings_rad = 2.0 * np.pi * np.arange(headings) / headings
     return frozen(step_m * np.column_stack([np.cos(bearings_rad), np.sin(bearings_rad)]))
+
+
+def candidate_poses_m(step_m: float, headings: int = HEADINGS) -> Matrix:
+    """Return the candidates' positions about the vehicle, (3, headings + 1), staying the last."""
+    poses_m = np.zeros((3, headings + 1))
+    poses_m[:2, :headings] = candidate_ring_m(step_m, headings).T
+    return poses_m
+
+
+def model_of(antenna: Antenna | None, *, near_target_terms: bool) -> RangingModel:
+    """Return the measurement model of an antenna, without the vehicle position's error."""
+    kind = AZIMUTH if antenna is None else PLANAR if antenna.is_planar else COSINES
+    return RangingModel(0.0, ABSENT, ABSENT, 0.0, near_target_terms, antenna=kind)
+
+
+def turned(antenna: Antenna, yaw_rad: float) -> tuple[Vector, FieldOfView]:
+    """Return both axes, (6,), and the field of view of a level vehicle's antenna, in ENU."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    body = np.array([antenna.first, antenna.second, antenna.boresight])
+    axes = body @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return axes[:2].reshape(-1), FieldOfView(axes[2], math.cos(antenna.half_view_rad))
 
 
 class FimPlanner:
@@ -238,9 +239,8 @@ class FimPlanner:
         self.params = params
         self._antenna = antenna
         self._sigmas = (range_sigma_m, bearing_sigma_rad)
-        self._ring_m = candidate_ring_m(params.step_m, params.headings)
-        self._range_variance_m2 = range_sigma_m**2
-        self._bearing_variance_rad2 = bearing_sigma_rad**2
+        self._model = model_of(antenna, near_target_terms=params.near_target_terms)
+        self._poses_m = candidate_poses_m(params.step_m, params.headings)
         self._offset_variances = (
             params.range_offset_sigma_m**2,
             math.radians(params.bearing_offset_sigma_deg) ** 2,
@@ -266,17 +266,26 @@ class FimPlanner:
     def _best(self, request: PlanRequest, estimate: TargetEstimate) -> int:
         """Return the index of the best candidate, by the kind of bearings."""
         vehicle, target = request.vehicle_enu_m, estimate.position_enu_m
-        de_m, dn_m, du_m = target[0] - vehicle[0], target[1] - vehicle[1], -request.height_m
-        P, near = self._covariance(request, estimate), self.params.near_target_terms
-        ring_m, may_fly = self._ring_m, self._may_fly(request)
+        away_m = (target[0] - vehicle[0], target[1] - vehicle[1])
+        poses, view, sigmas = self._poses_m, ALL_AROUND, self._sigmas
         if self._antenna is not None:
             yaw_rad = request.yaw_enu_rad
-            ahead_rad = math.atan2(dn_m, de_m) if yaw_rad is None else yaw_rad
-            view = View(self._antenna, ahead_rad, request.sigmas or self._sigmas)
-            return best_array_candidate(P, (de_m, dn_m, du_m), ring_m, may_fly, view, near)
-        bearing2 = NO_BEARINGS_RAD2 if request.baseline_m > 0.0 else self._bearing_variance_rad2
-        range2 = self._range_variance_m2
-        return best_candidate(P, de_m, dn_m, du_m, ring_m, may_fly, range2, bearing2, near)
+            ahead_rad = math.atan2(away_m[1], away_m[0]) if yaw_rad is None else yaw_rad
+            axes, view = turned(self._antenna, ahead_rad)
+            poses = np.vstack([poses, np.repeat(axes[:, None], poses.shape[1], axis=1)])
+            sigmas = request.sigmas or sigmas
+        elif request.baseline_m > 0.0:
+            sigmas = (sigmas[0], math.inf)
+        across = math.inf if self._antenna is not None and self._antenna.rows == 1 else sigmas[1]
+        return best_candidate(
+            self._covariance(request, estimate),
+            np.array([*away_m, 0.0, 0.0]),
+            poses,
+            self._may_fly(request),
+            np.array([*sigmas, across]),
+            view,
+            self._model._replace(height_m=-request.height_m),
+        )
 
     def _covariance(self, request: PlanRequest, estimate: TargetEstimate) -> Matrix:
         """Return the joint covariance of position and offsets, the filter's or the prior."""
@@ -298,5 +307,5 @@ class FimPlanner:
         return np.array(clear, dtype=np.bool_)
 
     def _candidate(self, vehicle: Point, index: int) -> Point:
-        east_m, north_m = self._ring_m[index].tolist()
+        east_m, north_m, _ = self._poses_m[:, index].tolist()
         return (vehicle[0] + east_m, vehicle[1] + north_m)

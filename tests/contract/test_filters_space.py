@@ -64,7 +64,7 @@ def _plane_update(
     turn = seen.bearing_enu_rad - (math.atan2(north, east) + state.mean[3])
     y = [
         seen.range_m - (distance + state.mean[2]),
-        (turn + math.pi) % (2.0 * math.pi) - math.pi,
+        turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5),
     ]
     H = np.zeros((2, 4))
     H[0, :3] = east * (1.0 / distance), north * (1.0 / distance), 1.0

@@ -15,15 +15,20 @@ from companion.estimation.filters.robust_update import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
     asymmetric_huber_weight,
-    innovations,
     is_positive_definite,
     joseph_row,
     settled,
     within_bounds,
-    wrapped,
 )
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.measurement_model import AZIMUTH, jacobian, predicted, variances
+from companion.estimation.measurement_model import (
+    AZIMUTH,
+    innovations,
+    jacobian,
+    predicted,
+    variances,
+)
+from companion.estimation.number_or_array import wrapped
 from companion.estimation.window.map_kernels import (
     clipped,
     map_cost,

@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.measurement_model import RangingModel, jacobian, predicted, variances
+from companion.estimation.measurement_model import (
+    NEAREST2_M2,
+    RangingModel,
+    jacobian,
+    predicted,
+    variances,
+)
 from companion.estimation.window.map_kernels import (
-    MIN_DISTANCE_M,
     row_partials,
     row_residuals,
     row_sigmas,
@@ -150,7 +155,7 @@ def test_right_overhead_a_window_row_stays_finite(model: RangingModel) -> None:
     H = row_partials(rows, mean, sigmas, model)
     assert np.isfinite(H).all()
     assert np.isfinite(row_residuals(rows, mean, sigmas, model)).all()
-    assert np.abs(H[3:5, :2] * sigmas[1, :2, None]).max() <= 1.0 / MIN_DISTANCE_M
+    assert np.abs(H[3:5, :2] * sigmas[1, :2, None]).max() <= 1.0 / math.sqrt(NEAREST2_M2)
 
 
 def test_a_range_is_slant() -> None:

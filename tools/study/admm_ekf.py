@@ -32,14 +32,18 @@ from companion.domain import Params, Positive
 from companion.estimation.filters.kalman import KINDS, RecursiveFilter
 from companion.estimation.filters.robust_update import (
     asymmetric_huber_weight,
-    innovations,
     is_positive_definite,
     joseph_row,
     lateness_variance,
     settled,
 )
 from companion.estimation.filters.target_filter import FilterParams, TargetFilter
-from companion.estimation.measurement_model import RangingModel, jacobian, variances
+from companion.estimation.measurement_model import (
+    RangingModel,
+    innovations,
+    jacobian,
+    variances,
+)
 from companion.kernel import Matrix, Vector, kernel
 
 

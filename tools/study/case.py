@@ -31,8 +31,8 @@ import numpy as np
 
 from companion.domain import NonNegative, Params, Positive
 from companion.estimation.antenna import AntennaParams
-from companion.estimation.filters.robust_update import wrapped
 from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.number_or_array import wrapped
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.crossing import LatchedCrossingParams

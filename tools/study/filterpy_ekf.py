@@ -19,6 +19,7 @@ from companion.estimation import measurement_model
 from companion.estimation.filters import robust_update, target_filter
 from companion.estimation.filters.target_filter import FilterState, ModalityReport
 from companion.estimation.measurement_model import BEARING, MODALITIES
+from companion.estimation.number_or_array import wrapped
 from companion.kernel import Vector
 
 
@@ -97,7 +98,7 @@ def _residual(rows: list[int], z: Vector, expected: Vector) -> Vector:
     y = z - expected
     if BEARING in rows:
         index = rows.index(BEARING)
-        y[index] = robust_update.wrapped(float(y[index]))
+        y[index] = wrapped(float(y[index]))
     return y
 
 

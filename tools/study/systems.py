@@ -24,7 +24,14 @@ from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 from companion.planning.crossing import LatchedCrossing
-from companion.planning.fim import FimParams, FimPlanner, candidate_ring_m
+from companion.planning.fim import (
+    ALL_AROUND,
+    FimParams,
+    FimPlanner,
+    candidate_poses_m,
+    candidate_ring_m,
+    model_of,
+)
 from companion.planning.planner import Planner, PlanRequest
 from sim_link.world.environment import NO_MEMORY
 from tools.study import case as cases
@@ -226,6 +233,9 @@ def steering_of(case: Case, system: System) -> WalkSteering:
         case.latched.rule(),
         np.array(candidate_ring_m(case.step_m, case.fim_headings)),
         np.ones(case.fim_headings, dtype=np.bool_),
+        candidate_poses_m(case.step_m, case.fim_headings),
+        ALL_AROUND,
+        model_of(None, near_target_terms=True),
     )
 
 

@@ -63,7 +63,7 @@ from companion.planning.crossing_kernels import (
     next_direction,
     overshoot_m,
 )
-from companion.planning.fim import MIN_DISTANCE_M, STAY, best_candidate
+from companion.planning.fim import STAY, FieldOfView, best_candidate
 from sim_link.world.environment import NO_MEMORY
 from tools.study.admm_ekf import admm_update
 from tools.study.case import RunTruth, Scene, measured_in, stepped
@@ -71,6 +71,8 @@ from tools.study.reactive_crossing import reactive_step
 
 FLAT_SHARE = 1e-9
 """Candidates within this share of the best are as good."""
+MIN_DISTANCE_M = 1e-3
+"""Distance below which a bearing has no more information."""
 
 
 @kernel
@@ -160,6 +162,11 @@ class WalkSteering(NamedTuple):
     latch: LatchRule
     ring_m: Matrix
     may_fly: NDArray[np.bool_]
+    poses_m: Matrix
+    """(3, k + 1) ring, and staying."""
+    view: FieldOfView
+    model: RangingModel
+    """Of the plane, without errors of the vehicle position."""
 
 
 @kernel
@@ -332,10 +339,9 @@ def next_place(
         criteria = printed_criteria(de_m, dn_m, ring_m, sigma[0], sigma[1])
         index = printed_candidate(criteria, pick)
     else:
-        variances = (sigma[0] * sigma[0], sigma[1] * sigma[1])
-        index = best_candidate(
-            covariance, de_m, dn_m, 0.0, ring_m, steering.may_fly, variances[0], variances[1], True
-        )
+        away = np.array([de_m, dn_m, 0.0, 0.0])
+        poses_m, may_fly, view = steering.poses_m, steering.may_fly, steering.view
+        index = best_candidate(covariance, away, poses_m, may_fly, sigma, view, steering.model)
     if index == STAY:
         return east_m, north_m, latch
     return east_m + ring_m[index, 0], north_m + ring_m[index, 1], latch

@@ -36,7 +36,13 @@ from operator import mul
 
 import numpy as np
 
-from companion.estimation.measurement_model import RangingModel, jacobian, predicted, variances
+from companion.estimation.measurement_model import (
+    RangingModel,
+    innovations,
+    jacobian,
+    variances,
+)
+from companion.estimation.number_or_array import wrapped
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 
 DEFINITE_MARGIN = 1e-14
@@ -189,21 +195,6 @@ def is_positive_definite_by_entries(mean: Vector, P: Matrix) -> bool:
 
 if IS_COMPILED:
     is_positive_definite = is_positive_definite_by_entries
-
-
-@kernel
-def wrapped(angle_rad: float) -> float:
-    """Return the same direction in [-pi, pi)."""
-    turned = (angle_rad + math.pi) % (2.0 * math.pi)
-    return turned - math.pi
-
-
-@kernel
-def innovations(z: Vector, mean: Vector, sensor_enu_m: Vector, model: RangingModel) -> Vector:
-    """Return measured minus predicted, (3,), the bearing's wrapped; NaN where not measured."""
-    y = z - predicted(mean, sensor_enu_m, model)
-    y[1] = wrapped(y[1])
-    return y
 
 
 @kernel

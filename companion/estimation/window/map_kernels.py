@@ -20,18 +20,21 @@ from companion.estimation.measurement_model import (
     AZIMUTH,
     COSINES,
     FIRST_AXIS,
-    MIN_SINE2,
-    PLANAR,
+    MODALITIES,
     RangingModel,
-    range_factor,
-    target_height_m,
+    fill_noise,
+    fill_partials,
+    innovations,
 )
 from companion.kernel import Matrix, Vector, kernel
 
-VALUES, SIGMAS, SEQUENCE, AXES = 3, 6, 9, 10
+VALUES = 3
+SIGMAS = VALUES + MODALITIES
+SEQUENCE = SIGMAS + MODALITIES
+AXES = SEQUENCE + 1
 """First columns of the values, their standard deviations, the sequence number, and an array's
 axes."""
-COLUMNS, ARRAY_COLUMNS = 10, 16
+COLUMNS, ARRAY_COLUMNS = AXES, AXES + 6
 """Number of columns without and with an array's axes."""
 
 MAX_ITERATIONS = 25
@@ -46,10 +49,6 @@ DAMPING_MAX = 1e8
 """Damping at which no step lowers the cost: steps are then as good as zero."""
 MIN_CURVATURE_RATIO = 1e-3
 """Lower limit of the damping scale of one horizontal axis, as a share of the other one's."""
-MIN_DISTANCE_M = 0.05
-"""Lower limit of the distance of a view, so that angles stay defined."""
-
-
 Row = tuple[Pose, Vector, Vector]
 """Pose of a measurement, its values (3,), NaN where not measured, and their sigmas (3,)."""
 
@@ -61,209 +60,81 @@ def row_vector(row: Row, last: float) -> Vector:
 
 
 @kernel
-def row_cosines(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Return the predicted cosines along both array axes, and the slant range, (3, n)."""
-    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
-    du = target_height_m(mean, model) - rows[:, 2]
-    slant = np.sqrt(np.maximum(de * de + dn * dn + du * du, MIN_DISTANCE_M * MIN_DISTANCE_M))
-    c, s = math.cos(mean[3]), math.sin(mean[3])
-    east, north = c * de - s * dn, s * de + c * dn
-    seen = np.empty((3, rows.shape[0]))
-    seen[0] = (rows[:, 10] * east + rows[:, 11] * north + rows[:, 12] * du) / slant
-    seen[1] = (rows[:, 13] * east + rows[:, 14] * north + rows[:, 15] * du) / slant
-    seen[2] = slant
-    return seen
-
-
-@kernel
-def view_distance2(rows: Matrix, mean: Vector, model: RangingModel) -> Vector:
-    """Return the squared distance that scales the first angle or cosine of every row, (n,)."""
-    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
-    view2 = de * de + dn * dn
-    if model.antenna != AZIMUTH:
-        seen = row_cosines(rows, mean, model)
-        view2 = seen[2] * seen[2]
-        if model.antenna == PLANAR:
-            view2 = view2 * np.maximum(seen[0] * seen[0] + seen[1] * seen[1], MIN_SINE2)
-    floored: Vector = np.maximum(view2, MIN_DISTANCE_M * MIN_DISTANCE_M)
-    return floored
-
-
-@kernel
-def array_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Return the standard deviations as in `row_sigmas`, (3, n), for an antenna array."""
-    own2 = model.own_sigma_m * model.own_sigma_m
-    seen = row_cosines(rows, mean, model)
-    share2 = own2 / model.bearing_inflation / (seen[2] * seen[2])
-    sigmas = np.empty((3, rows.shape[0]))
-    sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
-    sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + share2)
-    sigmas[2] = np.sqrt(rows[:, 8] * rows[:, 8] + share2)
-    if model.antenna == PLANAR:
-        sine2 = np.maximum(seen[0] * seen[0] + seen[1] * seen[1], MIN_SINE2)
-        spread2 = rows[:, 7] * rows[:, 7] / sine2
-        sigmas[1] = np.sqrt(spread2 * (1.0 + spread2) + share2 / sine2)
-    return sigmas
+def poses_of(rows: Matrix, model: RangingModel) -> Matrix:
+    """Return the sensor's pose of every row, (3, n) or with an antenna array (9, n)."""
+    if model.antenna == AZIMUTH:
+        return np.ascontiguousarray(rows[:, :VALUES].T)
+    return np.concatenate((rows[:, :VALUES].T, rows[:, AXES:].T))
 
 
 @kernel
 def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Return the standard deviations of all measurements at `mean`, (3, n).
-
-    They are those of thermal noise and of the vehicle position. Where bearings are inflated, the
-    position error is scaled down accordingly: otherwise it would excuse any bearing to a target
-    near the vehicle.
-    """
-    if model.antenna != AZIMUTH:
-        return array_sigmas(rows, mean, model)
-    own2 = model.own_sigma_m * model.own_sigma_m
-    floor2 = MIN_DISTANCE_M * MIN_DISTANCE_M
-    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
-    du = target_height_m(mean, model) - rows[:, 2]
-    ground2 = np.maximum(de * de + dn * dn, floor2)
-    sigmas = np.empty((3, rows.shape[0]))
-    sigmas[0] = np.sqrt(rows[:, 6] * rows[:, 6] + own2)
-    sigmas[1] = np.sqrt(rows[:, 7] * rows[:, 7] + own2 / (model.bearing_inflation * ground2))
-    sigmas[2] = np.sqrt(rows[:, 8] * rows[:, 8] + own2 / (ground2 + du * du))
-    return sigmas
+    """Return the standard deviations of thermal noise and vehicle position at `mean`, (3, n)."""
+    R = np.empty((MODALITIES, rows.shape[0]))
+    fill_noise(R, rows[:, SIGMAS:SEQUENCE].T, mean, poses_of(rows, model), model)
+    return np.sqrt(R)
 
 
 @kernel
 def has_any(rows: Matrix, modality: int) -> bool:
     """Return True if any row has it: most radios lack a modality, which then costs no time."""
-    return bool(np.isfinite(rows[:, 3 + modality]).any())
+    return bool(np.isfinite(rows[:, VALUES + modality]).any())
 
 
 @kernel
 def modalities_of(rows: Matrix) -> int:
-    """Return the number of modalities up to the last one that any row has."""
-    return 3 if has_any(rows, 2) else 2 if has_any(rows, 1) else 1
+    """Return the number of modalities up to the last one that any row has, at least 1."""
+    count = MODALITIES
+    while count > 1 and not has_any(rows, count - 1):
+        count -= 1
+    return count
 
 
 @kernel
-def batch_innovations(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Return measured minus predicted at `mean`, (3, n), not whitened; NaN: not measured.
+def first_innovations(rows: Matrix, mean: Vector, model: RangingModel, count: int) -> Matrix:
+    """Return measured minus predicted at `mean` of the first modalities, (count, n).
 
-    Units: m, rad, or those of a direction cosine.
+    Not whitened; NaN: not measured. Units: m, rad, or those of a direction cosine.
     """
-    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
-    du = target_height_m(mean, model) - rows[:, 2]
-    ground2 = de * de + dn * dn
-    innovations = np.full((3, rows.shape[0]), np.nan)
-    innovations[0] = rows[:, 3] - range_factor(mean, model) * np.sqrt(ground2 + du * du) - mean[2]
-    if model.antenna != AZIMUTH:
-        fill_array_innovations(innovations, rows, mean, model)
-        return innovations
-    if has_any(rows, 1):
-        turn = rows[:, 4] - np.arctan2(dn, de) - mean[3]
-        innovations[1] = turn - 2.0 * math.pi * np.floor(turn / (2.0 * math.pi) + 0.5)
-    if has_any(rows, 2):
-        innovations[2] = rows[:, 5] - np.arctan2(du, np.sqrt(ground2))
-    return innovations
-
-
-@kernel
-def fill_array_innovations(
-    innovations: Matrix, rows: Matrix, mean: Vector, model: RangingModel
-) -> None:
-    """Fill the last two rows of `batch_innovations`, (3, n), for an antenna array."""
-    seen = row_cosines(rows, mean, model)
-    innovation = rows[:, 4] - seen[0]
-    if model.antenna == PLANAR:
-        innovation = rows[:, 4] - np.arctan2(seen[1], seen[0])
-        innovation = innovation - 2.0 * math.pi * np.floor(innovation / (2.0 * math.pi) + 0.5)
-    innovations[1] = innovation
-    innovations[2] = rows[:, 5] - seen[1]
+    z = np.ascontiguousarray(rows[:, VALUES : VALUES + count].T)
+    return innovations(z, mean, poses_of(rows, model), model)
 
 
 @kernel
 def measured_innovations(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Return `batch_innovations` of the modalities that exist, (m, n)."""
-    return batch_innovations(rows, mean, model)[: modalities_of(rows)]
+    """Return the innovations of the modalities up to the last one that any row has, (m, n)."""
+    return first_innovations(rows, mean, model, modalities_of(rows))
 
 
 @kernel
-def whitened(innovations: Matrix, sigmas: Matrix) -> Matrix:
-    """Return innovations, (m, n), over their sigmas (3, n), zero where not measured."""
-    return np.where(np.isnan(innovations), 0.0, innovations / sigmas[: innovations.shape[0]])
+def whitened(y: Matrix, sigmas: Matrix) -> Matrix:
+    """Return innovations y, (m, n), over their sigmas (3, n), zero where not measured."""
+    return np.where(np.isnan(y), 0.0, y / sigmas[: y.shape[0]])
 
 
 @kernel
 def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
     """Return the whitened residuals of all measurements, (3, n), zero where not measured."""
-    return whitened(batch_innovations(rows, mean, model), sigmas)
+    return whitened(first_innovations(rows, mean, model, MODALITIES), sigmas)
 
 
 @kernel
-def fill_array_partials(H: Matrix, rows: Matrix, mean: Vector, model: RangingModel) -> None:
-    """Fill the last two thirds of the partials, (3 n, k), for an antenna array, not whitened."""
+def whitened_partials(
+    rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel, count: int
+) -> Matrix:
+    """Return the whitened partials of the first modalities, (k, count n), modality by modality."""
     n = rows.shape[0]
-    seen = row_cosines(rows, mean, model)
-    slant = seen[2]
-    e, north_part = (mean[0] - rows[:, 0]) / slant, (mean[1] - rows[:, 1]) / slant
-    up = (target_height_m(mean, model) - rows[:, 2]) / slant
-    c, s = math.cos(mean[3]), math.sin(mean[3])
-    for which in range(2):
-        axis_e, axis_n = rows[:, 10 + 3 * which], rows[:, 11 + 3 * which]
-        axis_up = rows[:, 12 + 3 * which]
-        east, north = c * axis_e + s * axis_n, c * axis_n - s * axis_e
-        part = H[(1 + which) * n : (2 + which) * n]
-        part[:, 0] = (east - seen[which] * e) / slant
-        part[:, 1] = (north - seen[which] * north_part) / slant
-        part[:, 3] = north * e - east * north_part
-        if model.height_index >= 0:
-            part[:, model.height_index] = (axis_up - seen[which] * up) / slant
-    if model.antenna == PLANAR:
-        sine2 = np.maximum(seen[0] * seen[0] + seen[1] * seen[1], MIN_SINE2)
-        first, second = H[n : 2 * n], H[2 * n :]
-        along, across = (seen[0] / sine2).reshape(-1, 1), (seen[1] / sine2).reshape(-1, 1)
-        first[:] = along * second - across * first
-        second[:] = 0.0
-
-
-@kernel
-def whitener(rows: Matrix, sigmas: Matrix, modality: int) -> Vector:
-    """Return the factors that whiten the partials of a modality, (n,), zero where not measured."""
-    return np.where(np.isnan(rows[:, 3 + modality]), 0.0, 1.0 / sigmas[modality])
+    H = np.zeros((mean.size, count, n))
+    fill_partials(H.transpose(1, 0, 2), mean, poses_of(rows, model), model)
+    z = np.ascontiguousarray(rows[:, VALUES : VALUES + count].T)
+    H *= np.where(np.isnan(z), 0.0, 1.0 / sigmas[:count])
+    return H.reshape(mean.size, count * n)
 
 
 @kernel
 def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
     """Return the whitened partials of all measurements, (3 n, k), modality by modality."""
-    n = rows.shape[0]
-    de, dn = mean[0] - rows[:, 0], mean[1] - rows[:, 1]
-    du = target_height_m(mean, model) - rows[:, 2]
-    ground2 = np.maximum(de * de + dn * dn, MIN_DISTANCE_M * MIN_DISTANCE_M)
-    slant = np.sqrt(ground2 + du * du)
-    factor = range_factor(mean, model)
-    H = np.zeros((3 * n, mean.size))
-    by_range, by_bearing, by_elevation = H[:n], H[n : 2 * n], H[2 * n :]
-    white = whitener(rows, sigmas, 0)
-    by_range[:, 0] = factor * de / slant * white
-    by_range[:, 1] = factor * dn / slant * white
-    by_range[:, 2] = white
-    if model.scale_index >= 0:
-        by_range[:, model.scale_index] = slant * white
-    if model.height_index >= 0:
-        by_range[:, model.height_index] = factor * du / slant * white
-    if model.antenna != AZIMUTH:
-        fill_array_partials(H, rows, mean, model)
-        by_bearing *= whitener(rows, sigmas, 1).reshape(-1, 1)
-        by_elevation *= whitener(rows, sigmas, 2).reshape(-1, 1)
-        return H
-    if has_any(rows, 1):
-        white = whitener(rows, sigmas, 1)
-        by_bearing[:, 0] = -dn / ground2 * white
-        by_bearing[:, 1] = de / ground2 * white
-        by_bearing[:, 3] = white
-    if has_any(rows, 2):
-        white, ground = whitener(rows, sigmas, 2), np.sqrt(ground2)
-        down = -du / (slant * slant * ground)
-        by_elevation[:, 0] = de * down * white
-        by_elevation[:, 1] = dn * down * white
-        if model.height_index >= 0:
-            by_elevation[:, model.height_index] = ground / (slant * slant) * white
-    return H
+    return np.ascontiguousarray(whitened_partials(rows, mean, sigmas, model, MODALITIES).T)
 
 
 @kernel
@@ -286,7 +157,7 @@ def apply_weights(terms: Matrix, model: RangingModel) -> None:
 
 @kernel
 def map_cost(
-    innovations: Matrix,
+    y: Matrix,
     mean: Vector,
     sigmas: Matrix,
     thresholds: Matrix,
@@ -294,8 +165,8 @@ def map_cost(
     pull: Vector,
     model: RangingModel,
 ) -> float:
-    """Return the objective at `mean`, given the innovations there, (m, n)."""
-    u = whitened(innovations, sigmas)
+    """Return the objective at `mean`, given the innovations y there, (m, n)."""
+    u = whitened(y, sigmas)
     psi = clipped(u, thresholds)
     losses = psi * (u - 0.5 * psi)
     apply_weights(losses, model)
@@ -325,7 +196,7 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
 def normal_equations(
     rows: Matrix,
     mean: Vector,
-    innovations: Matrix,
+    y: Matrix,
     sigmas: Matrix,
     thresholds: Matrix,
     information: Matrix,
@@ -334,22 +205,22 @@ def normal_equations(
 ) -> tuple[Matrix, Vector, float]:
     """Return the re-weighted Gauss-Newton system at `mean`: (k, k), descent (k,), and cost.
 
-    The residuals at `mean` are `innovations`, (m, n).
+    `y`, (m, n), are the innovations at `mean`.
     """
-    measured = innovations.shape[0]
-    u = whitened(innovations, sigmas)
+    measured = y.shape[0]
+    u = whitened(y, sigmas)
     psi = clipped(u, thresholds)
-    H = row_partials(rows, mean, sigmas, model)[: measured * rows.shape[0]]
+    H = whitened_partials(rows, mean, sigmas, model, measured)
     clear = (u == psi) * 1.0  # multiplying by it takes half the time of np.where when compiled
     weight = (psi * (1.0 - clear) + clear) / (u * (1.0 - clear) + clear)
     losses = psi * (u - 0.5 * psi)
     apply_weights(weight, model)
     apply_weights(losses, model)
     apply_weights(psi, model)
-    A = np.dot(H.T, weight.reshape(-1, 1) * H) + information
+    A = np.dot(weight.reshape(-1) * H, H.T) + information
     known = np.dot(information, mean)
     cost = np.sum(losses) + 0.5 * np.dot(mean, known) - np.dot(pull, mean)
-    return A, np.dot(H.T, psi.reshape(-1)) - known + pull, float(cost)
+    return A, np.dot(H, psi.reshape(-1)) - known + pull, float(cost)
 
 
 @kernel
@@ -373,7 +244,7 @@ def hold_at_bounds(A: Matrix, descent: Vector, mean: Vector, bounds: Matrix) -> 
 def map_step(
     rows: Matrix,
     mean: Vector,
-    innovations: Matrix,
+    y: Matrix,
     damping: float,
     thresholds: Matrix,
     bounds: Matrix,
@@ -384,13 +255,11 @@ def map_step(
     """Take one damped step that lowers the cost.
 
     Returns the mean, its innovations, the next damping, the decrease, and the number of dampings
-    tried. The `innovations`, (m, n), are `measured_innovations` at `mean`. Where no step lowers
+    tried. `y`, (m, n), are `measured_innovations` at `mean`. Where no step lowers
     the cost, the mean is unchanged.
     """
     sigmas = row_sigmas(rows, mean, model)
-    A, descent, cost = normal_equations(
-        rows, mean, innovations, sigmas, thresholds, information, pull, model
-    )
+    A, descent, cost = normal_equations(rows, mean, y, sigmas, thresholds, information, pull, model)
     hold_at_bounds(A, descent, mean, bounds)
     scale = np.diag(np.diag(A) + 1e-9)
     # across a straight track the curvature is zero
@@ -401,12 +270,12 @@ def map_step(
         tries += 1
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
-        after = batch_innovations(rows, moved, model)[: innovations.shape[0]]
+        after = first_innovations(rows, moved, model, y.shape[0])
         lower = map_cost(after, moved, sigmas, thresholds, information, pull, model)
         if lower < cost:
             return moved, after, max(damping / 4.0, 1e-9), cost - lower, tries
         damping *= 8.0
-    return mean, innovations, damping, 0.0, tries
+    return mean, y, damping, 0.0, tries
 
 
 @kernel
@@ -429,10 +298,10 @@ def map_descent(
     `bounds` (2, k).
     """
     mean = np.minimum(np.maximum(mean, bounds[0]), bounds[1])
-    innovations, passes = measured_innovations(rows, mean, model), 1
+    y, passes = measured_innovations(rows, mean, model), 1
     for _ in range(most):
-        moved, innovations, damping, gain, tries = map_step(
-            rows, mean, innovations, damping, thresholds, bounds, information, pull, model
+        moved, y, damping, gain, tries = map_step(
+            rows, mean, y, damping, thresholds, bounds, information, pull, model
         )
         passes += 1 + tries
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])

@@ -50,6 +50,7 @@ from companion.estimation.measurement_model import (
     RANGE,
     RANGE_OFFSET,
     RangingModel,
+    add_second_order,
 )
 from companion.estimation.stepwise import Steps, Stepwise, passes
 from companion.estimation.window.map_kernels import (
@@ -62,10 +63,10 @@ from companion.estimation.window.map_kernels import (
     map_descent,
     measured_innovations,
     normaliser,
+    poses_of,
     row_partials,
     row_residuals,
     row_sigmas,
-    view_distance2,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.place_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
@@ -288,11 +289,11 @@ class WindowMap:
             at = np.array(mean)  # a writable copy, for which the kernels are compiled
             sigmas = row_sigmas(rows, at, self._model)
             if spread_m2 > 0.0:
-                bend = spread_m2 / view_distance2(rows, at, self._model)
+                bent, poses = np.zeros_like(sigmas), poses_of(rows, self._model)
+                add_second_order(bent, spread_m2, spread_m2, at, poses, self._model)
                 for row in self._directions:
-                    sigmas[row] = np.sqrt(
-                        sigmas[row] ** 2 + bend**2 / self._model.bearing_inflation
-                    )
+                    added = bent[row] / self._model.bearing_inflation
+                    sigmas[row] = np.sqrt(sigmas[row] ** 2 + added)
             u = row_residuals(rows, at, sigmas, self._model)
             H = row_partials(rows, at, sigmas, self._model)
             is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)

@@ -18,7 +18,13 @@ import numpy as np
 from companion.domain import TargetEstimate
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
-from companion.planning.fim import candidate_ring_m, worst_variance_m2
+from companion.planning.fim import (
+    ALL_AROUND,
+    candidate_poses_m,
+    candidate_ring_m,
+    model_of,
+    worst_variances_m2,
+)
 from sim_link.world.line_of_sight import is_blocked
 from tools.study import systems
 from tools.study.case import Case, RunSeed, run_inputs, run_seeds, scene_of
@@ -218,13 +224,14 @@ def _gradients(
     fuse = systems.estimator_of(case, System(system.filter, "passive"), start)
     steer = systems.steer_along(track_enu_m)
     ring_m = np.array(candidate_ring_m(case.step_m, case.fim_headings))
+    poses_m = candidate_poses_m(case.step_m, case.fim_headings)
     sigmas = (case.belief.range_sigma_m, math.radians(case.belief.bearing_sigma_deg))
     found: list[tuple[float, float]] = []
 
     def watch(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
         east_m, north_m = estimate.position_enu_m
         way_m = (east_m - place[0], north_m - place[1])
-        filtered = _criteria(joint, way_m, ring_m, sigmas)
+        filtered = _criteria(joint, way_m, poses_m, sigmas)
         printed = printed_criteria(*way_m, ring_m, *sigmas)
         found.append((information_gradient(filtered), information_gradient(printed)))
         return steer(step, place, estimate, joint)
@@ -233,11 +240,9 @@ def _gradients(
     return found
 
 
-def _criteria(covariance: Matrix, way_m: Point, ring_m: Matrix, sigmas: Point) -> Vector:
+def _criteria(covariance: Matrix, way_m: Point, poses_m: Matrix, sigmas: Point) -> Vector:
     """Return the least eigenvalue of the marginal information, (k + 1,), 1/m^2; last: staying."""
-    noise = (sigmas[0] ** 2, sigmas[1] ** 2)
-    variances = [
-        worst_variance_m2(covariance, way_m[0] - east, way_m[1] - north, 0.0, *noise, True)
-        for east, north in [*ring_m.tolist(), (0.0, 0.0)]
-    ]
-    return 1.0 / np.array(variances)
+    mean, sigma = np.array([*way_m, 0.0, 0.0]), np.array([*sigmas, math.inf])
+    model = model_of(None, near_target_terms=True)
+    least: Vector = 1.0 / worst_variances_m2(covariance, mean, poses_m, sigma, ALL_AROUND, model)
+    return least

@@ -18,21 +18,25 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, frozen
 from companion.planning import fim
 from companion.planning.fim import (
+    ALL_AROUND,
     HEADINGS,
-    NO_BEARINGS_RAD2,
     STAY,
     FimParams,
     FimPlanner,
-    View,
-    array_worst_variance_m2,
     best_candidate,
+    candidate_poses_m,
     candidate_ring_m,
-    worst_variance_m2,
+    model_of,
+    turned,
+    worst_variances_m2,
 )
 from companion.planning.planner import PlanRequest
 from companion.planning.views import Antenna
 
 RANGE_M2, BEARING_RAD2 = 1.5**2, math.radians(2.0) ** 2
+SIGMA = np.array([1.5, math.radians(2.0), math.inf])
+RANGES_ONLY = np.array([1.5, math.inf, math.inf])
+MODEL = model_of(None, near_target_terms=True)
 PRIOR = np.diag([900.0, 900.0, 25.0, math.radians(5.0) ** 2])
 ALL = np.ones(HEADINGS, dtype=np.bool_)
 
@@ -75,40 +79,43 @@ def test_it_is_the_smallest_eigenvalue_of_the_marginal_information(
     P = root @ root.T + np.diag([1.0, 1.0, 0.1, 1e-4])
     information = _marginal_information(P, du_m, de_m, dn_m, bearing, near)
     least = float(np.linalg.eigvalsh(information)[0])
-    variance = BEARING_RAD2 if bearing else NO_BEARINGS_RAD2
-    worst = worst_variance_m2(P, de_m, dn_m, du_m, RANGE_M2, variance, near)
+    sigma = SIGMA if bearing else RANGES_ONLY
+    model = MODEL._replace(near_target_terms=near, height_m=du_m)
+    at = np.array([de_m, dn_m, 0.0, 0.0])
+    (worst,) = worst_variances_m2(P, at, np.zeros((3, 1)), sigma, ALL_AROUND, model)
     assert 1.0 / worst == pytest.approx(least, rel=1e-6)
 
 
 def test_the_best_candidate_is_the_best_of_all() -> None:
-    ring = candidate_ring_m(5.0)
-    rng = np.random.default_rng(4)
+    poses, rng = candidate_poses_m(5.0), np.random.default_rng(4)
+    assert poses[:2, :-1].T.tolist() == candidate_ring_m(5.0).tolist()
+    assert not poses[2].any()
+    assert not poses[:, -1].any()
+    model = MODEL._replace(height_m=-20.0)
     for _ in range(50):
-        de_m, dn_m = rng.uniform(-40.0, 40.0, 2).tolist()
-        values = [
-            worst_variance_m2(PRIOR, de_m - e, dn_m - n, -20.0, RANGE_M2, BEARING_RAD2, True)
-            for e, n in [*ring.tolist(), (0.0, 0.0)]
+        at = np.array([*rng.uniform(-40.0, 40.0, 2), 0.0, 0.0])
+        alone = [
+            float(worst_variances_m2(PRIOR, at, each[:, None], SIGMA, ALL_AROUND, model)[0])
+            for each in poses.T
         ]
-        best = best_candidate(PRIOR, de_m, dn_m, -20.0, ring, ALL, RANGE_M2, BEARING_RAD2, True)
-        assert values[best] == min(values)
+        best = best_candidate(PRIOR, at, poses, ALL, SIGMA, ALL_AROUND, model)
+        assert alone[best] == pytest.approx(min(alone), rel=1e-12)
 
 
 def test_a_candidate_that_may_not_be_flown_to_is_not_chosen() -> None:
-    ring = candidate_ring_m(5.0)
-    args = (PRIOR, 30.0, 0.0, 0.0, ring)
-    first = best_candidate(*args, ALL, RANGE_M2, BEARING_RAD2, True)
+    place = (PRIOR, np.array([30.0, 0.0, 0.0, 0.0]), candidate_poses_m(5.0))
+    first = best_candidate(*place, ALL, SIGMA, ALL_AROUND, MODEL)
     without = ALL.copy()
     without[first] = False
-    second = best_candidate(*args, without, RANGE_M2, BEARING_RAD2, True)
+    second = best_candidate(*place, without, SIGMA, ALL_AROUND, MODEL)
     assert second not in (first, STAY)
     none = np.zeros(HEADINGS, dtype=np.bool_)
-    assert best_candidate(*args, none, RANGE_M2, BEARING_RAD2, True) == STAY
+    assert best_candidate(*place, none, SIGMA, ALL_AROUND, MODEL) == STAY
 
 
 def test_known_offsets_and_a_sure_target_leave_nothing_to_choose() -> None:
-    zero = np.zeros((4, 4))
-    ring = candidate_ring_m(5.0)
-    assert best_candidate(zero, 3.0, 4.0, 0.0, ring, ALL, RANGE_M2, BEARING_RAD2, True) == STAY
+    zero, at, poses = np.zeros((4, 4)), np.array([3.0, 4.0, 0.0, 0.0]), candidate_poses_m(5.0)
+    assert best_candidate(zero, at, poses, ALL, SIGMA, ALL_AROUND, MODEL) == STAY
 
 
 def test_the_ring_has_sixteen_headings_of_the_step_length() -> None:
@@ -120,7 +127,8 @@ def test_the_ring_has_sixteen_headings_of_the_step_length() -> None:
 
 def test_printed_it_flies_at_the_target_whose_bearing_it_believes_in() -> None:
     planner = FimPlanner(FimParams(near_target_terms=False))
-    plan = planner.plan(PlanRequest((0.0, 0.0), _target((0.0, 40.0))), None)
+    far = _target((0.0, 100.0))  # nearer, the offset of ranges is worst, wherever it flies
+    plan = planner.plan(PlanRequest((0.0, 0.0), far), None)
     assert plan.waypoint.position_enu_m == pytest.approx((0.0, 5.0))
     assert plan.waypoint.reason is WaypointReason.INFORMATION
     assert plan.waypoint.detail == "heading 000 is expected to give the most information"
@@ -177,12 +185,13 @@ def test_it_remembers_nothing_and_holds_without_an_estimate() -> None:
 @pytest.mark.skipif(not hasattr(best_candidate, "py_func"), reason="numba is not installed")
 def test_compiled_and_plain_agree() -> None:
     plain = fim.best_candidate.py_func  # type: ignore[attr-defined]
-    ring, rng = candidate_ring_m(5.0), np.random.default_rng(2)
+    poses, rng = candidate_poses_m(5.0), np.random.default_rng(2)
     for index in range(100):
         root = rng.standard_normal((4, 4))
-        where = rng.uniform(-50.0, 50.0, 3).tolist()
-        bearing = NO_BEARINGS_RAD2 if index % 3 == 0 else BEARING_RAD2
-        args = (root @ root.T, *where, ring, ALL, RANGE_M2, bearing, index % 2 == 0)
+        at = np.array([*rng.uniform(-50.0, 50.0, 2), 0.0, 0.0])
+        sigma = RANGES_ONLY if index % 3 == 0 else SIGMA
+        model = MODEL._replace(near_target_terms=index % 2 == 0, height_m=rng.uniform(-50.0, 50.0))
+        args = (root @ root.T, at, poses, ALL, sigma, ALL_AROUND, model)
         assert best_candidate(*args) == plain(*args)
 
 
@@ -214,21 +223,33 @@ def test_an_antenna_array_counts_as_the_filters_own_model_has_it(
         rows += [0] if measures_range else []
         J = np.linalg.inv(P) + sum(np.outer(H[i], H[i]) / R[i] for i in rows)
         worst_m2 = float(np.linalg.eigvalsh(np.linalg.inv(J)[:2, :2])[-1])
-        sigmas = (1.5 if measures_range else math.inf, 0.05)
-        view = View(antenna, yaw_rad, sigmas)
-        told = array_worst_variance_m2(P, (de_m, dn_m, -20.0), view, True)
-        assert told == pytest.approx(worst_m2, rel=1e-6)
+        counted = _worst_m2(P, antenna, yaw_rad, (de_m, dn_m, -20.0), measures_range)
+        assert counted == pytest.approx(worst_m2, rel=1e-6)
+
+
+def _worst_m2(
+    P: Matrix,
+    antenna: Antenna,
+    yaw_rad: float,
+    to_target_m: tuple[float, float, float],
+    measures_range: bool,
+) -> float:
+    """The worst variance after a measurement by an antenna with noise of 0.05 and 1.5 m."""
+    axes, view = turned(antenna, yaw_rad)
+    pose = np.concatenate([np.zeros(3), axes])[:, None]
+    across = math.inf if antenna.rows == 1 else 0.05
+    sigma = np.array([1.5 if measures_range else math.inf, 0.05, across])
+    model = model_of(antenna, near_target_terms=True)._replace(height_m=to_target_m[2])
+    at = np.array([*to_target_m[:2], 0.0, 0.0])
+    return float(worst_variances_m2(P, at, pose, sigma, view, model)[0])
 
 
 @pytest.mark.parametrize("antenna", [DOWN, LEVEL, LINE])
 def test_what_is_out_of_view_tells_nothing(antenna: Antenna) -> None:
     narrow = antenna._replace(half_view_rad=math.radians(30.0))
-    side, sigmas = (40.0, 40.0), (math.inf, 0.05)
+    side = (40.0, 40.0, -20.0)
     vague_east = np.diag([900.0, 1.0, 25.0, 0.01])
-    seen, unseen = (
-        array_worst_variance_m2(vague_east, (*side, -20.0), View(each, 0.0, sigmas), True)
-        for each in (antenna, narrow)
-    )
+    seen, unseen = (_worst_m2(vague_east, each, 0.0, side, False) for each in (antenna, narrow))
     assert seen < 900.0
     assert unseen == pytest.approx(900.0)
 
