@@ -18,7 +18,6 @@ import msgspec
 
 from companion.domain import (
     DEFAULT_ACCURACY,
-    GNSS_ACCURACY_FACTOR,
     Distance,
     Params,
     PositionAccuracy,
@@ -62,18 +61,10 @@ from companion.estimation.target_estimate import (
     position_covariance_m2,
     r95_of_covariance_m,
 )
-from companion.estimation.window.antenna_check import AntennaCheck, ConfiguredAntennaCheck
+from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
-from companion.estimation.window.shared_errors import NO_ERRORS, SharedSigmas
+from companion.estimation.window.shared_errors import NO_ERRORS, shared_sigmas
 from companion.estimation.window.window_map import WindowParams
-
-DEFAULT_HEIGHT_SIGMA_M, DEFAULT_LAG_SIGMA_S = 3.0, 0.15
-"""Standard deviations of the ground's height and of the lag of a radio's stamps, if not
-configured."""
-URBAN_GNSS_FACTOR = 2.0
-"""GNSS error over its reported accuracy between buildings, if the environment is not configured."""
-FIX_DEGRADED_RATIO = 2.0
-"""Ratio of reported accuracies from which a fix counts as degraded: its error is another one."""
 
 
 class EstimationConfig(Params, frozen=True):
@@ -159,7 +150,6 @@ class TargetTracker:
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
         """Identification of an antenna that is not configured; None: it is configured."""
-        self._configured_antenna = ConfiguredAntennaCheck()
         self._screen = MeasurementScreen(params.filter, params.acceptance)
         filter_params = params.effective_filter
         if params.filter.antenna.kind == "auto":
@@ -309,31 +299,15 @@ class TargetTracker:
             is_white=self._noise.is_white,
             fresh_starts=fresh_starts,
         )
-        self._shared = self._optimizer.shared(self.hypotheses[0], self._shared_sigmas)
+        params, is_auto = self._filter.params, self.antenna is not None
+        sigmas = shared_sigmas(params, self.own, self._best_own_m, is_auto=is_auto)
+        self._shared = self._optimizer.shared(self.hypotheses[0], sigmas)
         yield passes(SHARED_PASSES, len(rows))
-        is_configured_array = self.antenna is None and self._filter.params.model.antenna != AZIMUTH
+        is_configured_array = not is_auto and params.model.antenna != AZIMUTH
         if is_configured_array and len(self.hypotheses) == 1:
             state, optimizer = self.hypotheses[0].state, self._optimizer
             scores = optimizer.map.scores(optimizer.rows, state.mean)
-            self._configured_antenna.look(scores, state.time_s)
-
-    @property
-    def _shared_sigmas(self) -> SharedSigmas:
-        """Standard deviations of the errors that all measurements share, reported or configured."""
-        params, own = self._filter.params, self.own or DEFAULT_ACCURACY
-        if params.model.antenna == AZIMUTH and self.own is None:
-            return SharedSigmas()  # as in the paper, where positions and heights are known
-        lag_s, is_auto = params.stamp_lag_sigma_s, self.antenna is not None
-        if lag_s is None:
-            lag_s = DEFAULT_LAG_SIGMA_S if is_auto else 0.0
-        own_height_m = GNSS_ACCURACY_FACTOR * own.vertical_m if own.is_reported else 0.0
-        height_m = math.hypot(DEFAULT_HEIGHT_SIGMA_M, own_height_m) if is_auto else 0.0
-        has_jumped = own.is_reported and self._best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
-        jump_m = own.effective_m if has_jumped else 0.0
-        own_m = own.effective_m
-        if is_auto and own_m > own.horizontal_m:
-            own_m = URBAN_GNSS_FACTOR * own.horizontal_m
-        return SharedSigmas(own_m, height_m, lag_s, jump_m)
+            self.integrity.configured_antenna.look(scores, state.time_s)
 
     def reject(self, reason: RejectReason) -> FusionReport:
         """Count a measurement that is not fused, also one that the caller could not prepare."""
@@ -354,7 +328,6 @@ class TargetTracker:
         self._noise = InnovationNoise.starting(self.params.initial_inflation)
         self.integrity.forget()
         self.watch.clear()
-        self._configured_antenna = ConfiguredAntennaCheck()
         self._optimizer.clear()
 
     def move(self, shift_enu_m: PositionEnu, turn_rad: float, sigma_m: float = 0.0) -> None:
@@ -457,7 +430,7 @@ class TargetTracker:
         """Antenna kind that bearings identify, `contradicted` for a configured one, or None."""
         if self.antenna is not None:
             return self.antenna.identified
-        return "contradicted" if self._configured_antenna.is_contradicted else None
+        return "contradicted" if self.integrity.configured_antenna.is_contradicted else None
 
     @property
     def _filter_inflation(self) -> Inflation:

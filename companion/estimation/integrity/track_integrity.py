@@ -21,7 +21,8 @@ from companion.domain import RangingMeasurement
 from companion.estimation.filter_bank import OPEN, Gate
 from companion.estimation.filters.target_filter import Inflation, ModalityReport, UpdateReport
 from companion.estimation.noise.innovations import mean_band
-from companion.estimation.screening.measurement_screen import Objection
+from companion.estimation.screening.measurement_screen import Objection, RecentShare
+from companion.estimation.window.antenna_check import ConfiguredAntennaCheck
 
 GAP_S = 2.0
 """Time without a measurement that agrees after which contact is interrupted."""
@@ -81,14 +82,10 @@ class Contact:
         return None if self.bearing_s is None else max(now_s - self.bearing_s, 0.0)
 
 
-WINDOW_S = 2.0
-"""Least span of the window of agreement."""
-WINDOW_COUNT = 10
-"""Fewest measurements in that window."""
 PROVEN_COUNT = 40
 """Measurements that agreed before an estimate may reject outliers."""
 LOST_SHARE, FOUND_SHARE = 0.2, 0.5
-"""Share of the window below which agreement is lost, and share at which it is regained."""
+"""Share of the latest measurements below which agreement is lost, and at which it is regained."""
 TRACK_LOSS_S, TRACK_LOSS_COUNT = 5.0, 20
 """Time and number of measurements without agreement after which the track is lost."""
 
@@ -97,7 +94,7 @@ class Agreement:
     """Share of the latest measurements that agree with the estimate."""
 
     def __init__(self) -> None:
-        self._window: deque[tuple[float, bool]] = deque()
+        self._recent = RecentShare()
         self._agreed = 0
         self._lost_s = 0.0
         self._since_lost = 0
@@ -112,13 +109,10 @@ class Agreement:
         """Process a measurement."""
         self._agreed += agrees
         self.is_proven = self._agreed >= PROVEN_COUNT
-        self._window.append((time_s, agrees))
-        while len(self._window) > WINDOW_COUNT and self._window[0][0] < time_s - WINDOW_S:
-            self._window.popleft()
-        if len(self._window) < WINDOW_COUNT:
+        self._recent.add(time_s, is_true=agrees)
+        share, was_lost = self._recent.share, self.is_lost
+        if share is None:
             return
-        share = sum(agreed for _, agreed in self._window) / len(self._window)
-        was_lost = self.is_lost
         self.is_lost = share < (FOUND_SHARE if was_lost else LOST_SHARE)
         if not was_lost:
             self._lost_s, self._since_lost = time_s, 0
@@ -279,6 +273,8 @@ class TrackIntegrity:
     def __init__(self) -> None:
         self.contact = Contact()
         """Ages of the measurements, and the number that agreed since the last gap."""
+        self.configured_antenna = ConfiguredAntennaCheck()
+        """Consistency of the directions with the antenna, if one is configured."""
         self.restarts = 0
         """Number of tracks that were discarded."""
         self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
@@ -346,8 +342,9 @@ class TrackIntegrity:
         self.reset()
 
     def forget(self) -> None:
-        """Clear the contact as well, because the frame may have moved."""
+        """Clear contact and antenna as well, because the frame may have moved."""
         self.contact = Contact()
+        self.configured_antenna = ConfiguredAntennaCheck()
         self.reset()
 
     def is_recovering(self, accepted: int) -> bool:

@@ -46,7 +46,7 @@ MAX_INFLATION = 400.0
 NORMAL_975 = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % above it."""
 NIS_FORGETTING = 1.0 - 1.0 / 200.0
-"""Forgetting factor of the NIS monitor: a memory of 200 measurements."""
+"""Forgetting factor of the mean NIS: a memory of 200 measurements."""
 MAX_PRIOR_SHARE = 1.0
 """Largest share of the state's own uncertainty in an innovation from which noise is learnt."""
 
@@ -135,37 +135,6 @@ def mean_band(dof: float, count: float) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class NisMonitor:
-    """Running mean of the NIS per degree of freedom, with forgetting; 1 is consistent.
-
-    S is the innovation variance that the filter works with, robust weight and inflation included:
-    with these the mean is near 1 or slightly below it, because saturated innovations are assigned
-    more variance than they have. Above the band the filter is over-confident.
-    """
-
-    count: float = 0.0
-    """Degrees of freedom in memory."""
-    total: float = 0.0
-
-    def after(self, report: UpdateReport) -> NisMonitor:
-        """Return the monitor after one more update."""
-        dof = sum(row is not None for row in report.modalities)
-        return NisMonitor(
-            NIS_FORGETTING * self.count + dof, NIS_FORGETTING * self.total + report.nis
-        )
-
-    @property
-    def mean(self) -> float | None:
-        """Mean NIS per degree of freedom; None before the first update."""
-        return self.total / self.count if self.count > 0.0 else None
-
-    @property
-    def is_overconfident(self) -> bool:
-        """True if the mean is above the band of white, consistent innovations."""
-        return self.count >= 1.0 and self.total / self.count > mean_band(1.0, self.count)[1]
-
-
-@dataclass(frozen=True, slots=True)
 class TrackerHealth:
     """Indicators of how far an estimate can be trusted."""
 
@@ -185,15 +154,23 @@ class TrackerHealth:
 
 @dataclass(frozen=True, slots=True)
 class InnovationNoise:
-    """Noise of a run as measured on its innovations."""
+    """Noise of a run as measured on its innovations, and the running mean of their NIS.
+
+    S is the innovation variance that the filter works with, robust weight and inflation included:
+    with these the mean NIS per degree of freedom is near 1 or slightly below it, because saturated
+    innovations are assigned more variance than they have. Above the band the filter is
+    over-confident.
+    """
 
     monitors: tuple[NoiseMonitor, ...]
-    nis: NisMonitor
+    dof: float = 0.0
+    """Degrees of freedom of the NIS in memory."""
+    nis_sum: float = 0.0
 
     @classmethod
     def starting(cls, initial_inflation: float) -> InnovationNoise:
         """Return the noise before the first innovation."""
-        return cls((NoiseMonitor(initial_inflation),) * MODALITIES, NisMonitor())
+        return cls((NoiseMonitor(initial_inflation),) * MODALITIES)
 
     def after(self, report: UpdateReport, thresholds: Matrix) -> InnovationNoise:
         """Return the noise after one more update; `thresholds` are (3, 2)."""
@@ -207,7 +184,22 @@ class InnovationNoise:
                 monitors.append(replace(monitor, previous=None))  # the chain is broken
             else:
                 monitors.append(monitor.after(row.whitened_innovation, k_long, k_short))
-        return InnovationNoise(tuple(monitors), self.nis.after(report))
+        dof = sum(row is not None for row in report.modalities)
+        return InnovationNoise(
+            tuple(monitors),
+            NIS_FORGETTING * self.dof + dof,
+            NIS_FORGETTING * self.nis_sum + report.nis,
+        )
+
+    @property
+    def nis(self) -> float | None:
+        """Mean NIS per degree of freedom; 1 is consistent, None before the first update."""
+        return self.nis_sum / self.dof if self.dof > 0.0 else None
+
+    @property
+    def is_overconfident(self) -> bool:
+        """True if that mean is above the band of white, consistent innovations."""
+        return self.dof >= 1.0 and self.nis_sum / self.dof > mean_band(1.0, self.dof)[1]
 
     @property
     def is_white(self) -> bool:
@@ -234,8 +226,8 @@ class InnovationNoise:
         """Return the live values."""
         ranges, bearings, elevations = self.monitors
         return TrackerHealth(
-            nis=self.nis.mean,
-            is_overconfident=self.nis.is_overconfident,
+            nis=self.nis,
+            is_overconfident=self.is_overconfident,
             correlation=(ranges.correlation, bearings.correlation, elevations.correlation),
             inflation=inflation,
             nlos_share=self.nlos_share,

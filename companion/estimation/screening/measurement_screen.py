@@ -233,31 +233,34 @@ class BearingCheck:
             self.is_quiet = True
 
 
-ABSURD_S = 2.0
-"""Least span of the window of absurd values."""
-ABSURD_COUNT = 10
-"""Fewest values in that window."""
 STEEP_RATIO = 1.5
 """Range over height below which the emitter is below the vehicle, where bearings are arbitrary."""
+RECENT_S, RECENT_COUNT = 2.0, 10
+"""Least span of a share of the latest measurements, and fewest measurements in it."""
 
 
-class AbsurdShare:
-    """Share of absurd values among the latest ones of one kind."""
+class RecentShare:
+    """Share of the latest measurements, or of values of one kind, of which something is true."""
 
     def __init__(self) -> None:
         self._window: deque[tuple[float, bool]] = deque()
-        self._absurd_count = 0
-        self.is_most = False
-        """True if it exceeds a half."""
+        self._true_count = 0
+        self.share: float | None = None
+        """None: too few yet."""
 
-    def add(self, time_s: float, *, is_absurd: bool) -> None:
-        """Process a value that arrived at this time."""
-        self._window.append((time_s, is_absurd))
-        self._absurd_count += is_absurd
-        while len(self._window) > ABSURD_COUNT and self._window[0][0] < time_s - ABSURD_S:
-            self._absurd_count -= self._window.popleft()[1]
+    def add(self, time_s: float, *, is_true: bool) -> None:
+        """Take in one that arrived at this time."""
+        self._window.append((time_s, is_true))
+        self._true_count += is_true
+        while len(self._window) > RECENT_COUNT and self._window[0][0] < time_s - RECENT_S:
+            self._true_count -= self._window.popleft()[1]
         count = len(self._window)
-        self.is_most = count >= ABSURD_COUNT and 2 * self._absurd_count > count
+        self.share = self._true_count / count if count >= RECENT_COUNT else None
+
+    @property
+    def is_most(self) -> bool:
+        """True if the share exceeds a half."""
+        return self.share is not None and self.share > 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +296,7 @@ class MeasurementScreen:
         """Identities of the latest valid measurements, oldest first."""
         self._units = UnitCheck(self._params, self._acceptance.max_range_m)
         self._bearings = BearingCheck()
-        self._absurd_ranges, self._absurd_bearings = AbsurdShare(), AbsurdShare()
+        self._absurd_ranges, self._absurd_bearings = RecentShare(), RecentShare()
         self.forget_motion()
 
     def forget_motion(self) -> None:
@@ -318,9 +321,9 @@ class MeasurementScreen:
         """Return why a measurement is invalid or repeated; None: it is valid, and remembered."""
         reason = self._invalidity(measurement, sensor_enu_m, now_s)
         if reason is RejectReason.RANGE_ABSURD:
-            self._absurd_ranges.add(now_s, is_absurd=True)
+            self._absurd_ranges.add(now_s, is_true=True)
         elif reason is RejectReason.BEARING_ABSURD:
-            self._absurd_bearings.add(now_s, is_absurd=True)
+            self._absurd_bearings.add(now_s, is_true=True)
         if reason is not None:
             return reason
         self._recent[identity_of(measurement)] = None
@@ -385,7 +388,7 @@ class MeasurementScreen:
         range_m, time_s = measurement.range_m, measurement.measured_at_s
         if range_m is None:
             return None
-        self._absurd_ranges.add(now_s, is_absurd=False)
+        self._absurd_ranges.add(now_s, is_true=False)
         if self._frozen_range.add(range_m, time_s, sensor_enu_m):
             return RejectReason.FROZEN
         self._units.add(time_s, range_m, sensor_enu_m)
@@ -402,7 +405,7 @@ class MeasurementScreen:
         lost = None if is_plain else self._lost_direction(m)
         if lost is not None:
             return lost
-        self._absurd_bearings.add(now_s, is_absurd=False)
+        self._absurd_bearings.add(now_s, is_true=False)
         if self._frozen_bearing.add(raw_rad, m.measured_at_s, sensor_enu_m):
             return RejectReason.FROZEN
         height_m = abs(sensor_enu_m[2] - self._params.target_height_m)

@@ -1,6 +1,8 @@
 """Measurements that left the window, as a Gaussian prior.
 
-Each is expanded to second order about the estimate at the time when it left.
+Each is expanded to second order about the estimate at the time when it left, and summed:
+
+    rho(u(x)) ~ const - psi H^T (x - x0) + 1/2 (x - x0)^T psi' H H^T (x - x0)
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
-from companion.estimation.measurement_model import AZIMUTH, BEARING
+from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.antenna_check import rows_as
 from companion.estimation.window.map_kernels import (
@@ -31,13 +31,12 @@ from companion.estimation.window.map_kernels import (
     row_vector,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
+from companion.estimation.window.rivals import Optimum, weigh_optima
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
     Observability,
-    Optimum,
     mirrored,
     observability_of,
-    weigh_optima,
 )
 from companion.estimation.window.shared_errors import (
     NO_ERRORS,
@@ -143,6 +142,22 @@ CONTRADICTING_SHARE = 0.5
 CONTRADICTED_DISTANCE2 = 16.0
 """Squared Mahalanobis distance of the solution without the prior above which the prior is
 rejected."""
+
+
+def start_around(rows: Matrix, direction_rad: float, spread: int, params: FilterParams) -> Vector:
+    """Return a start off the middle of the path, at the median range or by `spread`."""
+    east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
+    ranges = rows[:, VALUES + RANGE]
+    ranges = ranges[~np.isnan(ranges)]
+    if ranges.size:
+        rise_m = up - params.target_height_m
+        distance_m = math.sqrt(max(float(np.median(ranges)) ** 2 - rise_m**2, 1.0))
+    else:
+        distance_m = 4.0 * 3.0 ** (spread % 3)
+    start = np.array(params.prior[0])
+    start[0] = east + distance_m * math.cos(direction_rad)
+    start[1] = north + distance_m * math.sin(direction_rad)
+    return start
 
 
 class WindowOptimizer:
@@ -332,7 +347,7 @@ class WindowOptimizer:
         for _ in range(fresh):
             direction_rad = 2.0 * math.pi * self._turn / directions
             spread = self._turn // directions + self._turn
-            starts.append(self.map.start_around(rows, direction_rad, spread))
+            starts.append(start_around(rows, direction_rad, spread, self._filter_params))
             self._turn += 1
         return starts
 

@@ -17,13 +17,15 @@ reduced by what the residuals reveal about them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from companion.domain import DEFAULT_ACCURACY, PositionAccuracy
-from companion.estimation.measurement_model import EAST, NORTH, RangingModel
+from companion.domain import DEFAULT_ACCURACY, GNSS_ACCURACY_FACTOR, PositionAccuracy
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.measurement_model import AZIMUTH, EAST, NORTH, RangingModel
 from companion.estimation.window.map_kernels import row_residuals, row_sigmas
 from companion.estimation.window.sandwich import (
     Scores,
@@ -44,6 +46,13 @@ VARIANCE_FLOOR = 1e-9
 """Regularisation of the covariance where residuals carry no information."""
 LONGEST_GAP_S = 2.0
 """Time between neighbouring rows beyond which the velocity is unknown."""
+DEFAULT_HEIGHT_SIGMA_M, DEFAULT_LAG_SIGMA_S = 3.0, 0.15
+"""Standard deviations of the ground's height and of the lag of a radio's stamps, if not
+configured."""
+URBAN_GNSS_FACTOR = 2.0
+"""GNSS error over its reported accuracy between buildings, if the environment is not configured."""
+FIX_DEGRADED_RATIO = 2.0
+"""Ratio of reported accuracies from which a fix counts as degraded: its error is another one."""
 
 
 class SharedSigmas(NamedTuple):
@@ -57,6 +66,29 @@ class SharedSigmas(NamedTuple):
     """Lag of the radio's stamps."""
     jump_m: float = 0.0
     """Vehicle position, per axis, while the fix was of another quality."""
+
+
+def shared_sigmas(
+    params: FilterParams, own: PositionAccuracy | None, best_own_m: float, *, is_auto: bool
+) -> SharedSigmas:
+    """Return the shared errors' standard deviations, reported or configured.
+
+    `own` is the worst accuracy of the vehicle position during the search, `best_own_m` the best
+    reported one. `is_auto`: the antenna is not configured.
+    """
+    if params.model.antenna == AZIMUTH and own is None:
+        return SharedSigmas()  # as in the paper, where positions and heights are known
+    own, lag_s = own or DEFAULT_ACCURACY, params.stamp_lag_sigma_s
+    if lag_s is None:
+        lag_s = DEFAULT_LAG_SIGMA_S if is_auto else 0.0
+    own_height_m = GNSS_ACCURACY_FACTOR * own.vertical_m if own.is_reported else 0.0
+    height_m = math.hypot(DEFAULT_HEIGHT_SIGMA_M, own_height_m) if is_auto else 0.0
+    has_jumped = own.is_reported and best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
+    jump_m = own.effective_m if has_jumped else 0.0
+    own_m = own.effective_m
+    if is_auto and own_m > own.horizontal_m:
+        own_m = URBAN_GNSS_FACTOR * own.horizontal_m
+    return SharedSigmas(own_m, height_m, lag_s, jump_m)
 
 
 class ReceptionPath(NamedTuple):

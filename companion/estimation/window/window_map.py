@@ -16,12 +16,6 @@ optimum and flat beyond it, where the curvature is too optimistic. So the cost i
 the most uncertain direction, out to the edge of the 95 % circle. Where it rises by less than half
 of what the curvature predicts, the deviation is stretched to where it does.
 
-Evicted measurements are expanded to second order about the estimate of that time, and summed:
-
-    rho(u(x)) ~ const - psi H^T (x - x0) + 1/2 (x - x0)^T psi' H H^T (x - x0)
-
-Where residuals are correlated, an evicted one adds little to its neighbours.
-
 Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle stayed longest
 instead of dropping the oldest, because old measurements often hold the only view from the other
 side, and a thousand from one position add little to a hundred.
@@ -70,16 +64,14 @@ from companion.estimation.window.map_kernels import (
 )
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.place_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
+from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO, Optimum, log_ratio_of
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
-    IMPROBABLE_LOG_RATIO,
-    Optimum,
     Scores,
     SpatialNoises,
     correlated_variability,
     covariance_of,
     curvature,
-    log_ratio_of,
     pooled_variability,
     shares_of,
     spatial_variability,
@@ -323,21 +315,6 @@ class WindowMap:
             kept[is_off, VALUES + row] = np.nan
         return kept
 
-    def start_around(self, rows: Matrix, direction_rad: float, spread: int) -> Vector:
-        """Return a start off the middle of the path, at the median range or by `spread`."""
-        east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
-        ranges = rows[:, VALUES + RANGE]
-        ranges = ranges[~np.isnan(ranges)]
-        if ranges.size:
-            rise_m = up - self._p.target_height_m
-            distance_m = math.sqrt(max(float(np.median(ranges)) ** 2 - rise_m**2, 1.0))
-        else:
-            distance_m = 4.0 * 3.0 ** (spread % 3)
-        start = np.array(self._p.prior[0])
-        start[0] = east + distance_m * math.cos(direction_rad)
-        start[1] = north + distance_m * math.sin(direction_rad)
-        return start
-
     def _profiled_cost(
         self, rows: Matrix, optimum: Vector, at: Vector, older: OlderEvidence | None
     ) -> Steps[float]:
@@ -374,11 +351,8 @@ class WindowMap:
             information, pull = information + older.information, pull + older.pull
         if self._p.reach_m is None:
             return information, pull
-        reception, near, towards = (
-            self.reception(rows),
-            np.zeros((self.size, self.size)),
-            np.zeros(self.size),
-        )
+        reception = self.reception(rows)
+        near, towards = np.zeros((self.size, self.size)), np.zeros(self.size)
         weight = reception.sigma_m**-2
         near[[0, 1], [0, 1]], towards[:2] = weight, weight * np.array(reception.centre_enu_m)
         return information + near, pull + towards

@@ -154,7 +154,9 @@ def test_a_receiver_may_stand_between_walls_where_no_antenna_is_told(
     own = PositionAccuracy(1.0, 0.0, is_reported=True)
     (_, told), (_, walls) = search(before=own), search(before=own, kind="auto")
     (_, fixed) = search(kind="auto")
-    monkeypatch.setattr("companion.estimation.tracker.URBAN_GNSS_FACTOR", GNSS_ACCURACY_FACTOR)
+    monkeypatch.setattr(
+        "companion.estimation.window.shared_errors.URBAN_GNSS_FACTOR", GNSS_ACCURACY_FACTOR
+    )
     assert search(before=own)[1] == told
     assert search(kind="auto")[1] == fixed
     _, sky = search(before=own, kind="auto")

@@ -41,7 +41,7 @@ def test_at_first_the_configured_inflation_is_believed() -> None:
     assert noise.inflation(None) == pytest.approx((4.0, 4.0, 4.0))
     assert noise.is_white
     assert noise.nlos_share == 0.0
-    assert noise.nis.mean is None
+    assert noise.nis is None
 
 
 def test_every_modality_learns_from_its_own_innovations() -> None:

@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import chi2
 
 from companion.estimation.filters.target_filter import FilterState, ModalityReport, UpdateReport
-from companion.estimation.noise.innovations import NisMonitor, mean_band
+from companion.estimation.noise.innovations import InnovationNoise, mean_band
 
+START, LIMITS = InnovationNoise.starting(4.0), np.full((3, 2), np.inf)
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 ROW = ModalityReport(1.0, 1.0, 1.0, 1.0, 1.0, 0.1)
 
@@ -18,10 +19,10 @@ def _report(nis: float, dof: int) -> UpdateReport:
     return UpdateReport(STATE, rows[0], rows[1], rows[2], nis, True)
 
 
-def _monitor(rng: np.random.Generator, count: int, excess: float = 1.0) -> NisMonitor:
-    monitor = NisMonitor()
+def _monitor(rng: np.random.Generator, count: int, excess: float = 1.0) -> InnovationNoise:
+    monitor = START
     for dof in rng.integers(1, 4, count):
-        monitor = monitor.after(_report(excess * float(rng.chisquare(dof)), int(dof)))
+        monitor = monitor.after(_report(excess * float(rng.chisquare(dof)), int(dof)), LIMITS)
     return monitor
 
 
@@ -41,13 +42,13 @@ def test_a_band_is_never_below_zero() -> None:
 
 
 def test_before_the_first_update_nothing_is_known() -> None:
-    assert NisMonitor().mean is None
-    assert not NisMonitor().is_overconfident
+    assert START.nis is None
+    assert not START.is_overconfident
 
 
 def test_the_mean_is_per_degree_of_freedom() -> None:
-    monitor = NisMonitor().after(_report(6.0, 3)).after(_report(2.0, 1))
-    assert monitor.mean == pytest.approx(2.0, rel=0.01)
+    monitor = START.after(_report(6.0, 3), LIMITS).after(_report(2.0, 1), LIMITS)
+    assert monitor.nis == pytest.approx(2.0, rel=0.01)
 
 
 def test_a_consistent_filter_is_seldom_called_overconfident() -> None:
@@ -60,12 +61,12 @@ def test_an_overconfident_one_is_found_out(excess: float, expected: bool) -> Non
     for seed in range(10):
         monitor = _monitor(np.random.default_rng(seed), 400, excess)
         assert monitor.is_overconfident is expected
-        assert monitor.mean == pytest.approx(excess, rel=0.3)
+        assert monitor.nis == pytest.approx(excess, rel=0.3)
 
 
 def test_what_is_long_past_is_forgotten() -> None:
     rng = np.random.default_rng(2)
     monitor = _monitor(rng, 400, 5.0)
     for _ in range(2000):
-        monitor = monitor.after(_report(float(rng.chisquare(2)), 2))
+        monitor = monitor.after(_report(float(rng.chisquare(2)), 2), LIMITS)
     assert not monitor.is_overconfident

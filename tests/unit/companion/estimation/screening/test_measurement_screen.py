@@ -10,10 +10,10 @@ import pytest
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.measurement_screen import (
-    AbsurdShare,
     AcceptanceParams,
     MeasurementScreen,
     Objection,
+    RecentShare,
     RejectReason,
 )
 
@@ -151,7 +151,7 @@ def test_mostly_absurd_values_speak_against_flying(
 
 
 def test_degrees_now_and_then_are_refused_but_no_objection() -> None:
-    share = AbsurdShare()
+    share = RecentShare()
     for step in range(100):
-        share.add(0.1 * step, is_absurd=step % 3 == 0)
+        share.add(0.1 * step, is_true=step % 3 == 0)
         assert not share.is_most

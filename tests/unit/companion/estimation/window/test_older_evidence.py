@@ -8,7 +8,7 @@ import pytest
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.optimizer import MeasurementWindow
-from companion.estimation.window.sandwich import Optimum
+from companion.estimation.window.rivals import Optimum
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, TARGET, params, reflected, truth, walk

@@ -12,7 +12,7 @@ from companion.domain import EstimateState
 from companion.estimation.filters.target_filter import NO_INFLATION, FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.tracker import TargetTracker, TrackerParams
-from companion.estimation.window.optimizer import WindowOptimizer
+from companion.estimation.window.optimizer import WindowOptimizer, start_around
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     MIN_MEASUREMENTS,
@@ -174,7 +174,7 @@ def test_fresh_starts_turn_around_the_path_until_every_optimum_is_found() -> Non
     """From a hypothesis that is caught on the wrong side; the image of it is no way out."""
     rows = walk(np.random.default_rng(5), bearings=False)
     solver = WindowMap(P)
-    starts = [solver.start_around(rows, 2.0 * math.pi * i / 12, i) for i in range(12)]
+    starts = [start_around(rows, 2.0 * math.pi * i / 12, i, P) for i in range(12)]
     caught = max(solver.optima(rows, starts), key=lambda o: math.dist(o.mean[:2], TARGET))
     caught_at = _hypothesis(float(caught.mean[0]), float(caught.mean[1]))
     hypotheses: tuple[Hypothesis, ...] = (caught_at,)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.window.sandwich import (
+from companion.estimation.window.rivals import (
     IMPROBABLE_LOG_RATIO,
     Optimum,
     log_erfc,

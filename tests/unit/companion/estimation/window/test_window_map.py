@@ -17,7 +17,9 @@ from companion.estimation.window.map_kernels import (
     row_sigmas,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
-from companion.estimation.window.sandwich import mirrored, shares_of, weigh_optima
+from companion.estimation.window.optimizer import start_around
+from companion.estimation.window.rivals import weigh_optima
+from companion.estimation.window.sandwich import mirrored, shares_of
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     SAME_PLACE_M,
@@ -118,7 +120,7 @@ def test_height_and_scale_are_found_with_the_place() -> None:
 def test_straight_walk_with_ranges_only_has_two_mirror_optima() -> None:
     rows = walk(np.random.default_rng(4), bearings=False, straight=True)
     solver = WindowMap(params())
-    starts = [solver.start_around(rows, 2.0 * math.pi * i / 12, i) for i in range(12)]
+    starts = [start_around(rows, 2.0 * math.pi * i / 12, i, params()) for i in range(12)]
     optima = solver.optima(rows, starts)
     assert len(weigh_optima(optima)) == 2
     norths = sorted(float(o.mean[1]) for o in optima[:2])
@@ -138,7 +140,7 @@ def test_the_mirrored_optimum_is_a_start_that_finds_the_other_one() -> None:
 def test_the_same_optimum_is_told_once_and_the_best_one_first() -> None:
     rows = walk(np.random.default_rng(5), bearings=False)
     solver = WindowMap(params())
-    starts = [solver.start_around(rows, 2.0 * math.pi * i / 12, i) for i in range(12)]
+    starts = [start_around(rows, 2.0 * math.pi * i / 12, i, params()) for i in range(12)]
     optima = solver.optima(rows, [*starts, *starts])
     costs = [optimum.cost for optimum in optima]
     assert costs == sorted(costs)
@@ -150,10 +152,10 @@ def test_the_same_optimum_is_told_once_and_the_best_one_first() -> None:
 
 def test_fresh_starts_are_as_far_as_the_ranges_say() -> None:
     rows = walk(np.random.default_rng(5), bearings=False, noise=0.0)
-    solver, centre = WindowMap(params()), rows[:, :2].mean(axis=0)
+    centre = rows[:, :2].mean(axis=0)
     expected_m = math.sqrt(float(np.median(rows[:, 3])) ** 2 - 10.0**2)
     for direction_rad in (0.0, 1.0, -2.0):
-        start = solver.start_around(rows, direction_rad, 0)
+        start = start_around(rows, direction_rad, 0, params())
         away = start[:2] - centre
         assert math.hypot(*away) == pytest.approx(expected_m)
         assert math.atan2(away[1], away[0]) == pytest.approx(direction_rad)
@@ -161,8 +163,8 @@ def test_fresh_starts_are_as_far_as_the_ranges_say() -> None:
 
 def test_without_ranges_fresh_starts_take_turns_near_and_far() -> None:
     rows = walk(np.random.default_rng(5), ranges=False)
-    solver, centre = WindowMap(params()), rows[:, :2].mean(axis=0)
-    distances = [math.dist(solver.start_around(rows, 0.3, i)[:2], centre) for i in range(4)]
+    centre = rows[:, :2].mean(axis=0)
+    distances = [math.dist(start_around(rows, 0.3, i, params())[:2], centre) for i in range(4)]
     assert distances == pytest.approx([4.0, 12.0, 36.0, 4.0])
 
 
