@@ -103,7 +103,7 @@ class Recollection:
             self._reset_estimates("the autopilot does not report its origin")
 
     def forget(self) -> None:
-        """Drop the kept estimates, because the autopilot restarted and its frame is another one."""
+        """Drop the kept estimates, because the autopilot restarted in a new frame."""
         self._beliefs = ()
 
     def _recall_reports(self, reports: tuple[ReportResult, ...]) -> None:

@@ -201,8 +201,8 @@ class IdentityCourse:
         is_of_clock = -AHEAD_S <= late_s <= LATE_S
         if is_of_clock and main.reaches(sign, now_s):
             main.take(sign, now_s)
-            is_telling = sign.place_ned_m is not None or self._clocks_s > AHEAD_S
-            is_return = self._run > 0 and is_telling
+            is_conclusive = sign.place_ned_m is not None or self._clocks_s > AHEAD_S
+            is_return = self._run > 0 and is_conclusive
             if not is_return:
                 return SignVerdict.GOES_ON
             return self._note_return(now_s, is_cautious=is_cautious)

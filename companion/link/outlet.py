@@ -254,7 +254,7 @@ class Outlet:
         self.own_ids = (taken[0], component_id)
         self._heard_ids.add(taken)
         self.own_frames.forget_foreign()
-        text = f"component {taken[1]} is another one's: sending as {component_id}, grants go there"
+        text = f"component id {taken[1]} is in use: sending as {component_id}, send grants there"
         self.announce(Announce(Severity.WARNING, text), now_s)
 
     def announce(self, text: Announce, now_s: float) -> None:

@@ -207,7 +207,7 @@ class Services:
         """Answer a message that arrived at `now_s` seconds since boot."""
         partner = partner_of(message, channel)
         self.clocks.count(message, partner)
-        if self._firmware.rejects_for_others and self._is_for_nobody(message):
+        if self._firmware.rejects_for_others and self._has_unknown_target(message):
             return [self._commands.reject(message, partner)]
         if not self.addressing.is_for_us(message):
             return []
@@ -223,7 +223,7 @@ class Services:
         self._take_plan_events()
         return outgoing + reject_unsupported_service(message, partner) + self.announcements()
 
-    def _is_for_nobody(self, message: Message) -> bool:
+    def _has_unknown_target(self, message: Message) -> bool:
         """Return True for a command to neither this vehicle nor a component that was heard."""
         if not isinstance(message, COMMANDS[:2]):
             return False
@@ -265,7 +265,7 @@ class Services:
             numbers.append(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
         if seen[1] != old[1] and old[1]:
             numbers.append(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
-        if seen[2] != old[2] and self._firmware.tells_mode_at_once:
+        if seen[2] != old[2] and self._firmware.reports_mode_at_once:
             numbers.append(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         messages = [self._build(number) for number in numbers]
         return [message for message in messages if message is not None]

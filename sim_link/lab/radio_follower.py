@@ -162,7 +162,7 @@ class RadioFollower(OneShotEndpoint):
                 if all(math.isfinite(value) for value in place):
                     stamp_s = message.time_boot_ms / 1000.0
                     self._measure(place, stamp_s)
-                    self._tell_late(stamp_s)
+                    self._report_late(stamp_s)
             case mavlink.MAVLink_attitude_message():
                 self._attitude_heard_s = now_s
                 self._attitude = EulerAngles(message.roll, message.pitch, message.yaw)
@@ -210,7 +210,7 @@ class RadioFollower(OneShotEndpoint):
             return Answer(emitter.emitter_id, heard)
         return Answer(emitter.emitter_id, seen_from_nose(heard, self._attitude.yaw_rad))
 
-    def _tell_late(self, stamp_s: float) -> None:
+    def _report_late(self, stamp_s: float) -> None:
         while self._late and self._late[0].sent_at_s <= stamp_s:
             due = self._late.popleft()
             if self._emulator is not None:

@@ -138,7 +138,7 @@ def test_another_fence_is_refused_until_it_is_mended(flavour: Flavour) -> None:
     loop = Loop(with_limits(LimitsConfig(fence_enu_m=SITE)), scenario(flavour))
     upload(loop, (IN, WIDER))
     loop.run(20.0)
-    assert loop.said("no control without a fence: the autopilot's fence is another one: borders")
+    assert loop.said("no control without a fence: the autopilot's fence differs: borders")
     assert loop.said("up to 15.0 m apart")
     assert loop.phase is Phase.WAITING
     assert loop.setpoints == []

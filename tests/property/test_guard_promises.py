@@ -221,10 +221,10 @@ def test_every_setpoint_may_be_the_last(guard: Guard, place: Position, flown: li
             assert is_inside or out <= out_m(guard, place) + ROUNDING_M
         assert low_m - ROUNDING_M <= after.position_enu_m[2] <= high_m + ROUNDING_M
         comes_in = bool(set(after.reasons) & set(WAY_IN))
-        is_anew = after.position_enu_m == guard.here(motion).position_enu_m
-        if comes_in and not is_anew:
+        is_restart = after.position_enu_m == guard.here(motion).position_enu_m
+        if comes_in and not is_restart:
             assert_comes_in(guard, before, after, tick, place)
-        elif not (is_anew and set(after.reasons) & set(ANEW)):
+        elif not (is_restart and set(after.reasons) & set(ANEW)):
             assert_within_envelope(guard, before, after, tick)
             assert_is_near_enough(guard, before, after, motion)
         if after.velocity_enu_mps[:2] != (0.0, 0.0) and tick.dt_s > 0.0 and not comes_in:

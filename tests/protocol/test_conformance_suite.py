@@ -89,7 +89,7 @@ def as_broadcast(frame: bytes) -> list[bytes]:
 DEFECTS: dict[str, tuple[str, Flavour, Edit, Edit]] = {
     "no heartbeat": ("heartbeat.once_a_second", PX4, unchanged, every(2, drop(HEARTBEAT))),
     "wrong autopilot": (
-        "heartbeat.tells_type_and_autopilot",
+        "heartbeat.reports_type_and_autopilot",
         PX4,
         unchanged,
         set_byte(HEARTBEAT, 5, 4),
@@ -227,7 +227,7 @@ LISTENS_ONLY = {
     "frames.sends_valid_source_ids",
     "heartbeat.once_a_second",
     "heartbeat.comes_from_component_one",
-    "heartbeat.tells_type_and_autopilot",
+    "heartbeat.reports_type_and_autopilot",
     "heartbeat.is_no_ground_station",
     "heartbeat.custom_mode_flag_is_set",
     "heartbeat.not_ready_is_uninit",

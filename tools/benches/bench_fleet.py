@@ -128,25 +128,25 @@ class Crowd:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def tell_all(self, number: int, *params: float) -> None:
+    def send_all(self, number: int, *params: float) -> None:
         """Send a COMMAND_LONG to every vehicle."""
         for n in range(self._count):
-            self._tell(n, command(n + 1, number, *params))
+            self._send(n, command(n + 1, number, *params))
 
     def take_off(self) -> None:
         """Bring all of them into the air and into the mode that follows setpoints."""
         time.sleep(BOOT_S)
         if not self._is_px4:
-            self.tell_all(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0)
-        self.tell_all(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(POSITION_ID), 1e6 / ASKED_HZ)
-        self.tell_all(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+            self.send_all(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 4.0)
+        self.send_all(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(POSITION_ID), 1e6 / ASKED_HZ)
+        self.send_all(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
         height_m = 498.0 if self._is_px4 else 10.0
-        self.tell_all(mavlink.MAV_CMD_NAV_TAKEOFF, *[0.0] * 6, height_m)
+        self.send_all(mavlink.MAV_CMD_NAV_TAKEOFF, *[0.0] * 6, height_m)
         self.listen(CLIMB_S)
         self._next_setpoint_s = time.monotonic()
         self.listen(SETTLE_S)
         if self._is_px4:
-            self.tell_all(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0)
+            self.send_all(mavlink.MAV_CMD_DO_SET_MODE, 1.0, 6.0)
         self.listen(SETTLE_S)
 
     def listen(self, seconds: float) -> None:
@@ -156,19 +156,19 @@ class Crowd:
             if self._next_setpoint_s is not None and now_s >= self._next_setpoint_s:
                 self._next_setpoint_s = max(self._next_setpoint_s + SETPOINT_PERIOD_S, now_s)
                 for n in range(self._count):
-                    self._tell(n, setpoint(n + 1))
+                    self._send(n, setpoint(n + 1))
             try:
                 self._read(self._socket.recv(65535))
             except TimeoutError:
                 continue
 
-    def begin_anew(self) -> None:
+    def begin_again(self) -> None:
         """Reset the counts."""
         self.tracks.clear()
         self.armed.clear()
         self.frames = 0
 
-    def _tell(self, vehicle: int, message: Message) -> None:
+    def _send(self, vehicle: int, message: Message) -> None:
         address = ("127.0.0.1", self._first + vehicle)
         self._socket.sendto(self._codec.encode(message), address)
 
@@ -219,7 +219,7 @@ def measure(flavour: str, count: int, seconds: int, port: int) -> Outcome:
         running(flavour, count, port) as pid,
     ):
         crowd.take_off()
-        crowd.begin_anew()
+        crowd.begin_again()
         began_s, before = time.monotonic(), used_and_waited_s(pid)
         crowd.listen(seconds)
         passed_s, after = time.monotonic() - began_s, used_and_waited_s(pid)

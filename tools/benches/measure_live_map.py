@@ -306,7 +306,7 @@ def growth_mb_per_h(samples: list[Memory], column: int) -> float:
     return float(np.polyfit(rows[:, 0] / 60.0, rows[:, column], 1)[0])
 
 
-def tell_ticks(turns: list[tuple[Turn, Turn]], count: int) -> bool:
+def print_ticks(turns: list[tuple[Turn, Turn]], count: int) -> bool:
     """Print the turns; return True if the limit on ticks is kept."""
     print(f"{'lateness of ticks, ms':<26} {'ticks':>6} {'p50':>8} {'p99':>8} {'worst':>8}")
     for number, pair in enumerate(turns, start=1):
@@ -328,7 +328,7 @@ def p99_change_ms(turns: list[tuple[Turn, Turn]]) -> float:
     return float(np.median([watched.p99_ms - alone.p99_ms for alone, watched in turns]))
 
 
-def tell_memory(samples: list[Memory]) -> bool:
+def print_memory(samples: list[Memory]) -> bool:
     """Print the growth of memory; return True if it is flat."""
     print(f"{'minute of flight':<18} {'flight, MB':>12} {'page, MB':>12}")
     for minute, flight_mb, page_mb in samples[:: max(1, len(samples) // 12)]:
@@ -350,13 +350,13 @@ def run(arguments: argparse.Namespace) -> int:
     is_good = True
     if arguments.rounds:
         turns = measure_ticks(arguments.rounds, arguments.seconds, count, arguments.port)
-        is_good &= tell_ticks(turns, count)
+        is_good &= print_ticks(turns, count)
         result["p99_change_ms"] = p99_change_ms(turns)
         result["turns"] = [[asdict(turn) for turn in pair] for pair in turns]
     print(f"load of this machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     if arguments.minutes:
         samples = measure_memory(arguments.minutes, count, arguments.port)
-        is_good &= tell_memory(samples)
+        is_good &= print_memory(samples)
         result["growth_mb_per_h"] = {
             name: growth_mb_per_h(samples, column) for name, column in (("flight", 1), ("page", 2))
         }

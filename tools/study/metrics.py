@@ -131,8 +131,8 @@ def channel_information(
 ) -> ChannelInformation:
     """Return the information J of a channel with thermal noise, or a ValueError, by quadrature.
 
-    `nodes` is the number of nodes of the trapezoidal rule per thermal standard deviation. If
-    not joint, each error has a draw of its own, independent of the other's obstruction.
+    The trapezoidal rule has `points_per_sigma` nodes per thermal standard deviation. If not
+    joint, each error has a draw of its own, independent of the other's obstruction.
     """
     if channel.range_sigma_m <= 0.0 or channel.bearing_sigma_deg <= 0.0:
         raise ValueError("a channel without thermal noise has no bound")

@@ -436,7 +436,7 @@ class Fencing:
             return
         differs = self._difference(theirs)
         if differs is not None and not self._is_in_control:
-            raise ValueError(f"the autopilot's fence is another one: {differs}")
+            raise ValueError(f"the autopilot's fence differs: {differs}")
 
     def _difference(self, theirs: GeoFence) -> str | None:
         plan, fence = self.plan, self.plan.limits.fence

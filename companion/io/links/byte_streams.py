@@ -274,7 +274,7 @@ class StreamLink(Link):
             self.counters.send_errors += 1
             self.counters.last_error = reason
         logger.warning("%s: lost (%s)", self.name, reason)
-        if self.tells_loss:
+        if self.signals_loss:
             self._received([Chunk(self.index, b"", is_datagram=False)])
 
 

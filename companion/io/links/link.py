@@ -58,7 +58,7 @@ class Link(ABC):
         """Sent first on every new connection."""
         self.request, self.request_period_s = b"", 1.0
         """Query, and its period, over a byte stream to a radio that only answers."""
-        self.tells_loss = False
+        self.signals_loss = False
         """True if an empty piece of the stream means that its other end is gone."""
         self.expects_mavlink = False
         """Close a TCP connection that brings no MAVLink frame for `SILENT_S`: its peer is dead, or

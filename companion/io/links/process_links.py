@@ -139,7 +139,7 @@ class ExecLink(Link):
             reason = f"{words}: {self._complaint}" if self._complaint else words
             self.counters.last_error = reason
             logger.warning("%s: lost (%s); running it again", self.name, reason)
-        if self.tells_loss:
+        if self.signals_loss:
             self._received([Chunk(self.index, b"", is_datagram=False)])
         pause_s = (self._period_s or 0.0) if is_meant else self._pause_s
         if not is_meant:

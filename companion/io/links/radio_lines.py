@@ -55,7 +55,7 @@ def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> Fligh
     def greeted(index: int, received: Received) -> Link:
         """Return the link, which sends the radio's greeting and reports when the radio is gone."""
         link = make(index, received)
-        link.greeting, link.tells_loss = greeting, True
+        link.greeting, link.signals_loss = greeting, True
         link.request, link.request_period_s = request, setup.settings.poll_s or poll.period_s
         return link
 

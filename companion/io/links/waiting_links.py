@@ -96,7 +96,7 @@ class WaitingLink(Link):
         self._is_lost = True
         self.counters.last_error = reason
         logger.warning("%s: lost (%s); retrying", self.name, reason)
-        if self.tells_loss:
+        if self.signals_loss:
             self._hand_over(b"")
 
 

@@ -33,7 +33,7 @@ class OfferedModes:
         self.restart()
 
     def restart(self) -> None:
-        """Start again, because the autopilot restarted or is another one."""
+        """Start again, because the autopilot restarted or was replaced."""
         self.understands_offboard = False
         """True if mode 30 obeys setpoints, and was offered before it was selected."""
         self._is_offered = False

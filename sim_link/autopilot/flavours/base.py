@@ -148,7 +148,7 @@ class Firmware(NamedTuple):
     timesync_dated_back_baud: int | None
     """Baud rate by which the arrival of a TIMESYNC request is dated back; null: it is not."""
     answers_ping: bool
-    tells_mode_at_once: bool
+    reports_mode_at_once: bool
     """An extra HEARTBEAT on every change of mode."""
     obeys_rc_override: bool
     takes_origin: bool

@@ -199,7 +199,7 @@ class RequestProfile:
     """A refused SET_MESSAGE_INTERVAL is explained."""
     casts_id: bool = False
     """REQUEST_MESSAGE cuts a fraction off the id, and takes NaN for 0."""
-    tells_protocol_version: bool = True
+    reports_protocol_version: bool = True
     """Knows REQUEST_PROTOCOL_VERSION at all."""
     capabilities_need_one: bool = False
     """REQUEST_AUTOPILOT_CAPABILITIES is refused unless its first parameter is 1."""
@@ -260,7 +260,7 @@ class MessageRequests:
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 return self._request(command, now_s)
             case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-                return self._tell_interval(command.whole(1), command.partner, now_s)
+                return self._report_interval(command.whole(1), command.partner, now_s)
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return self._set_interval(command, now_s)
         return self._request_by_shorthand(command)
@@ -281,7 +281,7 @@ class MessageRequests:
         if number in self._rules.not_on_request:
             return self._rules.no_message, []
         if number == mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
-            return self._tell_interval(command.whole(2), command.partner, now_s)
+            return self._report_interval(command.whole(2), command.partner, now_s)
         if number is None or not 0 <= number <= MAX_MESSAGE_ID:
             return self._rules.no_message, []
         if number == AVAILABLE_MODES:
@@ -300,7 +300,7 @@ class MessageRequests:
         self, command: Command
     ) -> tuple[CommandResult, list[Outgoing]] | None:
         number, rules = SHORTHANDS.get(command.number), self._rules
-        if number is None or (number == PROTOCOL_VERSION and not rules.tells_protocol_version):
+        if number is None or (number == PROTOCOL_VERSION and not rules.reports_protocol_version):
             return None
         is_wanted = command.params[0] == 1.0 or not rules.capabilities_need_one
         if number == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not is_wanted:
@@ -313,7 +313,7 @@ class MessageRequests:
             return self._rules.no_message, []
         return CommandResult.ACCEPTED, [Outgoing(message, partner.channel)]
 
-    def _tell_interval(
+    def _report_interval(
         self, number: int | None, partner: Partner, now_s: float
     ) -> tuple[CommandResult, list[Outgoing]]:
         if number is None or not 0 <= number <= MAX_INTERVAL_ID:

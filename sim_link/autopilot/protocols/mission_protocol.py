@@ -148,7 +148,7 @@ class PlanUploads:
     def _out_of_order(
         self, message: ItemMessage, upload: Upload, partner: Partner, now_s: float
     ) -> list[Outgoing]:
-        if self._rules.tells_wrong_number:
+        if self._rules.reports_wrong_number:
             return [ack(partner, PlanResult.INVALID_SEQUENCE, upload.plan_type)]
         if message.seq > upload.expected:
             return [self._ask(upload, partner, now_s)]

@@ -39,12 +39,12 @@ class ParameterProfile:
     encoding: ParamEncoding
     checks_type: bool
     """A PARAM_SET of another type is ignored; otherwise the parameter's own type counts."""
-    tells_index_of_named: bool
+    reports_index_of_named: bool
     """Otherwise a value read or set by name has index 65535."""
     has_hash_check: bool
     stores_nan: bool
     """Otherwise what is no number is ignored without a word."""
-    tells_read_only: bool = False
+    reports_read_only: bool = False
     """True if it answers with the value and a text; otherwise it is silent."""
     echoes: int = 1
     """Number of times that a changed value is sent."""
@@ -125,7 +125,7 @@ class Parameters:
 
     def _value(self, index: int, *, is_named: bool = False) -> Message:
         spec = self.store.specs[index]
-        hides_index = is_named and not self._rules.tells_index_of_named
+        hides_index = is_named and not self._rules.reports_index_of_named
         raw = self.store.raw_at(index, self._rules.encoding)
         shown = NO_INDEX if hides_index else index
         return RawParamValue(spec.name, raw, spec.kind, len(self.store), shown)
@@ -155,7 +155,7 @@ class Parameters:
         if rules.checks_type and message.param_type != spec.kind:
             return []
         if spec.is_read_only:
-            return self._tell_read_only(index, partner) if rules.tells_read_only else []
+            return self._report_read_only(index, partner) if rules.reports_read_only else []
         value = value_from_raw(raw_of(message), spec.kind, rules.encoding)
         if not (math.isfinite(value) or rules.stores_nan):
             return []
@@ -164,7 +164,7 @@ class Parameters:
         self.store.set(name, value)
         return [Outgoing(self._value(index, is_named=True))] * rules.echoes
 
-    def _tell_read_only(self, index: int, partner: Partner) -> list[Outgoing]:
+    def _report_read_only(self, index: int, partner: Partner) -> list[Outgoing]:
         text = f"{self.store.specs[index].name} kept: is read-only"
         return [
             Outgoing(self._value(index, is_named=True)),

@@ -191,7 +191,7 @@ class PlanRules:
     can_be_cancelled: bool = True
     waits_for_ack: bool = True
     """A download lasts until the client's MISSION_ACK; items are given only during one."""
-    tells_wrong_number: bool = False
+    reports_wrong_number: bool = False
     """An item out of order gets INVALID_SEQUENCE; otherwise it is dropped."""
     asks_in_old_form: bool = False
     """MISSION_REQUEST instead of MISSION_REQUEST_INT."""

@@ -39,7 +39,7 @@ class IdentityRules(CompanionProbe):
         require(191 <= self.companion[1] <= 194, f"component {self.companion[1]}")
 
     @book.rule(HEARTBEAT_SERVICE)
-    def tells_an_onboard_controller(self) -> None:
+    def reports_an_onboard_controller(self) -> None:
         """HEARTBEAT reports ONBOARD_CONTROLLER, no autopilot, no mode, ACTIVE and version 3."""
         m = self._newest()
         fields = (

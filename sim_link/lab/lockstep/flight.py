@@ -349,11 +349,11 @@ class Flight:
         """Apply an incident to the vehicle."""
         self.sim.apply_incident(incident, self.now_s)
         if isinstance(incident, PilotMode):
-            self.tell_chosen(incident.mode)
+            self.note_chosen(incident.mode)
         if isinstance(incident, VehicleReboot):
             self.observers.notify("vehicle_rebooted", self.now_s)
 
-    def tell_chosen(self, mode: FlightMode) -> None:
+    def note_chosen(self, mode: FlightMode) -> None:
         """Notify the observers that a person switched the mode."""
         self.observers.notify("mode_chosen", mode, self.now_s)
 

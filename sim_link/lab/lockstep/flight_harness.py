@@ -61,7 +61,7 @@ class Operator:
         is_armed = flight.sim.vehicle.flavour.is_armed
         params = set_mode_params(mode, flight.autopilot, is_armed=is_armed)
         self.command(mavlink.MAV_CMD_DO_SET_MODE, *params)
-        flight.tell_chosen(mode)
+        flight.note_chosen(mode)
 
     def grant(self) -> None:
         """Give control back to the companion, through the autopilot, which forwards it."""

@@ -215,7 +215,7 @@ class _UdpFlight:
         """Wait for a process; `CompanionError`: it ended, or takes too long."""
         deadline = time.monotonic() + START_S
         while not has_started():
-            self._tell_progress()
+            self._report_progress()
             if not child.is_alive or time.monotonic() > deadline:
                 words = child.last_words.removeprefix("companion: ")
                 raise CompanionError(f"{name} did not start: {words}")
@@ -256,7 +256,7 @@ class _UdpFlight:
         self._check_children(now_s)
         if misfit == "":
             self._runner.tick(now_s)
-            self._tell_progress()
+            self._report_progress()
         if self._runner.is_over or self.record.skipped:
             self._begin_end(now_s)
 
@@ -285,7 +285,7 @@ class _UdpFlight:
             "height: centre it and fly again (ArduPilot SITL, in MAVProxy: rc 3 1500)"
         )
 
-    def _tell_progress(self) -> None:
+    def _report_progress(self) -> None:
         if self._progress is not None:
             self._progress(self._runner, self.record.situation)
 

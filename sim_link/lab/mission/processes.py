@@ -159,7 +159,7 @@ class ProcessHarness:
             case faults.CompanionTerminated():
                 at(start_s, 0, self._end, (signal.SIGTERM,))
             case IncidentRecord():
-                at(start_s, 0, self._tell, (fault,))
+                at(start_s, 0, self._apply, (fault,))
 
     @property
     def is_companion_running(self) -> bool:
@@ -187,7 +187,7 @@ class ProcessHarness:
         self._watcher.companion_started(self._now_s)
         self.is_companion_down, self.has_restarted_companion = False, True
 
-    def _tell(self, incident: IncidentRecord) -> None:
+    def _apply(self, incident: IncidentRecord) -> None:
         if self._vehicle is not None:
             fields = msgspec.to_builtins(incident)
             endless = {name for name, value in fields.items() if value == math.inf}

@@ -86,8 +86,10 @@ class WithinEnvelope(Invariant):
             return
         vehicle_m = math.dist(vehicle, self._vehicle) if vehicle and self._vehicle else 0.0
         is_slow_enough = moved <= vehicle_m + TOLERANCE_M
-        is_anew = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
-        self._judge_change(setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_anew=is_anew)
+        is_start = self._is_at(self._vehicle, setpoint) and not self._is_at(vehicle, last)
+        self._judge_change(
+            setpoint, last, dt_s, may_be_moved_along=is_slow_enough, is_start=is_start
+        )
 
     def _goes_on(self, setpoint: SentSetpoint, last: SentSetpoint) -> bool:
         """Return True if a setpoint is as near to the one before as speed and climb allow."""
@@ -104,7 +106,7 @@ class WithinEnvelope(Invariant):
         dt_s: float,
         *,
         may_be_moved_along: bool,
-        is_anew: bool,
+        is_start: bool,
     ) -> None:
         """Judge the change of speed against the acceleration; stopping at once is allowed.
 
@@ -127,7 +129,7 @@ class WithinEnvelope(Invariant):
             return
         if may_be_moved_along and self.scene.is_moved_inwards(setpoint.place_enu_m[:2]):
             return
-        if is_anew:  # at rest
+        if is_start:  # at rest
             self._velocity = (0.0, 0.0)
             return
         if dt_s > LATE_TICK_S and self._is_here(setpoint):  # so late that it restarted from here

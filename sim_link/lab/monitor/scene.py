@@ -225,14 +225,14 @@ class ObservedScene:
                     if was_ours and not observed.is_ours:
                         observed.left_s = frame.time_s
             case mavlink.MAVLink_local_position_ned_message():
-                self._tell_position(message, frame.time_s, self.sent_at(frame))
+                self._note_position(message, frame.time_s, self.sent_at(frame))
             case mavlink.MAVLink_gps_global_origin_message():
                 place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
                 world = self.world_origin
                 if world is not None and abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0:
-                    self._tell_origin(world.enu_from_geodetic(*place), self.sent_at(frame))
+                    self._note_origin(world.enu_from_geodetic(*place), self.sent_at(frame))
 
-    def _tell_origin(self, origin_enu_m: PositionEnu, sent_at: tuple[float, int]) -> None:
+    def _note_origin(self, origin_enu_m: PositionEnu, sent_at: tuple[float, int]) -> None:
         observed = self.observed
         if sent_at < observed.origin_sent_at:
             return
@@ -247,7 +247,7 @@ class ObservedScene:
             observed.frame_sent_at = sent_at
         observed.origin_enu_m = origin_enu_m
 
-    def _tell_position(
+    def _note_position(
         self,
         message: mavlink.MAVLink_local_position_ned_message,
         now_s: float,

@@ -183,7 +183,7 @@ def _pause(flavour: ArduPilotFlavour, _command: Command, _now_s: float) -> int:
     return ACCEPTED if is_flying else FAILED
 
 
-def _tell_prearm(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:
+def _report_prearm(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:
     if flavour.is_armed:
         return TEMPORARILY_REJECTED
     flavour.send_rejection("PreArm", flavour.arming_refusal(now_s))
@@ -204,7 +204,7 @@ HANDLERS: Mapping[int, Handler] = {
     mavlink.MAV_CMD_DO_FENCE_ENABLE: _enable_fence,
     mavlink.MAV_CMD_DO_SET_HOME: set_home,
     mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
-    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _tell_prearm,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _report_prearm,
     mavlink.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
     mavlink.MAV_CMD_PREFLIGHT_STORAGE: answers(DENIED),
     mavlink.MAV_CMD_DO_MOUNT_CONTROL: answers(FAILED),

@@ -59,7 +59,7 @@ class FailsafeEvent:
     text: str
     reaction: CopterMode | None = None
     stops_motors: bool = False
-    tells_mode: bool = False
+    names_mode: bool = False
     """True if a second text names the new mode."""
 
 
@@ -122,7 +122,7 @@ class CopterFailsafes:
         concerns = mode.needs_position or value["FS_EKF_ACTION"] == EVEN_WITHOUT_POSITION
         reaction = self._reaction("FS_EKF_ACTION") if concerns else None
         if self._changes(EKF, self._bad_estimate_s >= limit_s):
-            yield self._event(EKF, reaction, tells_mode=reaction is not None)
+            yield self._event(EKF, reaction, names_mode=reaction is not None)
 
     def _is_outvoted(self) -> bool:
         """Return True by two votes of three, or the velocity at twice the threshold."""
@@ -142,9 +142,9 @@ class CopterFailsafes:
         return True
 
     def _event(
-        self, name: str, reaction: CopterMode | None, *, tells_mode: bool = False
+        self, name: str, reaction: CopterMode | None, *, names_mode: bool = False
     ) -> FailsafeEvent:
         """Return the event of a failsafe that has just begun or ended."""
         if name in self.active:
-            return FailsafeEvent(name, reaction, tells_mode=tells_mode)
+            return FailsafeEvent(name, reaction, names_mode=names_mode)
         return cleared(name)

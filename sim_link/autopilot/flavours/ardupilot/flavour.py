@@ -321,7 +321,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             return
         if self.choose(event.reaction, now_s) != ACCEPTED:
             self.choose(LAND, now_s)
-        if event.tells_mode:
+        if event.names_mode:
             self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
 
     def _speed_limits(self) -> SpeedLimits:

@@ -152,7 +152,7 @@ def _change_speed(flavour: Px4Flavour, command: Command, _now_s: float) -> int:
     return ACCEPTED
 
 
-def _tell_prearm(flavour: Px4Flavour, _command: Command, now_s: float) -> int:
+def _report_prearm(flavour: Px4Flavour, _command: Command, now_s: float) -> int:
     flavour.send_rejection("Arming denied", flavour.arming_refusal(now_s))
     return ACCEPTED
 
@@ -170,6 +170,6 @@ HANDLERS: Mapping[int, Handler] = {
     mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
     mavlink.MAV_CMD_DO_SET_HOME: set_home,
     mavlink.MAV_CMD_DO_FLIGHTTERMINATION: terminate,
-    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _tell_prearm,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _report_prearm,
 }
 """Handler of each command in PX4; any other command is unsupported."""

@@ -300,14 +300,14 @@ class Px4Flavour(AutopilotFlavour):
             is_stream_alive=self._is_stream_alive(now_s),
         )
         for cause in fresh:
-            self._tell(cause.text)
+            self._announce(cause.text)
         reaction = self._failsafes.flown
         if reaction is Reaction.DISARM:
             self.disarm(is_forced=True)
         else:
             self._reaction = None if reaction is None else reaction.mode
 
-    def _tell(self, cause: str) -> None:
+    def _announce(self, cause: str) -> None:
         """Send a text with a trailing tab, which marks that an EVENT has the same content."""
         self.aircraft.say(CRITICAL, f"Failsafe: {cause}")
         delay_s = self._failsafes.delay_s

@@ -56,7 +56,7 @@ class HeartbeatRules(VehicleProbe):
         require(self.target[1] == mavlink.MAV_COMP_ID_AUTOPILOT1, f"component {self.target[1]}")
 
     @book.rule(SERVICE)
-    def tells_type_and_autopilot(self) -> None:
+    def reports_type_and_autopilot(self) -> None:
         """HEARTBEAT reports a multicopter, the flavour's autopilot and MAVLink version 3."""
         message = self.heartbeat()
         require(message.type in COPTERS, f"type {message.type}")
@@ -280,7 +280,7 @@ class RoutingRules(ParameterClient):
         stations[2].expect_none(mav.CommandLong, mark=marks[2], what="leaked")
 
     @book.rule(ROUTING)
-    def addressed_message_reaches_nobody_else(self) -> None:
+    def addressed_message_reaches_no_other(self) -> None:
         """A command for one component is not sent to where others were heard."""
         self._companion()
         self._require_not_forwarded(self.another(253, 190), (self.target[0], 191), "leaked")
@@ -291,7 +291,7 @@ class RoutingRules(ParameterClient):
         self._require_not_forwarded(self._companion(), self.target)
 
     @book.rule(ROUTING)
-    def unknown_target_reaches_nobody(self) -> None:
+    def unknown_target_reaches_none(self) -> None:
         """A command for a system that was never heard is not forwarded."""
         self._require_not_forwarded(self._companion(), (self._unknown_system, 1))
 

@@ -215,7 +215,7 @@ class MissionRules(PlanClient):
         self.ask(message, mav.Current, lambda m: m.seq == 1)
 
     @book.rule(f"{SERVICE} (MISSION_CURRENT)", flavours=PX4)
-    def mission_current_tells_total_and_state(self) -> None:
+    def mission_current_reports_total_and_state(self) -> None:
         """MISSION_CURRENT reports the total and the state: none, then not started."""
         self.clear()
         self.run(1.5)

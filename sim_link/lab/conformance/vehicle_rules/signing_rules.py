@@ -202,7 +202,7 @@ class SigningRules(FrameProbe):
         require(taken, "a new stream 15 s behind is dropped")
 
     @book.rule(PYMAVLINK_BUG)
-    def forged_future_timestamp_locks_nobody_out(self) -> None:
+    def forged_future_timestamp_locks_none_out(self) -> None:
         """A forged frame with a timestamp of the future does not stop the real peer."""
         signer = self._begin()
         for link_id in (signer.link_id, OTHER_LINK_ID):

@@ -231,7 +231,7 @@ class TelemetryRules(VehicleProbe):
         require(abs(other) < 500, f"two clocks, {other} ms apart")
 
     @book.rule(f"{COMMON}, SYSTEM_TIME")
-    def system_time_tells_the_boot_time(self) -> None:
+    def system_time_reports_the_boot_time(self) -> None:
         """SYSTEM_TIME.time_boot_ms is the same clock."""
         time_ms = self.request(mav.SystemTime).time_boot_ms
         other_ms = self.request(mav.Attitude).time_boot_ms

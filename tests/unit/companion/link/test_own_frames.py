@@ -190,7 +190,7 @@ def test_the_next_free_id_is_taken_beside_another_kind_of_component(
     wire = Wire().ready()
     beside_another_kind(wire, 6.0, *taken)
     assert own_id_of(wire) == ours
-    said = [text for text in wire.journal.texts if "is another one's" in text]
+    said = [text for text in wire.journal.texts if "is in use" in text]
     assert len(said) == (ours != 191)
     assert phase_of(wire) is Phase.STANDBY
     wire.raw.clear()

@@ -121,7 +121,7 @@ class TestComparing:
             fencing.set_origin(ORIGIN)
             fencing.take(other)
             text = str(fencing.refusal)
-            assert text.startswith("the autopilot's fence is another one: borders up to 15.")
+            assert text.startswith("the autopilot's fence differs: borders up to 15.")
             assert guards_fence(fencing) is None
             assert fencing.wants_reading
             assert len(text) < 170
@@ -410,4 +410,4 @@ class TestAFenceThatChanges:
         fencing.take(read(SMALL))
         fencing.follow(is_airborne=False, is_in_control=False)
         assert fencing.refusal is not None
-        assert "another one" in fencing.refusal
+        assert "differs" in fencing.refusal

@@ -94,7 +94,7 @@ def test_a_wrong_address_is_refused_in_one_line(url: str) -> None:
 
 def test_the_link_greets_the_radio_and_tells_its_loss() -> None:
     link = made(setup_of("serial:115200"))
-    assert (link.greeting, link.tells_loss, link.index) == (b"lec\r", True, 3)
+    assert (link.greeting, link.signals_loss, link.index) == (b"lec\r", True, 3)
 
 
 def test_a_radio_that_only_answers_is_asked_over_a_stream_and_no_page_for_it() -> None:

@@ -53,7 +53,7 @@ async def received(url: str, expected: int) -> bytes:
         data.extend(b"".join(chunk.data for chunk in chunks))
 
     link = WebSocketLink(url, 0, take)
-    link.greeting, link.tells_loss = b"AUTH:x\nSUBSCRIBE:FFT,DOA\n", True
+    link.greeting, link.signals_loss = b"AUTH:x\nSUBSCRIBE:FFT,DOA\n", True
     await link.open()
     async with asyncio.timeout(15.0):
         while len(data) < expected:
