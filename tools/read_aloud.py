@@ -3,8 +3,9 @@
     .venv/bin/python tools/read_aloud.py [--seed 7]    # 60 docstrings and 40 operator texts
     .venv/bin/python tools/read_aloud.py --check       # exit code 1 if a limit is exceeded
 
-The check counts docstrings that begin with a wh-word, lines with words that this project keeps out
-of code and pages, and public modules, classes and functions without a docstring.
+The check counts docstrings, those of attributes and constants included, that begin with a wh-word,
+lines with words that this project keeps out of code and pages, and public modules, classes and
+functions without a docstring.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,7 +33,7 @@ Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 class Docstring(NamedTuple):
-    """Docstring of a module, class or function; empty text if there is none."""
+    """Docstring of a module, class, function, attribute or constant; empty text: none."""
 
     place: str
     name: str
@@ -53,7 +55,10 @@ def docstrings() -> Iterator[Docstring]:
 
 
 def _docstrings_of(path: Path) -> Iterator[Docstring]:
-    """Yield the docstrings of a file; functions inside functions count only with a docstring."""
+    """Yield the docstrings of a file, and those of its attributes and constants.
+
+    Functions inside functions count only with a docstring.
+    """
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inner = {
         id(nested)
@@ -69,6 +74,11 @@ def _docstrings_of(path: Path) -> Iterator[Docstring]:
                 name = getattr(node, "name", path.stem)
                 place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}"
                 yield Docstring(place, name, text)
+        for subject, note in pairwise(node.body if isinstance(node, Documented) else ()):
+            is_named = isinstance(subject, ast.Assign | ast.AnnAssign)
+            if is_named and isinstance(note, ast.Expr) and isinstance(note.value, ast.Constant):
+                place = f"{path.relative_to(ROOT)}:{note.lineno}"
+                yield Docstring(place, ast.unparse(subject)[:60], str(note.value.value))
 
 
 def operator_texts() -> list[str]:

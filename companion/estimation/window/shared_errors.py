@@ -52,7 +52,7 @@ configured."""
 URBAN_GNSS_FACTOR = 2.0
 """GNSS error over its reported accuracy between buildings, if the environment is not configured."""
 FIX_DEGRADED_RATIO = 2.0
-"""Ratio of reported accuracies from which a fix counts as degraded: its error is another one."""
+"""Ratio of reported accuracies from which a fix counts as degraded: its error is a new one."""
 
 
 class SharedSigmas(NamedTuple):
