@@ -9,9 +9,9 @@ restart of the companion its vehicle is bound at once, if ids and boot clock con
 The binding is more than its ids: the kind of vehicle, the address, and the course of its clock,
 position and sequence (`companion.link.identity`). Frames that contradict it are withheld, and
 `problem` describes the doubt; it ends when the old course continues alone. An address may change,
-as after a router's restart, if the course continues at the new one. While the companion has no
-control, and the vehicle is not one that it left in the air, another autopilot may replace one that
-vanished.
+as after a router's restart, if the course continues at the new one, with the same hardware id. A
+course that continues there without a gap is followed at once. While the companion has no control,
+and the vehicle is not one that it left in the air, another autopilot may replace one that vanished.
 
 Source: MAVLink developer guide, "MAVLink Id Assignment" (listen for two systems for 3 s) and
 "Heartbeat/Connection Protocol".
@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from companion.domain import Autopilot, FlightMode, VehicleClass
+from companion.domain import Autopilot, VehicleClass
 from companion.guidance.events import VehicleMark
 from companion.link.hardware_id import HardwareId, uid_of
 from companion.link.identity import (
@@ -36,7 +36,7 @@ from companion.link.identity import (
 )
 from companion.mav.dialect import Message, mavlink, result_words
 from companion.mav.endpoint import Address
-from companion.mav.flight_modes import autopilot_of, class_of, mode_of
+from companion.mav.flight_modes import autopilot_of, class_of, gives_control, is_of_component
 
 LISTEN_S = 3.0
 """Time to wait for further candidates (MAVLink guide, see above)."""
@@ -48,8 +48,10 @@ MOST_ADDRESSES = 8
 """Limit of addresses that are kept: forged frames can invent any number."""
 PEER_SILENCE_S = 3.0
 """Silence of the autopilot before the same ids are accepted from a new address."""
-KEYED_SILENCE_S = 0.5
-"""The same with signed frames: long enough that two paths to one autopilot do not alternate."""
+SURE_SILENCE_S = 0.5
+"""The same for signed frames, and for frames that continue the sequence, as behind a NAT that binds
+another port: long enough that two paths to one autopilot do not alternate, shorter than the second
+without setpoints after which PX4 leaves OFFBOARD."""
 PROOF_PERIOD_S = 0.5
 """Interval of requests to an address for evidence of its vehicle."""
 
@@ -149,7 +151,7 @@ class AutopilotBinding:
     @property
     def silence_s(self) -> float:
         """Seconds that the autopilot must be silent before another address is accepted."""
-        return KEYED_SILENCE_S if self.is_keyed else PEER_SILENCE_S
+        return SURE_SILENCE_S if self.is_keyed else PEER_SILENCE_S
 
     def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
         """Return True if a message is of the bound autopilot, and to be used; may bind to one."""
@@ -158,7 +160,7 @@ class AutopilotBinding:
             self._note_heartbeat(message, ids, peer, now_s)
         sign = sign_of(message)
         self._bind_expected(sign, ids, peer, now_s)
-        if self.bound is None or ids != self.bound.ids:
+        if self.bound is None or ids != self.bound.ids or is_of_component(message):
             return False
         if peer != self.peer:
             return self._take_elsewhere(message, sign, peer, now_s)
@@ -168,17 +170,26 @@ class AutopilotBinding:
         uid = uid_of(message)
         if uid is not None and self.hardware.differs(uid, now_s):
             self._take_other_hardware(uid, now_s)
-        self._course.note_sequence(message.get_seq(), now_s)
+        self._follow_sequence(message.get_seq(), now_s)
         exchange = exchange_sign_of(message)
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._compare_kind(message, now_s)
-            if self._course.is_out_of_sequence and not self.is_in_control and _gives(message):
+            is_given = not self.is_in_control and gives_control(message)
+            if self._course.is_out_of_sequence and is_given:
                 return False  # it may be another vehicle's: wait for the next one
         elif exchange is not None:
             self._take_exchange(exchange, now_s)
         if sign is not None and not self._take_sign(sign, now_s):
             return False
         return not self.is_doubted
+
+    def _follow_sequence(self, sequence: int, now_s: float) -> None:
+        """Follow the sequence; where it breaks, another vehicle may have the same clock here."""
+        self._course.note_sequence(sequence, now_s)
+        is_known = self.hardware.uid is not None
+        is_old = is_known and now_s - self.hardware.heard_s > PEER_SILENCE_S
+        if self._course.is_out_of_sequence and is_old:
+            self.hardware.ask_again()
 
     def hear(self, ids: Ids, peer: Address | None, now_s: float, sequence: int) -> bool:
         """Return the result of `recognise` for a frame that is not decoded."""
@@ -188,7 +199,7 @@ class AutopilotBinding:
             self.unknown_senders += not self._is_silent(now_s)
             return False
         self.heard_s = now_s
-        self._course.note_sequence(sequence, now_s)
+        self._follow_sequence(sequence, now_s)
         return True
 
     def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
@@ -325,8 +336,9 @@ class AutopilotBinding:
     def _has_vanished(self, heard_s: float, now_s: float) -> bool:
         return self._listened_s(heard_s, now_s) > VANISHED_S
 
-    def _is_silent(self, now_s: float) -> bool:
-        return self.heard_s is None or self._listened_s(self.heard_s, now_s) >= self.silence_s
+    def _is_silent(self, now_s: float, silence_s: float | None = None) -> bool:
+        least_s = self.silence_s if silence_s is None else silence_s
+        return self.heard_s is None or self._listened_s(self.heard_s, now_s) >= least_s
 
     def _doubt(self, problem: str, now_s: float) -> None:
         self._doubted_s = now_s
@@ -404,20 +416,22 @@ class AutopilotBinding:
         course = self._course_at(peer)
         if course is None:
             return False
+        self._course.compare_beginning(course, message.get_seq(), sign, now_s)
         course.note_sequence(message.get_seq(), now_s)
         if sign is not None:
             course.take(sign, now_s)
         uid = uid_of(message)
+        course.uid = uid or course.uid
         if uid is not None and self.hardware.uid not in (None, uid):
             self._doubt_elsewhere(f"hardware {uid}", peer, now_s, is_silent=is_silent)
             return False
-        if not is_silent:
-            self._compare_senders(course, sign, peer, now_s)
-            return False
-        if self._course.main is None or (sign is not None and self._is_proof(sign, now_s)):
+        is_continuation = course.is_continuation and self._is_silent(now_s, SURE_SILENCE_S)
+        if is_continuation or (is_silent and self._is_proof(course, sign, now_s)):
             self._move(peer, now_s)
             return self.problem is None
-        if sign is None:
+        if not is_silent:
+            self._compare_senders(course, sign, peer, now_s)
+        elif sign is None or self._is_possible(sign, now_s):
             self._unproved.setdefault(peer, -PROOF_PERIOD_S)
         elif course.is_steady:
             how = self._course.describe(sign, now_s)
@@ -441,10 +455,23 @@ class AutopilotBinding:
             course = self._elsewhere[peer] = IdentityCourse()
         return course
 
-    def _is_proof(self, sign: Sign, now_s: float) -> bool:
-        """Return True if a sign of another address shows our vehicle there, or its restart."""
-        is_ours = self._course.is_of_main(sign, now_s)
-        return is_ours or self._course.is_young_beside(sign, now_s)
+    def _is_possible(self, sign: Sign, now_s: float) -> bool:
+        """Return True if our vehicle, or its restart, may have sent a sign of another address."""
+        if self._course.is_young_beside(sign, now_s):
+            return True
+        is_clock = self.hardware.uid is not None or self._course.is_of_clock(sign, now_s)
+        return is_clock and self._course.is_of_main(sign, now_s)
+
+    def _is_proof(self, course: IdentityCourse, sign: Sign | None, now_s: float) -> bool:
+        """Return True if a sign of another address shows our vehicle there, or its restart.
+
+        Vehicles that are switched on together have nearly the same clock: a hardware id that is
+        known has to be answered there, too.
+        """
+        if self._course.main is None or sign is None:
+            return self._course.main is None
+        is_its = self.hardware.uid is None or course.uid == self.hardware.uid
+        return is_its and self._is_possible(sign, now_s)
 
     def _move(self, peer: Address | None, now_s: float) -> None:
         self.peer, self.heard_s = peer, now_s
@@ -467,17 +494,6 @@ class AutopilotBinding:
         pair = f"{_words(self.peer)} and {_words(peer)}"
         text = f"two vehicles send as {self._name}, {pair}"
         self._doubt(f"{text}: {self._course.describe(sign, now_s)}", now_s)
-
-
-def _gives(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
-    """Return True if a HEARTBEAT could give control."""
-    autopilot = autopilot_of(heartbeat)
-    is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-    return (
-        is_armed
-        and autopilot is not None
-        and mode_of(heartbeat, autopilot, offers_offboard=True) is FlightMode.OFFBOARD
-    )
 
 
 def _words(peer: Address | None) -> str:

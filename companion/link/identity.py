@@ -40,6 +40,8 @@ YOUNG_S = 5.0
 """Excess of a restarted clock over the time since its sender was last received."""
 SPEED_MPS, NEAR_M = 25.0, 10.0
 """Speed of a multicopter carried by the wind, and jump of its estimator, at most."""
+NOISE_M = 2.0
+"""Noise of a position, without a jump."""
 JITTER_S = 1.0
 """Arrival jitter of frames of one clock."""
 CONFIRM_STAMPS, CONFIRM_S = 3, 0.3
@@ -177,6 +179,10 @@ class IdentityCourse:
         """Difference of the other course, in words."""
         self.is_out_of_sequence = False
         """True if the last frame's number was far from that of the frame before."""
+        self.is_continuation: bool | None = None
+        """True if it began where the course at another address ended; None: not decided yet."""
+        self.uid: str | None = None
+        """Hardware id that was answered at another address."""
         self._sequence: int | None = None
         self._breaks: deque[float] = deque(maxlen=BREAKS)
         self._returns: deque[float] = deque(maxlen=RETURNS)
@@ -229,11 +235,32 @@ class IdentityCourse:
             -AHEAD_S <= main.late_s(sign, now_s) <= LATE_S and main.reaches(sign, now_s)
         )
 
+    def is_of_clock(self, sign: Sign, now_s: float) -> bool:
+        """Return True if a sign, of whatever address, has the clock of this course and no other."""
+        return self.main is None or abs(self.main.late_s(sign, now_s)) <= JITTER_S
+
+    def compare_beginning(
+        self, other: IdentityCourse, sequence: int, sign: Sign | None, now_s: float
+    ) -> None:
+        """Decide whether a course at another address continues this one without a gap.
+
+        Its first frame has the next sequence number, and its first position is near the last one.
+        """
+        if other.is_continuation is not None:
+            return
+        is_first = other._sequence is None
+        if is_first and (self._sequence is None or (sequence - self._sequence) % 256 > FAR_STEP):
+            other.is_continuation = False
+        elif sign is not None and sign.place_ned_m is not None and self.main is not None:
+            way_m = NOISE_M + SPEED_MPS * max(0.0, now_s - self.main.place_s)
+            is_near = self.main.away_m(sign) <= way_m
+            other.is_continuation = is_near and self.is_of_clock(sign, now_s)
+
     def describe(self, sign: Sign, now_s: float) -> str:
         """Describe the deviation of a sign from this course."""
         assert self.main is not None
         late_s = abs(self.main.late_s(sign, now_s))
-        if late_s > AHEAD_S:
+        if late_s > AHEAD_S or self.main.reaches(sign, now_s):
             return f"boot clocks {late_s:.0f} s apart"
         return f"places {self.main.away_m(sign):.0f} m apart"
 

@@ -10,7 +10,7 @@ together with HEARTBEAT.type, and for a class that is not supported every mode i
 from __future__ import annotations
 
 from companion.domain import ARDUPILOT_NAMES, Autopilot, FlightMode, VehicleClass
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import Message, mavlink
 
 PX4_MAIN_AND_SUB: dict[FlightMode, tuple[int, int]] = {
     FlightMode.MANUAL: (1, 0),
@@ -142,6 +142,22 @@ def autopilot_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> Autopilot | No
         case mavlink.MAV_AUTOPILOT_INVALID | mavlink.MAV_AUTOPILOT_GENERIC:
             return None
     return Autopilot.OTHER
+
+
+def is_of_component(message: Message) -> bool:
+    """Return True for a HEARTBEAT of a sender that flies nothing, whatever ids it uses."""
+    return isinstance(message, mavlink.MAVLink_heartbeat_message) and autopilot_of(message) is None
+
+
+def gives_control(heartbeat: mavlink.MAVLink_heartbeat_message) -> bool:
+    """Return True if a HEARTBEAT shows an armed vehicle in OFFBOARD or GUIDED."""
+    autopilot = autopilot_of(heartbeat)
+    is_armed = bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    return (
+        is_armed
+        and autopilot is not None
+        and mode_of(heartbeat, autopilot, offers_offboard=True) is FlightMode.OFFBOARD
+    )
 
 
 def mode_of(

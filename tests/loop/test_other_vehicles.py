@@ -187,7 +187,7 @@ def test_a_neighbour_in_place_of_ours_behind_one_address_is_not_flown(
     assert sky.phase not in IN_CONTROL
     assert max(sky.reached.setpoints, default=began_s) < began_s + 1.0
     (text,) = [text for text in sky.said_of_identity if "control ended" in text]
-    assert "1/1 is another vehicle now: boot clocks" in text
+    assert "1/1 is another vehicle now: " in text  # its hardware id, or its clock
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
@@ -372,3 +372,33 @@ def test_an_autopilot_without_a_hardware_id_is_flown_as_soon_as_any_other(
         assert sky.companion.binding.hardware.uid == (None if uid == 0 else f"{1:016x}")
         assert sky.said_of_identity == []
     assert began_s[0] == began_s[None]
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("uid", [None, 0])
+def test_a_nat_that_binds_another_port_every_ten_seconds_ends_nothing(
+    flavour: FlavourName, uid: int | None
+) -> None:
+    """The search goes on before PX4 misses its setpoints for a second."""
+    sky = Sky(flavour, uid=uid).in_control()
+    for port in range(30_001, 30_005):
+        sky.flight.vehicle_peer = ("127.0.0.1", port)
+        sky.run(10.0)
+        assert sky.companion.binding.peer == sky.flight.vehicle_peer
+        assert sky.phase in IN_CONTROL, sky.notes.texts
+    assert sky.said_of_identity == []
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("later_s", [1.5, -1.5])
+def test_a_neighbour_that_was_switched_on_with_ours_is_not_flown_while_ours_is_silent(
+    flavour: FlavourName, later_s: float
+) -> None:
+    """Ours has no hardware id, and their clocks are seconds apart."""
+    sky = Sky(flavour, uid=0).in_control()
+    twin = twin_at_another_address(sky)
+    sky.add(msgspec.structs.replace(twin, uptime_s=twin.uptime_s + later_s))
+    sky.add(LinkBlackout(duration_s=20.0))
+    sky.run(20.0)
+    assert sky.phase not in IN_CONTROL
+    assert sky.reached.setpoints == []

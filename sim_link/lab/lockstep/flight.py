@@ -149,6 +149,8 @@ class Flight:
         self._socket: deque[tuple[Chunk, bool, bool]] = deque()
         self._socket_bytes = 0
         self.neighbours: list[Neighbour] = []
+        self.vehicle_peer = VEHICLE_PEER
+        """Address of the vehicle, which a NAT on the way may change."""
         """Other vehicles that are heard now."""
         self.sim = makers.simulator(scenario, seed, 0.0)
         self.start_companion()
@@ -219,7 +221,7 @@ class Flight:
             self.sim.receive(Chunk(0, data, None), self.now_s)
             return
         is_ranging = lane is Lane.RANGING
-        chunk = Chunk(1, data, RADIO_PEER) if is_ranging else Chunk(0, data, VEHICLE_PEER)
+        chunk = Chunk(1, data, RADIO_PEER) if is_ranging else Chunk(0, data, self.vehicle_peer)
         self._reach_companion(chunk, is_genuine=True, is_intact=is_intact)
 
     def attack(self, chunk: Chunk) -> None:
@@ -274,7 +276,7 @@ class Flight:
         for chunk in self.companion.take_output():
             self._notify("sent", chunk.data, Lane.TO_VEHICLE)
             self._reach_neighbours(chunk)
-            if chunk.peer not in self._other_peers:
+            if chunk.peer in (None, self.vehicle_peer):
                 self.post(chunk.data, Lane.TO_VEHICLE)
         if self.companion.is_finished:
             self._end_companion()
@@ -283,10 +285,6 @@ class Flight:
         for neighbour in self.neighbours:
             for chunk in neighbour.take_output():
                 self.attack(Chunk(0, chunk.data, neighbour.peer))
-
-    @property
-    def _other_peers(self) -> set[Address | None]:
-        return {each.peer for each in self.neighbours if each.peer != VEHICLE_PEER}
 
     def _reach_neighbours(self, chunk: Chunk) -> None:
         """Deliver what the companion sends to another vehicle's address, or to all."""

@@ -6,7 +6,7 @@ import pytest
 
 from companion.domain import Autopilot
 from companion.guidance.events import VehicleMark
-from companion.link.binding import LISTEN_S, VANISHED_S, AutopilotBinding
+from companion.link.binding import LISTEN_S, SURE_SILENCE_S, VANISHED_S, AutopilotBinding
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, NOBODY, PEER, PX4, STRANGER, heartbeat
@@ -185,6 +185,110 @@ def test_an_address_is_taken_over_only_after_silence(silence_s: float) -> None:
     assert binding.recognise(ATTITUDE, STRANGER, 10.0 + silence_s) == is_believed
     assert binding.peer == (STRANGER if is_believed else PEER)
     assert binding.unknown_senders == (0 if is_believed else 1)
+
+
+def placed(boot_s: float, sequence: int, north_m: float = 5.0) -> Message:
+    message = mavlink.MAVLink_local_position_ned_message(round(1e3 * boot_s), north_m, *[0.0] * 5)
+    codec = MavCodec(1, 1)
+    for _ in range(sequence + 1):
+        data = codec.encode(message)
+    (received,) = MavCodec(9, 9).decode(data)
+    return received
+
+
+class TestAnotherAddress:
+    """Ours was heard until 10 s, at 100 s of its clock, with sequence number 20."""
+
+    @pytest.fixture
+    def binding(self) -> AutopilotBinding:
+        binding = AutopilotBinding(wanted_system_id=1)
+        binding.recognise(from_system(heartbeat()), PEER, 8.9)
+        for tenth in range(11):
+            binding.recognise(placed(99.0 + 0.1 * tenth, 10 + tenth), PEER, 9.0 + 0.1 * tenth)
+        return binding
+
+    def moved_s(
+        self, binding: AutopilotBinding, *, off_s: float, first: int, north_m: float
+    ) -> float | None:
+        """Return when it moved, within a second of frames at another address; None: never."""
+        for tenth in range(1, 10):
+            boot_s, now_s = 100.0 + off_s + 0.1 * tenth, 10.0 + 0.1 * tenth
+            binding.recognise(placed(boot_s, first + tenth, north_m), STRANGER, now_s)
+            if binding.peer == STRANGER:
+                return now_s
+        return None
+
+    def test_another_port_of_a_nat_is_taken_before_px4_leaves_offboard(
+        self, binding: AutopilotBinding
+    ) -> None:
+        moved_s = self.moved_s(binding, off_s=0.0, first=20, north_m=5.5)
+        assert moved_s == pytest.approx(10.0 + SURE_SILENCE_S, abs=0.11)
+
+    @pytest.mark.parametrize(
+        ("off_s", "first", "north_m"), [(0.0, 90, 5.0), (0.0, 20, 15.0), (1.5, 20, 5.0)]
+    )
+    def test_another_sequence_place_or_clock_is_not(
+        self, binding: AutopilotBinding, off_s: float, first: int, north_m: float
+    ) -> None:
+        assert self.moved_s(binding, off_s=off_s, first=first, north_m=north_m) is None
+
+    @pytest.mark.parametrize(("off_s", "is_ours"), [(0.5, True), (1.5, False), (-1.5, False)])
+    def test_without_a_hardware_id_its_clock_has_to_be_the_same(
+        self, binding: AutopilotBinding, off_s: float, is_ours: bool
+    ) -> None:
+        for tenth in range(60):
+            boot_s, now_s = 100.0 + off_s + 0.1 * tenth, 10.0 + 0.1 * tenth
+            binding.recognise(placed(boot_s, 90 + tenth, 9.0), STRANGER, now_s)
+        assert (binding.peer == STRANGER) is is_ours
+        assert (binding.problem is None) is is_ours
+
+    @pytest.mark.parametrize(("answered", "is_ours"), [(7, True), (8, False), (0, False)])
+    def test_a_hardware_id_that_is_known_has_to_be_answered(
+        self, binding: AutopilotBinding, answered: int, is_ours: bool
+    ) -> None:
+        binding.recognise(version(7), PEER, 10.0)
+        for tenth in range(60):
+            now_s = 10.0 + 0.1 * tenth
+            binding.recognise(placed(90.0 + now_s, 90 + tenth, 9.0), STRANGER, now_s)
+            if binding.take_unproved(now_s) and answered:
+                binding.recognise(version(answered), STRANGER, now_s)
+        assert (binding.peer == STRANGER) is is_ours
+
+
+def version(uid: int) -> Message:
+    nothing = [0] * 8
+    return from_system(
+        mavlink.MAVLink_autopilot_version_message(
+            0, 0, 0, 0, 0, nothing, nothing, nothing, 0, 0, uid, [0] * 18
+        )
+    )
+
+
+def test_where_the_sequence_breaks_the_hardware_id_is_asked_for_again() -> None:
+    """A twin behind our address that was switched on with ours has its clock and place."""
+    binding = AutopilotBinding(wanted_system_id=1)
+    binding.recognise(from_system(heartbeat()), PEER, 9.0)
+    binding.recognise(version(7), PEER, 9.1)
+    for tenth in range(50):
+        binding.recognise(placed(99.0 + 0.1 * tenth, 10 + tenth), PEER, 9.0 + 0.1 * tenth)
+    assert not binding.hardware.is_due(14.0)
+    binding.recognise(placed(104.0, 200), PEER, 14.0)
+    assert binding.hardware.is_due(14.0)
+    binding.recognise(version(8), PEER, 14.1)
+    assert binding.problem is not None
+
+
+@pytest.mark.parametrize("kind", [mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_GIMBAL])
+def test_a_heartbeat_of_what_is_no_autopilot_is_ignored_under_its_ids(kind: int) -> None:
+    """A router's own heartbeat with the ids 1/1 kept the vehicle from being ready, in silence."""
+    heard = Heard().hear((1, 1), seconds=5)
+    binds = heard.binding.binds
+    for is_in_control in (False, True):
+        heard.is_in_control = is_in_control
+        heard.hear((1, 1))
+        assert not heard.binding.recognise(from_system(component(kind, NOBODY)), PEER, heard.now_s)
+    heard.hear((1, 1))
+    assert (heard.binding.binds, heard.binding.problem) == (binds, None)
 
 
 def test_a_stranger_does_not_keep_the_link_alive() -> None:
