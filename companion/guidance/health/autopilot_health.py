@@ -166,6 +166,8 @@ DEAD_RECKONING_S = 10.0
 posRetryTimeUseVel_ms 10 s."""
 VERDICT_S = 3.0
 """Longest age of a verdict of the estimator."""
+RECEIVER_S = 5.0
+"""Longest age of a receiver's report; one that was unplugged has no fix."""
 
 
 class HealthWatch(Watch):
@@ -176,8 +178,8 @@ class HealthWatch(Watch):
         self._doubt = _Condition()
         self._no_fix = _Condition()
         self._no_position = _Condition()
-        self._receivers: dict[int, bool] = {}
-        """Fix state of each GNSS receiver that has had a fix."""
+        self._receivers: dict[int, tuple[bool, float]] = {}
+        """Fix state of each GNSS receiver that has had a fix, and the time of its report."""
         self._good_position_s = -math.inf
         """Time at which the estimator last reported a position of good quality."""
         self._is_failsafe = False
@@ -194,8 +196,10 @@ class HealthWatch(Watch):
                     self._good_position_s = event.time_s
             case events.FixReported():
                 if event.has_fix or event.receiver in self._receivers:
-                    self._receivers[event.receiver] = event.has_fix
-                    self._no_fix.note(not any(self._receivers.values()), event.time_s)
+                    self._receivers[event.receiver] = (event.has_fix, event.time_s)
+                    oldest_s = event.time_s - RECEIVER_S
+                    fixes = [has for has, at_s in self._receivers.values() if at_s >= oldest_s]
+                    self._no_fix.note(not any(fixes), event.time_s)
             case events.HeartbeatReceived():
                 self._is_failsafe = event.is_failsafe
                 self._accepted_failsafe = self._accepted_failsafe and event.is_failsafe

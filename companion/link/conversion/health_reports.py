@@ -59,6 +59,8 @@ class HealthReports:
 
     def __init__(self) -> None:
         self._has_battery_status = False
+        self._has_flags = False
+        """True once the estimator reported flags: from then on, none is a verdict, too."""
 
     def events(self, message: Message, now_s: float) -> list[Event]:
         """Return the events of a message, none for other kinds and for unknown values."""
@@ -67,9 +69,9 @@ class HealthReports:
             case mavlink.MAVLink_sys_status_message():
                 return self._status_events(message, now_s)
             case mavlink.MAVLink_estimator_status_message():
-                event = _px4_verdict(message, now_s)
+                event = self._verdict(message, _px4_ratio(message), now_s)
             case MAVLink_ekf_status_report_message():
-                event = _ardupilot_verdict(message, now_s)
+                event = self._verdict(message, _ardupilot_ratio(message), now_s)
             case mavlink.MAVLink_gps_raw_int_message():
                 event = _fix(message.fix_type, 0, now_s)
             case mavlink.MAVLink_gps2_raw_message():
@@ -86,6 +88,21 @@ class HealthReports:
                 event = _echo(message, now_s)
         return [*([] if event is None else [event]), *_place_rated(message, now_s)]
 
+    def _verdict(
+        self,
+        message: mavlink.MAVLink_estimator_status_message | MAVLink_ekf_status_report_message,
+        worst: float | None,
+        now_s: float,
+    ) -> EstimatorStatusReported | None:
+        """Return the estimator's verdict, None if nothing of it is known."""
+        flags, has_position = message.flags, None
+        self._has_flags = self._has_flags or flags != 0
+        if self._has_flags:
+            has_position = bool(flags & SOME_POSITION) and not flags & NO_POSITION
+        if worst is None and has_position is None:
+            return None
+        return EstimatorStatusReported(now_s, worst or 0.0, has_position)
+
     def _status_events(
         self, message: mavlink.MAVLink_sys_status_message, now_s: float
     ) -> list[Event]:
@@ -100,33 +117,22 @@ class HealthReports:
         return found
 
 
-def _px4_verdict(
-    message: mavlink.MAVLink_estimator_status_message, now_s: float
-) -> EstimatorStatusReported | None:
+def _px4_ratio(message: mavlink.MAVLink_estimator_status_message) -> float | None:
+    """Return the worst ratio by which PX4 judges, 1 at its limit; None: unknown."""
     ratios = [r for r in (message.vel_ratio, message.pos_horiz_ratio) if math.isfinite(r)]
-    return _verdict(max(ratios) / BAD_RATIO if ratios else None, message.flags, now_s)
+    return max(ratios) / BAD_RATIO if ratios else None
 
 
-def _ardupilot_verdict(
-    message: MAVLink_ekf_status_report_message, now_s: float
-) -> EstimatorStatusReported | None:
+def _ardupilot_ratio(message: MAVLink_ekf_status_report_message) -> float | None:
+    """Return the ratio of ArduPilot's votes, 1 at its limit; None: unknown."""
     velocity = message.velocity_variance
     votes = (velocity, message.pos_horiz_variance, message.compass_variance)
     known = sorted((vote for vote in votes if math.isfinite(vote)), reverse=True)
     if not known:
-        return _verdict(None, message.flags, now_s)
+        return None
     second = known[1] if len(known) > 1 else 0.0
     doubled = velocity / 2.0 if math.isfinite(velocity) else 0.0
-    return _verdict(max(second, doubled) / BAD_VARIANCE, message.flags, now_s)
-
-
-def _verdict(worst: float | None, flags: int, now_s: float) -> EstimatorStatusReported | None:
-    has_position = None
-    if flags:
-        has_position = bool(flags & SOME_POSITION) and not flags & NO_POSITION
-    if worst is None and has_position is None:
-        return None
-    return EstimatorStatusReported(now_s, worst or 0.0, has_position)
+    return max(second, doubled) / BAD_VARIANCE
 
 
 def _fix(fix_type: int, receiver: int, now_s: float) -> FixReported | None:
@@ -140,8 +146,9 @@ def _percent(value: int) -> float | None:
 
 
 def _sticks(message: mavlink.MAVLink_rc_channels_message, now_s: float) -> SticksReported | None:
+    """Return the stick positions; None if no channels are received (chancount 0)."""
     pulses = (message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw)
-    if not all(pulse in PULSES_US for pulse in pulses):
+    if not message.chancount or not all(pulse in PULSES_US for pulse in pulses):
         return None
     return SticksReported(now_s, tuple((p - CENTRE_US) / HALF_TRAVEL_US for p in pulses))
 

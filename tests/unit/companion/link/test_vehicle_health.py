@@ -68,9 +68,9 @@ def sys_status(percent: int) -> Message:
     return mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, -1, percent, *(0,) * 6)
 
 
-def rc_channels(roll: int, pitch: int, throttle: int, yaw: int) -> Message:
+def rc_channels(roll: int, pitch: int, throttle: int, yaw: int, count: int = 4) -> Message:
     unused = (UINT16_MAX,) * 14
-    return mavlink.MAVLink_rc_channels_message(0, 4, roll, pitch, throttle, yaw, *unused, 255)
+    return mavlink.MAVLink_rc_channels_message(0, count, roll, pitch, throttle, yaw, *unused, 255)
 
 
 def test_a_target_is_a_place() -> None:
@@ -134,6 +134,16 @@ def test_flags_say_if_there_is_a_position(flags: int, has_position: bool | None)
     (event,) = events(MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0))
     assert isinstance(event, EstimatorStatusReported)
     assert event.has_position is has_position
+
+
+def test_no_flags_are_no_position_once_there_were_some() -> None:
+    """ArduPilot reports zeros while no EKF runs (AP_AHRS, send_ekf_status_report)."""
+    inbound = VehicleInbound()
+    verdicts = [
+        inbound.events(MAVLink_ekf_status_report_message(flags, *[0.0] * 5), 5.0)
+        for flags in (0, 1 + 16, 0)
+    ]
+    assert verdicts == [[EstimatorStatusReported(5.0, 0.0, has)] for has in (None, True, False)]
 
 
 @pytest.mark.parametrize(("health", "is_healthy"), [(0, False), (0x10000, True)])
@@ -231,3 +241,8 @@ def test_sticks_are_the_first_four_channels() -> None:
 @pytest.mark.parametrize("pulse", [0, UINT16_MAX, 700])
 def test_a_channel_without_a_pulse_is_no_stick(pulse: int) -> None:
     assert events(rc_channels(1500, pulse, 1500, 1500)) == []
+
+
+def test_pulses_without_channels_are_no_sticks() -> None:
+    """MAVLink, RC_CHANNELS.chancount: 0 when no RC channels are available."""
+    assert events(rc_channels(900, 1500, 900, 1500, count=0)) == []

@@ -12,7 +12,7 @@ from companion.guidance.events import (
     HeartbeatReceived,
 )
 from companion.guidance.findings import Finding, Reason, Verdict
-from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch
+from companion.guidance.health.autopilot_health import RECEIVER_S, BatteryWatch, HealthWatch
 
 STEP_S = 0.2
 
@@ -24,7 +24,12 @@ def heartbeat(time_s: float, *, is_failsafe: bool) -> HeartbeatReceived:
 
 
 def times(
-    watch: HealthWatch, *, worst: float = 0.1, has_fix: bool = True, for_s: float = 10.0
+    watch: HealthWatch,
+    *,
+    worst: float = 0.1,
+    has_fix: bool = True,
+    has_second: bool = False,
+    for_s: float = 10.0,
 ) -> dict[tuple[Reason, Verdict], float]:
     """Report the same for a while; when each finding came first."""
     first: dict[tuple[Reason, Verdict], float] = {}
@@ -32,6 +37,8 @@ def times(
         now_s = 100.0 + STEP_S * number
         watch.handle(EstimatorStatusReported(now_s, worst))
         watch.handle(FixReported(now_s, has_fix))
+        if has_second:
+            watch.handle(FixReported(now_s, True, 1))
         for finding in only(watch, now_s):
             first.setdefault((finding.reason, finding.verdict), now_s - 100.0)
     return first
@@ -75,9 +82,18 @@ def test_a_receiver_of_two_may_lose_its_fix() -> None:
     watch = HealthWatch(BatteryWatch(20.0, 10.0))
     for receiver in (0, 1):
         watch.handle(FixReported(99.0, True, receiver))
-    assert times(watch, has_fix=False) == {}
+    assert times(watch, has_fix=False, has_second=True) == {}
     watch.handle(FixReported(110.0, False, 1))
     assert [finding.reason for finding in only(watch, 110.0)] == [Reason.NO_FIX]
+
+
+def test_a_receiver_that_is_silent_has_no_fix_any_more() -> None:
+    """Its last report was good, and it was unplugged."""
+    watch = HealthWatch(BatteryWatch(20.0, 10.0))
+    for receiver in (0, 1):
+        watch.handle(FixReported(99.0, True, receiver))
+    first = times(watch, has_fix=False)
+    assert first[Reason.NO_FIX, Verdict.HOLD] == pytest.approx(RECEIVER_S - 1.0, abs=0.3)
 
 
 @pytest.mark.parametrize(
