@@ -20,6 +20,7 @@ import numpy as np
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners
 from companion.handoff import NAMESPACE, utc_text
+from companion.search.detection_model import DetectionModel
 from companion.search.outlines import gaps_of, outlines
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import GOOD_POD, SearchedFlight, statement
@@ -64,11 +65,16 @@ def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str
         "contact": None if flight.contact_unix_s is None else utc_text(flight.contact_unix_s),
         "listened_s": flight.listened_s,
         "is_radio_heard": flight.is_radio_heard,
-        "assumptions": None if flight.detection is None else msgspec.to_builtins(flight.detection),
+        "assumptions": None if flight.detection is None else _assumptions(flight.detection),
         "reach_source": None if flight.detection is None else "configured: search.detection",
         "track": _track(flight),
         "unix_s": flight.ended_unix_s,
     }
+
+
+def _assumptions(model: DetectionModel) -> dict[str, object]:
+    """Return the detection model with the numbers of its environment."""
+    return {**msgspec.to_builtins(model), **model.propagation._asdict()}
 
 
 def _track(flight: SearchedFlight) -> list[list[float]]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from companion import __version__
 from companion.config.radios import RadioConfig, radio_setups
-from companion.config.schema import CompanionConfig, CrossingKind, PatternKind, PlannerConfig
+from companion.config.schema import CompanionConfig
 from companion.config.search_files import read_search_site
 from companion.config.tunables import Tunables
 from companion.config.versions import renew
@@ -53,11 +53,7 @@ from companion.mav.signing import Signing
 from companion.planning.crossing import LatchedCrossing, SensorGeometry
 from companion.planning.fim import FimParams, FimPlanner
 from companion.planning.planner import Planner
-from companion.planning.search import (
-    SearchParams,
-    SearchPlanner,
-    SearchThenCross,
-)
+from companion.planning.search import SearchPlanner, SearchThenCross
 from companion.planning.views import Antenna
 from companion.search.search_site import SearchSite
 
@@ -69,23 +65,23 @@ def build_planner(config: CompanionConfig) -> Planner[Any]:
     """Return the configured planner."""
     planner = config.planner
     if planner.search is None:
-        return _build_one(planner.kind, config)
-    search = SearchPlanner(_pattern(planner.search, planner))
-    return SearchThenCross(search, _build_one(planner.kind, config), planner.lost_after_s)
+        return _crossing(config)
+    search = SearchPlanner(planner.pattern.params(planner.search))
+    if planner.kind == "survey":
+        return search
+    return SearchThenCross(search, _crossing(config), planner.lost_after_s)
 
 
-def _build_one(kind: CrossingKind | PatternKind, config: CompanionConfig) -> Planner[Any]:
+def _crossing(config: CompanionConfig) -> Planner[Any]:
     planner, noise = config.planner, config.estimation.filter
-    match kind:
-        case "latched_crossing":
-            return LatchedCrossing(planner.latched_crossing, _sensor_geometry(config))
+    match planner.kind:
         case "fim":
             bearing_sigma_rad = math.radians(noise.bearing_sigma_deg)
             is_array = noise.antenna.kind not in ABOUT_VERTICAL
             antenna = _antenna(noise.antenna) if is_array else None
             return FimPlanner(FimParams(), noise.range_sigma_m, bearing_sigma_rad, antenna)
         case _:
-            return SearchPlanner(_pattern(kind, planner))
+            return LatchedCrossing(planner.latched_crossing, _sensor_geometry(config))
 
 
 def _sensor_geometry(config: CompanionConfig) -> SensorGeometry:
@@ -116,21 +112,11 @@ def _antenna(params: AntennaParams) -> Antenna:
     )
 
 
-def _pattern(kind: PatternKind, config: PlannerConfig) -> SearchParams:
-    match kind:
-        case "lawnmower":
-            return config.lawnmower
-        case "expanding_square":
-            return config.expanding_square
-        case "sector":
-            return config.sector
-
-
 def build_session(config: CompanionConfig) -> GuidanceSession:
     """Return the guidance of one flight."""
     return GuidanceSession(
         config.mission,
-        EmitterQueue(config.tracking, config.emitters, config.emitter_id),
+        EmitterQueue(config.tracking, config.emitters),
         build_planner(config),
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",

@@ -294,9 +294,8 @@ class _Flight:
         self._options = options
         self._clock = clock
         self._keeper = keeper
-        self._store = (
-            CheckpointStore(state.parent, state.name) if config.process.checkpoint else None
-        )
+        max_age_s = config.process.resume_max_age_s
+        self._store = None if max_age_s is None else CheckpointStore(state.parent, state.name)
         tunables = Tunables(config, build_planner)
         self._parameters = ParameterKeeper(
             tunables, state.with_name(f"{state.name}.parameters.json")
@@ -309,8 +308,7 @@ class _Flight:
         )
         self.endpoint = self._build_endpoint(tunables, specs)
         self._restart = None
-        if self._store is not None:
-            max_age_s = config.process.resume_max_age_s
+        if self._store is not None and max_age_s is not None:
             self._restart = RestartKeeper(
                 self.endpoint, self._store, config, clock, max_age_s, is_fresh=options.is_fresh
             )

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
@@ -24,7 +24,7 @@ from companion.errors import ConfigError
 from companion.estimation.tracker import EstimationConfig, TrackerParams
 from companion.geometry.geofence import GeoFence
 from companion.geometry.obstacles import check_corners
-from companion.geometry.polygons import Corners
+from companion.geometry.polygons import Corners, Point
 from companion.guard.envelope import Envelope, Reserve, Stopping
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardLimits
@@ -36,8 +36,11 @@ from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.planner import PlanRequest
 from companion.planning.search import (
     ExpandingSquareParams,
+    HeadingDeg,
     LawnmowerParams,
+    SearchParams,
     SectorParams,
+    Spacing,
 )
 from companion.search.searched_flight import SearchAreaParams
 
@@ -174,34 +177,80 @@ class ProcessConfig(Params, frozen=True):
     state_directory: str | None = None
     """Folder of checkpoints and locks; null: systemd's StateDirectory, or
     ~/.local/state/companion."""
-    checkpoint: bool = True
-    """Save the mission's state, once a second, for a restart in flight."""
-    resume_max_age_s: Positive = 600.0
-    """An older saved state is not restored."""
+    resume_max_age_s: Positive | None = 600.0
+    """The mission's state is saved once a second, for a restart in flight; an older one is not
+    restored; null: none is saved."""
 
 
 PatternKind = Literal["lawnmower", "expanding_square", "sector"]
+
+
+class PatternConfig(Params, frozen=True):
+    """Layout of the search pattern."""
+
+    spacing_m: Spacing = 20.0
+    """Distance between neighbouring legs: at most twice the reliable range of the radio."""
+    area_enu_m: tuple[Point, ...] | None = None
+    """Corners of the area of a lawnmower; null: the whole fence."""
+    heading_deg: HeadingDeg | None = None
+    """Heading of lanes, or of the first leg, clockwise from north; null: along the longer side of
+    a lawnmower's area, else north."""
+    datum_enu_m: Point | None = None
+    """Most likely position of the target, the middle of expanding square and sector; null: the
+    vehicle position when the search begins."""
+    radius_m: Positive | None = None
+    """Half the width of an expanding square; null: 100. Length of a sector's legs; null: 60."""
+
+    def __post_init__(self) -> None:
+        """Reject an invalid area."""
+        self.params("lawnmower")
+
+    def params(self, kind: PatternKind) -> SearchParams:
+        """Return the parameters of a pattern; `ValueError` if its layout is impossible."""
+        if kind == "lawnmower":
+            return LawnmowerParams(
+                spacing_m=self.spacing_m,
+                area_enu_m=self.area_enu_m,
+                lane_heading_deg=self.heading_deg,
+            )
+        made = ExpandingSquareParams() if kind == "expanding_square" else SectorParams()
+        return msgspec.structs.replace(
+            made,
+            spacing_m=self.spacing_m,
+            datum_enu_m=self.datum_enu_m,
+            heading_deg=self.heading_deg or 0.0,
+            radius_m=self.radius_m or made.radius_m,
+        )
+
+
 CrossingKind = Literal["latched_crossing", "fim"]
 
 
 class PlannerConfig(Params, frozen=True):
     """The planner in use, and the parameters of each."""
 
-    kind: CrossingKind | PatternKind = "latched_crossing"
-    """A pattern here is flown with or without contact; see `search` for one that ends with
-    contact."""
+    kind: CrossingKind | Literal["survey"] = "latched_crossing"
+    """Flown during contact; `survey`: the pattern goes on whatever is heard."""
     search: PatternKind | None = None
     """Pattern while there is no contact; null: hold."""
+    pattern: PatternConfig = PatternConfig()
     lost_after_s: Positive = 20.0
     """Without a usable measurement for this long, the search goes on."""
     latched_crossing: LatchedCrossingParams = LatchedCrossingParams()
-    lawnmower: LawnmowerParams = LawnmowerParams()
-    expanding_square: ExpandingSquareParams = ExpandingSquareParams()
-    sector: SectorParams = SectorParams()
 
     def __post_init__(self) -> None:
-        if self.search is not None and self.kind in get_args(PatternKind):
-            raise ValueError(f"search must be null where kind is {self.kind}: it searches itself")
+        if self.search is None and self.kind == "survey":
+            raise ValueError("kind: survey flies a pattern; set search to one")
+        if self.search is not None:
+            try:
+                self.pattern.params(self.search)
+            except ValueError as error:
+                raise ValueError(f"pattern: {error}") from None
+
+    @property
+    def flown(self) -> CrossingKind | PatternKind | None:
+        """Planner during contact: the crossing, or the pattern of a survey."""
+        return self.search if self.kind == "survey" else self.kind
 
 
 class CompanionConfig(Params, frozen=True):
@@ -210,8 +259,6 @@ class CompanionConfig(Params, frozen=True):
     schema_version: Annotated[int, msgspec.Meta(ge=1, le=SCHEMA_VERSION)] = SCHEMA_VERSION
     """Version of these keys; files of earlier versions are read, and migrated to this one."""
     mission: SessionParams = SessionParams()
-    emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
-    """The emitter to search for; null: the first one heard."""
     emitters: QueueParams = QueueParams()
     estimation: EstimationConfig = EstimationConfig()
     search: SearchAreaParams = SearchAreaParams()
@@ -309,11 +356,6 @@ def inconsistency(config: CompanionConfig) -> str | None:
     if not least_m <= mission.altitude_m <= most_m:
         band = f"{least_m:g} to {most_m:g} m, less 3 sigma of the position at each end"
         return f"$.mission.altitude_m: {mission.altitude_m:g} m is outside $.limits ({band})"
-    if config.emitter_id is not None and config.emitters.order != "first":
-        return (
-            f"$.emitters.order: {config.emitters.order} looks for several emitters, but "
-            "$.emitter_id names one; list several in $.emitters.listed"
-        )
     swing_m = config.planner.latched_crossing.altitude_swing_m
     low_m, high_m = mission.altitude_m - swing_m, mission.altitude_m + swing_m
     if not least_m <= low_m <= high_m <= most_m:
@@ -324,7 +366,7 @@ def inconsistency(config: CompanionConfig) -> str | None:
     if (twice := _mounted_twice(config)) is not None:
         return twice
     if not _has_lanes(config):
-        return "$.planner.lawnmower.area_enu_m: nothing of it is left by $.limits"
+        return "$.planner.pattern.area_enu_m: nothing of it is left by $.limits"
     own_r95_m = 2.45 * config.estimation.filter.own_position_sigma_m
     if mission.stop_radius_m <= own_r95_m:
         return (
@@ -342,7 +384,7 @@ def inconsistency(config: CompanionConfig) -> str | None:
 def _has_lanes(config: CompanionConfig) -> bool:
     """Return False if the lawnmower is used and has no lanes."""
     planner, limits = config.planner, config.limits
-    if "lawnmower" not in (planner.kind, planner.search) or not limits.is_fence_local:
+    if planner.search != "lawnmower" or not limits.is_fence_local:
         return True
     request = PlanRequest(
         limits.fence_enu_m[0],
@@ -351,4 +393,5 @@ def _has_lanes(config: CompanionConfig) -> bool:
         limits.fence_margin_m,
         keep_out_enu_m=limits.keep_out_enu_m,
     )
-    return bool(planner.lawnmower.track(request, limits.fence_enu_m[0], 0))
+    lawnmower = planner.pattern.params(planner.search)
+    return bool(lawnmower.track(request, limits.fence_enu_m[0], 0))

@@ -58,7 +58,6 @@ TUNABLES = (
     ),
     Tunable("CMP_OVER_MAX", f"{_CROSSING}.overshoot_max_m"),
     Tunable("CMP_OVER_MIN", f"{_CROSSING}.overshoot_min_m"),
-    Tunable("CMP_OVER_SIGMAS", f"{_CROSSING}.overshoot_sigmas"),
     Tunable("CMP_RANGING_TMO", "mission.ranging_timeout_s", When.DISARMED),
     Tunable("CMP_SPEED", "limits.speed_mps", is_ceiling=True),
     Tunable("CMP_STOP_RADIUS", "mission.stop_radius_m"),

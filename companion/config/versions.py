@@ -6,7 +6,7 @@ not change it. A file without a version is of the first.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +26,11 @@ class Gone:
     """The former default: a copy of default.yaml may have it, and changes nothing by it."""
 
 
+def _nothing(raw: dict[str, Any]) -> Iterable[str]:
+    del raw
+    return ()
+
+
 @dataclass(frozen=True, slots=True)
 class Migration:
     """Changes of the keys from one version to the next; keys are paths with dots."""
@@ -35,13 +40,67 @@ class Migration:
     """Earlier path to present one; the value is kept."""
     gone: Mapping[str, Gone] = field(default_factory=dict)
     """Earlier path to the remedy; a file that has another value there is refused."""
+    merge: Callable[[dict[str, Any]], Iterable[str]] = _nothing
+    """Brings values of several earlier keys to one in place, and returns what it dropped."""
+
+
+_SETTINGS_OF = {
+    "lawnmower": {"area_enu_m": None, "lane_heading_deg": None, "spacing_m": 20.0},
+    "expanding_square": {
+        "datum_enu_m": None,
+        "heading_deg": 0.0,
+        "radius_m": 100.0,
+        "spacing_m": 20.0,
+    },
+    "sector": {"datum_enu_m": None, "heading_deg": 0.0, "radius_m": 60.0, "spacing_m": 20.0},
+}
+"""Keys of the patterns of schema 1 that `planner.pattern` has, and their defaults."""
+_PATTERNS = tuple(_SETTINGS_OF)
+
+
+def _merge_to_2(raw: dict[str, Any]) -> list[str]:
+    """Bring the one emitter, the checkpoint's switch and the pattern in use to their keys."""
+    emitter_id = raw.pop("emitter_id", None)
+    if emitter_id is not None:
+        queue = raw.setdefault("emitters", {})
+        if isinstance(queue, dict) and not queue.get("listed"):
+            queue["listed"] = [emitter_id]
+    process = raw.get("process")
+    if isinstance(process, dict) and process.pop("checkpoint", True) is False:
+        process["resume_max_age_s"] = None
+    planner = raw.get("planner")
+    return _merge_patterns(planner) if isinstance(planner, dict) else []
+
+
+def _merge_patterns(planner: dict[str, Any]) -> list[str]:
+    if planner.get("kind") in _PATTERNS:
+        planner["search"], planner["kind"] = planner["kind"], "survey"
+    dropped = []
+    for pattern in _PATTERNS:
+        section = planner.get(pattern)
+        if not isinstance(section, dict):
+            continue
+        is_flown = pattern == planner.get("search")
+        for key, default in _SETTINGS_OF[pattern].items():
+            if key not in section:
+                continue
+            value = section.pop(key)
+            if is_flown and value != default:
+                planner.setdefault("pattern", {})[key.removeprefix("lane_")] = value
+            elif not is_flown and value != default:
+                dropped.append(f"planner.{pattern}.{key}")
+        if not section:
+            del planner[pattern]
+    return dropped
 
 
 _OF_RADIO = "set {} in the radio's `settings` instead"
 MIGRATIONS: tuple[Migration, ...] = (
     Migration(
         2,
+        merge=_merge_to_2,
         gone={
+            "emitters.most": Gone("delete it: 8, or as many as are listed", 8),
             "mission.coast_drift_mps": Gone(default=1.0),
             "mission.coast_sigma_max_m": Gone(default=30.0),
             "estimation.adaptation": Gone(
@@ -74,6 +133,13 @@ MIGRATIONS: tuple[Migration, ...] = (
             "estimation.filter.near_target_terms": Gone(default=True),
             "planner.latched_crossing.arrival_radius_m": Gone(default=1.5),
             "planner.latched_crossing.reaim_distance_m": Gone(default=3.0),
+            "planner.latched_crossing.overshoot_sigmas": Gone(default=3.0),
+            **dict.fromkeys(
+                (f"planner.{each}.arrival_radius_m" for each in _PATTERNS), Gone(default=1.5)
+            ),
+            "planner.lawnmower.start_corner": Gone(
+                "delete it: a lawnmower begins at the nearest corner", "nearest"
+            ),
             "planner.fim.step_m": Gone(default=5.0),
             "planner.fim.headings": Gone(default=16),
             "planner.fim.range_offset_sigma_m": Gone(default=5.0),
@@ -104,9 +170,10 @@ def renew(
     earlier and its present name.
     """
     version = _version(raw, name, present)
-    dropped = []
+    dropped: list[str] = []
     for migration in migrations:
         if migration.to > version:
+            dropped += migration.merge(raw)
             dropped += _drop(migration, raw, name)
             _move(migration, raw, name)
     raw[KEY] = present

@@ -32,9 +32,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
-
-import msgspec
+from typing import ClassVar
 
 from companion.domain import Distance, NonNegative, Params, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
@@ -91,7 +89,7 @@ HEIGHT_SIGMAS = 2.0
 class LatchedCrossingParams(Params, frozen=True):
     """Overshoot, and when a crossing counts as flown."""
 
-    overshoot_sigmas: Annotated[float, msgspec.Meta(ge=0.1, le=10.0)] = 3.0
+    overshoot_sigmas: ClassVar[float] = 3.0
     """Overshoot in standard deviations of the worst direction."""
     overshoot_min_m: Distance = 2.0
     overshoot_max_m: Distance = 20.0

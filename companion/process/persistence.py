@@ -90,9 +90,10 @@ class RestartKeeper:
     ) -> None:
         self._endpoint = endpoint
         self._store = store
-        mission = (config.mission, config.emitter_id, config.emitters)
         self._limits = _digest(config.limits)
-        self._mission = _digest((*mission, config.estimation, config.planner))
+        self._mission = _digest(
+            (config.mission, config.emitters, config.estimation, config.planner)
+        )
         self._clock = clock
         self._moment = moment
         self._pending: Checkpoint | None = None

@@ -17,7 +17,7 @@ from companion.config.schema import CompanionConfig
 from companion.domain import Attitude, PositionAccuracy, RangingMeasurement, VehicleState
 from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.measurements import RangingListener
-from companion.guidance.tracking.emitters import EmitterQueue
+from companion.guidance.tracking.emitters import EmitterQueue, QueueParams
 from companion.io.logs.log_files import damage_text
 from companion.io.radio_recording import RadioBytes, TimedPose, read_radio_recording
 from companion.link.radio_stage import RadioStage
@@ -31,7 +31,7 @@ class _Target:
     """One emitter's filter and measurements."""
 
     def __init__(self, config: CompanionConfig, emitter_id: int, track: VehicleTrack) -> None:
-        self.queue = EmitterQueue(config.tracking, None, emitter_id)
+        self.queue = EmitterQueue(config.tracking, QueueParams(listed=(emitter_id,)))
         self.listener = RangingListener(self.queue, track)
         self.ranges_m: list[float] = []
         self.count = 0

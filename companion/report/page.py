@@ -225,7 +225,7 @@ def _figures(summary: FlightSummary, facts: FlightFacts) -> list[tuple[str, str]
         rows.append(("Last estimate", f"east {east_m:.2f} m, north {north_m:.2f} m"))
     rows.append(("Estimates", str(len(summary.estimates))))
     rows.append(("Estimator", facts.config.estimation.kind))
-    return [*rows, ("Planner", facts.config.planner.kind)]
+    return [*rows, ("Planner", str(facts.config.planner.flown))]
 
 
 def _places(place: Point, radius_m: object, emitter: str = "") -> list[tuple[str, str]]:

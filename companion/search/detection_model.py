@@ -17,7 +17,8 @@ a cell and a place.
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -27,7 +28,6 @@ from companion.domain import NonNegative, Params, Point, PositionEnu, Positive
 from companion.geometry.polygons import edges, polygon_problem
 from companion.search.search_grid import Floats, are_inside
 
-Decibels = Annotated[float, msgspec.Meta(ge=0.0, le=20.0)]
 SHARED_VARIANCE = 0.5
 """Share of the variance of shadowing that is common to all cells, about the emitter; see above."""
 MOST_WALL_EDGES = 200
@@ -49,6 +49,29 @@ class Wall(Params, frozen=True):
             raise ValueError(f"corners_enu_m {problem}")
 
 
+class Propagation(NamedTuple):
+    """Path loss and fading of an environment."""
+
+    exponent: float
+    """Of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
+    shadowing_db: float
+    """Standard deviation of shadowing: 3 to 4 dB in the open, 6 to 8 dB over rubble."""
+    correlation_m: float
+    """Way over which shadowing changes: 10 to 30 m over rubble, 50 to 100 m in the open."""
+    rice_k_db: float
+    """Power of the direct path over that of reflections: 6 to 9 dB in the open, about 0 where the
+    direct path is obstructed."""
+
+
+Environment = Literal["unknown", "open", "rubble", "buildings"]
+PROPAGATION: Mapping[Environment, Propagation] = {
+    "unknown": Propagation(2.5, 6.0, 20.0, 0.0),
+    "open": Propagation(2.2, 4.0, 75.0, 6.0),
+    "rubble": Propagation(3.0, 7.0, 20.0, 0.0),
+    "buildings": Propagation(2.5, 4.0, 30.0, 3.0),
+}
+
+
 class DetectionModel(Params, frozen=True):
     """The radio link of the search, as it is assumed."""
 
@@ -57,15 +80,8 @@ class DetectionModel(Params, frozen=True):
     reach_sigma_db: Annotated[float, msgspec.Meta(ge=0.5, le=20.0)] = 4.0
     """Standard deviation of that reach, as power; 4 dB are a factor of 1.4 in range at exponent
     2.5."""
-    exponent: Annotated[float, msgspec.Meta(ge=1.5, le=6.0)] = 2.5
-    """Exponent of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
-    shadowing_db: Decibels = 6.0
-    """Standard deviation of shadowing: 3 to 4 dB in the open, 6 to 8 dB over rubble."""
-    correlation_m: Annotated[float, msgspec.Meta(ge=1.0, le=1000.0)] = 20.0
-    """Way over which shadowing changes: 10 to 30 m over rubble, 50 to 100 m in the open."""
-    rice_k_db: Annotated[float, msgspec.Meta(ge=-20.0, le=15.0)] = 0.0
-    """Power of the direct path over that of reflections: 6 to 9 dB in the open, about 0 where the
-    direct path is obstructed; -20 is Rayleigh fading."""
+    environment: Environment = "unknown"
+    """Surroundings of emitter and search, for path loss and shadowing; see `PROPAGATION`."""
     interval_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600.0)] = 1.0
     """Between two answers, or two requests that may be answered."""
     duty_cycle: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 1.0
@@ -79,20 +95,29 @@ class DetectionModel(Params, frozen=True):
             raise ValueError(f"walls have more than {MOST_WALL_EDGES} corners in all")
 
     @property
+    def propagation(self) -> Propagation:
+        """Path loss and fading of the environment."""
+        return PROPAGATION[self.environment]
+
+    @property
     def cell_sigma_db(self) -> float:
         """Standard deviation of what stays with a cell: error of the reach, shared shadowing."""
-        return math.hypot(self.reach_sigma_db, math.sqrt(SHARED_VARIANCE) * self.shadowing_db)
+        return math.hypot(
+            self.reach_sigma_db, math.sqrt(SHARED_VARIANCE) * self.propagation.shadowing_db
+        )
 
     @property
     def path_sigma_db(self) -> float:
         """Standard deviation of the part that is independent for every position of the sensor."""
-        return math.sqrt(1.0 - SHARED_VARIANCE) * self.shadowing_db
+        return math.sqrt(1.0 - SHARED_VARIANCE) * self.propagation.shadowing_db
 
     def margin_db(self, centres_enu_m: Floats, sensor_m: PositionEnu) -> Floats:
         """(cells,) margin without any offset; the sensor's up is above the ground of the cells."""
         east, north, up = sensor_m
         squared = (centres_enu_m[:, 0] - east) ** 2 + (centres_enu_m[:, 1] - north) ** 2 + up * up
-        margin = -5.0 * self.exponent * np.log10(np.maximum(squared, 1.0) / self.reach_m**2)
+        margin = (
+            -5.0 * self.propagation.exponent * np.log10(np.maximum(squared, 1.0) / self.reach_m**2)
+        )
         for wall in self.walls:
             margin -= wall.loss_db * _ways_through(wall, centres_enu_m, sensor_m)
         return margin
@@ -173,7 +198,7 @@ class MissTable:
         self._fine_db = self.step_db / MARGIN_STEPS
         fine = np.arange(count + MARGIN_STEPS * (offsets - 1)) - MARGIN_STEPS * self._half
         margins_db = np.clip(self._least_db + self._fine_db * fine, -farthest_db, farthest_db)
-        missed = 1.0 - model.duty_cycle * received_share(margins_db, model.rice_k_db)
+        missed = 1.0 - model.duty_cycle * received_share(margins_db, model.propagation.rice_k_db)
         log_missed = np.log(np.maximum(missed, math.exp(LEAST_LOG)))
         windows = np.arange(count)[:, None] + MARGIN_STEPS * np.arange(offsets)
         self.rows = log_missed[windows].astype(np.float32)
@@ -231,4 +256,4 @@ def look_spacing_m(model: DetectionModel) -> float:
     An eighth of the reach is half a decibel at the reach, to either side; less than a metre is
     within the vehicle's own uncertainty.
     """
-    return max(1.0, min(model.correlation_m, model.reach_m / 8.0))
+    return max(1.0, min(model.propagation.correlation_m, model.reach_m / 8.0))

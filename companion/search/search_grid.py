@@ -89,7 +89,7 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
         raise ValueError("the search area is smaller than one of its cells")
     poa = mass[covered] / mass.sum()
     inside = covered.reshape(rows, columns)
-    return SearchGrid(float(west_m), float(south_m), cell_m, inside, poa)
+    return SearchGrid(float(west_m), float(south_m), float(cell_m), inside, poa)
 
 
 def grid_of_weights(west_m: float, south_m: float, cell_m: float, weights: Floats) -> SearchGrid:

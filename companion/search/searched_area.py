@@ -169,7 +169,7 @@ class SearchedArea:
 
     def _commit(self, look: Look, key: tuple[int, int, int]) -> None:
         """Queue the work of a look, and of the change of places that it means."""
-        side_m = self.model.correlation_m
+        side_m = self.model.propagation.correlation_m
         square = (math.floor(look.east_m / side_m), math.floor(look.north_m / side_m))
         place = self._places.setdefault(square, _Place())
         if square != self._square:

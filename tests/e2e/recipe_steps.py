@@ -190,15 +190,20 @@ class Orbit:
         Edit(
             "companion/config/schema.py",
             "from companion.planning.orbit import OrbitParams\n",
-            r"^from companion.planning.fim import .*\n",
+            r"^from companion.planning.crossing import .*\n",
         ),
         Edit("companion/config/schema.py", "    StarParams,\n", r"^    SectorParams,\n"),
         Edit("companion/config/schema.py", '"orbit", ', r"^CrossingKind = Literal\["),
         Edit("companion/config/schema.py", '"star", ', r"^PatternKind = Literal\["),
         Edit(
             "companion/config/schema.py",
-            "    orbit: OrbitParams = OrbitParams()\n    star: StarParams = StarParams()\n",
-            r"^    sector: SectorParams = .*\n",
+            "    orbit: OrbitParams = OrbitParams()\n",
+            r"^    latched_crossing: LatchedCrossingParams = .*\n",
+        ),
+        Edit(
+            "companion/config/schema.py",
+            '        if kind == "star":\n            return StarParams(spacing_m=self.spacing_m)\n',
+            r"^                lane_heading_deg=self.heading_deg,\n            \)\n",
         ),
     ),
     3: (
@@ -210,21 +215,15 @@ class Orbit:
         Edit(
             "companion/flight_setup.py",
             '        case "orbit":\n            return Orbit(planner.orbit)\n',
-            r"^            return LatchedCrossing\(.*\n",
-        ),
-        Edit(
-            "companion/flight_setup.py",
-            '        case "star":\n            return config.star\n',
-            r"^            return config.sector\n",
+            r"^            return FimPlanner\(.*\n",
         ),
     ),
     4: (
-        Edit("configs/companion/default.yaml", " orbit, star,", r"^  kind: latched_crossing +#"),
+        Edit("configs/companion/default.yaml", " orbit,", r"^  kind: latched_crossing +#"),
+        Edit("configs/companion/default.yaml", " star,", r"^  search: null +#"),
         Edit(
             "configs/companion/default.yaml",
-            "  orbit:\n    radius_m: 15.0\n    ahead_deg: 30.0\n"
-            "  star:\n    spacing_m: 20.0\n    arrival_radius_m: 1.5\n    datum_enu_m: null\n"
-            "    heading_deg: 0.0\n    radius_m: 60.0\n",
+            "  orbit:\n    radius_m: 15.0\n    ahead_deg: 30.0\n",
             r"^  lost_after_s: .*\n",
         ),
         Edit(

@@ -28,7 +28,7 @@ FLIGHT_S = 240.0
 CONFIG = """\
 mission: {engage: auto, on_localised: land}
 limits: {fence_enu_m: [[0, 0], [60, 0], [60, 60], [0, 60]], autopilot_fence: ignore}
-planner: {search: lawnmower, lawnmower: {spacing_m: 25.0}}
+planner: {search: lawnmower, pattern: {spacing_m: 25.0}}
 search:
   detection: {reach_m: 30.0, reach_sigma_db: 3.0}
   cell_m: 5.0

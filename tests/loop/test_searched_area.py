@@ -6,11 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config.schema import CompanionConfig, LimitsConfig, PlannerConfig
+from companion.config.schema import CompanionConfig, LimitsConfig, PatternConfig, PlannerConfig
 from companion.domain import FlightMode
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
-from companion.planning.search import LawnmowerParams
 from companion.run import is_handed_over
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams
@@ -27,7 +26,7 @@ def flown(search: SearchAreaParams, reach_m: float = 1.0, **limits: float) -> Lo
     config = CompanionConfig(
         mission=SessionParams(engage="auto", on_localised="land"),
         limits=LimitsConfig(fence_enu_m=FENCE, **limits),  # type: ignore[arg-type]
-        planner=PlannerConfig(search="lawnmower", lawnmower=LawnmowerParams(spacing_m=25.0)),
+        planner=PlannerConfig(search="lawnmower", pattern=PatternConfig(spacing_m=25.0)),
         search=search,
     )
     emitter = EmitterParams(position_enu_m=(50.0, 50.0))

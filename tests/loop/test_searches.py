@@ -6,13 +6,18 @@ import math
 
 import pytest
 
-from companion.config.schema import CompanionConfig, LimitsConfig, PatternKind, PlannerConfig
+from companion.config.schema import (
+    CompanionConfig,
+    LimitsConfig,
+    PatternConfig,
+    PatternKind,
+    PlannerConfig,
+)
 from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.planning.crossing import LatchedCrossingParams
-from companion.planning.search import ExpandingSquareParams, LawnmowerParams, SectorParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
@@ -32,9 +37,7 @@ def _config(search: PatternKind | None = "lawnmower", **planner: object) -> Comp
     chosen = PlannerConfig(
         search=search,
         lost_after_s=10.0,
-        lawnmower=LawnmowerParams(spacing_m=30.0),
-        expanding_square=ExpandingSquareParams(spacing_m=30.0, datum_enu_m=(60.0, 60.0)),
-        sector=SectorParams(datum_enu_m=(60.0, 60.0)),
+        pattern=PatternConfig(spacing_m=30.0, datum_enu_m=(60.0, 60.0)),
         **planner,  # type: ignore[arg-type]
     )
     return CompanionConfig(mission=AUTO, limits=LIMITS, planner=chosen)
@@ -114,7 +117,7 @@ def test_contact_that_is_lost_leads_back_to_the_search_and_may_come_again() -> N
 
 @pytest.mark.slow
 def test_a_pattern_alone_is_flown_over_the_emitter() -> None:
-    loop = _loop(_config(None, kind="lawnmower"), reach_m=500.0)
+    loop = _loop(_config("lawnmower", kind="survey"), reach_m=500.0)
     loop.run(150.0)
     assert set(_reasons(loop)) <= {"search", "detour"}
     assert loop.error_m <= 3.0

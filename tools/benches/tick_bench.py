@@ -150,13 +150,14 @@ def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
             EmitterParams(emitter_id=7 + n, position_enu_m=where) for n, where in enumerate(places)
         )
     )
+    ids = tuple(each.emitter_id for each in several)
     payload = PayloadParams(rate_hz=RATE_HZ, min_altitude_m=3.0 if is_flying else 0.0)
     scenario = Scenario(payload=payload, emitters=several)
     config = CompanionConfig(
         mission=SessionParams(
             engage="auto" if is_flying else "operator", stop_confirm_s=1000.0, settle_s=None
         ),
-        emitters=QueueParams() if emitters == 1 else QueueParams(order="nearest", most=16),
+        emitters=QueueParams() if emitters == 1 else QueueParams(order="listed", listed=ids),
     )
     if IS_COMPILED:
         warm_up(config.tracking, build_planner(config))

@@ -123,7 +123,7 @@ class MissionCase:
         speed = math.hypot(wind.east_mps, wind.north_mps)
         limits = self.config.limits
         return (
-            f"{flavour}, {self.place.name}, {self.config.planner.kind}, {limits.speed_mps:g} m/s, "
+            f"{flavour}, {self.place.name}, {self.config.planner.flown}, {limits.speed_mps:g} m/s, "
             f"wind {speed:.0f} m/s, {self.config.vehicle.setpoint}"
             f"{', signed' if self.is_signed else ''}{', operated' if self.is_operated else ''}"
         )
@@ -169,6 +169,14 @@ def _scenario(
     )
 
 
+def _planner(kind: schema.CrossingKind | schema.PatternKind) -> schema.PlannerConfig:
+    match kind:
+        case "latched_crossing" | "fim":
+            return schema.PlannerConfig(kind=kind)
+        case _:
+            return schema.PlannerConfig(kind="survey", search=kind)
+
+
 def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionConfig:
     limits = schema.LimitsConfig(
         fence_enu_m=place.fence_enu_m,
@@ -179,10 +187,10 @@ def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionC
     mission = SessionParams(
         engage="operator" if is_operated else "auto", altitude_m=ALTITUDE_M, stop_confirm_s=3.0
     )
-    planner = schema.PlannerConfig(kind=dice.one(PLANNERS))
+    kind = dice.one(PLANNERS)
+    planner = _planner(kind)
     vehicle = VehicleParams(setpoint=dice.one(("local_ned", "global_int")))
-    is_pattern = planner.kind in ("lawnmower", "expanding_square", "sector")
-    if not is_pattern and dice.happens(0.3):
+    if planner.kind != "survey" and dice.happens(0.3):
         planner = msgspec.structs.replace(planner, search="expanding_square")
     return schema.CompanionConfig(mission=mission, limits=limits, planner=planner, vehicle=vehicle)
 

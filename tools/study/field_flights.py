@@ -15,12 +15,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
 
-from companion.config.schema import CompanionConfig, PlannerConfig, load_config
+from companion.config.schema import CompanionConfig, PatternKind, PlannerConfig, load_config
 from companion.domain import FlightMode
 from companion.errors import ConfigError
 from companion.geometry.polygons import Point
@@ -99,10 +99,13 @@ def _flown_with(config: CompanionConfig, kind: Any, home: Point, reach_m: float)
     """
     (east, north), planner = home, config.planner
     area = tuple((east + e * reach_m, north + n * reach_m) for e, n in CORNERS)
-    lanes = change(planner.lawnmower, area_enu_m=area, spacing_m=LANES_M)
-    is_pattern = kind in ("lawnmower", "expanding_square", "sector")
-    search = None if is_pattern else planner.search
-    made: PlannerConfig = change(planner, kind=kind, search=search, lawnmower=lanes)
+    made: PlannerConfig
+    if kind in get_args(PatternKind):
+        lanes = change(planner.pattern, area_enu_m=area, spacing_m=LANES_M)
+        layout = lanes if kind == "lawnmower" else planner.pattern
+        made = change(planner, kind="survey", search=kind, pattern=layout)
+    else:
+        made = change(planner, kind=kind)
     return change(config, mission=change(config.mission, engage="auto"), planner=made)
 
 
@@ -169,7 +172,7 @@ def _flown(task: FieldFlight) -> FlightRow:
     return FlightRow(
         radio=task.radio,
         config=task.config_kind,
-        planner=task.config.planner.kind,
+        planner=str(task.config.planner.flown),
         seed=task.seed,
         is_reported=bool(notes.results),
         time_s=flight.now_s - engaged_s,

@@ -21,7 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.search.detection_model import DetectionModel, Wall
+from companion.search.detection_model import PROPAGATION, DetectionModel, Environment, Wall
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchedArea, state_of
 
@@ -79,11 +79,8 @@ class Trial:
 def draw_world(rng: np.random.Generator) -> tuple[World, DetectionModel]:
     """Return a world, and the detection model that a crew who knows its kind would configure."""
     kind: Kind = KINDS[rng.integers(len(KINDS))]
-    exponent, shadowing_db, correlation_m, rice_k_db = {
-        "open": (2.2, 4.0, 75.0, 6.0),
-        "rubble": (3.0, 7.0, 20.0, 0.0),
-        "walls": (2.5, 4.0, 30.0, 3.0),
-    }[kind]
+    environment: Environment = "buildings" if kind == "walls" else kind
+    exponent, shadowing_db, correlation_m, rice_k_db = PROPAGATION[environment]
     reach_sigma_db = float(rng.choice([2.0, 3.0, 4.0]))
     error_db = _truncated_normal(rng, reach_sigma_db, MOST_REACH_ERROR_DB)
     stated_m = float(rng.uniform(60.0, 150.0))
@@ -92,10 +89,7 @@ def draw_world(rng: np.random.Generator) -> tuple[World, DetectionModel]:
     model = DetectionModel(
         reach_m=stated_m,
         reach_sigma_db=reach_sigma_db,
-        exponent=exponent,
-        shadowing_db=shadowing_db,
-        correlation_m=correlation_m,
-        rice_k_db=rice_k_db,
+        environment=environment,
         interval_s=INTERVAL_S,
         duty_cycle=duty_cycle,
         walls=tuple(_as_configured(each) for each in buildings),

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
@@ -38,34 +38,29 @@ class QueueParams(Params, frozen=True):
     """Several emitters, one after the other."""
 
     order: Order = "first"
-    """`first`: only `emitter_id`, or the first one heard; else all of them, in this order."""
-    listed: tuple[EmitterId, ...] = ()
-    """The ids, for `listed`; others are ignored."""
-    most: Annotated[int, msgspec.Meta(ge=1, le=16)] = 8
-    """Maximum number of filters; emitters heard later are ignored."""
+    """`first`: only the listed one, or the first one heard; else all of them, in this order."""
+    listed: Annotated[tuple[EmitterId, ...], msgspec.Meta(max_length=16)] = ()
+    """The ids, for `listed`, or the one for `first`; others are ignored."""
+    most: ClassVar[int] = 8
+    """Maximum number of filters without a list; emitters heard later are ignored."""
 
     def __post_init__(self) -> None:
         """Refuse a list that is not used, and a use without a list."""
-        if (self.order == "listed") != bool(self.listed):
-            raise ValueError("order: listed needs a list of ids in `listed`, and nothing else does")
+        if self.order == "first" and len(self.listed) > 1:
+            raise ValueError("order: first searches for one emitter, and listed for several ids")
+        if self.order != "first" and (self.order == "listed") != bool(self.listed):
+            raise ValueError("order: listed needs ids in `listed`; nearest and strongest need none")
         if len(set(self.listed)) < len(self.listed):
             raise ValueError("an id is listed twice")
-        if len(self.listed) > self.most:
-            raise ValueError(f"{len(self.listed)} ids are listed, but `most` is {self.most}")
 
 
 class EmitterQueue:
     """The filters of all emitters, and the current one.
 
-    Where the order is `first`, only `emitter_id` counts; None: the first one heard.
+    Where the order is `first`, only the listed one counts, or the first one heard.
     """
 
-    def __init__(
-        self,
-        trackers: TrackerParams,
-        params: QueueParams | None = None,
-        emitter_id: int | None = None,
-    ) -> None:
+    def __init__(self, trackers: TrackerParams, params: QueueParams | None = None) -> None:
         self.params = QueueParams() if params is None else params
         self.is_single = self.params.order == "first"
         """True if only one emitter counts."""
@@ -75,9 +70,9 @@ class EmitterQueue:
         self._deferred: list[int] = []
         """Emitters that were current and got lost, the longest ago first."""
         self._place: Point = (0.0, 0.0)
-        self._trackers = {number: TargetTracker(trackers, number) for number in self.params.listed}
-        first = TargetTracker(trackers, emitter_id)
-        self.current = next(iter(self._trackers.values()), first)
+        listed = {number: TargetTracker(trackers, number) for number in self.params.listed}
+        self._trackers = {} if self.is_single else listed
+        self.current = next(iter(listed.values()), TargetTracker(trackers))
         """Filter of the emitter that is searched for now."""
 
     @classmethod

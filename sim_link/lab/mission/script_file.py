@@ -90,12 +90,10 @@ def flown_config(mission: Mission) -> CompanionConfig:
     search = next((step for _, step in mission.named_steps if isinstance(step, SearchStep)), None)
     if search is None:
         return config
-    planner = config.planner
-    pattern = getattr(planner, search.pattern)
-    for key in ("spacing_m", "area_enu_m"):
-        if getattr(search, key) is not None:
-            pattern = msgspec.structs.replace(pattern, **{key: getattr(search, key)})
-    planner = msgspec.structs.replace(planner, search=search.pattern, **{search.pattern: pattern})
+    keys = ("spacing_m", "area_enu_m")
+    given = {key: getattr(search, key) for key in keys if getattr(search, key) is not None}
+    pattern = msgspec.structs.replace(config.planner.pattern, **given)
+    planner = msgspec.structs.replace(config.planner, search=search.pattern, pattern=pattern)
     return msgspec.structs.replace(config, planner=planner)
 
 
@@ -207,8 +205,8 @@ def _step_problems(mission: Mission) -> Iterator[Problem]:
                     yield path, "a script has one search at most"
                 if step.area_enu_m is not None and step.pattern != "lawnmower":
                     yield f"{path}.area_enu_m", "only a lawnmower has an area"
-                if mission.config.planner.kind in ("lawnmower", "expanding_square", "sector"):
-                    yield path, "the companion's planner.kind is a search already"
+                if mission.config.planner.kind == "survey":
+                    yield path, "the companion's planner.kind is a survey already"
                 try:
                     flown_config(mission)
                 except ValueError as error:

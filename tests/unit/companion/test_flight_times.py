@@ -56,7 +56,7 @@ def test_a_slow_start_does_not_shift_them(tmp_path: Path, monkeypatch: pytest.Mo
     config = CompanionConfig(
         vehicle=VehicleParams(system_id=1),
         log=LogConfig(directory=str(tmp_path / "logs"), mcap=True),
-        process=ProcessConfig(state_directory=str(tmp_path / "state"), checkpoint=False),
+        process=ProcessConfig(state_directory=str(tmp_path / "state"), resume_max_age_s=None),
     )
     clock, watching = Clock(), Watching()
     time.sleep(SLOW_START_S)

@@ -104,6 +104,35 @@ def test_the_defaults_of_the_first_candidate_are_those_of_now(
     assert "# $.limits.step_m is gone since schema 2: delete it\n" in capsys.readouterr().out
 
 
+MERGED = (
+    ("emitter_id: 7", "emitters: {listed: [7]}"),
+    ("process: {checkpoint: false}", "process: {resume_max_age_s: null}"),
+    ("process: {checkpoint: true, resume_max_age_s: 60}", "process: {resume_max_age_s: 60}"),
+    (
+        "planner: {search: sector, sector: {radius_m: 45, heading_deg: 0, arrival_radius_m: 1.5}}",
+        "planner: {search: sector, pattern: {radius_m: 45.0}}",
+    ),
+    (
+        "planner: {kind: lawnmower, lawnmower: {spacing_m: 30.0, lane_heading_deg: 10.0}}",
+        "planner: {kind: survey, search: lawnmower, pattern: {spacing_m: 30.0, heading_deg: 10.0}}",
+    ),
+)
+
+
+@pytest.mark.parametrize(("earlier", "now"), MERGED)
+def test_keys_that_were_merged_are_carried_over(tmp_path: Path, earlier: str, now: str) -> None:
+    old, new = tmp_path / "rc1.yaml", tmp_path / "now.yaml"
+    old.write_text(earlier)
+    new.write_text(f"schema_version: 2\n{now}")
+    assert load_config(old) == load_config(new) != CompanionConfig()
+
+
+def test_the_layout_of_a_pattern_that_is_not_flown_is_dropped() -> None:
+    raw = {"planner": {"search": "lawnmower", "sector": {"radius_m": 45.0}}}
+    assert renew(raw, "site") == ["planner.sector.radius_m"]
+    assert raw["planner"] == {"search": "lawnmower"}
+
+
 GONE = [
     (path, gone) for path, gone in MIGRATIONS[0].gone.items() if path != "estimation.adaptation"
 ]

@@ -82,7 +82,7 @@ def test_a_spoilt_file_means_nothing(
 
 
 @pytest.mark.parametrize("value", ["1e30", "1e308", "-1.0", "1e-300", "1.5e1"])
-@pytest.mark.parametrize("name", ["CMP_OVER_SIGMAS", "CMP_ON_FOUND", "CMP_SPEED"])
+@pytest.mark.parametrize("name", ["CMP_CLIMB", "CMP_ON_FOUND", "CMP_SPEED"])
 def test_a_kept_value_out_of_its_range_is_refused_with_a_line(
     tmp_path: Path, name: str, value: str, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -15,6 +15,7 @@ from companion.domain import LandedState
 from companion.geometry.geofence import GeoArea, GeoFence
 from companion.guidance.events import AutopilotFenceRead, LandedStateChanged
 from companion.guidance.session_params import SessionParams
+from companion.guidance.tracking.emitters import QueueParams
 from companion.io.state.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
 from companion.process.persistence import RestartKeeper
@@ -134,7 +135,7 @@ def test_the_sequence_goes_on_after_a_restart(process: Process) -> None:
         (CONFIG, {"autopilot": 3}, "another vehicle (it was PX4, system 1)"),
         (CompanionConfig(limits=LimitsConfig(speed_mps=4.0)), {}, "other limits or another fence"),
         (AUTO, {}, "another mission or estimator"),
-        (CompanionConfig(emitter_id=7), {}, "another mission or estimator"),
+        (CompanionConfig(emitters=QueueParams(listed=(7,))), {}, "another mission or estimator"),
     ],
 )
 def test_a_memory_of_something_else_is_told_and_not_taken_up(

@@ -11,9 +11,8 @@ from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchedArea, SearchState, state_of
 
 SQUARE = ((0.0, 0.0), (200.0, 0.0), (200.0, 200.0), (0.0, 200.0))
-MODEL = DetectionModel(
-    reach_m=60.0, reach_sigma_db=3.0, shadowing_db=6.0, correlation_m=20.0, duty_cycle=0.5
-)
+MODEL = DetectionModel(reach_m=60.0, reach_sigma_db=3.0, duty_cycle=0.5)
+PROPAGATION = MODEL.propagation
 
 
 def one_cell() -> SearchGrid:
@@ -47,10 +46,11 @@ def test_pod_is_what_the_model_means() -> None:
     for east_m, answers in ((70.0, 5), (110.0, 2)):
         path = rng.normal(0.0, MODEL.path_sigma_db, runs)
         slant_m = math.hypot(east_m, 20.0)
-        margin_db = 10.0 * MODEL.exponent * math.log10(MODEL.reach_m / slant_m) + shared + path
-        received = np.interp(
-            margin_db, grid := np.linspace(-40.0, 40.0, 1601), received_share(grid, MODEL.rice_k_db)
+        margin_db = (
+            10.0 * PROPAGATION.exponent * math.log10(MODEL.reach_m / slant_m) + shared + path
         )
+        grid = np.linspace(-40.0, 40.0, 1601)
+        received = np.interp(margin_db, grid, received_share(grid, PROPAGATION.rice_k_db))
         missed *= (1.0 - MODEL.duty_cycle * received) ** answers
     expected = 1.0 - missed.mean()
     assert pod_of([(70.0, 20.0, 5.0), (110.0, 20.0, 2.0)]) == pytest.approx(expected, abs=0.005)

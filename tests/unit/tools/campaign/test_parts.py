@@ -56,7 +56,7 @@ def test_random_missions_meet_every_fault_autopilot_and_planner() -> None:
     kinds = {f.__struct_config__.tag for case in cases for f in case.schedule.faults}
     assert kinds == set(KINDS) - NOT_DRAWN
     assert {case.scenario.autopilot.flavour for case in cases} == {"px4", "ardupilot"}
-    assert len({case.config.planner.kind for case in cases}) == 5
+    assert len({case.config.planner.flown for case in cases}) == 5
     assert {len(case.schedule.faults) - 2 for case in cases} == set(range(1, MOST_FAULTS + 1))
     assert max(case.config.limits.speed_mps for case in cases) == 10.0
     assert 0.2 < sum(case.is_signed for case in cases) / len(cases) < 0.4

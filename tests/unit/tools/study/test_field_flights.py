@@ -33,7 +33,7 @@ def test_everything_with_each_other_the_seeds_by_turns() -> None:
 def test_only_what_is_named_is_flown() -> None:
     flights = flights_of(GRID, CONFIGS, 2, 1, ["phone_ftm", "configured"])
     assert {(f.radio, f.config_kind) for f in flights} == {("phone_ftm", "configured")}
-    assert {f.config.planner.kind for f in flights} == {"latched_crossing", "lawnmower"}
+    assert {f.config.planner.flown for f in flights} == {"latched_crossing", "lawnmower"}
     with pytest.raises(ConfigError, match=r"--only phone: .*did you mean `phone_ftm`"):
         flights_of(GRID, CONFIGS, 2, 1, ["phone"])
 

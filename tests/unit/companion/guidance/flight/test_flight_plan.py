@@ -94,7 +94,7 @@ def test_what_was_believed_before_contact_was_lost_is_not_reported() -> None:
 
 
 def test_a_pattern_alone_is_flown_whatever_is_heard() -> None:
-    flight = _searching(PlannerConfig(kind="sector"))
+    flight = _searching(PlannerConfig(kind="survey", search="sector"))
     flight.has_ranging = True
     flight.fly(20.0)
     assert set(_waypoints(flight)) == {"search"}

@@ -20,10 +20,8 @@ HERE = (0.0, 0.0, 20.0)
 class Heard:
     """A queue, and a radio that hears what it is told to."""
 
-    def __init__(self, order: Order, listed: tuple[int, ...] = (), most: int = 8) -> None:
-        self.queue = EmitterQueue(
-            TrackerParams(), QueueParams(order=order, listed=listed, most=most)
-        )
+    def __init__(self, order: Order, listed: tuple[int, ...] = ()) -> None:
+        self.queue = EmitterQueue(TrackerParams(), QueueParams(order=order, listed=listed))
         self.now_s = 0.0
 
     def hear(
@@ -132,11 +130,16 @@ def test_one_that_is_lost_alone_stays_current() -> None:
 
 
 def test_strangers_cannot_make_filters_without_end() -> None:
-    heard = Heard("nearest", most=2)
-    heard.hear(1, 2, times=5)
-    (report,) = heard.hear(3)
+    heard = Heard("nearest")
+    for number in range(QueueParams.most):
+        heard.queue.fuse(ranging(number), HERE, heard.now_s)
+    report = heard.queue.fuse(ranging(QueueParams.most), HERE, heard.now_s)
     assert report.reject_reason is RejectReason.OTHER_EMITTER
-    assert len(heard.queue.trackers) == 2
+    assert len(heard.queue.trackers) == QueueParams.most
+
+
+def ranging(emitter_id: int) -> RangingMeasurement:
+    return RangingMeasurement(emitter_id=emitter_id, measured_at_s=0.0, range_m=40.0)
 
 
 def test_absurd_measurements_of_a_stranger_get_no_filter() -> None:
@@ -176,10 +179,11 @@ def test_a_moved_frame_is_forgotten_by_all() -> None:
 @pytest.mark.parametrize(
     ("fields", "complaint"),
     [
-        ({"order": "listed"}, "needs a list"),
-        ({"order": "nearest", "listed": [1]}, "nothing else does"),
+        ({"order": "listed"}, "needs ids"),
+        ({"order": "nearest", "listed": [1]}, "nearest and strongest need none"),
         ({"order": "listed", "listed": [1, 1]}, "listed twice"),
-        ({"order": "listed", "listed": [1, 2, 3], "most": 2}, "`most` is 2"),
+        ({"listed": [1, 2]}, "first searches for one emitter"),
+        ({"order": "listed", "listed": list(range(17))}, "length <= 16"),
         ({"order": "best"}, "Invalid enum value"),
     ],
 )

@@ -67,7 +67,7 @@ def test_a_script_is_a_scenario_with_steps_and_expectations() -> None:
 def test_the_search_of_a_script_is_the_companions_search() -> None:
     planner = flown_config(parse_mission(SCRIPT, "m.yaml")).planner
     assert planner.search == "lawnmower"
-    assert planner.lawnmower.spacing_m == 15.0
+    assert planner.pattern.spacing_m == 15.0
     without = parse_mission(
         SCRIPT.replace("  - search: {pattern: lawnmower, spacing_m: 15}\n", ""), "m"
     )
@@ -115,7 +115,7 @@ def test_the_search_of_a_script_is_the_companions_search() -> None:
         ("estimate.r95_m <", "estimate.r95 <", "m.yaml:17: $.steps[3].wait_until.condition: `est"),
         ("estimate.r95_m <", "estimate.r95 <", "did you mean estimate.r95_m?"),
         ("  - return\n", "  - search\n", "m.yaml:21: $.steps[6].search: a script has one search"),
-        ("spacing_m: 15", f"area_enu_m: {FAR}", "$.steps: $.companion.planner.lawnmower.area"),
+        ("spacing_m: 15", f"area_enu_m: {FAR}", "$.steps: $.companion.planner.pattern.area"),
         ("altitude_m: 20}", "altitude_m: 90}", "m.yaml:15: $.steps[2].takeoff.altitude_m: 90 m is"),
         ("altitude_m: 25", "altitude_m: 99", "m.yaml:10: $.companion.mission.altitude_m: 99 m"),
         ("emitter_id: 8", "emitter_id: 7", "m.yaml:8: $.emitters[0].emitter_id: 7 is given twice"),
@@ -206,8 +206,8 @@ def test_a_companions_file_is_found_beside_the_script(tmp_path: Path) -> None:
 
 
 def test_a_search_before_a_search_is_refused() -> None:
-    text = "name: x\ncompanion: {planner: {kind: sector}}\nsteps: [search]\n"
-    with pytest.raises(ConfigError, match="a search already"):
+    text = "name: x\ncompanion: {planner: {kind: survey, search: sector}}\nsteps: [search]\n"
+    with pytest.raises(ConfigError, match="a survey already"):
         parse_mission(text, "m")
 
 
