@@ -101,8 +101,8 @@ class Estimator:
 
         Without an error of its own it is a receiver with RTK, and what jitters is its noise.
         """
-        ratio, noise_m = self.navigation.told_ratio, self._noise_m
-        if not self.navigation.tells_accuracy:
+        ratio, noise_m = self.navigation.reported_ratio, self._noise_m
+        if not self.navigation.reports_accuracy:
             return (0.0, 0.0)
         if self.error is None or self.error.sigma_m == 0.0:
             sigmas_m = (math.hypot(RTK_SIGMA_M, noise_m), math.hypot(RTK_HEIGHT_SIGMA_M, noise_m))

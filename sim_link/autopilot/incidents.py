@@ -254,10 +254,16 @@ Incident = (
 
 KEYS_OF_0_1 = {"time_s": "start_s", "for_s": "duration_s"}
 KINDS_OF_0_1 = {"reboot": "vehicle_reboot"}
+NAVIGATION_KEYS_OF_RC1 = {"tells_accuracy": "reports_accuracy", "told_ratio": "reported_ratio"}
 
 
-def renew_incidents(scenario: dict[str, Any]) -> None:
-    """Rename incidents of version 0.1 files to their present names, in place."""
+def renew_scenario(scenario: dict[str, Any]) -> None:
+    """Rename incidents of version 0.1 and keys of 1.0.0rc1 to their present names, in place."""
+    navigation = scenario.get("navigation")
+    if isinstance(navigation, dict):
+        for old, present in NAVIGATION_KEYS_OF_RC1.items():
+            if old in navigation and present not in navigation:
+                navigation[present] = navigation.pop(old)
     incidents = scenario.get("incidents")
     for incident in incidents if isinstance(incidents, list) else ():
         if not isinstance(incident, dict):

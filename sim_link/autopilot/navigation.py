@@ -6,7 +6,7 @@ a process of its own (receiver and barometer), the compass a constant error. The
 its estimate, so it holds the estimated position and the true one wanders off by the error. A change
 of the fix (RTK fixed, float, lost) is a jump: another error, of another size.
 
-The reported accuracy is the true sigma times `told_ratio`, below 1 for a receiver between walls
+The reported accuracy is the true sigma times `reported_ratio`, below 1 for a receiver between walls
 that does not know of its reflections.
 
 Source: P. Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation (2013), 9.3.
@@ -49,9 +49,9 @@ class NavigationParams(Params, frozen=True):
     height_time_constant_s: Positive = 300.0
     compass_error_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0
     """Estimated heading minus the true one, clockwise positive."""
-    tells_accuracy: bool = True
+    reports_accuracy: bool = True
     """True if the accuracies are reported; otherwise they are 0, unknown."""
-    told_ratio: NonNegative = 1.0
+    reported_ratio: NonNegative = 1.0
     """Reported accuracy as a multiple of the true one."""
     fix_changes: tuple[FixChange, ...] = ()
     """Changes of the fix, in any order."""

@@ -8,7 +8,7 @@ import msgspec
 
 from companion.config.loader import load_yaml
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.incidents import renew_incidents
+from sim_link.autopilot.incidents import renew_scenario
 from sim_link.autopilot.scenario import Scenario
 
 
@@ -17,7 +17,7 @@ def load_scenario(path: Path) -> Scenario:
 
     `ConfigError`: it is wrong.
     """
-    return load_yaml(path, Scenario, renew_incidents)
+    return load_yaml(path, Scenario, renew_scenario)
 
 
 def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:

@@ -13,7 +13,7 @@ from sim_link.autopilot.scenario import Scenario
 from tests.loop.loop_helpers import AUTO, Loop
 
 WANDERING = NavigationParams(
-    fix="3d", sigma_m=1.5, time_constant_s=100.0, height_sigma_m=2.5, tells_accuracy=False
+    fix="3d", sigma_m=1.5, time_constant_s=100.0, height_sigma_m=2.5, reports_accuracy=False
 )
 LONGEST_S = 90.0
 

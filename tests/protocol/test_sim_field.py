@@ -90,7 +90,7 @@ def test_the_compass_error_is_in_the_heading_that_is_told_and_flown() -> None:
 def test_receivers_tell_fix_and_accuracy(flavour: FlavourName) -> None:
     changes = (FixChange(at_s=5.0, fix="rtk_float", sigma_m=0.3),)
     navigation = NavigationParams(
-        fix="rtk_fixed", sigma_m=0.02, height_sigma_m=0.04, told_ratio=0.5, fix_changes=changes
+        fix="rtk_fixed", sigma_m=0.02, height_sigma_m=0.04, reported_ratio=0.5, fix_changes=changes
     )
     autopilot = AutopilotParams(flavour=flavour)
     station = GroundStation(Scenario(navigation=navigation, autopilot=autopilot))

@@ -17,7 +17,7 @@ from companion.config.loader import parse_yaml, read_text
 from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.config.versions import renew
 from companion.errors import ConfigError
-from sim_link.autopilot.incidents import renew_incidents
+from sim_link.autopilot.incidents import renew_scenario
 from sim_link.fleet.scenario_io import load_scenario
 from sim_link.lab.faults.fault_models import KINDS
 from sim_link.lab.mission.conditions import ConditionError, did_you_mean, parse_condition
@@ -73,7 +73,7 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
 
 def _renew(raw: dict[str, Any], name: str, folder: Path) -> None:
     """Rename old keys, and add the file's scenario where the script has none."""
-    renew_incidents(raw)
+    renew_scenario(raw)
     if isinstance(raw.get("companion"), dict):
         renew(raw["companion"], f"{name}: $.companion")
     path = raw.pop("scenario", None)

@@ -91,8 +91,8 @@ def test_without_sizes_there_is_no_error_and_nothing_is_drawn() -> None:
     [
         (0.0, {}, (0.02, 0.04)),
         (0.3, {}, (math.hypot(0.02, 0.3), math.hypot(0.04, 0.3))),
-        (0.0, {"told_ratio": 0.5}, (0.01, 0.02)),
-        (0.3, {"tells_accuracy": False}, (0.0, 0.0)),
+        (0.0, {"reported_ratio": 0.5}, (0.01, 0.02)),
+        (0.3, {"reports_accuracy": False}, (0.0, 0.0)),
     ],
 )
 def test_without_an_error_it_is_a_receiver_with_rtk(
@@ -108,8 +108,8 @@ def test_without_an_error_it_is_a_receiver_with_rtk(
     ("changes", "told"),
     [
         ({}, (1.5, 3.0)),
-        ({"told_ratio": 0.4}, (0.6, 1.2)),
-        ({"tells_accuracy": False}, (0.0, 0.0)),
+        ({"reported_ratio": 0.4}, (0.6, 1.2)),
+        ({"reports_accuracy": False}, (0.0, 0.0)),
     ],
 )
 def test_what_it_tells_of_itself(changes: dict[str, float], told: tuple[float, float]) -> None:

@@ -110,6 +110,13 @@ def test_incidents_may_be_spelled_as_version_0_1_did(tmp_path: Path) -> None:
     )
 
 
+def test_navigation_may_be_spelled_as_1_0_0rc1_did(tmp_path: Path) -> None:
+    path = tmp_path / "navigation.yaml"
+    path.write_text("navigation: {tells_accuracy: false, told_ratio: 0.6}\n", encoding="utf-8")
+    navigation = load_scenario(path).navigation
+    assert (navigation.reports_accuracy, navigation.reported_ratio) == (False, 0.6)
+
+
 def test_both_spellings_at_once_are_a_mistake(tmp_path: Path) -> None:
     path = tmp_path / "both.yaml"
     path.write_text("incidents: [{kind: gps_loss, time_s: 3, start_s: 4}]\n", encoding="utf-8")
