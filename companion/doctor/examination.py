@@ -33,7 +33,7 @@ from companion.doctor.probe import DoctorProbe
 from companion.doctor.radio_check import check_radios, inspect_radios
 from companion.domain import Autopilot
 from companion.errors import CompanionError
-from companion.guidance.flight.vehicle import class_refusal
+from companion.guidance.flight.vehicle import vehicle_refusal
 from companion.io.files import write_bytes_atomic
 from companion.io.links.transports import Transport
 from companion.io.shell import Clock, Shell
@@ -268,11 +268,11 @@ def _check_identity(facts: AutopilotFacts) -> CheckResult:
     state = "armed" if facts.is_armed else "disarmed"
     kind = f"{facts.autopilot.value} {facts.vehicle_class.value}"
     text = f"{kind}, {ids}, {state}, in {facts.mode}"
-    refusal = class_refusal(facts.vehicle_class)
-    if refusal is not None:
-        return fail("autopilot", f"{text}: {refusal}", _class_fix(facts))
     if facts.autopilot is Autopilot.OTHER:
         return fail("autopilot", text, "only PX4 and ArduPilot modes are understood")
+    refusal = vehicle_refusal(facts.vehicle_class, facts.autopilot)
+    if refusal is not None:
+        return fail("autopilot", f"{text}: {refusal}", _class_fix(facts))
     return ok("autopilot", text)
 
 

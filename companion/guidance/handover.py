@@ -24,7 +24,7 @@ from companion.guidance.context import SessionContext
 from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.requirements import missing_inputs
-from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView, class_refusal
+from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView, vehicle_refusal
 from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
 
 MISSING_PATIENCE_S = 10.0
@@ -184,7 +184,7 @@ class Handover:
         context.authority.observe(event)
         if context.authority.has_left_offboard and not had_left_offboard:
             context.withdraw()
-        refusal = class_refusal(event.vehicle_class)
+        refusal = vehicle_refusal(event.vehicle_class, event.autopilot)
         if refusal is not None:
             self.leave(refusal, now_s)
             return

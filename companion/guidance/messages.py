@@ -386,8 +386,15 @@ RECORD_PERIOD_S = 1.0
 MANY, MANY_WITHIN_S = 20, 10.0
 """Number of refusals for one reason within that time that deserves a text."""
 TEXT_PERIOD_S = 60.0
-HARMLESS = frozenset({RejectReason.OTHER_EMITTER, RejectReason.DUPLICATE, RejectReason.OUT_OF_VIEW})
-"""Reasons that are no fault of the radio."""
+HARMLESS = frozenset(
+    {
+        RejectReason.OTHER_EMITTER,
+        RejectReason.DUPLICATE,
+        RejectReason.OUT_OF_VIEW,
+        RejectReason.OWN_JUMP,
+    }
+)
+"""Reasons that are no fault of the radio; a jump of the vehicle has a text of its own."""
 
 
 class RejectMessages:

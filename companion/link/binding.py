@@ -139,7 +139,7 @@ class AutopilotBinding:
         ours = self.system_id
         if self.wanted_system_id is not None or ours is None:
             return []
-        return sorted({system for system, _ in self._candidates} - {ours})
+        return sorted({each.ids[0] for each in self._present(self.heard_s or 0.0)} - {ours})
 
     def unfit_names(self) -> list[str]:
         """Return senders of HEARTBEATs that fly nothing, as ids and kind."""
@@ -287,15 +287,15 @@ class AutopilotBinding:
             if self._has_vanished(each.heard_s, now_s) and each is not self.bound:
                 del self._candidates[ids]
 
+    def _present(self, now_s: float) -> list[Candidate]:
+        known = self._candidates.values()
+        return [each for each in known if not self._has_vanished(each.heard_s, now_s)]
+
     def _choose(self, now_s: float) -> None:
         """Bind, wait or rebind, by the candidates that are present."""
         if self.is_committed:
             return
-        here = [
-            each
-            for each in self._candidates.values()
-            if not self._has_vanished(each.heard_s, now_s)
-        ]
+        here = self._present(now_s)
         systems = sorted({each.ids[0] for each in here})
         if len(systems) > 1:
             if self.problem is None:

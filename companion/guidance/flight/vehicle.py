@@ -42,11 +42,13 @@ def mode_text(heartbeat: events.HeartbeatReceived) -> str:
     return mode_name(heartbeat.mode, heartbeat.autopilot, heartbeat.other_mode)
 
 
-def class_refusal(vehicle_class: VehicleClass) -> str | None:
-    """Return why this class of vehicle is not supported, in words; None: it is."""
-    if vehicle_class.is_flown:
-        return None
-    return f"only multicopters are flown: this is a {vehicle_class.value}"
+def vehicle_refusal(vehicle_class: VehicleClass, autopilot: Autopilot) -> str | None:
+    """Return why this class, or autopilot, is not supported, in words; None: it is."""
+    if not vehicle_class.is_flown:
+        return f"only multicopters are flown: this is a {vehicle_class.value}"
+    if autopilot is Autopilot.OTHER:
+        return "only PX4 and ArduPilot are flown: this is another autopilot"
+    return None
 
 
 MODE_UNKNOWN_AFTER_S = 10.0
@@ -320,10 +322,11 @@ class VehicleView:
 
     @property
     def objection(self) -> str | None:
-        """Reason not to control this vehicle at all, in words: its class, or doubtful identity."""
+        """Reason not to control this vehicle at all: class, autopilot, or doubtful identity."""
         vehicle_class = self.vehicle_class
-        refusal = None if vehicle_class is None else class_refusal(vehicle_class)
-        return refusal or self.identity_problem
+        if vehicle_class is None:
+            return self.identity_problem
+        return vehicle_refusal(vehicle_class, self.autopilot) or self.identity_problem
 
     @property
     def wants_prestream(self) -> bool:

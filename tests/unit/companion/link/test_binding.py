@@ -129,6 +129,11 @@ def test_when_one_of_two_vanishes_the_other_is_bound() -> None:
     assert heard.binding.problem is None
 
 
+def test_one_that_vanished_is_no_other_on_this_link() -> None:
+    heard = Heard().hear((1, 1), (2, 1), seconds=5).hear((1, 1), seconds=20)
+    assert (heard.ids, heard.binding.others) == ((1, 1), [])
+
+
 def test_one_that_comes_later_makes_it_wait_again() -> None:
     heard = Heard().hear((2, 1), seconds=20).hear((1, 1), (2, 1))
     assert heard.ids == (2, 1)

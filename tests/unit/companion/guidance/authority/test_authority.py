@@ -77,7 +77,16 @@ def test_a_px4_that_a_failsafe_took_gives_nothing_back_by_itself(away_s: float) 
     ]
 
 
-@pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.OTHER])
+def test_an_autopilot_of_another_kind_is_named_and_never_ready() -> None:
+    """Its modes are unknown, so a switch could not give control."""
+    flight = ScriptedFlight(autopilot=Autopilot.OTHER).ready()
+    flight.fly(12.0)
+    assert flight.phase is Phase.WAITING
+    text = "no control: only PX4 and ArduPilot are flown: this is another autopilot"
+    assert [each for each in flight.texts if "control" in each] == [text]
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_a_failsafe_that_is_told_a_beat_after_its_mode_gives_nothing_back_either(
     autopilot: Autopilot,
 ) -> None:
