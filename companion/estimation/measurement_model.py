@@ -146,9 +146,10 @@ def sine2_off_normal(sight: Sight, mean: Vector, pose: Matrix) -> Any:
 
 
 @kernel
-def fill_predicted(z: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> None:
+def fill_predicted(
+    z: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: RangingModel
+) -> None:
     """Fill the first modalities of z, (m,) or (m, n), as a state predicts them, not wrapped."""
-    sight = sight_of(mean, pose, model)
     z[RANGE] = range_factor(mean, model) * root(sight.slant2_m2) + float(mean[RANGE_OFFSET])
     if z.shape[0] == 1:
         return
@@ -170,18 +171,20 @@ def predicted(mean: Vector, pose: Vector, model: RangingModel) -> Vector:
     The pose is the sensor's position, (3,), or with an antenna array also its two axes, (9,).
     """
     z = np.empty(MODALITIES)
-    fill_predicted(z, mean, pose, model)
+    fill_predicted(z, sight_of(mean, pose, model), mean, pose, model)
     return z
 
 
 @kernel
-def innovations(z: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> Matrix:
+def innovations_of(
+    z: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: RangingModel
+) -> Matrix:
     """Return measured minus predicted, of the shape of z, (m,) or (m, n); angles wrapped.
 
     NaN where not measured.
     """
     y = np.empty(z.shape)
-    fill_predicted(y, mean, pose, model)
+    fill_predicted(y, sight, mean, pose, model)
     y = z - y
     if z.shape[0] > BEARING and model.antenna != COSINES:
         y[BEARING] = wrapped(y[BEARING])
@@ -189,9 +192,14 @@ def innovations(z: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> M
 
 
 @kernel
-def fill_partials(H: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> None:
+def innovations(z: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> Matrix:
+    """Return `innovations_of` measurements from these poses."""
+    return innovations_of(z, sight_of(mean, pose, model), mean, pose, model)
+
+
+@kernel
+def fill_partials(H: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: RangingModel) -> None:
     """Fill the partials by the state, (m, k) or (m, k, n), which are zero before."""
-    sight = sight_of(mean, pose, model)
     de, dn, du = sight.east_m, sight.north_m, sight.up_m
     slant = root(larger(sight.slant2_m2, NEAREST2_M2))
     by_slant = range_factor(mean, model) / slant
@@ -224,7 +232,7 @@ def fill_partials(H: Matrix, mean: Vector, pose: Matrix, model: RangingModel) ->
 def jacobian(mean: Vector, pose: Vector, model: RangingModel) -> Matrix:
     """Return the partials by the state, (3, k); zero where a direction is undefined."""
     H = np.zeros((MODALITIES, mean.size))
-    fill_partials(H, mean, pose, model)
+    fill_partials(H, sight_of(mean, pose, model), mean, pose, model)
     return H
 
 
@@ -257,7 +265,9 @@ def fill_array_partials(
 
 
 @kernel
-def fill_noise(R: Matrix, sigma: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> None:
+def fill_noise(
+    R: Matrix, sigma: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: RangingModel
+) -> None:
     """Fill the variances R, (m,) or (m, n), with those of radio and vehicle position.
 
     `sigma` of the radio has at least the modalities of R. The position error is for angles the one
@@ -268,7 +278,7 @@ def fill_noise(R: Matrix, sigma: Matrix, mean: Vector, pose: Matrix, model: Rang
     R[RANGE] = sigma[RANGE] * sigma[RANGE] + own2
     if R.shape[0] == 1:
         return
-    sight, share2 = sight_of(mean, pose, model), own2 / model.bearing_inflation
+    share2 = own2 / model.bearing_inflation
     slant2 = larger(sight.slant2_m2, NEAREST2_M2)
     thermal = sigma[BEARING] * sigma[BEARING]
     if model.antenna == AZIMUTH:
@@ -287,7 +297,13 @@ def fill_noise(R: Matrix, sigma: Matrix, mean: Vector, pose: Matrix, model: Rang
 
 @kernel
 def add_second_order(
-    R: Matrix, ground_m2: float, space_m2: float, mean: Vector, pose: Matrix, model: RangingModel
+    R: Matrix,
+    ground_m2: float,
+    space_m2: float,
+    sight: Sight,
+    mean: Vector,
+    pose: Matrix,
+    model: RangingModel,
 ) -> None:
     """Add the spread of the model's second-order part to the variances R, (m,) or (m, n).
 
@@ -296,7 +312,6 @@ def add_second_order(
     that is meaningless near the target, and diverges. `ground_m2` is the trace of the horizontal
     position's covariance, `space_m2` that with the height's variance.
     """
-    sight = sight_of(mean, pose, model)
     slant2 = larger(sight.slant2_m2, NEAREST2_M2)
     R[RANGE] += space_m2 * space_m2 / (4.0 * slant2)
     if R.shape[0] == 1:
@@ -320,21 +335,40 @@ def add_second_order(
 
 @kernel
 def fill_variances(
-    R: Matrix, P: Matrix, mean: Vector, pose: Matrix, sigma: Matrix, model: RangingModel
+    R: Matrix,
+    P: Matrix,
+    sight: Sight,
+    mean: Vector,
+    pose: Matrix,
+    sigma: Matrix,
+    model: RangingModel,
 ) -> None:
     """Fill the variances R about the model, (m,) or (m, n), with the state's covariance P."""
-    fill_noise(R, sigma, mean, pose, model)
+    fill_noise(R, sigma, sight, mean, pose, model)
     if model.near_target_terms:
         ground_m2 = float(P[0, 0]) + float(P[1, 1])
         space_m2 = ground_m2
         if model.height_index >= 0:
             space_m2 += float(P[model.height_index, model.height_index])
-        add_second_order(R, ground_m2, space_m2, mean, pose, model)
+        add_second_order(R, ground_m2, space_m2, sight, mean, pose, model)
 
 
 @kernel
 def variances(P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel) -> Vector:
     """Return the variances of range, bearing and elevation, (3,), m^2 and rad^2."""
     R = np.empty(MODALITIES)
-    fill_variances(R, P, mean, pose, sigma, model)
+    fill_variances(R, P, sight_of(mean, pose, model), mean, pose, sigma, model)
     return R
+
+
+@kernel
+def linearised(
+    z: Vector, P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel
+) -> tuple[Vector, Matrix, Vector]:
+    """Return innovations (3,), partials (3, k) and variances (3,) of one measurement."""
+    sight = sight_of(mean, pose, model)
+    y = innovations_of(z, sight, mean, pose, model)
+    H, R = np.zeros((MODALITIES, mean.size)), np.empty(MODALITIES)
+    fill_partials(H, sight, mean, pose, model)
+    fill_variances(R, P, sight, mean, pose, sigma, model)
+    return y, H, R

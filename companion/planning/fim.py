@@ -147,14 +147,17 @@ def worst_variances_m2(
     if model.antenna == AZIMUTH and IS_COMPILED:  # needs no array but these
         H, R, worst = np.zeros((2, 4)), np.empty(2), np.empty(n)
         for index in range(n):
-            fill_partials(H, mean, poses[:, index], model)
-            fill_variances(R, P, mean, poses[:, index], sigma, model)
+            pose = poses[:, index]
+            sight = sight_of(mean, pose, model)
+            fill_partials(H, sight, mean, pose, model)
+            fill_variances(R, P, sight, mean, pose, sigma, model)
             worst[index] = worst_variance_m2(P, H, R)
         return worst
     count = 2 if model.antenna == AZIMUTH else MODALITIES
     all_H, all_R = np.zeros((count, 4, n)), np.empty((count, n))
-    fill_partials(all_H, mean, poses, model)
-    fill_variances(all_R, P, mean, poses, sigma, model)
+    sights = sight_of(mean, poses, model)
+    fill_partials(all_H, sights, mean, poses, model)
+    fill_variances(all_R, P, sights, mean, poses, sigma, model)
     if view.least_cosine > -1.0:
         is_hidden = ~is_in_view(mean, poses, view, model)
         for row in range(BEARING, count):
@@ -278,7 +281,7 @@ class FimPlanner:
             sigmas = (sigmas[0], math.inf)
         across = math.inf if self._antenna is not None and self._antenna.rows == 1 else sigmas[1]
         return best_candidate(
-            self._covariance(request, estimate),
+            np.array(self._covariance(request, estimate)),  # one kind of array, one variant
             np.array([*away_m, 0.0, 0.0]),
             poses,
             self._may_fly(request),

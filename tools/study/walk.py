@@ -164,7 +164,7 @@ class WalkSteering(NamedTuple):
     may_fly: NDArray[np.bool_]
     poses_m: Matrix
     """(3, k + 1) ring, and staying."""
-    view: FieldOfView
+    field: FieldOfView
     model: RangingModel
     """Of the plane, without errors of the vehicle position."""
 
@@ -340,7 +340,7 @@ def next_place(
         index = printed_candidate(criteria, pick)
     else:
         away = np.array([de_m, dn_m, 0.0, 0.0])
-        poses_m, may_fly, view = steering.poses_m, steering.may_fly, steering.view
+        poses_m, may_fly, view = steering.poses_m, steering.may_fly, steering.field
         index = best_candidate(covariance, away, poses_m, may_fly, sigma, view, steering.model)
     if index == STAY:
         return east_m, north_m, latch

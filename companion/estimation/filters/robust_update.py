@@ -36,12 +36,7 @@ from operator import mul
 
 import numpy as np
 
-from companion.estimation.measurement_model import (
-    RangingModel,
-    innovations,
-    jacobian,
-    variances,
-)
+from companion.estimation.measurement_model import RangingModel, linearised
 from companion.estimation.number_or_array import wrapped
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
 
@@ -234,9 +229,7 @@ def robust_update(
         order, the row's share of the NIS, and NaN rows where nothing was measured, and True if the
         covariance is positive definite; if it is not, mean and covariance are those given.
     """
-    H = jacobian(mean, sensor_enu_m, model)
-    y = innovations(z, mean, sensor_enu_m, model)
-    R = variances(P, mean, sensor_enu_m, sigma, model)
+    y, H, R = linearised(z, P, mean, sensor_enu_m, sigma, model)
     report = np.full((3, 7), np.nan)
     new_mean, new_P = mean, P
     for row in range(3):

@@ -25,6 +25,7 @@ from companion.estimation.measurement_model import (
     fill_noise,
     fill_partials,
     innovations,
+    sight_of,
 )
 from companion.kernel import Matrix, Vector, kernel
 
@@ -63,7 +64,7 @@ def row_vector(row: Row, last: float) -> Vector:
 def poses_of(rows: Matrix, model: RangingModel) -> Matrix:
     """Return the sensor's pose of every row, (3, n) or with an antenna array (9, n)."""
     if model.antenna == AZIMUTH:
-        return np.ascontiguousarray(rows[:, :VALUES].T)
+        return rows[:, :VALUES].T
     return np.concatenate((rows[:, :VALUES].T, rows[:, AXES:].T))
 
 
@@ -71,7 +72,9 @@ def poses_of(rows: Matrix, model: RangingModel) -> Matrix:
 def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     """Return the standard deviations of thermal noise and vehicle position at `mean`, (3, n)."""
     R = np.empty((MODALITIES, rows.shape[0]))
-    fill_noise(R, rows[:, SIGMAS:SEQUENCE].T, mean, poses_of(rows, model), model)
+    poses = poses_of(rows, model)
+    sight = sight_of(mean, poses, model)
+    fill_noise(R, rows[:, SIGMAS:SEQUENCE].T, sight, mean, poses, model)
     return np.sqrt(R)
 
 
@@ -125,8 +128,10 @@ def whitened_partials(
     """Return the whitened partials of the first modalities, (k, count n), modality by modality."""
     n = rows.shape[0]
     H = np.zeros((mean.size, count, n))
-    fill_partials(H.transpose(1, 0, 2), mean, poses_of(rows, model), model)
-    z = np.ascontiguousarray(rows[:, VALUES : VALUES + count].T)
+    poses = poses_of(rows, model)
+    sight = sight_of(mean, poses, model)
+    fill_partials(H.transpose(1, 0, 2), sight, mean, poses, model)
+    z = rows[:, VALUES : VALUES + count].T
     H *= np.where(np.isnan(z), 0.0, 1.0 / sigmas[:count])
     return H.reshape(mean.size, count * n)
 

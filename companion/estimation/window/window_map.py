@@ -45,6 +45,7 @@ from companion.estimation.measurement_model import (
     RANGE_OFFSET,
     RangingModel,
     add_second_order,
+    sight_of,
 )
 from companion.estimation.stepwise import Steps, Stepwise, passes
 from companion.estimation.window.map_kernels import (
@@ -282,7 +283,8 @@ class WindowMap:
             sigmas = row_sigmas(rows, at, self._model)
             if spread_m2 > 0.0:
                 bent, poses = np.zeros_like(sigmas), poses_of(rows, self._model)
-                add_second_order(bent, spread_m2, spread_m2, at, poses, self._model)
+                sight = sight_of(at, poses, self._model)
+                add_second_order(bent, spread_m2, spread_m2, sight, at, poses, self._model)
                 for row in self._directions:
                     added = bent[row] / self._model.bearing_inflation
                     sigmas[row] = np.sqrt(sigmas[row] ** 2 + added)
