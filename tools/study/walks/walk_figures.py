@@ -43,6 +43,7 @@ class Claim:
     better_error_m: float
     """Error of the better one of the stated positions."""
     r95_m: float
+    estimate: TargetEstimate | None = None
 
     @classmethod
     def of(cls, estimate: TargetEstimate, truth_enu_m: tuple[float, float]) -> Claim:
@@ -50,7 +51,7 @@ class Claim:
         error_m = better_m = math.dist(estimate.position_enu_m, truth_enu_m)
         if estimate.alternative_enu_m is not None:
             better_m = min(error_m, math.dist(estimate.alternative_enu_m, truth_enu_m))
-        return cls(estimate.state, error_m, better_m, estimate.r95_m)
+        return cls(estimate.state, error_m, better_m, estimate.r95_m, estimate)
 
     @property
     def is_localised(self) -> bool:
@@ -103,13 +104,18 @@ def walks_in(folder: Path) -> list[Path]:
     return paths
 
 
-def claims_of(path: Path, params: TrackerParams) -> list[TargetClaims]:
-    """Return all targets of a walk whose truth is known, one after the other."""
+def targets_of(path: Path, own_sigma_m: float | None = None) -> list[list[WalkRow]]:
+    """Return the rows of each target of a walk whose truth is known; see `read_walk`."""
     targets: dict[str, list[WalkRow]] = {}
-    for row in read_walk(path):
+    for row in read_walk(path, own_sigma_m):
         if row.truth_enu_m is not None:
             targets.setdefault(row.target_id, []).append(row)
-    return [replayed(path.stem, rows, params) for rows in targets.values()]
+    return list(targets.values())
+
+
+def claims_of(path: Path, params: TrackerParams) -> list[TargetClaims]:
+    """Return the claims of all targets of a walk whose truth is known."""
+    return [replayed(path.stem, rows, params) for rows in targets_of(path)]
 
 
 def replayed(walk: str, rows: Sequence[WalkRow], params: TrackerParams) -> TargetClaims:

@@ -1,0 +1,217 @@
+"""Compares the tracker with estimators of other projects on recorded walks.
+
+Every estimator is configured with the walk's preset. For each set: error, R95, share of targets
+inside the radii of 50, 80, 95 and 99 %, R95 over the 95 % quantile of the errors (1 is ideal),
+energy score (metres; lower is better) and processor time a measurement. Exit code 2: bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from companion.domain import TargetEstimate
+from companion.entry import ignore_broken_pipe
+from companion.errors import CompanionError
+from companion.io.files import check_writable, write_json_atomic
+from companion.kernel import Matrix
+from companion.replay.walk_replay import WalkRow
+from tools.console import OneLineParser, non_negative, shown
+from tools.study.walks.walk_figures import (
+    name_of_preset,
+    preset_of,
+    quantile,
+    replayed,
+    targets_of,
+    walks_in,
+)
+
+LEVELS = (0.5, 0.8, 0.95, 0.99)
+NOTHING_M = 1e3
+"""Error of a target of which an estimator says nothing."""
+OURS = "tracker"
+MISSING = "compare: GTSAM and Stone-Soup are missing: pip install 'companion-guidance[compare]'"
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One estimator's answer for one target."""
+
+    estimator: str
+    preset: str
+    walk: str
+    target_id: str
+    measurements: int
+    error_m: float
+    r95_m: float
+    is_inside: tuple[bool, ...]
+    """Within the radius of each of `LEVELS`."""
+    energy_m: float
+    time_ms: float
+    """Processor time a measurement."""
+
+
+def score_of(
+    samples: Matrix, truth: tuple[float, float], r95_m: float | None, mean: Sequence[float] | None
+) -> tuple[float, float, tuple[bool, ...], float]:
+    """Return error, R95, inside or not at each level, and energy score of samples (n, 2).
+
+    Args:
+        r95_m: Stated R95, by which the other radii are scaled; None: of the samples.
+        mean: Stated position; None: of the samples.
+    """
+    centre = samples.mean(axis=0) if mean is None else np.asarray(mean)
+    radii = np.quantile(np.hypot(*(samples - centre).T), LEVELS)
+    if r95_m is not None:
+        radii *= r95_m / radii[2]
+    error_m = math.dist(centre, truth)
+    far = np.hypot(*(samples - np.asarray(truth)).T).mean()
+    half = len(samples) // 2
+    spread = np.hypot(*(samples[:half] - samples[half : 2 * half]).T).mean()
+    inside = tuple(bool(error_m <= radius) for radius in radii)
+    return error_m, float(radii[2]), inside, float(far - 0.5 * spread)
+
+
+def samples_of(estimate: TargetEstimate, rng: np.random.Generator) -> Matrix:
+    """Return samples (2000, 2) of an estimate, from its covariance scaled to its R95."""
+    drawn = rng.multivariate_normal((0.0, 0.0), np.array(estimate.covariance_m2), 2000)
+    scale = estimate.r95_m / float(np.quantile(np.hypot(*drawn.T), 0.95))
+    placed: Matrix = np.asarray(estimate.position_enu_m) + scale * drawn
+    return placed
+
+
+def scores_of(path: Path, rows: Sequence[WalkRow], seed: int) -> list[Score]:
+    """Return the score of every estimator for one target of a walk."""
+    from tools.study.walks.rival_estimators import RIVALS, Batch
+
+    truth, params = rows[0].truth_enu_m, preset_of(path)
+    assert truth is not None
+    found: list[Score] = []
+
+    def add(
+        name: str, began_s: float, result: tuple[float, float, tuple[bool, ...], float]
+    ) -> None:
+        spent_ms = 1000.0 * (time.process_time() - began_s) / len(rows)
+        about = (name_of_preset(path), path.stem, rows[0].target_id, len(rows))
+        found.append(Score(name, *about, *result, spent_ms))
+
+    began_s = time.process_time()
+    final = replayed(path.stem, rows, params).final
+    if final is None or final.estimate is None:
+        add(OURS, began_s, (NOTHING_M, NOTHING_M, (True,) * len(LEVELS), NOTHING_M))
+    else:
+        stated = final.estimate
+        samples = samples_of(stated, np.random.default_rng(seed))
+        add(OURS, began_s, score_of(samples, truth, stated.r95_m, stated.position_enu_m))
+    batch = Batch.of(rows, params.filter)
+    for name, estimate in RIVALS.items():
+        began_s = time.process_time()
+        add(
+            name,
+            began_s,
+            score_of(estimate(batch, np.random.default_rng(seed)), truth, None, None),
+        )
+    return found
+
+
+def table(scores: Sequence[Score]) -> str:
+    """Return a Markdown table: a row for each preset and estimator."""
+    head = "| preset | estimator | targets | error: median, 90 %, m | R95: median, m | "
+    head += "inside 50 / 80 / 95 / 99 % | R95 over 95 % error | energy score, m | ms |"
+    lines = [head, "|---|---|---|---|---|---|---|---|---|"]
+    for preset, name in dict.fromkeys((s.preset, s.estimator) for s in scores):
+        of = [s for s in scores if (s.preset, s.estimator) == (preset, name)]
+        errors, radii = [s.error_m for s in of], [s.r95_m for s in of]
+        shares = [100.0 * sum(s.is_inside[level] for s in of) / len(of) for level in range(4)]
+        r95_m, worst_m = quantile(radii, 0.5), quantile(errors, 0.95)
+        cells = (
+            preset,
+            name,
+            str(len(of)),
+            f"{quantile(errors, 0.5):.2f}, {quantile(errors, 0.9):.2f}",
+            f"{r95_m:.2f}",
+            " / ".join(f"{share:.0f}" for share in shares),
+            f"{r95_m / worst_m:.2f}",
+            f"{np.mean([s.energy_m for s in of]):.2f}",
+            f"{np.mean([s.time_ms for s in of]):.2f}",
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def plot(scores: Sequence[Score], path: Path) -> None:
+    """Draw error beside R95 of every target, a panel for each estimator."""
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(s.estimator for s in scores))
+    figure = Figure(figsize=(3.2 * len(names), 3.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(names), sharex=True, sharey=True))
+    ends = [min(s.r95_m for s in scores), max(s.r95_m for s in scores)]
+    for panel, name in zip(panels, names, strict=True):
+        for preset in dict.fromkeys(s.preset for s in scores):
+            of = [s for s in scores if (s.preset, s.estimator) == (preset, name)]
+            errors, radii = [s.error_m for s in of], [s.r95_m for s in of]
+            panel.loglog(radii, errors, "o", alpha=0.7, label=preset)
+        panel.loglog(ends, ends, color="0.5", linewidth=1.0)
+        panel.set_title(name)
+        panel.set_xlabel("stated R95, m")
+    panels[0].set_ylabel("error, m (above the line: outside R95)")
+    panels[0].legend(frameon=False)
+    figure.savefig(path, dpi=120)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Compare all estimators on a folder's walks; return the exit code."""
+    parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path, help="recorded walks, *.csv")
+    parser.add_argument("--only", action="append", default=[], metavar="WALK", help="this one")
+    parser.add_argument(
+        "--own-sigma", type=float, metavar="M", help="standard deviation of the agent's positions"
+    )
+    parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
+    parser.add_argument("--plot", type=Path, metavar="PNG", help="draw error beside R95 there")
+    arguments = parser.parse_args(argv)
+    try:
+        scores = compared(arguments)
+        print(table(scores))
+        if arguments.json is not None:
+            write_json_atomic(arguments.json, scores)
+        if arguments.plot is not None:
+            plot(scores, arguments.plot)
+    except CompanionError as error:
+        parser.error(str(error))
+    except ModuleNotFoundError as error:
+        if error.name not in ("gtsam", "stonesoup"):
+            raise
+        parser.error(MISSING)
+    return 0
+
+
+def compared(arguments: argparse.Namespace) -> list[Score]:
+    """Return the scores of all targets; progress goes to stderr."""
+    for path in (arguments.json, arguments.plot):
+        if path is not None:
+            check_writable(path)
+    walks = [
+        p for p in walks_in(arguments.folder) if not arguments.only or p.stem in arguments.only
+    ]
+    tasks = [(path, rows) for path in walks for rows in targets_of(path, arguments.own_sigma)]
+    scores: list[Score] = []
+    with shown(sum(len(rows) for _, rows in tasks), sys.stderr) as done:
+        for path, rows in tasks:
+            scores += scores_of(path, rows, arguments.seed)
+            done(len(rows))
+    return scores
+
+
+if __name__ == "__main__":
+    ignore_broken_pipe()
+    sys.exit(main())
