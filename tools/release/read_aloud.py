@@ -1,7 +1,7 @@
 """Print a random sample of docstrings and operator texts to read aloud, or check their wording.
 
-    .venv/bin/python tools/read_aloud.py [--seed 7]    # 60 docstrings and 40 operator texts
-    .venv/bin/python tools/read_aloud.py --check       # exit code 1 if a limit is exceeded
+    .venv/bin/python tools/release/read_aloud.py [--seed 7]    # 60 docstrings and 40 operator texts
+    .venv/bin/python tools/release/read_aloud.py --check       # exit code 1 if a limit is exceeded
 
 The check counts docstrings, those of attributes and constants included, that begin with a wh-word,
 lines with words that this project keeps out of code and pages, and public modules, classes and
@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from companion.entry import ignore_broken_pipe
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGES = ("companion", "sim_link", "tools")
 TEXTS = (*PACKAGES, "configs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 WH_CLAUSE = re.compile(r"(What|Whether|Who|Whom|Whose|How|Where|When|Which|Why)(ever)?\b")
