@@ -430,7 +430,9 @@ class ControlTick:
             return None
         is_fresh = vehicle.is_position_fresh(now_s)
         match context.phase:
-            case Phase.STANDBY if vehicle.is_ours:  # granted before the mode was left
+            case Phase.STANDBY | Phase.LAUNCHING if vehicle.is_ours:
+                # granted before the mode was left, or an input is missing: following the vehicle
+                # would follow its drift
                 return steering.stay(motion, dt_s)
             case Phase.STANDBY | Phase.LAUNCHING:
                 return steering.stay_with(motion)

@@ -176,7 +176,7 @@ class InsideFence(SetpointsInside):
         self._fences = 0
         """Number of the autopilot's fences that were in force."""
         self._is_caught = False
-        """A new fence came so near that the vehicle could not stop before it."""
+        """A fence or control came when the vehicle could not stop before the border any more."""
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge it by what is true, too."""
@@ -229,12 +229,12 @@ class InsideFence(SetpointsInside):
         return self.is_excused or self._truth.now_s - self._given_s < CONTROL_FADES_S
 
     def _watch_fences(self) -> None:
-        """Note whether a new fence came too near; over once it is inside and can stop there."""
+        """Note whether fence or control came too late; over once it can stop inside."""
         scene, body = self._truth, self._truth.vehicle.body
         before, self._fences = self._fences, len(scene.flown_fences)
         if before != self._fences:
             self._known = ((0.0, 0.0), -math.inf)
-        if self._fences > before or self._is_caught:
+        if self._fences > before or self._is_caught or not self._is_ours:
             (east, north), (ve, vn) = body.position_enu_m[:2], body.velocity_enu_mps[:2]
             rules = scene.rules
             time_s = rules.latency_s + 0.5 * math.hypot(ve, vn) / rules.acceleration_mps2

@@ -14,6 +14,7 @@ from companion.guidance.events import (
     RequestKind,
     StopRequested,
 )
+from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import mode_name
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
@@ -293,6 +294,30 @@ def test_the_session_launches_px4_and_engages() -> None:
     flight.answer(RequestKind.SET_MODE)
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.HOLD)
+
+
+def test_a_launch_without_control_in_offboard_stays_at_one_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fence has changed meanwhile; a setpoint that followed the drift would lead it on."""
+    flight = launching()
+    flight.place = (0.0, 0.0, 20.0)
+    flight.mode = FlightMode.HOLD
+    flight.fly(1.5)
+    flight.answer(RequestKind.SET_MODE)
+    monkeypatch.setattr(Fencing, "is_ready", property(lambda _: False))
+    flight.show(FlightMode.OFFBOARD)
+    assert flight.is_in(Phase.LAUNCHING)
+    begun, began_s = flight.setpoints[-1], flight.now_s
+    for step in range(4):
+        flight.place = (0.2 * step, 0.0, 20.0)
+        flight.fly(1.0)
+    sent = [c.setpoint.position_enu_m for c in flight.sent(SendSetpoint, began_s)]
+    assert {place[:2] for place in sent} == {begun[:2]}
+    flight.fly(1.5)
+    assert flight.is_in(Phase.YIELD)
+    failure = "offboard was entered, but control waits for its inputs"
+    assert f"takeoff aborted: {failure}" in flight.texts
 
 
 def test_the_session_launches_ardupilot_and_engages_after_the_climb() -> None:

@@ -218,3 +218,23 @@ def test_motion_of_before_control_was_given_is_excused_for_stopping_only() -> No
         fence.stepped()
         excused.append((fence.is_moved_by_others, fence.is_excused))
     assert excused == [(True, False), (True, False), (False, False)]
+
+
+@pytest.mark.parametrize(("begins_m", "breaches"), [(1.0, 0), (30.0, 1)])
+def test_control_that_came_too_late_to_stop_is_no_breach(
+    begins_m: float, breaches: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is one where the vehicle could still have been stopped when control was given."""
+    around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour="ardupilot")), 1)
+    scene, fence = around.monitor.scene, around.monitor.fence
+    body = scene.vehicle.body
+    scene.vehicle.aircraft.is_armed = True
+    mode = property(lambda _: FlightMode.OFFBOARD)
+    monkeypatch.setattr(type(scene.vehicle.flavour), "mode", mode)
+    for tick, north_m in enumerate((begins_m, begins_m - 0.4, -0.5)):
+        scene.now_s = 20.0 + 0.05 * tick
+        scene.observed.is_ours = tick > 0
+        body.position_enu_m = (10.0, BORDER_NORTH_M + north_m, 15.0)
+        body.velocity_enu_mps = (0.0, -8.0, 0.0)
+        fence.stepped()
+    assert fence.breaches == breaches
