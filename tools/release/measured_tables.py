@@ -28,7 +28,7 @@ CLIENTS = {
     "mavsdk": "MAVSDK-Python 4, listening",
     "pymavlink": "pymavlink, listening",
 }
-"""Clients of tools/benches/bench_process.py, in words."""
+"""Clients of tools/bench_process.py, in words."""
 
 CAMPAIGN_PARTS = {
     "missions": (
@@ -75,7 +75,7 @@ CAMPAIGN_PARTS = {
 
 
 def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:
-    """Return the figures of `tools/benches/bench_process.py --json` as a table."""
+    """Return the figures of `tools/bench_process.py --json` as a table."""
     lines = ["| | memory | processor, of one core |", "|---|---|---|"]
     return lines + [
         f"| {CLIENTS[use['client']]} | {use['resident_mb']:.0f} MB | {use['processor_pct']:.1f} % |"

@@ -40,7 +40,7 @@ OF_OTHERS = {
 )
 """Programs that this project does not have; their commands are read, and never run, by a test."""
 PX4S_TARGET = "px4_sitl"
-THEIR_MODULES = {"pytest", "companion", "pip", "http.server", "tools.mutation.mutate_guard"}
+THEIR_MODULES = {"pytest", "companion", "pip", "http.server", "tools.fuzz.mutate_guard"}
 
 
 def commands_of(page: Path) -> list[list[str]]:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tools.mutation.mutants import mutants_of
-from tools.mutation.mutate_guard import tests_of as chosen_tests
+from tools.fuzz.mutants import mutants_of
+from tools.fuzz.mutate_guard import tests_of as chosen_tests
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -88,7 +88,7 @@ def test_equal_changes_are_told_apart_and_named_by_their_place(tmp_path: Path) -
 def test_a_mutant_is_run_and_its_verdict_written(tmp_path: Path) -> None:
     """A real one, over the guard's own tests."""
     report = tmp_path / "mutants.json"
-    command = [sys.executable, "-m", "tools.mutation.mutate_guard", "companion/guard/envelope.py"]
+    command = [sys.executable, "-m", "tools.fuzz.mutate_guard", "companion/guard/envelope.py"]
     one = ["--only", "next_velocity | size > most => size <= most", "--json", str(report)]
     done = subprocess.run([*command, *one], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.stdout.startswith("1 mutants: 1 killed, 0 killed by time, 0 equivalent, 0 survived")
@@ -106,7 +106,7 @@ def test_tests_end_by_the_processors_time_so_that_a_busy_machine_kills_no_mutant
     tests = tmp_path / "test_it.py"
     tests.write_text(f"import time\n\ndef test_it():\n    {body}\n")
     code = (
-        "from tools.mutation import mutate_guard as it\n"
+        "from tools.fuzz import mutate_guard as it\n"
         "it.preload()\nit.TIMEOUT_S = 3\n"
         f"raise SystemExit(not it.passes([{str(tests)!r}]))"
     )
@@ -116,7 +116,7 @@ def test_tests_end_by_the_processors_time_so_that_a_busy_machine_kills_no_mutant
 
 @pytest.mark.parametrize("path", ["companion/none.py", "/etc", "companion/guard/__pycache__"])
 def test_a_path_without_a_module_is_refused(path: str) -> None:
-    command = [sys.executable, "-m", "tools.mutation.mutate_guard", path]
+    command = [sys.executable, "-m", "tools.fuzz.mutate_guard", path]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1

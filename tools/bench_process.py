@@ -1,6 +1,6 @@
 """Memory and processor time of the companion in flight, beside two libraries that only listen.
 
-    .venv/bin/python tools/benches/bench_process.py [--seconds 30] [--kernels FOLDER] [--json FILE]
+    .venv/bin/python tools/bench_process.py [--seconds 30] [--kernels FOLDER] [--json FILE]
 
 Each client gets a simulated PX4 of its own, with the streams of PX4's onboard link, at real time.
 The companion flies the canonical search on it; MAVSDK-Python (its position, attitude and health)
@@ -31,7 +31,7 @@ from companion.entry import ignore_broken_pipe
 from companion.io.child_process import free_udp_port
 from tools.console import OneLineParser, positive
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 SETTLING_S = 15.0
 """Time from the start of the client to the first look; the companion has taken off by then."""
 CLIENTS = ("native", "quiet", "numba", "plain", "mavsdk", "pymavlink")

@@ -1,6 +1,6 @@
 """Mutants of the guard: every small change to its source must make one of its tests fail.
 
-    .venv/bin/python -m tools.mutation.mutate_guard [--json FILE] [--only TEXT] [PATH ...]
+    .venv/bin/python -m tools.fuzz.mutate_guard [--json FILE] [--only TEXT] [PATH ...]
 
 PATH is a module or a folder (default: companion/guard), for example companion/mav/framing.py; its
 tests are those of the same place under tests/unit. Each mutant runs in a forked process that loads
@@ -29,7 +29,7 @@ from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
 from tools.console import OneLineParser, positive
-from tools.mutation.mutants import Mutant, mutants_of
+from tools.fuzz.mutants import Mutant, mutants_of
 
 ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENTS = Path(__file__).with_name("mutate_guard_equivalents.txt")
