@@ -226,7 +226,7 @@ def _demo_config(
         mission=change(config.mission, engage="auto"),
         limits=limits,
         link=change(config.link, signing_key_file=None),
-        process=change(config.process, checkpoint=False, state_directory=state_directory),
+        process=change(config.process, resume_max_age_s=None, state_directory=state_directory),
     )
 
 
