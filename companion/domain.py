@@ -185,7 +185,7 @@ def radii_text(
     `own` is the accuracy that makes the difference, if it is to be named.
     """
     absolute, relative = f"{absolute_r95_m:.{decimals}f}", f"{r95_m:.{decimals}f}"
-    text = f"R95 {absolute} m absolute, {relative} m relative to vehicle"
+    text = f"R95 {absolute} m absolute, {relative} m relative"
     return text if own is None else f"{text} ({own.words})"
 
 

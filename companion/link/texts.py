@@ -1,11 +1,12 @@
 """Gate of all texts for the operator: each cause at most once in a period, within a budget.
 
-Theory of operation. The cause of a text is its words without their numbers. A cause is announced at
-most once in `CAUSE_PERIOD_S`, however often it comes and goes. Texts of one topic are states that
-replace each other, such as "waiting for ..." and "ready"; there the newest withheld state is
-announced as soon as its cause may be, unless the topic has gone back to the announced one. So the
-last text of a topic is the present state, at the latest after one period. Changes of control are
-never withheld: they are answers to the pilot, and guidance already spaces them.
+Theory of operation. The cause of a text is its words without their numbers, and without the list of
+what it is waiting for. A cause is announced at most once in `CAUSE_PERIOD_S`, however often it
+comes and goes. Texts of one topic are states that replace each other, such as "waiting for ..." and
+"ready"; there the newest withheld state is announced as soon as its cause may be, unless the topic
+has gone back to the announced one. So the last text of a topic is the present state, at the latest
+after one period. Changes of control are never withheld: they are answers to the pilot, and guidance
+already spaces them.
 
 Announced texts go to the log and the console. On the air they also have to fit into a share of the
 slowest downlink, over a sliding minute; errors and changes of control exceed it rather than get
@@ -31,6 +32,8 @@ SHARE_OF_DOWNLINK = 0.01
 """Share of the downlink's capacity for texts; telemetry needs the rest."""
 NUMBER = re.compile(r"(?<![\w.])(?<!system )(?<!emitter )-?\d[\d.]*")
 """Figures; the number of a system or an emitter, and one in a name, distinguish causes."""
+WAITED_FOR = re.compile(r"(?<=\bwaiting for ).*")
+"""Inputs that come one after the other after a start: one cause."""
 
 
 @dataclass(slots=True)
@@ -55,7 +58,7 @@ class TextGate:
         """Announced texts that did not fit into the budget of the downlink."""
         self._budget_bytes = SHARE_OF_DOWNLINK * bytes_per_s * MINUTE_S
         self._announced_s: dict[str, float] = {}
-        """Time of the last announcement of each cause, by its text without numbers."""
+        """Time of the last announcement of each cause."""
         self._topics: dict[Topic | str, _TopicState] = {}
         self._sent: deque[tuple[float, int]] = deque()
         self._sent_bytes = 0
@@ -63,14 +66,15 @@ class TextGate:
     def admit(self, text: Announce, now_s: float) -> bool:
         """Return True if a text is to be announced now; withheld states may become due later."""
         words = NUMBER.sub("#", text.text)
+        cause = WAITED_FOR.sub("", words)
         topic = self._topics.setdefault(text.topic, _TopicState()) if text.topic else None
         if topic is not None:
             topic.withheld = None if words == topic.announced else text
-        is_recent = now_s - self._announced_s.get(words, -math.inf) < CAUSE_PERIOD_S
+        is_recent = now_s - self._announced_s.get(cause, -math.inf) < CAUSE_PERIOD_S
         if is_recent and not text.must_pass:
             self.withheld += 1
             return False
-        self._announced_s[words] = now_s
+        self._announced_s[cause] = now_s
         if topic is not None:
             topic.announced, topic.withheld = words, None
         self._forget(now_s)

@@ -59,7 +59,7 @@ class EstimatePoint(
     def radii(self) -> str:
         """Both radii in words."""
         if self.absolute_r95_m is None:
-            return f"R95 {self.r95_m:.1f} m relative to vehicle"
+            return f"R95 {self.r95_m:.1f} m relative"
         return radii_text(self.absolute_r95_m, self.r95_m)
 
 
@@ -200,7 +200,7 @@ def radii_of_line(r95_m: float, line: Line) -> str:
     absolute_m = _read(line.get("absolute_r95_m"), float)
     own_m = _read(line.get("own_sigma_m"), float)
     if absolute_m is None or own_m is None:
-        return f"R95 {r95_m:.2f} m relative to vehicle"
+        return f"R95 {r95_m:.2f} m relative"
     own = PositionAccuracy(own_m, is_reported=line.get("own_sigma_told") is True)
     return radii_text(absolute_m, r95_m, own, decimals=2)
 

@@ -83,7 +83,6 @@ def knowing(config: CompanionConfig, scenario: Scenario) -> CompanionConfig:
         config.estimation.filter,
         range_sigma_m=scenario.channel.range_sigma_m,
         bearing_sigma_deg=sigma_deg,
-        elevation_sigma_deg=sigma_deg,
     )
     estimation = msgspec.structs.replace(config.estimation, filter=filter_params)
     return msgspec.structs.replace(config, estimation=estimation)

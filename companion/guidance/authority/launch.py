@@ -239,9 +239,10 @@ class Launch:
             accepted = self._offboard_accepted
             if accepted is not None and view.now_s - accepted.time_s > MODE_TIMEOUT_S:
                 name = mode_name(FlightMode.OFFBOARD, view.heartbeat.autopilot)
-                is_entered = view.heartbeat.mode is FlightMode.OFFBOARD
-                what = "entered, but control waits for its inputs"
-                self.failure = f"{name} was {what if is_entered else 'accepted but never entered'}"
+                if view.heartbeat.mode is FlightMode.OFFBOARD:
+                    self.failure = f"{name} was entered, but control waits for its inputs"
+                else:
+                    self.failure = f"{name} was accepted but never entered"
             return []
         if view.now_s < self._retry_s:
             return []

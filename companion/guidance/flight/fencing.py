@@ -432,7 +432,7 @@ class Fencing:
         if theirs is None:
             if plan.policy is FencePolicy.REQUIRE and not self._is_in_control:
                 raise ValueError("the autopilot has no fence, and limits.autopilot_fence wants one")
-            self.note = "the autopilot has no fence of its own: only the guard keeps ours"
+            self.note = "autopilot has no fence: only the guard keeps ours"
             return
         differs = self._difference(theirs)
         if differs is not None and not self._is_in_control:

@@ -23,7 +23,7 @@ def test_every_emitter_has_its_place_and_the_newest_counts() -> None:
     contents = files.files(report(1, 0.5), 1.8e9 + 60)
     lines = contents[TEXT].splitlines()
     assert [line.split(":")[0] for line in lines] == ["emitter 1", "emitter 2"]
-    words = "R95 7.4 m absolute, 0.5 m relative to vehicle (GNSS 3.00 m, assumed)"
+    words = "R95 7.4 m absolute, 0.5 m relative (GNSS 3.00 m, assumed)"
     assert f"{words}, localised, 2027-01-15T08:01:00Z" in lines[0]
     assert len(json.loads(contents[GEOJSON])["features"]) == 4
     assert ET.fromstring(contents[KML]).tag.endswith("kml")

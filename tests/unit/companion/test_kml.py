@@ -40,5 +40,5 @@ def test_a_hostile_name_is_escaped_and_its_control_characters_are_gone() -> None
 def test_the_description_says_for_whom_which_radius_is() -> None:
     about = ET.fromstring(kml([handoff()])).findtext(f".//{KML}Placemark/{KML}description")
     assert about is not None
-    words = "R95 9.0 m absolute, 5.2 m relative to vehicle (GNSS 3.00 m, assumed)"
+    words = "R95 9.0 m absolute, 5.2 m relative (GNSS 3.00 m, assumed)"
     assert words in about

@@ -124,7 +124,7 @@ def test_the_end_says_both_radii_and_whose_error_the_absolute_one_has() -> None:
     report = {"emitter": {"enu_m": [52.0, 41.5, 0.0]}, "distance_m": 153.0}
     options: Any = SimpleNamespace(speed=4.0)
     said = DemoResult(options, watch, endpoint, report).summary
-    radii = "R95 0.34 m absolute, 0.33 m relative to vehicle (GNSS 0.02 m)"
+    radii = "R95 0.34 m absolute, 0.33 m relative (GNSS 0.02 m)"
     assert f"{radii}, error against the truth 0.50 m" in said
 
 

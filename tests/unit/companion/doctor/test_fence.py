@@ -41,7 +41,7 @@ def finding_about_fence(
         (PX4.fence, "ignore", Level.OK, "not checked"),
         (OTHER, "compare", Level.FAIL, "borders up to 30.0 m apart"),
         (OTHER, "require", Level.FAIL, "borders up to 30.0 m apart"),
-        (NONE, "compare", Level.WARN, "the autopilot has no fence of its own"),
+        (NONE, "compare", Level.WARN, "autopilot has no fence"),
         (NONE, "require", Level.FAIL, "wants one"),
         (NONE, "use", Level.FAIL, "no fence to use"),
         (SILENT, "compare", Level.WARN, "no answer"),

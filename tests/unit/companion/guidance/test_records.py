@@ -54,7 +54,7 @@ def test_degrees_come_with_the_radius_of_who_walks_there() -> None:
     assert text.startswith("LOCALISED 47.4000")
     assert text.endswith(" R95 16.0 m")
     assert result_of(told, None, 0.0)[1] == "LOCALISED R95 16.0 m"
-    assert radius_texts(told) == ["R95 16.0 m absolute, 5.0 m relative to vehicle"]
+    assert radius_texts(told) == ["R95 16.0 m absolute, 5.0 m relative"]
 
 
 @pytest.mark.parametrize("sigma_m", [3.0, 12.5, 999.0])

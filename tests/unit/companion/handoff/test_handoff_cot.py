@@ -17,7 +17,7 @@ def test_the_event_tells_place_error_and_when_it_is_stale() -> None:
     assert float(point.attrib["lon"]) == pytest.approx(longitude, abs=1e-7)
     assert point.attrib["ce"] == "9.0"  # 5.2 of the vehicle, and the 3 m that count for its own
     remarks = event.findtext("detail/remarks") or ""
-    assert "m absolute, 5.2 m relative to vehicle (GNSS 3.00 m, assumed)" in remarks
+    assert "m absolute, 5.2 m relative (GNSS 3.00 m, assumed)" in remarks
     assert event.attrib["start"] == "2027-01-15T08:00:00Z"
     assert event.attrib["stale"] == "2027-01-15T08:10:00Z"
 

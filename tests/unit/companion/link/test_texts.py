@@ -66,6 +66,17 @@ def test_the_same_state_after_another_one_is_the_same_cause() -> None:
     assert passed(TextGate(BYTES_PER_S), timed, 31.0) == said
 
 
+def test_a_list_of_what_is_waited_for_is_one_cause_and_shown_as_it_is_at_last() -> None:
+    """After a start the inputs come one after the other."""
+    lists = ["a position and a home and a fence", "a home and a fence", "a fence"]
+    said = [
+        (float(n), warning(f"GUIDED without control: waiting for {waited}", Topic.READINESS))
+        for n, waited in enumerate(lists)
+    ]
+    assert passed(TextGate(BYTES_PER_S), said, 29.0) == [said[0][1].text]
+    assert passed(TextGate(BYTES_PER_S), said, 31.0) == [said[0][1].text, said[2][1].text]
+
+
 def test_a_text_that_must_pass_counts_for_the_ones_that_need_not() -> None:
     plan = "flying the plan"
     said = [(0.0, warning(plan, Topic.PLAN, must_pass=True)), (5.0, warning(plan, Topic.PLAN))]

@@ -130,10 +130,9 @@ def test_counters_of_the_link_are_told_in_words() -> None:
 
 
 def test_the_verdict_is_what_the_flight_came_to() -> None:
-    assert verdict_of(summarize_events(FLIGHT)) == "localised, R95 0.40 m relative to vehicle"
+    assert verdict_of(summarize_events(FLIGHT)) == "localised, R95 0.40 m relative"
     assert (
-        verdict_of(summarize_events(FLIGHT[:-1]))
-        == "not reported: searching, R95 0.5 m relative to vehicle"
+        verdict_of(summarize_events(FLIGHT[:-1])) == "not reported: searching, R95 0.5 m relative"
     )
     assert verdict_of(summarize_events([])) == "no measurement was used"
 
@@ -142,7 +141,7 @@ def test_the_verdict_is_what_the_flight_came_to() -> None:
 def test_both_radii_are_told_where_the_log_has_both(is_told: bool, words: str) -> None:
     own = {"absolute_r95_m": 3.7, "own_sigma_m": 1.5, "own_sigma_told": is_told}
     lines = [{**estimate(1.0), **own}, {**RESULT, **own}]
-    told = f"R95 3.70 m absolute, 0.40 m relative to vehicle (GNSS 1.50 m{words})"
+    told = f"R95 3.70 m absolute, 0.40 m relative (GNSS 1.50 m{words})"
     assert verdict_of(summarize_events(lines)) == f"localised, {told}"
     page = page_of(lines)
     assert f"reported: localised, {told}" in page
