@@ -234,7 +234,8 @@ class InsideFence(SetpointsInside):
         before, self._fences = self._fences, len(scene.flown_fences)
         if before != self._fences:
             self._known = ((0.0, 0.0), -math.inf)
-        if self._fences > before or self._is_caught or not self._is_ours:
+        is_of_others = not self._is_ours and scene.now_s - self._in_control_s > CONTROL_FADES_S
+        if self._fences > before or self._is_caught or is_of_others:
             (east, north), (ve, vn) = body.position_enu_m[:2], body.velocity_enu_mps[:2]
             rules = scene.rules
             time_s = rules.latency_s + 0.5 * math.hypot(ve, vn) / rules.acceleration_mps2

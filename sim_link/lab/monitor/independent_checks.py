@@ -153,6 +153,8 @@ SILENCE_S = 3.0
 """Silence of one address after which the other one may be accepted, s."""
 EARLY_S, LATE_S = 3.0, 10.0
 """A stamp that is ahead of the vehicle's clock by more, or behind it, is of another clock."""
+SAME_CLOCK_S = 1.0
+"""Without a hardware id the clock of another address has to agree to this, s."""
 YOUNG_S = 5.0
 """A restarted clock shows at most so much more than the time since the vehicle was heard last."""
 REACH_M, REACH_MPS = 10.0, 25.0
@@ -191,6 +193,13 @@ class Followed:
             or math.dist(place, self.place_ned_m)
             <= REACH_M + REACH_MPS * (frame.time_s - self.place_s)
         )
+
+    def has_clock_of(self, frame: Frame) -> bool:
+        """Return True if a frame's stamp is of the very clock of the followed vehicle."""
+        stamp_s, _ = _sign_of(frame)
+        if stamp_s is None or self.clock_s is None:
+            return True
+        return abs(frame.time_s - stamp_s - self.clock_s) <= SAME_CLOCK_S
 
     def is_restart(self, frame: Frame) -> bool:
         """Return True if a frame may be of the followed vehicle after a restart."""
@@ -231,8 +240,9 @@ class SenderTrust:
     """Follows one of several senders: the vehicle itself, another with its ids, or a stranger.
 
     Only the configured system id, if there is one, is followed. Another address with the same ids
-    is accepted after a silence, from the first frame on whose stamp and place go on from there. The
-    silence lasts to the control tick before the frame: in a stall the vehicle's frames wait, too.
+    is accepted after a silence, from the first frame on whose stamp and place go on from there. It
+    has to answer the hardware id, if one is known, or else to have the same clock. The silence
+    lasts to the control tick before the frame: in a stall the vehicle's frames wait, too.
     """
 
     def __init__(self, wanted_system_id: int | None = None) -> None:
@@ -244,6 +254,8 @@ class SenderTrust:
         """Peer that was followed before the last frame."""
         self.ticked_s: float | None = None
         """Time of the companion's last control tick; None: not known."""
+        self._hardware: dict[bool, int] = {}
+        """Hardware id that the vehicle (True) and strangers (False) answered last."""
 
     @property
     def follows_unknown_peer(self) -> bool:
@@ -265,6 +277,18 @@ class SenderTrust:
     def restart(self) -> None:
         """Follow the first autopilot that a restarted companion hears."""
         self._ids = self._followed = self._before = self.ticked_s = None
+        self._hardware.clear()
+
+    def _is_possible(self, followed: Followed, frame: Frame) -> bool:
+        """Return True if a frame of another address may be of the followed vehicle."""
+        if followed.is_restart(frame):
+            is_of_clock = True
+        else:
+            is_of_clock = followed.goes_on(frame) and (
+                bool(self._hardware) or followed.has_clock_of(frame)
+            )
+        known = self._hardware.get(followed.is_genuine)
+        return is_of_clock and known in (None, self._hardware.get(frame.is_genuine))
 
     def accepts(self, frame: Frame) -> bool:
         """Return True if a readable frame of an autopilot had to be accepted."""
@@ -276,10 +300,13 @@ class SenderTrust:
             followed = Followed(frame.is_genuine, frame.time_s)
         if frame.sender != self._ids:
             return False
+        message = frame.message
+        if isinstance(message, mavlink.MAVLink_autopilot_version_message) and message.uid:
+            self._hardware[frame.is_genuine] = message.uid
         if frame.is_genuine is not followed.is_genuine:
             until_s = frame.time_s if self.ticked_s is None else self.ticked_s
             is_silent = until_s - followed.heard_s >= SILENCE_S
-            if not is_silent or not (followed.goes_on(frame) or followed.is_restart(frame)):
+            if not is_silent or not self._is_possible(followed, frame):
                 return False
         self._followed = followed.with_frame(frame)
         return True

@@ -35,8 +35,9 @@ HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 81, 0, 4, 3)
 ATTITUDE = mavlink.MAVLink_attitude_message(1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def in_flight(flavour: FlavourName) -> Monitored:
-    around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour=flavour)), 1)
+def in_flight(flavour: FlavourName, uid: int | None = None) -> Monitored:
+    scenario = Scenario(autopilot=AutopilotParams(flavour=flavour, uid=uid))
+    around = monitored_flight(AUTO, scenario, 1)
     around.flight.run(18.0)
     return around
 
@@ -109,8 +110,8 @@ def test_its_own_way_out_of_the_fence_is_one() -> None:
 
 
 @pytest.mark.slow
-def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
-    around = in_flight("ardupilot")
+def test_without_key_and_hardware_id_a_stranger_is_followed_after_a_silence() -> None:
+    around = in_flight("ardupilot", uid=0)
     silence = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")
     stranger = UnsignedFrames(start_s=6.0, duration_s=4.0, rate_hz=130.0)
     around.injector.inject(Schedule(faults=(silence, stranger)))
@@ -120,8 +121,8 @@ def test_without_a_key_whoever_speaks_after_a_silence_is_believed() -> None:
 
 
 @pytest.mark.slow
-def test_places_in_a_flood_of_a_stranger_who_is_believed_are_no_measure() -> None:
-    around = in_flight("px4")
+def test_places_in_a_flood_of_a_stranger_that_is_followed_are_no_measure() -> None:
+    around = in_flight("px4", uid=0)
     hold = LinkBlackout(start_s=1.0, duration_s=12.0, direction="to_companion")
     liar = ForgedFrames(start_s=5.0, duration_s=7.0, rate_hz=400.0)
     around.injector.inject(Schedule(faults=(hold, liar)))
@@ -195,6 +196,16 @@ def test_a_stranger_is_followed_only_if_its_clock_and_place_go_on(
     assert whose.accepts(frame(108.0, message, is_genuine=False)) is is_followed
     assert whose.follows_unknown_peer is is_followed
     assert whose.accepts(frame(108.1, HEARTBEAT)) is not is_followed
+
+
+def test_with_a_hardware_id_a_stranger_is_followed_that_answers_the_same() -> None:
+    whose = followed()
+    answer = mavlink.MAVLink_autopilot_version_message(
+        0, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 7
+    )
+    assert whose.accepts(frame(0.1, answer))
+    assert not whose.accepts(frame(0.1 + SILENCE_S, is_genuine=False))
+    assert whose.accepts(frame(0.2 + SILENCE_S, answer, is_genuine=False))
 
 
 def test_in_a_stall_the_vehicle_is_not_silent() -> None:
