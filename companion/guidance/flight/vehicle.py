@@ -45,7 +45,9 @@ def mode_text(heartbeat: events.HeartbeatReceived) -> str:
 def vehicle_refusal(vehicle_class: VehicleClass, autopilot: Autopilot) -> str | None:
     """Return why this class, or autopilot, is not supported, in words; None: it is."""
     if not vehicle_class.is_flown:
-        return f"only multicopters are flown: this is a {vehicle_class.value}"
+        name = vehicle_class.value
+        article = "an" if name[0] in "aeiou" else "a"
+        return f"only multicopters are flown: this is {article} {name}"
     if autopilot is Autopilot.OTHER:
         return "only PX4 and ArduPilot are flown: this is another autopilot"
     return None

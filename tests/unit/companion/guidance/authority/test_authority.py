@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState
+from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState, VehicleClass
 from companion.guidance.commands import Arm, SendSetpoint, SetMode, TakeOff
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
@@ -25,6 +25,7 @@ from companion.guidance.events import (
     ThrottleReported,
 )
 from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.flight.vehicle import vehicle_refusal
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
@@ -84,6 +85,15 @@ def test_an_autopilot_of_another_kind_is_named_and_never_ready() -> None:
     assert flight.phase is Phase.WAITING
     text = "no control: only PX4 and ArduPilot are flown: this is another autopilot"
     assert [each for each in flight.texts if "control" in each] == [text]
+
+
+@pytest.mark.parametrize(
+    ("vehicle_class", "name"),
+    [(VehicleClass.AIRSHIP, "an airship"), (VehicleClass.FIXED_WING, "a fixed wing")],
+)
+def test_a_class_that_is_not_flown_is_named(vehicle_class: VehicleClass, name: str) -> None:
+    text = vehicle_refusal(vehicle_class, Autopilot.PX4)
+    assert text == f"only multicopters are flown: this is {name}"
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
