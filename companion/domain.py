@@ -62,9 +62,14 @@ class ArrayDirection:
     """The direction cosine along the second axis; None: not measured."""
 
 
+POWER_LIMITS_DBM = (-174.0, 20.0)
+"""Received powers that a radio can measure: from the thermal noise of 1 Hz at 290 K to the upper
+end of an RSSI of Bluetooth (Core Specification, HCI Read RSSI, where 127 is "not available")."""
+
+
 @dataclass(frozen=True, slots=True)
 class RangingMeasurement:
-    """One answer of an emitter: slant range, bearing, or both."""
+    """One answer of an emitter: slant range, bearing, received power, or several of them."""
 
     emitter_id: int
     measured_at_s: float
@@ -80,6 +85,8 @@ class RangingMeasurement:
     elevation_rad: float | None = None
     """Positive above the horizon of the sensor."""
     elevation_sigma_rad: float | None = None
+    power_dbm: float | None = None
+    """Received power, dBm; 0 is a measured milliwatt."""
     is_array_angle: bool = False
     """True if the angles are those of a line or two-axis array, in the frame of its antenna: the
     bearing is the arcsine of the direction's component to the right, the elevation of that

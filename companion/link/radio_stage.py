@@ -23,7 +23,14 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from companion.domain import NonNegative, Params, Positive, RangingMeasurement, Signed
+from companion.domain import (
+    POWER_LIMITS_DBM,
+    NonNegative,
+    Params,
+    Positive,
+    RangingMeasurement,
+    Signed,
+)
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.ranging_rates import RATE_MAX_HZ
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
@@ -370,8 +377,8 @@ class RadioStage:
         self, emitter_id: int, time_s: float, reading: RadioReading
     ) -> RangingMeasurement | None:
         range_m, bearing_rad = self._range_m(reading), self._bearing_rad(reading)
-        elevation_rad = self._elevation_rad(reading)
-        if range_m is None and bearing_rad is None and elevation_rad is None:
+        elevation_rad, power_dbm = self._elevation_rad(reading), self._power_dbm(reading)
+        if (range_m, bearing_rad, elevation_rad, power_dbm) == (None,) * 4:
             return None
         settings, device_s = self.setup.settings, reading.device_time_s
         factor = self._sigma_factor(reading.quality)
@@ -394,6 +401,7 @@ class RadioStage:
             else _times(
                 factor, _said_or(reading.elevation_sigma_rad, settings.elevation_sigma_deg)
             ),
+            power_dbm=power_dbm,
             is_array_angle=reading.frame is AngleFrame.ARRAY,
             quality=reading.quality,
             line_of_sight=reading.line_of_sight,
@@ -457,6 +465,13 @@ class RadioStage:
             self._refuse("elevation is no angle in radians")
             return None
         return self.setup.settings.elevation_sign * said_rad
+
+    def _power_dbm(self, reading: RadioReading) -> float | None:
+        power_dbm, (least_dbm, most_dbm) = reading.power_dbm, POWER_LIMITS_DBM
+        if power_dbm is None or least_dbm <= power_dbm <= most_dbm:
+            return power_dbm
+        self._refuse(f"power is not within {least_dbm:g} to {most_dbm:g} dBm")
+        return None
 
     def _sigma_factor(self, quality: float | None) -> float:
         """Return the factor of the last pair whose quality is reached, or the first one's."""

@@ -173,6 +173,7 @@ def _from_radio_ranging(
         bearing_sigma_rad=_or_none(message.bearing_std),
         elevation_rad=_or_none(message.elevation),
         elevation_sigma_rad=_or_none(message.elevation_std),
+        power_dbm=_or_none(message.power) or None,  # 0: the sender has no such field
         is_array_angle=bool(flags & RangingFlag.ARRAY_ANGLE),
         quality=None if message.quality == UINT8_MAX else message.quality / 100.0,
         line_of_sight=line_of_sight,

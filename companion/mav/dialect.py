@@ -130,15 +130,20 @@ class MAVLink_radio_ranging_message(
     DeclaredMessage,
     number=45010,
     crc_extra=164,
+    extensions=1,
     instance_field="emitter_id",
     units={
         "time_usec": "us",
         **dict.fromkeys(("range", "range_std"), "m"),
         **dict.fromkeys(("bearing", "bearing_std", "elevation", "elevation_std"), "rad"),
         "quality": "%",
+        "power": "dBm",
     },
 ):
-    """Response of a radio emitter: slant range, bearing, or both; NaN: not measured."""
+    """Response of a radio emitter: slant range, bearing, received power; NaN: not measured.
+
+    The power is an extension: 0 from a sender that does not have it.
+    """
 
     time_usec: Uint64
     range: Float
@@ -150,6 +155,7 @@ class MAVLink_radio_ranging_message(
     emitter_id: Uint16
     quality: Uint8
     flags: Uint8
+    power: Float = 0.0
 
 
 INT32_UNKNOWN = 0x7FFFFFFF

@@ -29,6 +29,11 @@ CORE_LENGTH = 67
 """Payload length of TARGET_ESTIMATE without its extensions."""
 
 
+ZERO_DBM = 1e-3
+"""Value of RADIO_RANGING.power for a measured 0 dBm, because 0 is a missing extension: a thousandth
+of the step in which radios measure power."""
+
+
 def message_from_ranging(measurement: RangingMeasurement, time_usec: int) -> Message:
     """Return the RADIO_RANGING of a measurement; `time_usec` is the sender's clock at its time."""
     flags = RangingFlag(0)
@@ -57,6 +62,7 @@ def message_from_ranging(measurement: RangingMeasurement, time_usec: int) -> Mes
         measurement.emitter_id,
         quality,
         int(flags),
+        0.0 if measurement.power_dbm is None else measurement.power_dbm or ZERO_DBM,
     )
 
 

@@ -64,6 +64,9 @@ class EmitterView:
             )
         if newest.elevation_rad is not None:
             parts.append(f"elevation {math.degrees(newest.elevation_rad):+6.1f} deg")
+        if newest.power_dbm is not None:
+            scatter = scatter_of([m.power_dbm for _, m in self._kept])
+            parts.append(f"power {newest.power_dbm:6.1f} dBm{_sigma(scatter, None)}")
         if newest.quality is not None:
             parts.append(f"quality {100.0 * newest.quality:.0f}")
         if newest.line_of_sight is not None:

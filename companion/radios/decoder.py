@@ -61,6 +61,8 @@ class RadioReading:
     azimuth_sigma_rad: float | None = None
     elevation_rad: float | None = None
     elevation_sigma_rad: float | None = None
+    power_dbm: float | None = None
+    """Received power, dBm."""
     frame: AngleFrame = AngleFrame.DEVICE
     quality: float | None = None
     """0 (worst) to 1 (best)."""

@@ -1,7 +1,8 @@
 """RADIO_RANGING as JSON, one object a line, for any radio with a program to print it.
 
-Names and units are those of the message (docs/wire.md): metres, radians, microseconds. Absent or
-null values were not measured. Unknown keys are ignored, so a line may carry more for its log.
+Names and units are those of the message (docs/wire.md): metres, radians, microseconds; received
+power is `power_dbm`. Absent or null values were not measured. Unknown keys are ignored, so a line
+may carry more for its log.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class Line(msgspec.Struct, frozen=True):
     bearing_std: NonNegative | None = None
     elevation: float | None = None
     elevation_std: NonNegative | None = None
+    power_dbm: float | None = None
     quality: Annotated[int, msgspec.Meta(ge=0, le=100)] | None = None
     body_frame: bool | None = None
     array_angle: bool | None = None
@@ -72,6 +74,7 @@ RULES = {
     "bearing_std": "bearing_std must be a number of radians, not negative",
     "elevation": "elevation must be a number of radians",
     "elevation_std": "elevation_std must be a number of radians, not negative",
+    "power_dbm": "power_dbm must be a number of dBm",
     "quality": "quality must be a whole number from 0 to 100",
     "body_frame": "body_frame must be true or false",
     "array_angle": "array_angle must be true or false",
@@ -119,8 +122,8 @@ class NdjsonDecoder(LineDecoder):
             return f"key `{foreign}` is of another format: companion radio list"
         if any(given not in (msgspec.UNSET, "m") for given in (line.unit, line.units)):
             return "key `unit` is not m: range is in metres"
-        if line.range is None and line.bearing is None and line.elevation is None:
-            return POWER_ONLY if is_power_only(text) else "no range, bearing or elevation"
+        if (line.range, line.bearing, line.elevation, line.power_dbm) == (None,) * 4:
+            return POWER_ONLY if is_power_only(text) else "no range, bearing, elevation or power"
         names = ("bearing", "elevation", "bearing_std", "elevation_std")
         bounds = (MOST_BEARING_RAD, MOST_ELEVATION_RAD, MOST_BEARING_RAD, MOST_BEARING_RAD)
         for name, most_rad in zip(names, bounds, strict=True):
@@ -166,6 +169,7 @@ def _reading_of(line: Line) -> RadioReading:
         azimuth_sigma_rad=line.bearing_std,
         elevation_rad=line.elevation,
         elevation_sigma_rad=line.elevation_std,
+        power_dbm=line.power_dbm,
         frame=frame,
         quality=None if line.quality is None else line.quality / 100.0,
         line_of_sight=line.line_of_sight,
@@ -176,7 +180,7 @@ NDJSON = RadioKind(
     name="ndjson",
     decoder=NdjsonDecoder,
     title="Any radio, by a program that prints JSON lines",
-    gives="range, bearing, elevation",
+    gives="range, bearing, elevation, power",
     emitter="whatever that radio looks for",
     transport="udp",
 )

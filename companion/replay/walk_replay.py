@@ -1,9 +1,9 @@
 """`companion replay`: the flying estimator, fed from a recorded ranging walk.
 
 A CSV file has a row per answer of an emitter, with the columns `t_s`, `agent_x_m`, `agent_y_m`,
-`target_id`, and at least one of `range_m`, `bearing_rad` and `elevation_rad` (an empty cell means
-"not measured"). x is east, y is north, a bearing is counter-clockwise from east. Optional are
-`agent_z_m`, `own_sigma_m` (standard deviation per axis of the agent's position),
+`target_id`, and at least one of `range_m`, `bearing_rad`, `elevation_rad` and `power_dbm` (an empty
+cell means "not measured"). x is east, y is north, a bearing is counter-clockwise from east.
+Optional are `agent_z_m`, `own_sigma_m` (standard deviation per axis of the agent's position),
 `own_yaw_sigma_rad` (of the yaw that the bearings were turned by), and `target_x_m` and
 `target_y_m`, which only serve to compute the error of the estimate. Values for a whole walk may
 stand in the JSON object beside it (`walk.json` of `walk.csv`) under the same two names.
@@ -35,7 +35,7 @@ from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.sandwich import Observability
 
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
-MEASURED = ("range_m", "bearing_rad", "elevation_rad")
+MEASURED = ("range_m", "bearing_rad", "elevation_rad", "power_dbm")
 PROGRESS_ROWS = 2000
 FARTHEST_M = 4e7
 """The Earth is 40,000 km around."""
@@ -234,6 +234,7 @@ def _walk_row(
             range_m=_number(row, "range_m", place),
             bearing_enu_rad=_bearing(row, place),
             elevation_rad=_number(row, "elevation_rad", place),
+            power_dbm=_number(row, "power_dbm", place),
         ),
         agent_enu_m=(east, north, up),
         truth_enu_m=truth,

@@ -33,6 +33,7 @@ def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
         "bearing_std": None if bearing_rad is None else heard.bearing_sigma_rad,
         "elevation": heard.elevation_rad,
         "elevation_std": None if heard.elevation_rad is None else heard.elevation_sigma_rad,
+        "power_dbm": heard.power_dbm,
         "quality": None if heard.quality is None else round(100.0 * heard.quality),
         "body_frame": True if heard.bearing_body_rad is not None else None,
         "array_angle": heard.is_array_angle or None,

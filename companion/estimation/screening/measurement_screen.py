@@ -113,7 +113,7 @@ def identity_of(measurement: RangingMeasurement) -> Hashable:
     m = measurement
     bearing_rad = m.bearing_enu_rad if m.bearing_body_rad is None else m.bearing_body_rad
     stamp = m.measured_at_s if m.stamp_us is None else m.stamp_us
-    return (stamp, m.range_m, bearing_rad, m.elevation_rad)
+    return (stamp, m.range_m, bearing_rad, m.elevation_rad, m.power_dbm)
 
 
 class Objection(Enum):

@@ -145,6 +145,19 @@ def test_the_angles_of_an_array_are_mirrored_but_never_turned() -> None:
     assert sum(turned.all_refused.values()) == 1
 
 
+@pytest.mark.parametrize("said_dbm", [127.0, 61.0, -200.0, math.nan])
+def test_a_power_that_is_none_is_refused_and_the_range_beside_it_kept(said_dbm: float) -> None:
+    stage = stage_of()
+    measurement = one(stage, replace(READING, power_dbm=said_dbm))
+    assert (measurement.range_m, measurement.power_dbm) == (42.0, None)
+    assert stage.all_refused == {"power is not within -174 to 20 dBm": 1}
+    assert measured(stage, RadioReading(emitter=7, power_dbm=said_dbm)) == []
+
+
+def test_a_power_alone_passes() -> None:
+    assert one(stage_of(), RadioReading(emitter=7, power_dbm=-71.0)).power_dbm == -71.0
+
+
 def test_half_of_a_reading_is_kept_where_the_other_half_is_refused() -> None:
     stage = stage_of(field_of_view_deg=120.0, range_max_m=100.0)
     behind = replace(READING, azimuth_rad=2.0)

@@ -49,6 +49,7 @@ def measurements(draw: st.DrawFn) -> RangingMeasurement:
         bearing_sigma_rad=draw(_maybe(_sigmas)),
         elevation_rad=draw(_maybe(_angles)),
         elevation_sigma_rad=draw(_maybe(_sigmas)),
+        power_dbm=draw(_maybe(st.floats(-174.0, -0.5, width=32))),
         is_array_angle=is_body and draw(st.booleans()),
         quality=draw(_maybe(st.integers(0, 100).map(lambda percent: percent / 100.0))),
         line_of_sight=draw(st.sampled_from([None, True, False])),
@@ -68,6 +69,25 @@ def test_a_measurement_survives_the_wire(sent: RangingMeasurement) -> None:
             assert abs(wrap_pi(after - before)) < 1e-6
         else:
             assert after == before, name
+
+
+@pytest.mark.parametrize("sent_dbm", [0.0, -0.0])
+def test_a_measured_milliwatt_is_no_missing_extension(sent_dbm: float) -> None:
+    sent = RangingMeasurement(emitter_id=1, measured_at_s=0.0, power_dbm=sent_dbm)
+    received = ranging_from_message(over_the_wire(message_from_ranging(sent, 0)), 0.0)
+    assert received is not None
+    assert received.power_dbm == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("power", [None, 0.0, math.nan])
+def test_a_sender_without_power_measured_none(power: float | None) -> None:
+    old = (1, 42.5, 1.5, math.nan, math.nan, math.nan, math.nan, 7, 255, 0)
+    message = MAVLink_radio_ranging_message(*old, *(() if power is None else (power,)))
+    frame = MavCodec(1, 158).encode(message)
+    assert power is math.nan or len(frame) <= 12 + 36
+    received = ranging_from_message(over_the_wire(message), 0.0)
+    assert received is not None
+    assert (received.range_m, received.power_dbm) == (42.5, None)
 
 
 def test_a_bearing_is_clockwise_from_north_on_the_wire() -> None:

@@ -48,6 +48,14 @@ def test_the_lines_of_the_reference_are_read() -> None:
     assert NdjsonDecoder().feed(RANGE + BEARING + BOTH, 0.0) == READINGS
 
 
+@pytest.mark.parametrize("power_dbm", [-71.5, 0])
+def test_a_received_power_is_enough(power_dbm: float) -> None:
+    line = f'{{"emitter_id":7,"power_dbm":{power_dbm}}}\n'
+    assert NdjsonDecoder().feed(line.encode(), 0.0) == [
+        RadioReading(emitter=7, power_dbm=power_dbm, frame=AngleFrame.NORTH)
+    ]
+
+
 @pytest.mark.parametrize("body_frame", ["true", "false", "null"])
 def test_what_an_array_prints_is_said_to_be_an_arcsine_and_so_is_of_its_own_frame(
     body_frame: str,
@@ -81,8 +89,8 @@ def test_separators_comments_blank_lines_and_crlf_are_no_matter() -> None:
         (b'{"emitter_id":7,"x":' + b"[" * 4000, "not JSON"),
         (b'{"emitter_id":"\xff","range":1.0}', "not UTF-8"),
         (b"[7, 1.0]", "not a JSON object"),
-        (b'{"emitter_id":7}', "no range, bearing or elevation"),
-        (b'{"emitter_id":7,"range":null}', "no range, bearing or elevation"),
+        (b'{"emitter_id":7}', "no range, bearing, elevation or power"),
+        (b'{"emitter_id":7,"range":null}', "no range, bearing, elevation or power"),
         (b'{"emitter_id":7,"range":1e999}', "range must be a number of metres"),
         (b'{"emitter_id":7,"range":"12"}', "range must be a number of metres"),
         (
