@@ -54,7 +54,9 @@ from companion.planning.crossing import LatchedCrossing, SensorGeometry
 from companion.planning.fim import FimParams, FimPlanner
 from companion.planning.planner import Planner
 from companion.planning.search import SearchPlanner, SearchThenCross
+from companion.planning.search_probability import ProbabilityPlanner
 from companion.planning.views import Antenna
+from companion.search.outlook import LegTable
 from companion.search.search_site import SearchSite
 
 ROWS: dict[AntennaKind, int] = {"auto": 0, "azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}
@@ -66,7 +68,12 @@ def build_planner(config: CompanionConfig) -> Planner[Any]:
     planner = config.planner
     if planner.search is None:
         return _crossing(config)
-    search = SearchPlanner(planner.pattern.params(planner.search))
+    pattern = planner.pattern.params(planner.search)
+    detection = config.search.detection
+    search = SearchPlanner(pattern)
+    if planner.search == "probability" and detection is not None:
+        table = LegTable(detection, config.mission.altitude_m, config.limits.speed_mps)
+        search = ProbabilityPlanner(pattern, table)
     if planner.kind == "survey":
         return search
     return SearchThenCross(search, _crossing(config), planner.lost_after_s)
@@ -121,7 +128,11 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",
         fence_plan=config.limits.fence_plan(),
-        searching=Searching(config.search, search_site(config)),
+        searching=Searching(
+            config.search,
+            search_site(config),
+            is_planned=config.planner.search == "probability",
+        ),
     )
 
 

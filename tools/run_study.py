@@ -62,6 +62,8 @@ def main() -> int:
         check_folder(out)
         if arguments.study == AREA:
             return run_area(arguments, out)
+        if arguments.study == SEARCH:
+            return run_search(arguments, out)
         studies = studies_of(arguments.study, STUDIES)
         if studies[0].flights is not None:
             return run_flights(studies[0], arguments, out)
@@ -89,7 +91,7 @@ def parsed() -> argparse.Namespace:
     """Return the parsed command line."""
     parser = OneLineParser(description=__doc__)
     parser.add_argument(
-        "study", metavar="STUDY", help="a name in configs/studies, a YAML file, or area"
+        "study", metavar="STUDY", help="a name in configs/studies, a YAML file, area or search"
     )
     parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
     parser.add_argument("--seed", type=non_negative, default=1)
@@ -169,6 +171,28 @@ def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path
         result = StudyResult(study, runs, seed, ())
         write_page(out, [Section(result, (drawing_of(flown),), tuple(tables_of(rows)))], rows)
     say(f"{out}: flights.csv, flights.json, results.csv, results.md, report.html")
+
+
+SEARCH, SEARCH_FLIGHTS = "search", 100
+
+
+def run_search(arguments: argparse.Namespace, out: Path) -> int:
+    """Fly searches by several planners in the same worlds."""
+    from tools.study.search_planners import SearchTimes, fly_planners, table_of
+
+    runs = arguments.runs or SEARCH_FLIGHTS
+    flown: dict[int, list[SearchTimes]] = {}
+    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
+        for number, times in pool.results(partial(fly_planners, seed=arguments.seed), range(runs)):
+            flown[number] = times
+            on_done(1.0)
+    make_folder(out)
+    table, is_met = table_of([each for number in sorted(flown) for each in flown[number]])
+    write_text_atomic(out / "planners.txt", table)
+    print(table, end="")
+    if not is_met:
+        print("run_study: the planner `probability` exceeds a limit", file=sys.stderr)
+    return 0 if is_met else 1
 
 
 AREA, AREA_FLIGHTS = "area", 2000

@@ -182,7 +182,7 @@ class ProcessConfig(Params, frozen=True):
     restored; null: none is saved."""
 
 
-PatternKind = Literal["lawnmower", "expanding_square", "sector"]
+PatternKind = Literal["lawnmower", "expanding_square", "sector", "probability"]
 
 
 class PatternConfig(Params, frozen=True):
@@ -206,8 +206,11 @@ class PatternConfig(Params, frozen=True):
         self.params("lawnmower")
 
     def params(self, kind: PatternKind) -> SearchParams:
-        """Return the parameters of a pattern; `ValueError` if its layout is impossible."""
-        if kind == "lawnmower":
+        """Return the parameters of a pattern; `ValueError` if its layout is impossible.
+
+        That of `probability` is the one flown where the map is even.
+        """
+        if kind in ("lawnmower", "probability"):
             return LawnmowerParams(
                 spacing_m=self.spacing_m,
                 area_enu_m=self.area_enu_m,
@@ -232,7 +235,8 @@ class PlannerConfig(Params, frozen=True):
     kind: CrossingKind | Literal["survey"] = "latched_crossing"
     """Flown during contact; `survey`: the pattern goes on whatever is heard."""
     search: PatternKind | None = None
-    """Pattern while there is no contact; null: hold."""
+    """Pattern while there is no contact; null: hold. `probability`: lanes where the chance that is
+    left is best."""
     pattern: PatternConfig = PatternConfig()
     lost_after_s: Positive = 20.0
     """Without a usable measurement for this long, the search goes on."""
@@ -365,6 +369,8 @@ def inconsistency(config: CompanionConfig) -> str | None:
         )
     if (twice := _mounted_twice(config)) is not None:
         return twice
+    if config.planner.search == "probability" and config.search.detection is None:
+        return "$.planner.search: probability flies by the map of $.search.detection; describe it"
     if not _has_lanes(config):
         return "$.planner.pattern.area_enu_m: nothing of it is left by $.limits"
     own_r95_m = 2.45 * config.estimation.filter.own_position_sigma_m
@@ -384,7 +390,7 @@ def inconsistency(config: CompanionConfig) -> str | None:
 def _has_lanes(config: CompanionConfig) -> bool:
     """Return False if the lawnmower is used and has no lanes."""
     planner, limits = config.planner, config.limits
-    if planner.search != "lawnmower" or not limits.is_fence_local:
+    if planner.search not in ("lawnmower", "probability") or not limits.is_fence_local:
         return True
     request = PlanRequest(
         limits.fence_enu_m[0],
@@ -393,5 +399,5 @@ def _has_lanes(config: CompanionConfig) -> bool:
         limits.fence_margin_m,
         keep_out_enu_m=limits.keep_out_enu_m,
     )
-    lawnmower = planner.pattern.params(planner.search)
+    lawnmower = planner.pattern.params("lawnmower")
     return bool(lawnmower.track(request, limits.fence_enu_m[0], 0))

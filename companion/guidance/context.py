@@ -123,13 +123,13 @@ class SessionContext:
         self.emitters = emitters
         self.guard = guard
         self.vehicle = VehicleView(needs_origin=needs_origin)
-        self.flight_plan = FlightPlan(planner, guard, emitters, params.altitude_m)
+        self.searching = searching or Searching()
+        self.flight_plan = FlightPlan(planner, guard, emitters, self.searching, params.altitude_m)
         self.fencing = fencing
         self.steering = Steering(guard, params.altitude_m)
         self.authority = Authority()
         self.containment = Containment()
         self.passing = PassingHold()
-        self.searching = searching or Searching()
         self.estimate: TargetEstimate | None = None
         self.states = StateMessages()
         """States of the estimate, as announced."""

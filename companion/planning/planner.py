@@ -18,6 +18,7 @@ from companion.geometry.obstacles import FreeSpace, between
 from companion.geometry.polygons import Point, Polygon, deepest_point, depth_m
 from companion.geometry.visibility import WayFinder
 from companion.kernel import Matrix
+from companion.search.outlook import Outlook
 
 Memory = TypeVar("Memory")
 
@@ -44,6 +45,11 @@ class PlanRequest:
     """Further polygons that they stay inside of, by the same margin."""
     leg_from_enu_m: Point | None = None
     """Start of the leg to the waypoint, if not the vehicle: the setpoint moves ahead."""
+    home_enu_m: Point | None = None
+    range_left_m: float = math.inf
+    """Distance that the charge above the reserve lasts, the way home included."""
+    outlook: Outlook | None = field(default=None, compare=False)
+    """Chance that is left in the search area; None: unknown, or there was contact."""
     time_s: float = 0.0
     contact_s: float | None = None
     """Time of the last usable measurement; None: unknown, and an estimate counts as fresh."""

@@ -17,9 +17,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from companion.geometry.obstacles import FreeSpace
 from companion.geometry.polygons import Point, Polygon, edges
 
+Floats = NDArray[np.float64]
 LEAST_LEG_M = 0.5
 """Length below which the rest of a leg is dropped."""
 
@@ -84,10 +88,43 @@ def parallel_track(
     rows: list[Track] = []
     for index in range(count):
         offset_m = low_m + (index + 0.5) * width_m / count
-        east_m, north_m = offset_m * aside[0], offset_m * aside[1]
-        ends = ((m * along[0] + east_m, m * along[1] + north_m) for m in (min(reach), max(reach)))
+        ends = (_at(along, m, aside, offset_m) for m in (min(reach), max(reach)))
         rows.append(clipped([Leg(*ends)], spaces))
     return _joined(_cells(rows, along), entry_enu_m)
+
+
+def lanes_over(
+    centres_enu_m: Floats,
+    cell_m: float,
+    spacing_m: float,
+    heading_rad: float,
+    spaces: Sequence[FreeSpace],
+    entry_enu_m: Point,
+) -> Track:
+    """Return lanes over square cells, (n, 2), as `parallel_track` does over a polygon."""
+    along = _unit(heading_rad)
+    aside = (-along[1], along[0])
+    half_m = 0.5 * cell_m * (abs(along[0]) + abs(along[1]))
+    reach, across = centres_enu_m @ np.array(along), centres_enu_m @ np.array(aside)
+    low_m = float(across.min()) - half_m
+    width_m = float(across.max()) + half_m - low_m
+    count = max(1, math.ceil(width_m / spacing_m - 1e-9))
+    lane_of = np.clip((across - low_m) / width_m * count, 0, count - 1).astype(int)
+    rows: list[Track] = []
+    for index in range(count):
+        offset_m = low_m + (index + 0.5) * width_m / count
+        places = np.sort(reach[lane_of == index])
+        cuts = np.flatnonzero(np.diff(places) > 2.0 * max(cell_m, spacing_m)) + 1
+        ends = [
+            (float(p[0]) - half_m, float(p[-1]) + half_m) for p in np.split(places, cuts) if len(p)
+        ]
+        legs = [Leg(*(_at(along, m, aside, offset_m) for m in pair)) for pair in ends]
+        rows.append(clipped(legs, spaces))
+    return _joined(_cells(rows, along), entry_enu_m)
+
+
+def _at(along: Point, along_m: float, aside: Point, aside_m: float) -> Point:
+    return along_m * along[0] + aside_m * aside[0], along_m * along[1] + aside_m * aside[1]
 
 
 def expanding_square(

@@ -133,7 +133,7 @@ class Gap:
 
 def gaps_of(state: SearchState) -> list[Gap]:
     """Return the gaps that are worth a word, that with the greatest chance first."""
-    found = [_gap(state, cells) for cells in _pieces(state.grid, state.pod < GAP_POD)]
+    found = [_gap(state, cells) for cells in pieces_of(state.grid, state.pod < GAP_POD)]
     worthy = [gap for gap in found if gap.poa >= LEAST_GAP_SHARE]
     return sorted(worthy, key=lambda gap: -gap.poa)[:MOST_GAPS]
 
@@ -143,23 +143,19 @@ def _gap(state: SearchState, cells: Bools) -> Gap:
     return Gap(name, float(cells.mean()), float(state.grid.poa[cells].sum()), cells)
 
 
-def _pieces(grid: SearchGrid, wanted: Bools) -> Iterator[Bools]:
+def pieces_of(grid: SearchGrid, wanted: Bools) -> Iterator[Bools]:
     """Groups of cells that share sides."""
-    number = np.full(grid.inside.shape, -1)
-    most_rows, most_columns = grid.inside.shape
-    number[grid.inside] = np.arange(len(wanted))
+    padded = np.pad(grid.inside, 1)
+    width, where = padded.shape[1], np.flatnonzero(padded).tolist()
+    number = np.where(padded, np.cumsum(padded).reshape(padded.shape) - 1, -1).ravel().tolist()
     left = set(np.flatnonzero(wanted).tolist())
-    where = np.argwhere(grid.inside)
     while left:
         begin = left.pop()
         group, queue = [begin], deque([begin])
         while queue:
-            row, column = where[queue.popleft()]
-            for rows, columns in LEFT_TO_RIGHT:
-                r, c = row + rows, column + columns
-                if not (0 <= r < most_rows and 0 <= c < most_columns):
-                    continue
-                beside = int(number[r, c])
+            here = where[queue.popleft()]
+            for to in (1, width, -1, -width):
+                beside = number[here + to]
                 if beside in left:
                     left.remove(beside)
                     group.append(beside)

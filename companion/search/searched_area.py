@@ -140,6 +140,11 @@ class SearchedArea:
         looks = [look for place in self._places.values() for look in place.looks.values()]
         return looks if self._pending is None else [*looks, self._pending]
 
+    @property
+    def squares(self) -> Iterable[Square]:
+        """Squares of the shadowing's correlation length that were listened from."""
+        return self._places.keys()
+
     def advance(self) -> bool:
         """Do one piece of the work that waits; False: there is none."""
         if not self._work:

@@ -32,7 +32,10 @@ from companion.planning.search import (
     SearchThenCross,
     SectorParams,
 )
+from companion.planning.search_probability import ProbabilityPlanner
 from companion.planning.views import Antenna
+from companion.search.detection_model import DetectionModel
+from companion.search.outlook import LegTable
 from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
 
 HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
@@ -57,7 +60,13 @@ CROSSING: dict[str, Planner[Any]] = as_configured(CrossingKind) | {
     "fim, by the antenna": FimPlanner(FimParams(), antenna=DOWN),
     "fim, printed": FimPlanner(FimParams(near_target_terms=False), 0.5, 0.01),
 }
-SEARCHING: dict[str, Planner[Any]] = as_configured(PatternKind) | {
+SEARCHING: dict[str, Planner[Any]] = {
+    kind: build_planner(CompanionConfig(planner=PlannerConfig(kind="survey", search=kind)))
+    for kind in get_args(PatternKind)
+} | {
+    "probability, without a map": ProbabilityPlanner(
+        LawnmowerParams(), LegTable(DetectionModel(reach_m=40.0), 20.0, 5.0)
+    ),
     "lawnmower, hook": SearchPlanner(
         LawnmowerParams(area_enu_m=HOOK, lane_heading_deg=30.0, start_corner="north_east")
     ),

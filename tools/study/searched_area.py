@@ -172,7 +172,7 @@ def walls_crossed(buildings: Iterable[Building], emitters: Array, track: Array) 
 def are_heard(
     world: World, emitters: Array, track: Array, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Return (emitters,) True for emitters that are heard at least once along the track."""
+    """Return (emitters, points) True where an emitter is heard along the track."""
     shape = len(emitters), len(track)
     apart = emitters[:, None, :] - track[None, :, :2]
     distance_m = np.sqrt((apart**2).sum(axis=2) + track[:, 2] ** 2)
@@ -188,7 +188,7 @@ def are_heard(
     if world.buildings:
         margin_db -= walls_crossed(world.buildings, emitters, track)
     is_awake = rng.random(shape) < world.duty_cycle
-    heard: NDArray[np.bool_] = ((margin_db > 0.0) & is_awake).any(axis=1)
+    heard: NDArray[np.bool_] = (margin_db > 0.0) & is_awake
     return heard
 
 
@@ -245,9 +245,9 @@ def fly(number: int, seed: int) -> list[Trial]:
         )
     )
     places = grid.centres_enu_m[cells] + rng.uniform(-0.5, 0.5, (EMITTERS, 2)) * grid.cell_m
-    heard = are_heard(world, places, track, rng)
+    heard = [bool(row.any()) for row in are_heard(world, places, track, rng)]
     return [
-        Trial(number, world.kind, float(state.pod[cell]), state.pos, index == 0, bool(is_heard))
+        Trial(number, world.kind, float(state.pod[cell]), state.pos, index == 0, is_heard)
         for index, (cell, is_heard) in enumerate(zip(cells, heard, strict=True))
     ]
 

@@ -15,11 +15,13 @@ from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
 from companion.guidance.commands import Announce, Command, Severity, Topic
+from companion.guidance.flight.searching import Searching
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner, PlanRequest
 from companion.planning.search import SearchMemory
+from companion.search.outlook import Outlook
 
 PLAN_PERIOD_S = 0.2
 """Longest age of a plan, with or without a measurement: the vehicle moves."""
@@ -31,11 +33,17 @@ class FlightPlan:
     """The planner with its memory, and its current waypoint."""
 
     def __init__(
-        self, planner: Planner[Any], guard: Guard, emitters: EmitterQueue, altitude_m: float
+        self,
+        planner: Planner[Any],
+        guard: Guard,
+        emitters: EmitterQueue,
+        searching: Searching,
+        altitude_m: float,
     ) -> None:
         self._planner = planner
         self._guard = guard
         self._emitters = emitters
+        self._searching = searching
         self._altitude_m = altitude_m
         self._announced_outside_s = -math.inf
         self.forget()
@@ -95,6 +103,9 @@ class FlightPlan:
             yaw_enu_rad=None if yaw is None else bearing_enu_from_ned(yaw[1]),
             leg_from_enu_m=None if setpoint_enu_m is None else setpoint_enu_m[:2],
             altitude_offset_m=None if height_m is None else height_m - self._altitude_m,
+            home_enu_m=None if vehicle.home_enu_m is None else vehicle.home_enu_m[:2],
+            range_left_m=self._range_left_m(vehicle),
+            outlook=self._outlook(now_s, vehicle, estimate),
         )
         plan = self._planner.plan(request, self._memory)
         self.waypoint, self._memory = plan.waypoint, plan.memory
@@ -104,6 +115,20 @@ class FlightPlan:
         if previous is None or previous.detail != plan.waypoint.detail:
             commands.append(waypoint_record(plan.waypoint))
         return commands + self._target_messages(now_s, estimate)
+
+    def _range_left_m(self, vehicle: VehicleView) -> float:
+        """Return the distance that the charge lasts, without the reserve; infinite if unknown."""
+        reserve = self._guard.limits.reserve
+        if reserve is None or vehicle.battery_pct is None:
+            return math.inf
+        return reserve.reach_m(vehicle.battery_pct)
+
+    def _outlook(
+        self, now_s: float, vehicle: VehicleView, estimate: TargetEstimate | None
+    ) -> Outlook | None:
+        if not self.is_search_due(estimate, now_s):
+            return None
+        return self._searching.outlook(now_s, vehicle)
 
     def _request(
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None

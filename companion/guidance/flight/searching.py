@@ -13,6 +13,7 @@ from companion.domain import LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners
 from companion.guidance.flight.vehicle import VehicleView
+from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.search_site import SearchSite, grid_of_site
 from companion.search.searched_area import SearchedArea, SearchState, state_of
@@ -29,16 +30,22 @@ TRACK_STEP_M = 5.0
 WORTH_TELLING_S = 10.0
 """Contact sooner than this is no search."""
 STATE_EVERY_S = 2.0
-"""Time between two updates of the state for the end of the search."""
+"""Time between two updates of the state, for the end of the search and for its planner."""
 
 
 class Searching:
     """Accumulates the searched area of one flight; without a model of detection, its track."""
 
     def __init__(
-        self, params: SearchAreaParams | None = None, site: SearchSite | None = None
+        self,
+        params: SearchAreaParams | None = None,
+        site: SearchSite | None = None,
+        *,
+        is_planned: bool = False,
     ) -> None:
         self.params = params or SearchAreaParams()
+        self._is_planned = is_planned
+        """True if the planner flies by what is left."""
         self._site = site
         self._area: SearchedArea | None = None
         self._origin: LocalOrigin | None = None
@@ -47,6 +54,7 @@ class Searching:
         self._began_s: float | None = None
         self._track: list[tuple[float, float, float, float]] = []
         self._state: tuple[float, SearchState] | None = None
+        self._outlook: tuple[float, Outlook] | None = None
         self.listened_s = 0.0
         """Time in the air that counts."""
         self.ended_s = 0.0
@@ -131,6 +139,19 @@ class Searching:
         if self._state is None or now_s - self._state[0] >= STATE_EVERY_S:
             self._state = (now_s, state_of(self._area))
         return self._state[1]
+
+    def outlook(self, now_s: float, vehicle: VehicleView) -> Outlook | None:
+        """Return what is left to search, at most seconds old; None: unknown.
+
+        After contact nothing is counted, and a frame that moved is not that of the grid.
+        """
+        if self._area is None or not self._is_planned or self.contact_s is not None:
+            return None
+        if vehicle.frame != self._origin:
+            return None
+        if self._outlook is None or now_s - self._outlook[0] >= STATE_EVERY_S:
+            self._outlook = (now_s, outlook_of(self._area))
+        return self._outlook[1]
 
     def finish(self) -> None:
         """Complete all work on the cells, at the end of the flight."""
