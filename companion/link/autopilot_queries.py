@@ -32,7 +32,7 @@ from companion.guidance.flight.vehicle import LANDED_PATIENCE_S
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
 from companion.link.conversion.offered_modes import OfferedModes
-from companion.link.fence_download import FenceDownload
+from companion.link.fence_download import FenceDownload, FenceMessage
 from companion.link.fence_parameters import FenceParameters
 from companion.link.intake import RateLimit
 from companion.link.outbound import Ids, VehicleCommand
@@ -228,7 +228,8 @@ class StreamRequester:
         """Request everything again after a restart of the autopilot."""
         self._wants = [_Want(number, every_s) for number, every_s in STREAM_INTERVAL_S.items()]
         self._wants += [_Want(number, None) for number in ONE_SHOT]
-        self._next_look_s = -math.inf
+        self.next_look_s = -math.inf
+        """Time of the next check, if a request is not overdue."""
         self._had_rc = False
 
     def note_rc(self, has_rc: bool) -> None:
@@ -248,7 +249,7 @@ class StreamRequester:
         is_mode_wanted: bool = False,
     ) -> Message | None:
         """Return the next request, if any; for a HEARTBEAT first, if the mode is in doubt."""
-        if now_s < self._next_look_s and not is_mode_wanted:
+        if now_s < self.next_look_s and not is_mode_wanted:
             return None
         if self._is_heartbeat_due(now_s, is_wanted=is_mode_wanted):
             self._heartbeat_asked_s = now_s
@@ -258,7 +259,7 @@ class StreamRequester:
                 continue
             if want.look(self._freshness.stream(want.message_id), now_s):
                 return _request(want, target)
-        self._next_look_s = now_s + LOOK_PERIOD_S
+        self.next_look_s = now_s + LOOK_PERIOD_S
         return None
 
     def _is_heartbeat_due(self, now_s: float, *, is_wanted: bool) -> bool:
@@ -401,12 +402,16 @@ class AutopilotQueries:
         self._px4_check = Px4FailsafeCheck()
         self.modes = OfferedModes()
         self._asks_mode = False
+        self.next_s = -math.inf
+        """Time of the next call of `due` that may return a request: after one, the next tick."""
         self._stale: tuple[str, ...] = ()
         self._text_limit = RateLimit(TEXTS_PER_S)
         self._next_pace_text_s = -math.inf
 
     def receive(self, message: Message, now_s: float) -> list[Announce]:
         """Process a message of the autopilot; return texts for the operator."""
+        if isinstance(message, FenceMessage):
+            self.next_s = now_s  # the next item is due
         self.freshness.receive(message, now_s)
         self.clock.receive(message, now_s)
         self.modes.receive(message)
@@ -438,11 +443,13 @@ class AutopilotQueries:
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, ids) if self._asks_mode else None
         self._asks_mode = False
         time = self.clock.due(now_s, *ids)
+        quiet_until_s = min(self.clock.next_s, self._streams.next_look_s)
+        self.next_s = quiet_until_s if request is None else now_s
         return [question for question in (mode, request, time) if question is not None]
 
     def ask_mode(self) -> None:
         """Request a HEARTBEAT, once, instead of waiting for the next one."""
-        self._asks_mode = True
+        self._asks_mode, self.next_s = True, -math.inf
 
     def new_texts(self, now_s: float) -> list[Announce]:
         """Return texts that are due now on the autopilot's clock and its streams."""
@@ -481,6 +488,7 @@ class AutopilotQueries:
 
     def restart(self) -> None:
         """Start again after a restart of the autopilot, which forgets requests."""
+        self.next_s = -math.inf
         self.freshness.restart()
         self.clock.restart()
         self._streams.restart()

@@ -110,7 +110,7 @@ class AutopilotBinding:
     """The vehicle that an earlier process had, and its clock."""
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
     """Courses of the same ids at other addresses."""
-    _unproved: dict[Address | None, float] = field(default_factory=dict)
+    unproved: dict[Address | None, float] = field(default_factory=dict)
     """Addresses that may be the autopilot's now, and when they were asked for evidence."""
 
     @property
@@ -221,8 +221,8 @@ class AutopilotBinding:
 
     def take_unproved(self, now_s: float) -> list[Address | None]:
         """Return the addresses to be asked now for evidence of their vehicle."""
-        due = [at for at, asked_s in self._unproved.items() if now_s - asked_s >= PROOF_PERIOD_S]
-        self._unproved.update(dict.fromkeys(due, now_s))
+        due = [at for at, asked_s in self.unproved.items() if now_s - asked_s >= PROOF_PERIOD_S]
+        self.unproved.update(dict.fromkeys(due, now_s))
         return due
 
     # The vehicle of an earlier process
@@ -325,7 +325,7 @@ class AutopilotBinding:
         self._course, self._exchange = IdentityCourse(), IdentityCourse()
         self.hardware = HardwareId()
         self._elsewhere.clear()
-        self._unproved.clear()
+        self.unproved.clear()
 
     # The course of what is bound
 
@@ -432,7 +432,7 @@ class AutopilotBinding:
         if not is_silent:
             self._compare_senders(course, sign, peer, now_s)
         elif sign is None or self._is_possible(sign, now_s):
-            self._unproved.setdefault(peer, -PROOF_PERIOD_S)
+            self.unproved.setdefault(peer, -PROOF_PERIOD_S)
         elif course.is_steady:
             how = self._course.describe(sign, now_s)
             self._doubt(f"{self._name} at {_words(peer)} is another vehicle: {how}", now_s)
@@ -478,7 +478,7 @@ class AutopilotBinding:
         self.moves += 1
         self.hardware.ask_again()
         self._elsewhere.clear()
-        self._unproved.clear()
+        self.unproved.clear()
 
     def _compare_senders(
         self, course: IdentityCourse, sign: Sign | None, peer: Address | None, now_s: float

@@ -371,13 +371,17 @@ class CompanionEndpoint:
     # At the control tick
 
     def _ask_autopilot(self, now_s: float) -> None:
+        """Send the requests that are due; nothing is looked for while none can be."""
+        vehicle = self.session.vehicle
+        is_urgent = vehicle.mode_watch.is_in_doubt or self.session.fencing.is_urgent
+        if not (is_urgent or now_s >= self._queries.next_s or self.binding.unproved):
+            return
         given_up = self._queries.fence.check_silence(now_s)
         if given_up is not None:
             self.executor.handle(given_up, now_s)
         for peer in self.binding.take_unproved(now_s):
             for number in SIGNS:
                 self.outlet.ask_elsewhere(request_message(number, self.outlet.target_ids), peer)
-        vehicle = self.session.vehicle
         is_mode_wanted = vehicle.mode_watch.is_in_doubt and not vehicle.is_link_lost(now_s)
         for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
             self.outlet.send(question, now_s, is_droppable=True)

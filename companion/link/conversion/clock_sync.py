@@ -252,7 +252,8 @@ class ClockSync:
         """Answers that took too long to be used."""
         self.resets = 0
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
-        self._next_s = 0.0
+        self.next_s = 0.0
+        """Time of the next question."""
         self._round_trips: deque[tuple[float, float]] = deque(maxlen=MAX_ROUND_TRIPS)
         """Times of answers and their round trips, seconds."""
         self.round_trip_s: float | None = None
@@ -291,10 +292,10 @@ class ClockSync:
 
     def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
         """Return the question to send now, if any."""
-        if now_s < self._next_s:
+        if now_s < self.next_s:
             return None
         is_quick = self._used < FIRST_EXCHANGES or bool(self._deviating)
-        self._next_s = now_s + (FIRST_PERIOD_S if is_quick else PERIOD_S)
+        self.next_s = now_s + (FIRST_PERIOD_S if is_quick else PERIOD_S)
         self.asked += 1
         sent_ns = max(1, round(now_s * NS_PER_S))
         self._open.append(sent_ns)
@@ -356,7 +357,7 @@ class ClockSync:
         self._used = 0
         self._agreed_s.clear()
         self._deviating.clear()
-        self._next_s = 0.0
+        self.next_s = 0.0
 
     def _note_time(self, sent_s: float, remote_ns: int, now_s: float) -> None:
         """Check whether the clock restarted between one question and a later one."""
