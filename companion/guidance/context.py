@@ -148,11 +148,6 @@ class SessionContext:
         """True if control began or ended since commands were taken last."""
 
     @property
-    def phase(self) -> Phase:
-        """Phase of the session."""
-        return self.authority.phase
-
-    @property
     def tracker(self) -> TargetTracker:
         """Tracker of the emitter that is searched for now."""
         return self.emitters.current
@@ -173,19 +168,20 @@ class SessionContext:
         left = self.authority.enter(trigger, now_s)
         if left is None:
             return False
-        self.record("phase", old=left.value, new=self.phase.value, trigger=trigger.value)
-        if (left in IN_CONTROL) is not (self.phase in IN_CONTROL):
+        phase = self.authority.phase
+        self.record("phase", old=left.value, new=phase.value, trigger=trigger.value)
+        if (left in IN_CONTROL) is not (phase in IN_CONTROL):
             self._is_control_change = True
-        if self.phase in OUT_OF_CONTROL:
+        if phase in OUT_OF_CONTROL:
             self.withdraw()
-        if self.phase not in IN_CONTROL:
+        if phase not in IN_CONTROL:
             self._finding_messages = FindingMessages()
-        if not (left in IN_CONTROL and self.phase in STREAMING):
+        if not (left in IN_CONTROL and phase in STREAMING):
             self.steering.forget_setpoint()
         if trigger is Trigger.MODE_GIVEN:
             self.launch, self.has_launched = None, True
-        self.vehicle.keep_home(self.phase in HAS_VEHICLE)
-        if self._is_stopping and self.phase in OUT_OF_CONTROL:
+        self.vehicle.keep_home(phase in HAS_VEHICLE)
+        if self._is_stopping and phase in OUT_OF_CONTROL:
             self.enter(Trigger.STOP, now_s)
         return True
 
@@ -218,7 +214,7 @@ class SessionContext:
     def stop(self, now_s: float) -> bool:
         """Stop once the vehicle is not ours; return True if it has to be handed back first."""
         self._is_stopping = True
-        return self.enter(Trigger.STOP, now_s) and self.phase is Phase.HANDBACK
+        return self.enter(Trigger.STOP, now_s) and self.authority.phase is Phase.HANDBACK
 
     @property
     def announced_finding(self) -> Finding | None:

@@ -73,7 +73,7 @@ class Reporting:
         heard_s = context.tracker.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
         is_reportable = is_fresh and context.tracker.params.is_range_calibrated
-        flown = context.estimate if context.phase in FLYING and is_reportable else None
+        flown = context.estimate if context.authority.phase in FLYING and is_reportable else None
         head = self._head(flown, heard_s, now_s)
         if head is not None and flown is not None:
             if head is SETTLED:
@@ -90,7 +90,7 @@ class Reporting:
             self._battery.note_mission_end()
             self._report_rest(now_s)
             self._finish(self._low_battery_mode, now_s)
-        elif context.phase in FLYING and context.searching.contact_s is None:
+        elif context.authority.phase in FLYING and context.searching.contact_s is None:
             self._end_search(now_s)
 
     @property
@@ -145,7 +145,7 @@ class Reporting:
     def _is_battery_end(self, now_s: float) -> bool:
         """Return True if the battery is low and the current leg is finished."""
         context = self._context
-        if context.phase not in IN_CONTROL or not self._battery.ends_mission:
+        if context.authority.phase not in IN_CONTROL or not self._battery.ends_mission:
             self._leg = None
             return False
         if not context.vehicle.mode_watch.may_request_mode(now_s):
@@ -155,7 +155,12 @@ class Reporting:
         if self._leg is None:
             self._leg = (now_s, goal)
         began_s, begun = self._leg
-        if context.phase not in FLYING or goal is None or begun is None or vehicle is None:
+        if (
+            context.authority.phase not in FLYING
+            or goal is None
+            or begun is None
+            or vehicle is None
+        ):
             return True
         is_next = math.dist(goal, begun) > SAME_LEG_M
         is_there = math.dist(goal[:2], vehicle[:2]) <= REACHED_M
@@ -196,8 +201,8 @@ class Reporting:
         An answer may be lost, and a stall of the computer withdraws earlier requests.
         """
         context, vehicle = self._context, self._context.vehicle
-        is_left = vehicle.is_mode_known(now_s) and not vehicle.is_ours
-        if context.phase is not Phase.FINISHED or is_left:
+        is_left = vehicle.mode_watch.is_known(now_s) and not vehicle.is_ours
+        if context.authority.phase is not Phase.FINISHED or is_left:
             self._final = None
         elif now_s - asked_s >= FINAL_AGAIN_S and vehicle.mode_watch.may_request_mode(now_s):
             self._final = (mode, now_s)
@@ -252,13 +257,13 @@ class ControlTick:
         finding = self._watches.step(now_s)
         self._search(now_s)
         self._advance_phase(finding, now_s)
-        fence = self._fence_messages.record(context.guard.limits.fence)
-        if fence is not None:
-            context.record("fence", **fence)
+        if context.guard.limits.fence is not self._fence_messages.logged:
+            self._record_fence()
         position = self._track_messages.record(context.vehicle.position_enu_m)
         if position is not None:
             context.record("position", **position)
-        if context.phase in FLYING and context.flight_plan.is_due(now_s):
+        phase = context.authority.phase
+        if phase in FLYING and context.flight_plan.is_due(now_s):
             context.plan_now(now_s)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
@@ -267,25 +272,31 @@ class ControlTick:
         if is_known and now_s - self._sent_s > SILENCE_S:  # the last setpoint is safer
             context.steering.forget_setpoint()  # while the position is stale
         setpoint = self._setpoint(now_s, dt_s)
-        self._announce_stop(now_s, is_stopping=setpoint is None and not self._is_silent)
+        if phase not in IN_CONTROL:
+            self._announce_stop(now_s, is_stopping=setpoint is None and not self._is_silent)
         self._is_silent = setpoint is None
         if setpoint is None:
             return
         self._sent_s = now_s
-        if context.phase in IN_CONTROL:
-            self._announce_guard_reasons(context.steering.reasons, now_s)
+        reasons = context.steering.reasons
+        if phase in IN_CONTROL and (reasons or self._guard_messages.logged):
+            self._announce_guard_reasons(reasons, now_s)
         context.send(SendSetpoint(setpoint))
         self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
+
+    def _record_fence(self) -> None:
+        fence = self._fence_messages.record(self._context.guard.limits.fence)
+        if fence is not None:
+            self._context.record("fence", **fence)
 
     def _search(self, now_s: float) -> None:
         """Count the time in which the radio listens, until there is contact."""
         context, fence = self._context, self._context.guard.limits.fence
-        problem = context.searching.tick(
-            now_s,
-            context.vehicle,
-            None if fence is None else tuple(fence.polygon_enu_m),
-            is_heard=context.estimate is not None or context.emitters.accepted > 0,
-        )
+        is_heard = context.estimate is not None or context.emitters.accepted > 0
+        if is_heard and context.searching.contact_s is not None:
+            return
+        area = None if fence is None else tuple(fence.polygon_enu_m)
+        problem = context.searching.tick(now_s, context.vehicle, area, is_heard=is_heard)
         if problem is not None:
             context.warn(f"no searched area: {problem}")
 
@@ -293,11 +304,11 @@ class ControlTick:
         """Announce why setpoints stop, or control is unavailable, unless a finding does."""
         context, vehicle = self._context, self._context.vehicle
         missing = self._watches.inputs.missing(now_s)
-        if missing is None and context.phase is Phase.STANDBY:
+        if missing is None and context.authority.phase is Phase.STANDBY:
             missing = self._unready(now_s)
         if missing is not None:
             self._missing_s = now_s
-        if context.phase is Phase.STANDBY:
+        if context.authority.phase is Phase.STANDBY:
             is_settling = missing is None and now_s - self._missing_s < READY_AGAIN_S
             if is_settling or not context.record_finding(missing, now_s):
                 return
@@ -309,7 +320,7 @@ class ControlTick:
             if is_stopping:
                 text += "; setpoints stopped"
             context.warn(text, Topic.READINESS)
-        elif is_stopping and context.phase in UNMONITORED:
+        elif is_stopping and context.authority.phase in UNMONITORED:
             if missing is not None:
                 context.warn(f"setpoints stopped: {missing.text}")
             elif vehicle.is_ours:
@@ -333,9 +344,9 @@ class ControlTick:
     def _advance_phase(self, finding: Finding | None, now_s: float) -> None:
         """Advance the phase by the finding of the watches, if they have one that counts in it."""
         context = self._context
-        if context.phase in (Phase.WAITING, Phase.STANDBY):
+        if context.authority.phase in (Phase.WAITING, Phase.STANDBY):
             self._permit.tick(now_s)
-        match context.phase:
+        match context.authority.phase:
             case Phase.YIELD:
                 # announce "ready" as a NOTICE, which bypasses the rate limit
                 if self._handover.is_yield_over(now_s):
@@ -398,7 +409,9 @@ class ControlTick:
         before = context.announced_finding
         is_new = context.record_finding(finding, now_s)
         if finding is None:
-            if context.enter(Trigger.INPUT_BACK, now_s):
+            if context.authority.phase is not Phase.NORMAL and context.enter(
+                Trigger.INPUT_BACK, now_s
+            ):
                 context.plan_now(now_s)
             if is_new:
                 context.announce(Severity.INFO, _resumed_text(before), Topic.PLAN)
@@ -429,7 +442,7 @@ class ControlTick:
         if is_silence_due(context.authority, vehicle, context.launch, now_s):
             return None
         is_fresh = vehicle.is_position_fresh(now_s)
-        match context.phase:
+        match context.authority.phase:
             case Phase.STANDBY | Phase.LAUNCHING if vehicle.is_ours:
                 # granted before the mode was left, or an input is missing: following the vehicle
                 # would follow its drift

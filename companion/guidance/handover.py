@@ -188,7 +188,7 @@ class Handover:
         if refusal is not None:
             self.leave(refusal, now_s)
             return
-        launch = context.launch if context.phase is Phase.LAUNCHING else None
+        launch = context.launch if context.authority.phase is Phase.LAUNCHING else None
         objection = None if launch is None else launch.observe(event, context.vehicle.height_m)
         if event.is_terminated or not event.is_armed:
             if launch is None or objection is not None or event.is_terminated:
@@ -203,7 +203,7 @@ class Handover:
 
     def leave(self, why: str, now_s: float) -> None:
         """Become silent: the autopilot there is not, or no longer, the vehicle handed over."""
-        context, left = self._context, self._context.phase
+        context, left = self._context, self._context.authority.phase
         if not context.enter(Trigger.NOT_OURS, now_s):
             return
         if left is not Phase.STANDBY:  # the waiting reason says the same
@@ -217,7 +217,7 @@ class Handover:
         is_down = event.landed is LandedState.ON_GROUND and self._has_flown
         if not is_down and event.landed is not LandedState.LANDING:
             return
-        left = context.phase
+        left = context.authority.phase
         if context.enter(Trigger.LANDED, event.time_s):
             text = "on the ground" if is_down else "autopilot is landing"
             if left in (Phase.FINISHED, Phase.HANDBACK):  # by what we asked for
@@ -226,7 +226,7 @@ class Handover:
                 context.warn(f"control lost: {text}")
 
     def _note_other_mode(self, event: events.HeartbeatReceived) -> None:
-        context, left, finding = self._context, self._context.phase, self._context.finding
+        context, left, finding = self._context, self._context.authority.phase, self._context.finding
         if not context.enter(Trigger.MODE_LOST, event.time_s):
             return
         name = context.vehicle.name_of(event.mode)
@@ -250,12 +250,12 @@ class Handover:
 
     def _note_offboard(self, now_s: float) -> None:
         context = self._context
-        if not context.vehicle.is_mode_known(now_s):
+        if not context.vehicle.mode_watch.is_known(now_s):
             return  # the mode may have changed
         self._announce_ignored_mode()
         if context.vehicle.objection is not None:
             return
-        is_launched = context.phase is Phase.LAUNCHING
+        is_launched = context.authority.phase is Phase.LAUNCHING
         missing = missing_inputs(context.vehicle, context.fencing, now_s)
         self._announce_missing(missing)
         if missing and not is_launched:
@@ -278,7 +278,7 @@ class Handover:
     def _announce_missing(self, missing: list[str]) -> None:
         """Announce which inputs are missing although the mode was selected."""
         context = self._context
-        is_waiting = context.phase in (Phase.WAITING, Phase.STANDBY)
+        is_waiting = context.authority.phase in (Phase.WAITING, Phase.STANDBY)
         if missing == self._announced_missing or not is_waiting:
             return
         self._announced_missing = missing
@@ -315,13 +315,18 @@ class Handover:
     def _note_answer(self, event: events.RequestAnswered) -> None:
         context = self._context
         context.record("answer", request=event.kind.value, outcome=event.outcome.value)
-        if context.phase is Phase.LAUNCHING and context.launch is not None:
+        if context.authority.phase is Phase.LAUNCHING and context.launch is not None:
             context.launch.note_answer(event)
-        elif context.phase is Phase.HANDBACK and event.kind is events.RequestKind.SET_MODE:
+        elif (
+            context.authority.phase is Phase.HANDBACK and event.kind is events.RequestKind.SET_MODE
+        ):
             if event.outcome is not events.Outcome.ACCEPTED:
                 context.announce(Severity.ERROR, f"hand-back: {event.outcome.value}")
             context.enter(Trigger.HANDED_BACK, event.time_s)
-        elif context.phase is Phase.FINISHED and event.outcome is not events.Outcome.ACCEPTED:
+        elif (
+            context.authority.phase is Phase.FINISHED
+            and event.outcome is not events.Outcome.ACCEPTED
+        ):
             context.announce(Severity.ERROR, f"{event.kind.value}: {event.outcome.value}")
 
     def take_origin(self, event: events.OriginSet) -> None:
@@ -349,7 +354,7 @@ class Handover:
         """
         context, before = self._context, self._context.vehicle.reported_home_enu_m
         context.vehicle.handle(event)
-        if context.phase not in HAS_VEHICLE or before is None:
+        if context.authority.phase not in HAS_VEHICLE or before is None:
             return
         step_m = math.dist(before, event.position_enu_m)
         if not step_m > ORIGIN_STEP_M:

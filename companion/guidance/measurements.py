@@ -129,7 +129,7 @@ class EmitterScheduler:
     def choose(self, now_s: float) -> None:
         """Choose the current emitter, and follow."""
         context = self._context
-        context.emitters.choose(now_s, is_flying=context.phase in IN_CONTROL)
+        context.emitters.choose(now_s, is_flying=context.authority.phase in IN_CONTROL)
         self.follow(now_s)
 
     def follow(self, now_s: float) -> None:
@@ -143,14 +143,15 @@ class EmitterScheduler:
         context.states.begin(context.estimate)
         context.flight_plan.forget()
         self._inputs.note_switch(tracker.integrity.contact.agreeing_since_gap(now_s))
-        if context.phase in FLYING:
+        if context.authority.phase in FLYING:
             context.plan_now(now_s)
 
     def announce(self) -> None:
         """Announce the current emitter, once for each turn in control."""
         context, emitters = self._context, self._context.emitters
         current = emitters.current.emitter_id
-        if emitters.is_single or context.phase not in IN_CONTROL or current == self._announced:
+        is_turn = current != self._announced and not emitters.is_single
+        if not is_turn or context.authority.phase not in IN_CONTROL:
             return
         self._announced = current
         waiting = emitters.waiting
@@ -278,5 +279,5 @@ class Measuring:
             context.announce(Severity.INFO, f"{estimate.state.value}: {radii_of(estimate)}")
         context.set_estimate(estimate)
         context.send(estimate_record(report, estimate))
-        if context.phase in FLYING:
+        if context.authority.phase in FLYING:
             context.plan_now(now_s)

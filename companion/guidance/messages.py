@@ -167,8 +167,9 @@ class FindingMessages:
 
     def take(self, finding: Finding | None, now_s: float) -> bool:
         """Record the current finding, or None; return True if it has to be announced."""
-        before, reason = self.announced, _reason(finding)
-        if reason is _reason(before):
+        before = self.announced
+        reason = None if finding is None else finding.reason
+        if reason is (None if before is None else before.reason):
             self._seen_s = now_s
             return False
         since_announced_s = now_s - self._announced_s.get(reason, -math.inf)
@@ -181,10 +182,6 @@ class FindingMessages:
         self.announced, self._seen_s = finding, now_s
         self._announced_s[reason] = now_s
         return True
-
-
-def _reason(finding: Finding | None) -> Reason | None:
-    return None if finding is None else finding.reason
 
 
 def _severity(finding: Finding | None) -> int:
@@ -247,7 +244,8 @@ class GuardMessages:
 
     def __init__(self) -> None:
         self._texts = RateLimited(REPEAT_AFTER_S)
-        self._logged: tuple[GuardReason, ...] = ()
+        self.logged: tuple[GuardReason, ...] = ()
+        """Reasons in the log, as last recorded."""
         self._logged_s: float | None = None
 
     def texts(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str]:
@@ -260,9 +258,9 @@ class GuardMessages:
     def record(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str] | None:
         """Return the reasons for the log if they changed and none were logged just now."""
         is_soon = self._logged_s is not None and now_s - self._logged_s < LOGGED_EVERY_S
-        if reasons == self._logged or is_soon:
+        if reasons == self.logged or is_soon:
             return None
-        self._logged, self._logged_s = reasons, now_s
+        self.logged, self._logged_s = reasons, now_s
         return [reason.name.lower() for reason in reasons]
 
 
@@ -270,13 +268,13 @@ class FenceMessages:
     """Records changes of the guard's fence."""
 
     def __init__(self) -> None:
-        self._logged: Fence | None = None
+        self.logged: Fence | None = None
 
     def record(self, fence: Fence | None) -> dict[str, object] | None:
         """Return the fence for the log, null for none; None: it is the logged one."""
-        if fence is self._logged or fence == self._logged:
+        before, self.logged = self.logged, fence
+        if fence == before:
             return None
-        self._logged = fence
         fields: dict[str, object] = {
             "polygon_enu_m": None if fence is None else fence.polygon_enu_m,
             "keep_out_enu_m": () if fence is None else fence.keep_out_enu_m,

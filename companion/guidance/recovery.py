@@ -31,7 +31,7 @@ def memory_of(context: SessionContext) -> SessionMemory:
     current = context.tracker
     others = (each.belief for each in context.emitters.trackers if each is not current)
     return SessionMemory(
-        phase=context.phase,
+        phase=context.authority.phase,
         origin=context.vehicle.origin,
         belief=current.belief,
         report=context.result,
@@ -48,17 +48,13 @@ class Recollection:
 
     def __init__(self, context: SessionContext) -> None:
         self._context = context
-        self._beliefs: tuple[Belief, ...] = ()
-        """Kept estimates of all emitters, the one searched for last at the end."""
+        self.waiting: tuple[Belief, ...] = ()
+        """Kept estimates of all emitters that wait for their frame, the one searched for last at
+        the end."""
         self._origin: LocalOrigin | None = None
         self._kept_at_s = 0.0
         """Time of the kept estimates, on this session's clock."""
         self._recalled_s = 0.0
-
-    @property
-    def is_waiting(self) -> bool:
-        """True while a kept estimate waits for its frame."""
-        return bool(self._beliefs)
 
     def recall(self, memory: SessionMemory, age_s: float, now_s: float) -> None:
         """Restore phase, reports and fence; estimates follow when their frame is confirmed."""
@@ -82,13 +78,13 @@ class Recollection:
                 context.enter(Trigger.REPORT_RECALLED, now_s)
         beliefs = memory.others if memory.belief is None else (*memory.others, memory.belief)
         if beliefs:
-            self._beliefs, self._origin = beliefs, memory.origin
+            self.waiting, self._origin = beliefs, memory.origin
             self._kept_at_s, self._recalled_s = now_s - age_s, now_s
         self.advance(now_s)
 
     def advance(self, now_s: float) -> None:
         """Restore the kept estimates once their frame is confirmed."""
-        if not self._beliefs:
+        if not self.waiting:
             return
         origin, context = self._context.vehicle.origin, self._context
         if self._origin is None:
@@ -104,7 +100,7 @@ class Recollection:
 
     def forget(self) -> None:
         """Drop the kept estimates, because the autopilot restarted in a new frame."""
-        self._beliefs = ()
+        self.waiting = ()
 
     def _recall_reports(self, reports: tuple[ReportResult, ...]) -> None:
         context = self._context
@@ -117,7 +113,7 @@ class Recollection:
         context.announce(Severity.NOTICE, f"{who} reported already, {radii}")
 
     def _resume(self, now_s: float) -> None:
-        beliefs, self._beliefs = self._beliefs, ()
+        beliefs, self.waiting = self.waiting, ()
         context = self._context
         for belief in beliefs:
             problem = context.emitters.resume(belief, now_s - self._kept_at_s, now_s)
@@ -143,5 +139,5 @@ class Recollection:
         context.announce(Severity.NOTICE, text)
 
     def _reset_estimates(self, reason: str) -> None:
-        self._beliefs = ()
+        self.waiting = ()
         self._context.warn(f"estimate reset: {reason}")

@@ -74,7 +74,7 @@ class GuidanceStatus:
 
 def _detail(context: SessionContext) -> str:
     """Return why it waits or holds, the stage of the launch, or the reason of the waypoint."""
-    phase, launch = context.phase, context.launch
+    phase, launch = context.authority.phase, context.launch
     waypoint = context.flight_plan.waypoint
     if phase is Phase.YIELD and context.authority.grant_reason is not None:
         return f"{context.authority.grant_reason}: needs a grant"
@@ -137,7 +137,11 @@ class GuidanceSession:
         elif isinstance(event, events.TimeLeft):
             self._measuring.go_on(event.time_s)
         elif isinstance(event, events.TimerFired):
-            self._tick(event)
+            self.vehicle.tick(event.heard_s, event.time_s)
+            if self._recollection.waiting:
+                self._recollection.advance(event.time_s)
+            self._control.run(event.time_s)
+            self._measuring.tick(event.time_s)  # after the setpoint
         elif isinstance(event, MODE_EVENTS) and self.authority.is_out_of_date(event):
             self.context.record("overtaken", what=type(event).__name__)
         elif isinstance(event, events.LandedStateChanged) and self._doubts_landing(event):
@@ -146,13 +150,6 @@ class GuidanceSession:
             self._note(event)
             self._react(event)
         return self.context.take_commands()
-
-    def _tick(self, event: events.TimerFired) -> None:
-        """Run the control tick; the measurements that wait come after its setpoint."""
-        self.vehicle.tick(event.heard_s, event.time_s)
-        self._recollection.advance(event.time_s)
-        self._control.run(event.time_s)
-        self._measuring.tick(event.time_s)
 
     def _doubts_landing(self, event: events.LandedStateChanged) -> bool:
         height_m, floor_m = self.vehicle.height_m, self.context.guard.limits.envelope.altitude_min_m
@@ -256,7 +253,7 @@ class GuidanceSession:
     @property
     def is_recalling(self) -> bool:
         """True while restored estimates wait for their frame: until then `memory` lacks them."""
-        return self._recollection.is_waiting
+        return bool(self._recollection.waiting)
 
     @property
     def is_behind(self) -> bool:
@@ -301,7 +298,7 @@ class GuidanceSession:
         shown = context.shown_estimate(now_s)
         return GuidanceStatus(
             time_s=now_s,
-            phase=context.phase,
+            phase=context.authority.phase,
             detail=_detail(context),
             mode=vehicle.mode,
             is_armed=vehicle.is_armed,

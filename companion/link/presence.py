@@ -58,7 +58,11 @@ class Presence:
 
     def tick(self, now_s: float) -> None:
         """Send the reports that are due."""
-        self._announce_phase(now_s)
+        phase, texts = self._session.authority.phase, self._outlet.texts_sent
+        if phase is not self._phase and texts == self._texts:
+            words = PHASE_WORDS.get(phase, phase.value)
+            self._outlet.announce(Announce(Severity.INFO, words), now_s)
+        self._phase, self._texts = phase, self._outlet.texts_sent
         if now_s < self._next_s:
             return
         self._next_s = now_s + PERIOD_S
@@ -81,13 +85,6 @@ class Presence:
             if self._has_icon and origin is not None and is_localised:  # one position to draw
                 icon = icon_message(emitter.emitter_id, emitter.estimate, origin, now_s)
                 self._outlet.send_to_stations(icon)
-
-    def _announce_phase(self, now_s: float) -> None:
-        phase, texts = self._session.phase, self._outlet.texts_sent
-        if phase is not self._phase and texts == self._texts:
-            words = PHASE_WORDS.get(phase, phase.value)
-            self._outlet.announce(Announce(Severity.INFO, words), now_s)
-        self._phase, self._texts = phase, self._outlet.texts_sent
 
 
 def estimate_message(

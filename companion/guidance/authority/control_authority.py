@@ -223,7 +223,7 @@ def is_silence_due(
 ) -> bool:
     """Return True if no setpoint may be sent at this tick."""
     phase = authority.phase
-    if phase not in STREAMING or not vehicle.is_mode_known(now_s):
+    if phase not in STREAMING or not vehicle.mode_watch.is_known(now_s):
         return True
     if phase is Phase.FINISHED:
         return authority.has_left_offboard or now_s - authority.since_s > FOLLOW_UP_S

@@ -51,7 +51,7 @@ REQUIREMENTS = (
     Requirement(
         "the flight mode",
         "HEARTBEAT",
-        lambda vehicle, _, now_s: vehicle.heartbeat is None or vehicle.is_mode_known(now_s),
+        lambda vehicle, _, now_s: vehicle.heartbeat is None or vehicle.mode_watch.is_known(now_s),
         MODE_UNKNOWN_AFTER_S,
     ),
     Requirement(

@@ -358,15 +358,11 @@ class VehicleView:
         """Return True if no valid frame of the autopilot arrived for `LINK_LOST_S`."""
         return self.heard_s is None or now_s - self.heard_s > LINK_LOST_S
 
-    def is_mode_known(self, now_s: float) -> bool:
-        """Return True if the reported mode is current."""
-        return self.mode_watch.is_known(now_s)
-
     def is_usable(self, now_s: float) -> bool:
         """Return True if it can be guided at all: heard, positioned, with a home."""
         return (
             self.objection is None
-            and self.is_mode_known(now_s)
+            and self.mode_watch.is_known(now_s)
             and self.home_enu_m is not None
             and self.has_origin
             and self.is_position_fresh(now_s)

@@ -30,13 +30,10 @@ class VehicleTrack:
     def clear(self) -> None:
         """Drop all states, because the autopilot restarted or moved its frame."""
         self._states: deque[VehicleState] = deque()
+        self.latest: VehicleState | None = None
+        """The newest state."""
         self._attitudes: deque[tuple[float, Attitude]] = deque()
         self._distrusted_s = (math.inf, -math.inf)
-
-    @property
-    def latest(self) -> VehicleState | None:
-        """The newest state."""
-        return self._states[-1] if self._states else None
 
     @property
     def latest_yaw(self) -> tuple[float, float] | None:
@@ -52,6 +49,7 @@ class VehicleTrack:
             replace(state, position_enu_m=_step(state.position_enu_m, jump_enu_m, 1.0))
             for state in self._states
         )
+        self.latest = self._states[-1] if self._states else None
 
     def turn(self, jump_rad: float) -> None:
         """Turn earlier attitudes along with a heading that jumped, clockwise."""
@@ -75,6 +73,7 @@ class VehicleTrack:
         if self._states and state.time_s <= self._states[-1].time_s:
             return
         self._states.append(state)
+        self.latest = state
         while self._states[0].time_s < state.time_s - HISTORY_S:
             self._states.popleft()
 

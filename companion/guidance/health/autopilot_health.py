@@ -81,7 +81,7 @@ class BatteryWatch(Watch):
     @property
     def ends_mission(self) -> bool:
         """True if a low battery has to end the mission, once."""
-        return self.is_low and not self._has_ended_mission
+        return self.level >= BatteryLevel.LOW and not self._has_ended_mission
 
     def note_mission_end(self) -> None:
         """Note that the mission was ended because of the battery."""

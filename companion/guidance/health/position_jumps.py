@@ -166,7 +166,7 @@ class JumpWatch(Watch):
         """
         if self._jumped_m is None or now_s - self._last_s < STEADY_S:
             return None
-        phase, motion = self._context.phase, self._context.vehicle.motion
+        phase, motion = self._context.authority.phase, self._context.vehicle.motion
         limits = self._context.guard.limits
         is_unsafe = motion is not None and may_breach(limits, motion, self._jumped_m)
         is_safe = phase in IN_CONTROL and motion is not None and not is_unsafe

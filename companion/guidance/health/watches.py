@@ -1,4 +1,4 @@
-"""All watches of a session, and the watch of its inputs.
+"""All watches of a session; here those of its inputs, of the operator and of the fence.
 
 Theory of operation of the inputs: link, mode, vehicle position, ranging, a usable estimate. While
 ranging ages, the estimate is extrapolated: the target is where it was, less certain by the second,
@@ -6,25 +6,28 @@ and the vehicle slows down accordingly. When ranging is too old, or the estimate
 vehicle holds, and a single measurement does not end that: some must agree first. A link or a
 vehicle position that was lost must be back for a while, with the mode reported again, before
 control goes on: an input that returns for a moment is often lost again.
+
+HOLD, RESUME, RETURN and GRANT of the operator, beside the mode switch, are answered with a text:
+accepted, or refused with the reason. Views ask for the objection beforehand, so that a button
+without effect is grey and shows the reason.
 """
 
 from __future__ import annotations
 
 import math
 
-from companion.domain import R95_OF_SIGMA, BatteryLevel, TargetEstimate
+from companion.domain import R95_OF_SIGMA, BatteryLevel, FlightMode, TargetEstimate
 from companion.estimation.screening.measurement_screen import Objection
 from companion.guidance import events
-from companion.guidance.commands import Severity
+from companion.guidance.commands import Announce, Severity
 from companion.guidance.context import SessionContext
+from companion.guidance.events import OperatorCommand
 from companion.guidance.findings import Finding, Reason, Verdict, Watch, worst
 from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch, LandingWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
-from companion.guidance.health.fence_watch import FenceWatch
-from companion.guidance.health.operator_commands import OperatorCommandWatch
 from companion.guidance.health.position_jumps import JumpWatch
 from companion.guidance.messages import RateLimited
-from companion.guidance.phases import IN_CONTROL, Phase
+from companion.guidance.phases import IN_CONTROL, Phase, Trigger
 
 REGAIN_S = 1.0
 """Time for which link and position must be back."""
@@ -113,7 +116,7 @@ class InputWatch(Watch):
         vehicle = self._context.vehicle
         if vehicle.is_link_lost(now_s):
             reason = Reason.NO_LINK
-        elif not vehicle.is_mode_known(now_s):
+        elif not vehicle.mode_watch.is_known(now_s):
             reason = Reason.MODE_UNKNOWN
         elif not vehicle.is_position_fresh(now_s):
             reason = Reason.POSITION_STALE
@@ -157,6 +160,133 @@ class InputWatch(Watch):
             return Finding(Verdict.HOLD, Reason.ESTIMATE_VAGUE, text)
         text = f"no ranging for {params.degraded_after_s:g} s: coasting, slower"
         return Finding(Verdict.SLOW, Reason.RANGING_AGES, text)
+
+
+HELD = Finding(Verdict.HOLD, Reason.OPERATOR_HOLDS, "operator requested hold")
+RETURNS = Finding(
+    Verdict.HAND_BACK, Reason.OPERATOR_RETURNS, "operator requested return", FlightMode.RETURN
+)
+NOT_IN_CONTROL = {
+    Phase.WAITING: "not ready yet",
+    Phase.STANDBY: "not in control yet",
+    Phase.LAUNCHING: "taking off",
+    Phase.FINISHED: "the search is over",
+    Phase.YIELD: "you fly",
+    Phase.HANDBACK: "handing back",
+    Phase.STOPPED: "ended",
+}
+
+
+class OperatorCommandWatch(Watch):
+    """Executes the operator's commands; a hold ends with the control it was requested in."""
+
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
+        self._finding: Finding | None = None
+
+    def objection(self, command: OperatorCommand) -> str | None:
+        """Return why a command would have no effect now, in a few words; None: it has one."""
+        if command is OperatorCommand.GRANT:
+            return self._objection_to_grant()
+        if self._context.authority.phase not in IN_CONTROL:
+            return NOT_IN_CONTROL[self._context.authority.phase]
+        if command is OperatorCommand.RESUME:
+            return None if self._finding is HELD else "not held by HOLD"
+        is_asked = self._finding is (HELD if command is OperatorCommand.HOLD else RETURNS)
+        return "done already" if is_asked else None
+
+    def _objection_to_grant(self) -> str | None:
+        context, phase = self._context, self._context.authority.phase
+        if context.fencing.refusal is not None:
+            return "no control without a fence"
+        if context.vehicle.objection is not None:
+            return context.vehicle.objection
+        if phase in IN_CONTROL:
+            return "in control already"
+        if phase is Phase.STANDBY:
+            return f"not needed: switch to {context.vehicle.guided_name}"
+        if phase is Phase.WAITING and context.authority.may_begin:
+            return "not needed: not ready yet"
+        is_obeyed = phase in (Phase.WAITING, Phase.YIELD, Phase.FINISHED)
+        return None if is_obeyed else NOT_IN_CONTROL[phase]
+
+    def handle(self, event: events.Event) -> None:
+        """Execute or refuse a command, and answer it."""
+        if not isinstance(event, events.OperatorCommandReceived):
+            return
+        context, name = self._context, event.command.name
+        objection = self.objection(event.command)
+        if objection is not None:
+            text = f"{name} refused: {objection}"
+            context.send(Announce(Severity.WARNING, text, must_pass=True))
+            return
+        text = f"{name} accepted"
+        match event.command:
+            case OperatorCommand.HOLD:
+                self._finding = HELD
+            case OperatorCommand.RESUME:
+                self._finding = None
+            case OperatorCommand.RETURN:
+                self._finding = RETURNS
+            case OperatorCommand.GRANT:
+                context.enter(Trigger.GRANTED, event.time_s)
+                text += f": switch to {context.vehicle.guided_name}"
+        context.announce(Severity.NOTICE, text)
+
+    def step(self, now_s: float) -> Finding | None:
+        """Return the finding of the operator's command, which is dropped when control ends."""
+        del now_s
+        if self._context.authority.phase not in IN_CONTROL:
+            self._finding = None
+        return self._finding
+
+
+UNREAD_PATIENCE_S = 20.0
+"""Time for two rounds of unanswered requests and the pause between them, see `fence_download`: 8
+tries of 0.4 s each, and 10 s."""
+CHANGED_EVERY_S = 30.0
+
+
+class FenceWatch(Watch):
+    """Updates the fence with the state of the flight, and holds while it is unconfirmed."""
+
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
+        self._wrong_since_s: float | None = None
+        self._texts = RateLimited(CHANGED_EVERY_S)
+
+    def handle(self, event: events.Event) -> None:
+        """Doubt a fence that the autopilot changed, until it is downloaded."""
+        fencing = self._context.fencing
+        if not isinstance(event, events.AutopilotFenceChanged) or not fencing.is_followed:
+            return
+        fencing.doubt()
+        if self._texts.is_due("changed", event.time_s):
+            self._context.warn("the autopilot's fence changed: reading it again")
+
+    def step(self, now_s: float) -> Finding | None:
+        """Update the fence with home and control; hold while it is unknown or cannot be kept.
+
+        Hand back when that lasts.
+        """
+        context, vehicle, fencing = self._context, self._context.vehicle, self._context.fencing
+        if vehicle.reported_home_enu_m is not None:
+            before = fencing.note
+            fencing.set_home(vehicle.reported_home_enu_m[:2])
+            if fencing.note is not None and fencing.note != before:
+                context.warn(fencing.note)
+        if vehicle.heartbeat is not None:  # after a restart of the autopilot it may still fly
+            is_in_control = context.authority.phase in IN_CONTROL
+            fencing.follow(is_airborne=context.is_airborne, is_in_control=is_in_control)
+        if fencing.refusal is None and not fencing.is_doubted:
+            self._wrong_since_s = None
+            return None
+        if self._wrong_since_s is None:
+            self._wrong_since_s = now_s
+        refusal = fencing.refusal
+        text = "the autopilot's fence is not read yet" if refusal is None else refusal
+        has_lasted = now_s - self._wrong_since_s > UNREAD_PATIENCE_S
+        return Finding(Verdict.HAND_BACK if has_lasted else Verdict.HOLD, Reason.FENCE, text)
 
 
 class Watches:
@@ -216,7 +346,7 @@ class Watches:
                 who = ""
             case _:
                 return
-        is_ours = self._context.phase in IN_CONTROL
+        is_ours = self._context.authority.phase in IN_CONTROL
         if is_ours and self._other_targets.is_due("target", event.time_s):
             text = f"another target was sent to the autopilot{who}: ours replaces it"
             self._context.warn(f"{text}; change the mode to take over")
@@ -226,7 +356,7 @@ class Watches:
 
         Return the worst finding in control, or of those that prevent a launch in a launch, or None.
         """
-        phase = self._context.phase
+        phase = self._context.authority.phase
         is_in_control = phase in IN_CONTROL
         if is_in_control and not self._was_in_control:
             self._begin(now_s)

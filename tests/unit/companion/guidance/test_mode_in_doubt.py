@@ -27,7 +27,7 @@ def in_doubt(flight: ScriptedFlight) -> ScriptedFlight:
     flight.fly(TICK_S)
     flight.give(ControlStalled(flight.now_s, 3.0))
     flight.fly(0.2)
-    assert not flight.session.vehicle.is_mode_known(flight.now_s)
+    assert not flight.session.vehicle.mode_watch.is_known(flight.now_s)
     return flight
 
 
@@ -70,7 +70,7 @@ def shown(flight: ScriptedFlight, order: int) -> bool:
             order=order,
         )
     )
-    return flight.session.vehicle.is_mode_known(flight.now_s)
+    return flight.session.vehicle.mode_watch.is_known(flight.now_s)
 
 
 def place(flight: ScriptedFlight, order: int, behind_s: float = 0.0) -> VehicleMoved:
@@ -209,7 +209,7 @@ def test_after_a_stall_nothing_is_sent_for_a_place_of_the_past() -> None:
     flight.fly(0.6)
     flight.move(measured_at_s=flight.now_s - 0.7)
     flight.show(FlightMode.OFFBOARD)
-    assert flight.session.vehicle.is_mode_known(flight.now_s)
+    assert flight.session.vehicle.mode_watch.is_known(flight.now_s)
     flight.fly(1.0)
     assert silent_since(flight, doubt_s)
     flight.has_position = True
