@@ -39,6 +39,8 @@ class Format:
     sigma_m: float | None = None
     """Of the sigma, where the radio says one."""
     has_quality: bool = False
+    power_db: float | None = None
+    """Half a step of the received power."""
     options: Mapping[str, object] = field(default_factory=dict)
     """Of the decoder."""
 
@@ -81,12 +83,12 @@ class Format:
 MS, UNIX_MS = 0.5e-3, 0.51e-3
 Q97 = 0.5 / 128.0
 FORMATS = (
-    Format("ndjson", "ndjson", 1e-9, 1e-9, 1e-9, 1e-6, 1e-9),
-    Format("nlink_aoa", "nlink", 0.5e-3, 0.005, None, MS),
-    Format("nlink_iot", "nlink", 0.5e-3, 0.005, 0.005, MS),
-    Format("nlink_node2", "nlink", 0.5e-3, time_s=MS),
-    Format("nlink_node3", "nlink", 0.5e-3, time_s=MS),
-    Format("nlink_node5", "nlink", 0.5e-3, time_s=MS),
+    Format("ndjson", "ndjson", 1e-9, 1e-9, 1e-9, 1e-6, 1e-9, power_db=1e-9),
+    Format("nlink_aoa", "nlink", 0.5e-3, 0.005, None, MS, power_db=0.25),
+    Format("nlink_iot", "nlink", 0.5e-3, 0.005, 0.005, MS, power_db=0.25),
+    Format("nlink_node2", "nlink", 0.5e-3, time_s=MS, power_db=0.25),
+    Format("nlink_node3", "nlink", 0.5e-3, time_s=MS, power_db=0.25),
+    Format("nlink_node5", "nlink", 0.5e-3, time_s=MS, power_db=0.25),
     Format("nlink_tag0", "nlink", 0.5e-3, time_s=MS),
     Format("fira_uci", "fira_uci", 0.5e-2, Q97, Q97),
     Format("sr150", "sr150", 0.5e-2, Q97, Q97),
@@ -99,24 +101,32 @@ FORMATS = (
     Format("kraken_suite", "kraken", None, 0.5),
     Format("kraken_xml", "kraken_xml", None, 0.5, time_s=UNIX_MS),
     Format("kraken_ws", "kraken_ws", None, 0.01, has_quality=True),
-    Format("uudf", "uudf", None, 0.5, 0.5, time_s=MS),
-    Format("esp32_ftm", "esp32_ftm", 0.5e-2, time_s=MS, has_quality=True),
+    Format("uudf", "uudf", None, 0.5, 0.5, time_s=MS, power_db=0.5),
+    Format("esp32_ftm", "esp32_ftm", 0.5e-2, time_s=MS, has_quality=True, power_db=0.5),
     Format("esp32_arduino", "esp32_ftm", 0.5e-2),
-    Format("ftm_csv", "ftm_csv", 0.5e-2),
+    Format("ftm_csv", "ftm_csv", 0.5e-2, power_db=0.5),
     Format("iw_ftm", "iw_ftm", 0.8e-4, time_s=1e-6, sigma_m=1e-3),
-    Format("android_rtt", "android_rtt", 0.5e-3, time_s=UNIX_MS, sigma_m=0.5e-3, has_quality=True),
+    Format(
+        "android_rtt",
+        "android_rtt",
+        0.5e-3,
+        time_s=UNIX_MS,
+        sigma_m=0.5e-3,
+        has_quality=True,
+        power_db=0.5,
+    ),
     Format("trek1000", "trek1000", 0.5e-3, options={"hidden": "tag"}),
     Format("channel_sounding", "channel_sounding", 0.5e-6),
     Format("silabs_aoa", "silabs_aoa", None, 0.005, 0.005),
     Format("bu01", "bu01", 0.5e-2),
     Format("bu03", "bu03", 0.5e-6),
     Format("ryuw122", "ryuw122", 0.5e-2, options={"tag": NAME}),
-    Format("pozyx", "pozyx", 0.5e-3, time_s=MS, options={"tag": NAME}),
-    Format("pozyx_sketch", "pozyx", 0.5e-3, time_s=MS),
-    Format("lr11xx", "lr11xx", 0.5),
+    Format("pozyx", "pozyx", 0.5e-3, time_s=MS, power_db=0.5, options={"tag": NAME}),
+    Format("pozyx_sketch", "pozyx", 0.5e-3, time_s=MS, power_db=0.5),
+    Format("lr11xx", "lr11xx", 0.5, power_db=0.5),
     Format("doppler_kn5r", "doppler", None, 0.05, time_s=UNIX_MS, has_quality=True),
     Format("doppler_json", "doppler", None, 0.05, has_quality=True),
-    Format("sx1280", "sx1280", 0.0226, options={"bandwidth_khz": 812.5}),
+    Format("sx1280", "sx1280", 0.0226, power_db=0.5, options={"bandwidth_khz": 812.5}),
     Format("srsran_4g", "srsran_4g", 0.5 * LTE_STEP_M, options={"offset_steps": 0}),
     Format(
         "srsran",
@@ -128,4 +138,15 @@ FORMATS = (
     Format("oai", "oai", 0.5 * NR_STEP_M, options={"offset_steps": 0}),
     Format("lines", "lines", 0.5e-2, has_quality=True, options={"pattern": LINES_PATTERN}),
 )
-FORMAT_OF = {each.name: each for each in FORMATS}
+POWERS = (
+    Format("wifi_scan", "rssi", power_db=0.5),
+    Format("ble_scan", "rssi", power_db=0.5),
+    Format("esp32_sniffer", "rssi", power_db=0.5),
+    Format("lora_forwarder", "lora_gateway", time_s=1e-6, power_db=0.7),
+    Format("chirpstack", "lora_gateway", power_db=0.7),
+    Format("things_stack", "lora_gateway", power_db=0.7),
+    Format("uavrt", "uavrt", time_s=1e-6, power_db=1e-9),
+)
+"""Radios that measure nothing but the received power."""
+ALL = FORMATS + POWERS
+FORMAT_OF = {each.name: each for each in ALL}

@@ -32,8 +32,8 @@ from companion.domain import (
     Signed,
 )
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
+from companion.link.conversion.device_clock import DeviceClock
 from companion.link.conversion.ranging_rates import RATE_MAX_HZ
-from companion.link.conversion.sender_clock import ClockStep, SenderClock
 from companion.link.intake import RateLimit
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
 
@@ -49,7 +49,7 @@ MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
 REACH_M = 101_000.0
 """Longest range of any radio: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). A longer
 one is an overflow or in another unit."""
-_MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|[0-9a-f]{4}|[0-9a-f]{12}|[0-9a-f]{16}", re.I)
+_MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|(?:[0-9a-f]{4}){1,4}", re.I)
 _NUMBER = re.compile(r"0|[1-9][0-9]{0,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
@@ -77,6 +77,9 @@ class RadioSettings(Params, frozen=True):
     range_sigma_m: Positive | None = None
     """Sigma where the radio reports none, and the lower limit of a reported one; null: the
     estimation's."""
+
+    power_offset_db: Signed = 0.0
+    """Added to received powers: gains of antennas, or the level to which the radio relates them."""
 
     bearing_sign: Sign = 1
     """-1 where the device counts counter-clockwise."""
@@ -191,8 +194,7 @@ class EmitterNames:
             return None
         number = self._ids[key] = int(key) if is_number else self._new_id(str(key))
         if not is_number:
-            shown = "".join(c if c.isprintable() else "?" for c in str(emitter)[:40])
-            self.news.append(f"emitter `{shown}` has the id {number}")
+            self.news.append(f"emitter `{_printable(emitter)}` has the id {number}")
         return number
 
     def _nearest(self, mhz: float) -> float:
@@ -209,41 +211,8 @@ class EmitterNames:
         return number
 
 
-class DeviceClock:
-    """Radio's own clock on ours: unwrapped, and then converted like a sender's clock."""
-
-    def __init__(self, wrap_s: float | None = None) -> None:
-        self.restarts = 0
-        self._wrap_s = wrap_s
-        self._clock = SenderClock()
-        self._last: tuple[float, float] | None = None
-        """Newest unwrapped stamp, and its arrival."""
-
-    @property
-    def is_heard(self) -> bool:
-        """True if there ever was a stamp."""
-        return self._clock.timebase.offset_at_s(0.0) is not None
-
-    @property
-    def is_usable(self) -> bool:
-        """True if its stamps are usable."""
-        return not self._clock.is_wild
-
-    def read(self, stamp_s: float, now_s: float) -> float:
-        """Return the time of a stamp on our clock."""
-        if self._wrap_s is not None:
-            stamp_s = self._unwrapped(stamp_s, self._wrap_s, now_s)
-        reading = self._clock.read(stamp_s, now_s)
-        self.restarts += reading.step is not ClockStep.NONE
-        return reading.time_s if self.is_usable else now_s
-
-    def _unwrapped(self, stamp_s: float, wrap_s: float, now_s: float) -> float:
-        """Return the stamp in the turn of the counter that is nearest to the elapsed time."""
-        if self._last is not None:
-            last_s, heard_s = self._last
-            stamp_s += wrap_s * round((last_s + now_s - heard_s - stamp_s) / wrap_s)
-        self._last = (stamp_s, now_s)
-        return stamp_s
+def _printable(emitter: str | int | None) -> str:
+    return "".join(c if c.isprintable() else "?" for c in str(emitter)[:40])
 
 
 class RadioStage:
@@ -271,6 +240,8 @@ class RadioStage:
         self.refused: Counter[str] = Counter()
         self.newest: dict[int, RangingMeasurement] = {}
         """Latest measurement of each emitter."""
+        self.unlisted: dict[str, float | None] = {}
+        """Names on the wire that are refused because they are not listed, and their power."""
         self._mount_rad = math.radians(settings.bearing_mount_deg)
         self._half_view_rad = math.radians(0.5 * settings.field_of_view_deg) + 1e-9
         self.thinned = 0
@@ -340,6 +311,9 @@ class RadioStage:
         emitter_id = self.names.id_of(reading.emitter)
         if emitter_id is None:
             self._refuse("emitter is not listed")
+            shown = _printable(reading.emitter)
+            if shown in self.unlisted or len(self.unlisted) < MOST_EMITTERS:
+                self.unlisted[shown] = reading.power_dbm
             return None
         if self._is_repeated(emitter_id, reading):
             return None
@@ -378,7 +352,8 @@ class RadioStage:
     ) -> RangingMeasurement | None:
         range_m, bearing_rad = self._range_m(reading), self._bearing_rad(reading)
         elevation_rad, power_dbm = self._elevation_rad(reading), self._power_dbm(reading)
-        if (range_m, bearing_rad, elevation_rad, power_dbm) == (None,) * 4:
+        placed = (range_m, bearing_rad, elevation_rad)
+        if placed == (None,) * 3 and (power_dbm is None or _has_place(reading)):
             return None
         settings, device_s = self.setup.settings, reading.device_time_s
         factor = self._sigma_factor(reading.quality)
@@ -467,8 +442,11 @@ class RadioStage:
         return self.setup.settings.elevation_sign * said_rad
 
     def _power_dbm(self, reading: RadioReading) -> float | None:
-        power_dbm, (least_dbm, most_dbm) = reading.power_dbm, POWER_LIMITS_DBM
-        if power_dbm is None or least_dbm <= power_dbm <= most_dbm:
+        (least_dbm, most_dbm), power_dbm = POWER_LIMITS_DBM, reading.power_dbm
+        if power_dbm is None:
+            return None
+        power_dbm += self.setup.settings.power_offset_db
+        if least_dbm <= power_dbm <= most_dbm:
             return power_dbm
         self._refuse(f"power is not within {least_dbm:g} to {most_dbm:g} dBm")
         return None
@@ -480,6 +458,15 @@ class RadioStage:
             return 1.0
         reached = [factor for least, factor in steps if quality >= least]
         return reached[-1] if reached else steps[0][1]
+
+
+def _has_place(reading: RadioReading) -> bool:
+    """Return True if a reading has a range or an angle, usable or not.
+
+    A power beside an unusable one is not used alone.
+    """
+    placed = (reading.range_m, reading.azimuth_rad, reading.elevation_rad)
+    return placed != (None,) * 3
 
 
 def _times(factor: float, sigma: float | None) -> float | None:

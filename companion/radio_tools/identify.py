@@ -24,7 +24,6 @@ from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radios.catalogue import BUILT_IN, radio_kind
 from companion.radios.decoder import FrameDecoder, Poll, RadioDecoder, RadioKind
-from companion.radios.power_only import POWER_ONLY
 
 LISTEN_S = 10.0
 BAUDS = (115_200, 921_600, 57_600, 9_600)
@@ -39,7 +38,7 @@ ASKED_SHARE = 1.0
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 """This many bytes with this share of non-text and no reading mean another speed."""
 FEWEST_POWERS = 3
-"""Lines of received power alone, to say so."""
+"""Received powers that are no accident of a console that prints ranges, too."""
 FEWEST_FRAMES_SHARE = 0.5
 """Least share of the bytes in binary formats, whose short frames without a checksum occur in
 noise."""
@@ -50,6 +49,7 @@ OPTIONS: Mapping[str, Mapping[str, object]] = {
     "srsran": {"loop_is_off": True, "numerology": 1},
     "oai": {"numerology": 1},
     "android_rtt": {"unit": "mm", "single_emitter": True},
+    "rssi": {"single_emitter": True},
 }
 """Options with which a format's stream has readings, whatever its cell or app is."""
 
@@ -61,12 +61,16 @@ class _Candidate:
     name: str
     decoder: RadioDecoder
     readings: int = 0
+    powers: int = 0
+    """Readings with a received power alone."""
     emitters: set[str | int | None] = field(default_factory=set)
 
     def feed(self, data: bytes, now_s: float) -> None:
         """Decode some bytes."""
         found = self.decoder.feed(data, now_s)
-        self.readings += len(found)
+        powers = sum(each.range_m is None and each.azimuth_rad is None for each in found)
+        self.powers += powers
+        self.readings += len(found) - powers
         self.emitters.update(reading.emitter for reading in found[:16])
 
 
@@ -98,9 +102,19 @@ class Listener:
         return min(fitting, key=_left_over, default=None)
 
     @property
+    def found_by_power(self) -> _Candidate | None:
+        """Return the radio that reads most powers, once nothing else is to be expected; or None."""
+        fitting = [
+            each
+            for each in self.candidates
+            if each.powers >= FEWEST_POWERS and self._is_mostly_read(each)
+        ]
+        return min(fitting, key=_left_over, default=None)
+
+    @property
     def is_promising(self) -> bool:
         """Return True if something was measured, or its power: the radio may be a slow one."""
-        is_heard = self.powers >= FEWEST_POWERS
+        is_heard = self.found_by_power is not None
         return is_heard or any(self._is_fitting(each, 1) for each in self.candidates)
 
     @property
@@ -112,24 +126,21 @@ class Listener:
             and not self.is_promising
         )
 
-    @property
-    def powers(self) -> int:
-        """Return the number of lines with received power alone."""
-        return max(each.decoder.counts.refused[POWER_ONLY] for each in self.candidates)
-
     def _is_fitting(self, candidate: _Candidate, fewest: int) -> bool:
         counts = candidate.decoder.counts
         if counts.is_introduced:
             return True
-        if candidate.readings < fewest:
-            return False
-        read = 1.0 - counts.resync_bytes / max(1, self.bytes)
+        return candidate.readings >= fewest and self._is_mostly_read(candidate)
+
+    def _is_mostly_read(self, candidate: _Candidate) -> bool:
+        read = 1.0 - candidate.decoder.counts.resync_bytes / max(1, self.bytes)
         return read >= FEWEST_FRAMES_SHARE or not isinstance(candidate.decoder, FrameDecoder)
 
 
 def _left_over(candidate: _Candidate) -> tuple[int, int, int]:
     counts = candidate.decoder.counts
-    return (counts.resync_bytes, counts.refused.total(), -candidate.readings)
+    readings = candidate.readings + candidate.powers
+    return (counts.resync_bytes, counts.refused.total(), -readings)
 
 
 class Ear(OneShotEndpoint):
@@ -224,7 +235,7 @@ def identify(
     url: str, seconds: float = LISTEN_S, hear: Listen = listen, clock: Clocked = time.monotonic
 ) -> tuple[int, str]:
     """Return the exit code and the report: the radio and its command, or what was received."""
-    heard, powers, problem = 0, 0, ""
+    heard, problem = 0, ""
     for attempt in timed(attempts(url), seconds, clock):
         listener = Listener()
         try:
@@ -232,12 +243,10 @@ def identify(
         except CompanionError as error:
             problem = str(error)
             continue
-        heard, powers = heard + listener.bytes, powers + listener.powers
-        found = listener.found
+        heard += listener.bytes
+        found = listener.found or listener.found_by_power
         if found is not None:
             return 0, _words(found, attempt, url)
-    if powers >= FEWEST_POWERS:
-        return 1, f"{heard} bytes at {url}: {POWER_ONLY}"
     if not heard:
         reason = problem or "check power, cable and port, and that an emitter is on"
         return 1, f"nothing heard at {url} in {seconds:g} s: {reason}"

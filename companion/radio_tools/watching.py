@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
 from companion.domain import RangingMeasurement
@@ -87,6 +87,13 @@ def scatter_of(values: Sequence[float | None], *, is_angle: bool = False) -> flo
     return SIGMA_OF_MAD * spread / math.sqrt(2.0)
 
 
+def _strongest(powers_dbm: Mapping[str, float | None]) -> list[str]:
+    """Return the names that were received most strongly, with their power."""
+    known = {name: -math.inf if dbm is None else dbm for name, dbm in powers_dbm.items()}
+    names = sorted(known, key=lambda name: -known[name])[:MOST_SHOWN]
+    return [n if math.isinf(known[n]) else f"{n} ({known[n]:.0f} dBm)" for n in names]
+
+
 def _degrees(radians: float | None) -> float | None:
     return None if radians is None else math.degrees(radians)
 
@@ -153,4 +160,6 @@ class WatchingEndpoint(OneShotEndpoint):
             lines.append("  ".join(parts))
             shown = sorted(self._emitters[number].items())[:MOST_SHOWN]
             lines += [view.line(emitter_id, now_s) for emitter_id, view in shown]
+            if unlisted := self.stages[number].unlisted:
+                lines.append(f"  not in `emitters`: {', '.join(_strongest(unlisted))}")
         return lines

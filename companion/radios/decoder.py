@@ -12,6 +12,7 @@ two calls is bounded, and how the stream is cut into pieces makes no difference.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
@@ -20,7 +21,6 @@ from enum import Enum
 from re import Pattern
 
 from companion.domain import Params
-from companion.radios.power_only import POWER_ONLY, is_power_only
 
 MOST_KEPT_BYTES = 65_536
 """No decoder keeps more of a stream than this between two calls."""
@@ -28,6 +28,23 @@ MOST_SHOWN = 80
 """Characters of a line that is shown."""
 MOST_REASONS = 32
 """Reasons with a count of their own; further ones are counted as `other`."""
+POWER_ONLY = "received power only: rssi, lora_gateway and uavrt read it (docs/radios.md)"
+_POWER = re.compile(
+    r"-\d{1,3}(?:\.\d+)? ?dBm\b"
+    r"|\b(?:rssi|rss|signal|signal level|power_dbm|power_db|lsnr|snr|snr_db)\b\W{1,8}-?\d",
+    re.IGNORECASE,
+)
+_MEASURED = re.compile(
+    r"\d ?(?:m|cm|mm|km|ft|ns|ps|deg|rad|meters?)\b|\N{DEGREE SIGN}"
+    r"|dist|rang|rtt|tof|bearing|azimuth|elevation|angle|doa",
+    re.IGNORECASE,
+)
+"""Other quantities: a line with one of them is of an unknown format, and is counted as that."""
+
+
+def is_power_only(line: str) -> bool:
+    """Return True if a line has a received power, and no range or angle by any name."""
+    return _POWER.search(line) is not None and _MEASURED.search(line) is None
 
 
 class AngleFrame(Enum):

@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from companion.radios.decoder import AngleFrame, LineDecoder, RadioReading
-from companion.radios.power_only import POWER_ONLY
 
 LIGHT_MPS = 299_792_458.0
 ONE_WAY_M_PER_S = LIGHT_MPS / 2.0
@@ -61,16 +60,20 @@ NUMBERS: Mapping[str, Unit] = {
     **_in_units("elevation_sigma", "elevation_sigma_rad", **_ANGLES),
     "quality": Unit("quality"),
     "quality_percent": Unit("quality", 0.01),
+    "power_dbm": Unit("power_dbm"),
 }
 """Names of numbers; `rtt` is the round-trip time."""
 WORDS = ("emitter", "line_of_sight")
 """Names of words."""
 HEX = "_hex"
 """Behind a name whose field is a whole number in hexadecimal, without a sign."""
-HEX_NAMES = frozenset(name + HEX for name, unit in NUMBERS.items() if unit.attribute != "quality")
+HEX_NAMES = frozenset(
+    name + HEX for name, unit in NUMBERS.items() if unit.attribute not in ("quality", "power_dbm")
+)
 NAMES = frozenset(NUMBERS) | frozenset(WORDS) | HEX_NAMES
-POWERS = frozenset({"rssi", "rssi_dbm", "power", "power_db", "power_dbm", "snr", "snr_db"})
-"""Names of reported quantities that are not used."""
+POWERS = frozenset({"rssi", "rssi_dbm", "rss", "power", "power_db", "signal", "snr", "snr_db"})
+"""Names of levels, some of them relative to an unknown one."""
+NAME_OF_POWER = "a received power is named power_dbm; other levels need power_offset_db, too"
 SKIPPED = ("", "_", "skip")
 """Names of a column that is not read."""
 
@@ -92,6 +95,7 @@ _NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]")
 
 _SIGMAS = frozenset(field.name for field in fields(RadioReading) if "_sigma_" in field.name)
 _ANGLE_NAMES = ("azimuth_rad", "elevation_rad")
+_MEASURED = frozenset({"range_m", "power_dbm", *_ANGLE_NAMES})
 
 
 def number(text: str | None) -> float | None:
@@ -113,6 +117,12 @@ def whole(text: str | None, largest: int = 2**32 - 1) -> int | None:
 def _hexadecimal(text: str) -> float | None:
     text = text.strip().lower().removeprefix("0x")
     return float(int(text, 16)) if _HEXADECIMAL.fullmatch(text) else None
+
+
+def dbm(text: str | None) -> float | None:
+    """Return a received power; None where firmware prints 0, or something else, for none."""
+    value = number(text)
+    return value if value is not None and value < 0.0 else None
 
 
 def ratio(part: int | None, of_all: int | None) -> float | None:
@@ -143,7 +153,7 @@ def complain_of(names: list[str]) -> str | None:
     """Return the error in names that a user has given, or None."""
     for name in names:
         if name in POWERS:
-            return f"`{name}`: {POWER_ONLY}"
+            return f"`{name}`: {NAME_OF_POWER}"
         if name not in NAMES and name not in SKIPPED:
             return f"`{name}` is no quantity with a unit; there are {', '.join(sorted(NAMES))}"
     plain = [name.removesuffix(HEX) for name in names]
@@ -151,8 +161,8 @@ def complain_of(names: list[str]) -> str | None:
     for name, target in zip(names, targets, strict=True):
         if name in NAMES and targets.count(target) > 1:
             return f"`{name}` says what another one says too"
-    if not {"range_m", *_ANGLE_NAMES} & set(targets):
-        return "neither a range nor an angle is among them"
+    if not _MEASURED & set(targets):
+        return "neither a range, an angle nor a power is among them"
     return None
 
 
@@ -246,8 +256,8 @@ class FieldDecoder(LineDecoder):
 
 
 def _complain_of_values(values: Mapping[str, float]) -> str | None:
-    if not {"range_m", *_ANGLE_NAMES} & set(values):
-        return "neither range nor angle"
+    if not _MEASURED & set(values):
+        return "neither range, angle nor power"
     if any(values[name] < 0.0 for name in _SIGMAS & set(values)):
         return "sigma is negative"
     if any(abs(values.get(name, 0.0)) > math.tau + 1e-9 for name in _ANGLE_NAMES):

@@ -92,7 +92,7 @@ class Ryuw122Decoder(FormDecoder):
     forms = (
         form(
             r"\+ANCHOR_RCV= ?(?P<emitter>[^,]{1,12}),[0-9]{1,3},.{0,40},"
-            r" ?0*(?P<range_cm>-?[0-9]{1,7}) ?cm(?:$|[,\s])"
+            r" ?0*(?P<range_cm>-?[0-9]{1,7}) ?cm(?:$|\s|, ?(?P<power_dbm>-[0-9]{1,3})?)"
         ),
         form(r"\+ANCHOR_RCV", "torn line"),
         form(r"\+TAG_RCV=", "a tag measures no distance: set the module here to the anchor's role"),
@@ -155,8 +155,14 @@ class PozyxDecoder(FormDecoder):
     Options = PozyxOptions
     options: PozyxOptions
     forms = (
-        form(r"(?P<time_ms>[0-9]{1,10}) ?ms, (?P<range_mm>[0-9]{1,10}) ?mm, -?[0-9]{1,5} ?dBm"),
-        form(r"(?P<emitter>0x[0-9A-Fa-f]{3,4}): (?P<range_mm>[0-9]{1,10})mm, -?[0-9]{1,5}dB"),
+        form(
+            r"(?P<time_ms>[0-9]{1,10}) ?ms, (?P<range_mm>[0-9]{1,10}) ?mm,"
+            r" (?P<power_dbm>-?[0-9]{1,5}) ?dBm"
+        ),
+        form(
+            r"(?P<emitter>0x[0-9A-Fa-f]{3,4}): (?P<range_mm>[0-9]{1,10})mm,"
+            r" (?P<power_dbm>-?[0-9]{1,5})dB"
+        ),
         form(r"^D,01(?P<data>[0-9A-Fa-f]{20})\s*$"),
         form(r"^ERROR: ranging|^D,00", "ranging failed"),
         form(r"^D,(?:[0-9A-Fa-f]{2}){0,9}\s*$"),
@@ -196,6 +202,7 @@ class PozyxDecoder(FormDecoder):
                 emitter=self.options.tag or None,
                 device_time_s=time_ms / 1000.0,
                 range_m=range_mm / 1000.0,
+                power_dbm=float(int.from_bytes(raw[8:10], "little", signed=True)) or None,
             )
         )
 
@@ -204,7 +211,10 @@ class Lr11xxDecoder(FormDecoder):
     """Decoder of the ranging example in Semtech's SDK for the LR1110 and LR1120; whole metres."""
 
     forms = (
-        form(r"RTToF result: Distance: (?P<range_m>-?[0-9]{1,10})m, RSSI: "),
+        form(
+            r"RTToF result: Distance: (?P<range_m>-?[0-9]{1,10})m,"
+            r" RSSI: (?P<power_dbm>-[0-9]{1,3})?"
+        ),
         form(r"RTTOF request (?:timeout|discarded)", "no answer"),
     )
 

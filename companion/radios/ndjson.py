@@ -14,8 +14,13 @@ from typing import Annotated, Any
 import msgspec
 
 from companion.domain import NonNegative, Params
-from companion.radios.decoder import AngleFrame, LineDecoder, RadioKind, RadioReading
-from companion.radios.power_only import POWER_ONLY, is_power_only
+from companion.radios.decoder import (
+    AngleFrame,
+    LineDecoder,
+    RadioKind,
+    RadioReading,
+    is_power_only,
+)
 
 MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
 MOST_ELEVATION_RAD = 0.5 * math.pi + 1e-6
@@ -123,7 +128,8 @@ class NdjsonDecoder(LineDecoder):
         if any(given not in (msgspec.UNSET, "m") for given in (line.unit, line.units)):
             return "key `unit` is not m: range is in metres"
         if (line.range, line.bearing, line.elevation, line.power_dbm) == (None,) * 4:
-            return POWER_ONLY if is_power_only(text) else "no range, bearing, elevation or power"
+            what = "no range, bearing, elevation or power"
+            return f"{what}: a power is power_dbm" if is_power_only(text) else what
         names = ("bearing", "elevation", "bearing_std", "elevation_std")
         bounds = (MOST_BEARING_RAD, MOST_ELEVATION_RAD, MOST_BEARING_RAD, MOST_BEARING_RAD)
         for name, most_rad in zip(names, bounds, strict=True):

@@ -162,6 +162,7 @@ class NlinkDecoder(FrameDecoder):
                     azimuth_rad=self._azimuth_rad(fields[4], fp) if has_angle else None,
                     frame=AngleFrame.ARRAY,
                     line_of_sight=self._is_in_sight(fp, rx),
+                    power_dbm=rx * DBM or None,
                 )
             )
         return readings
@@ -183,7 +184,7 @@ class NlinkDecoder(FrameDecoder):
         for _ in range(frame[IOT_HEADER - 1]):
             if at + IOT_PEER.size > end:
                 return None
-            ident, low, high, azimuth, elevation, fp, _, data = IOT_PEER.unpack_from(frame, at)
+            ident, low, high, azimuth, elevation, fp, rx, data = IOT_PEER.unpack_from(frame, at)
             at += IOT_PEER.size + (data & 0x0F)
             if high < 0 or not (low or high):
                 self.counts.refuse(NO_DISTANCE)
@@ -196,6 +197,7 @@ class NlinkDecoder(FrameDecoder):
                     range_m=(high << 16 | low) / PER_M,
                     azimuth_rad=azimuth_rad,
                     elevation_rad=None if azimuth_rad is None else elevation / PER_RAD,
+                    power_dbm=rx * DBM or None,
                     frame=AngleFrame.ARRAY,
                 )
             )

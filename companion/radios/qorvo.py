@@ -15,7 +15,7 @@ import msgspec
 
 from companion.domain import Params
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
-from companion.radios.fields import FieldDecoder, is_overflow, number
+from companion.radios.fields import FieldDecoder, dbm, is_overflow, number
 
 MOST_RECORD_BYTES = 8192
 PER_M = 100.0
@@ -157,6 +157,7 @@ class QorvoCliDecoder(FieldDecoder):
             range_m=None if distance_cm is None else distance_cm / PER_M,
             azimuth_rad=None if azimuth_deg is None else math.radians(azimuth_deg),
             elevation_rad=None if elevation_deg is None else math.radians(elevation_deg),
+            power_dbm=dbm(values.get("RSSI[dBm]")),
             frame=AngleFrame.ARRAY,
         )
 

@@ -26,6 +26,7 @@ from companion.radios.fields import (
     columns,
     complain_of,
     complain_of_spans,
+    dbm,
     is_overflow,
     number,
 )
@@ -54,18 +55,18 @@ class SlotDecoder(FieldDecoder):
     options: SlotOptions
 
     def read_slots(
-        self, tag: int, slots: Iterable[tuple[int, float, int]], nothing: str
+        self, tag: int, slots: Iterable[tuple[int, float, int, float | None]], nothing: str
     ) -> list[RadioReading]:
-        """Return the readings of (slot, range in metres, anchor) triples that were answered.
+        """Return the readings of slots that were answered: (slot, metres, anchor, dBm).
 
         `nothing` is the reason that is counted if there is none.
         """
         self.counts.frames += 1
         options, readings = self.options, []
-        for slot, range_m, anchor in slots:
+        for slot, range_m, anchor, power_dbm in slots:
             if options.hidden == "anchor" or slot == options.slot:
                 emitter = anchor if options.hidden == "anchor" else tag
-                readings.append(RadioReading(emitter, range_m=range_m))
+                readings.append(RadioReading(emitter, range_m=range_m, power_dbm=power_dbm))
         if not readings:
             self.counts.refuse(nothing)
         return readings
@@ -90,13 +91,14 @@ class MakerfabsAtDecoder(SlotDecoder):
             return self.passed_over(line)
         lists = {name: columns(cells) for name, cells in self._LIST.findall(found[4])}
         ranges = [number(cell) for cell in lists.get("range", [])]
+        powers = {slot: dbm(cell) for slot, cell in enumerate(lists.get("rssi", []))}
         names = [number(cell) for cell in lists.get("ancid", map(str, range(SLOTS)))]
         is_whole = len(ranges) in SLOTS_OF_FIRMWARE and len(names) >= len(ranges)
         if not is_whole or None in ranges or None in names:
             return self.refused("torn report")
         mask = int(found[2], 16)
         answered = [
-            (slot, range_cm / 100.0, int(name))
+            (slot, range_cm / 100.0, int(name), powers.get(slot))
             for slot, (range_cm, name) in enumerate(zip(ranges, names, strict=False))
             if mask >> slot & 1
             and range_cm
@@ -126,7 +128,7 @@ class TrekDecoder(SlotDecoder):
             return self.no_reading() if self._OTHERS.search(line) else self.passed_over(line)
         mask = int(found[1], 16)
         answered = [
-            (slot, int(text, 16) / 1000.0, slot)
+            (slot, int(text, 16) / 1000.0, slot, None)
             for slot, text in enumerate(found[2].split())
             if mask >> slot & 1
         ]
@@ -172,6 +174,7 @@ class UudfDecoder(FieldDecoder):
                 device_time_s=milliseconds / 1000.0,
                 azimuth_rad=self._across_rad(azimuth_deg, elevation_deg),
                 elevation_rad=math.radians(elevation_deg),
+                power_dbm=dbm(cells[1]),
                 frame=AngleFrame.ARRAY if self.options.as_arcsines else AngleFrame.DEVICE,
             )
         )
@@ -227,15 +230,18 @@ class Sx1280Decoder(FieldDecoder):
         printed = number(after.get("Distance", "").removesuffix("m"))
         if not re.fullmatch(r"[0-9A-Fa-f]{1,6}", register) or printed is None:
             return self.refused("torn line")
-        raw = int(register, 16)
+        raw, power_dbm = int(register, 16), dbm(after.get("RSSI", "").removesuffix("dBm"))
         if self._bandwidth_khz is not None:
             signed = raw - RAW24 if raw >= RAW24 // 2 else raw
             return self.understood(
-                RadioReading(range_m=signed * SX1280_M_PER_STEP_KHZ / self._bandwidth_khz)
+                RadioReading(
+                    range_m=signed * SX1280_M_PER_STEP_KHZ / self._bandwidth_khz,
+                    power_dbm=power_dbm,
+                )
             )
         if raw >= RAW24 // 2:
             return self.refused("below zero: set bandwidth_khz")
-        return self.understood(RadioReading(range_m=printed))
+        return self.understood(RadioReading(range_m=printed, power_dbm=power_dbm))
 
 
 class LinesOptions(Params, frozen=True):

@@ -1,20 +1,24 @@
 """Wi-Fi ranges in CSV: firmware of the ESP32, and apps of Android.
 
-Neither has a standard; only Android's own class always prints itself in one form. Sources:
-GTEC-UDC/esp32s2-ftm-tag; Android's `RangingResult`, its `toString`.
+Columns are recognised by their names: `Distance (mm)`, `distanceMm` and `AP1 RTT(mm)` are ranges in
+millimetres, `distance` is one of unknown unit, and a name with more than a quantity, a unit and
+their usual prefixes (`true distance`) is none. Neither has a standard; only Android's own class
+always prints itself in one form.
+
+Sources: GTEC-UDC/esp32s2-ftm-tag; Android's `RangingResult`, its `toString`.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import msgspec
 
 from companion.domain import Params
 from companion.errors import ConfigError
-from companion.radios.csv_header import Header, header_of
 from companion.radios.decoder import RadioKind, RadioReading
 from companion.radios.fields import (
     HEX,
@@ -24,6 +28,7 @@ from companion.radios.fields import (
     FieldDecoder,
     columns,
     complain_of,
+    dbm,
     number,
     ratio,
     whole,
@@ -56,7 +61,7 @@ class FtmCsvDecoder(FieldDecoder):
     _MAC_FIRST = re.compile(
         rf"({MAC.pattern}) *, *(-?[0-9]{{1,9}}\.?[0-9]*) *m *, *[0-9.]+ *ns *, *([0-9]{{1,3}}) *"
     )
-    _BARS = re.compile(r"(-?[0-9.]{1,12})\|([0-9.]{1,12})\|-?[0-9.]{1,6}")
+    _BARS = re.compile(r"(-?[0-9.]{1,12})\|([0-9.]{1,12})\|(-?[0-9.]{1,6})")
     FRAME_COLUMNS = 6
 
     def __init__(self, options: Params | None = None) -> None:
@@ -83,7 +88,7 @@ class FtmCsvDecoder(FieldDecoder):
         if found := self._MAC_FIRST.fullmatch(line.strip()):
             return self._unsigned({"emitter": found[1].lower(), "range_m": found[2]})
         if found := self._BARS.fullmatch(line.strip()):
-            return self._bars(found[1], found[2])
+            return self._bars(found[1], found[2], found[3])
         return self._gtec(line)
 
     def _given(self, line: str) -> list[RadioReading]:
@@ -97,12 +102,12 @@ class FtmCsvDecoder(FieldDecoder):
         return self.read_fields({name: named[name] for name in named if name not in SKIPPED})
 
     def _unsigned(self, texts: Mapping[str, str], factor: float = 1.0) -> list[RadioReading]:
-        (name,) = set(texts) - {"emitter"}
+        (name,) = set(texts) - {"emitter", "power_dbm"}
         value = number(texts[name])
         problem = complain_of_unsigned(None if value is None else value * factor)
         return self.refused(problem) if problem is not None else self.read_fields(texts)
 
-    def _bars(self, distance: str, rtt_ns: str) -> list[RadioReading]:
+    def _bars(self, distance: str, rtt_ns: str, power: str) -> list[RadioReading]:
         """Read a distance in the stream's unit, the only one that agrees with the round trip.
 
         While both units agree there is no reading yet.
@@ -120,7 +125,8 @@ class FtmCsvDecoder(FieldDecoder):
             self._bars_unit = self._bars_unit or fitting[0]
             if self._bars_unit in fitting:
                 name, factor = self._bars_unit
-                return self._unsigned({name: distance}, factor)
+                texts = {name: distance} | ({"power_dbm": power} if dbm(power) is not None else {})
+                return self._unsigned(texts, factor)
         reason = "distance may be in m or cm" if len(fitting) > 1 else ""
         return self.refused(reason or "distance and round trip time do not agree")
 
@@ -132,10 +138,122 @@ class FtmCsvDecoder(FieldDecoder):
             if count is not None and len(cells) == head + self.FRAME_COLUMNS * count:
                 if whole(cells[1]) is None or whole(cells[2]) is None:
                     break
-                return self._unsigned({"emitter": cells[0], "range_cm": cells[3]}, 0.01)
+                texts = {"emitter": cells[0], "range_cm": cells[3]}
+                powers = [dbm(cell) for cell in cells[head + 1 :: self.FRAME_COLUMNS]]
+                known = [power for power in powers if power is not None]
+                if known:
+                    texts["power_dbm"] = f"{sum(known) / len(known):.1f}"
+                return self._unsigned(texts, 0.01)
         if len(cells) > 5 and number(cells[1]) is not None:
             return self.refused("torn row")
         return self.passed_over(line)
+
+
+_UNITS = {
+    **dict.fromkeys(("mm", "millimeters", "millimetres"), "mm"),
+    **dict.fromkeys(("cm", "centimeters", "centimetres"), "cm"),
+    **dict.fromkeys(("m", "meter", "meters", "metres"), "m"),
+    **{unit: unit for unit in ("ns", "ps", "us")},
+}
+_UNIT = "|".join(sorted(_UNITS, key=len, reverse=True))
+_RANGE = re.compile(rf"(.*)(distance|range|dist|rtt)(?:in)?({_UNIT})?")
+_SIGMA = re.compile(
+    rf"(?:distance|range|dist|rtt)?(?:std|stddev|stdev|sigma|standarddeviation)(?:in)?({_UNIT})?"
+)
+_PLAIN = {"", "rtt", "ftm", "wifi", "wifirtt", "measured", "estimated", "est", "mean", "avg"}
+"""Prefixes of a range that is the row's own."""
+_OF_ONE = re.compile(r"(?:ap|anchor|responder|node|tag|rp)?[0-9]{1,5}|(?:ap)?[0-9a-f]{12}")
+"""Prefix of a range that has a column for each emitter."""
+_OWNER = "(?:ap|accesspoint|anchor|responder|peer|target|wifi)"
+_ADDRESS = re.compile(rf"{_OWNER}?(?:bssid|mac(?:addr|address)?)")
+_NAME = re.compile(rf"{_OWNER}(?:id|name)?")
+_TIME = re.compile(r"(?:ranging)?time(?:stamp)?(s|ms|millis|us|micros|ns|nanos)?")
+_TIME_UNITS = {"millis": "ms", "micros": "us", "nanos": "ns"}
+_OTHERS = {
+    **dict.fromkeys(("attempted", "numattempted", "numattemptedmeasurements"), "attempted"),
+    **dict.fromkeys(("successful", "numsuccessful", "numsuccessfulmeasurements"), "successful"),
+    "status": "status",
+    **dict.fromkeys(("rssi", "rssidbm", "powerdbm"), "power"),
+    **dict.fromkeys(
+        ("is80211mc", "is80211mcresponder", "is80211mcmeasurement", "twosided"), "two_sided"
+    ),
+    "onesided": "one_sided",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """Column with a recognised meaning."""
+
+    name: str
+    """`range`, `range_sigma`, `emitter`, `emitter_name`, `time`, or one of `_OTHERS`."""
+    unit: str = ""
+    """Empty: the name has none."""
+    of: str = ""
+    """The emitter that a range is of, where each has a column."""
+
+
+def column_of(cell: str) -> Column | None:
+    """Return the meaning of a header's cell; None if it is not read."""
+    word = re.sub(r"[^a-z0-9]", "", cell.lower()).removeprefix("get")
+    if found := _TIME.fullmatch(word):
+        return Column("time", _TIME_UNITS.get(found[1] or "", found[1] or ""))
+    if found := _SIGMA.fullmatch(word):
+        return Column("range_sigma", _UNITS.get(found[1] or "", ""))
+    if found := _RANGE.fullmatch(word):
+        unit = _UNITS.get(found[3] or "", "")
+        if found[1] in _PLAIN:
+            return Column("range", unit)
+        return Column("range", unit, found[1]) if _OF_ONE.fullmatch(found[1]) else None
+    if _ADDRESS.fullmatch(word):
+        return Column("emitter")
+    if _NAME.fullmatch(word):
+        return Column("emitter_name")
+    return Column(_OTHERS[word]) if word in _OTHERS else None
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Complete header: each meaning once, and the missing or repeated ones."""
+
+    cells: int
+    places: dict[str, tuple[int, Column]]
+    """Columns by meaning."""
+    ranges: tuple[tuple[int, Column], ...]
+    """One; or one for each emitter."""
+    problem: str | None = None
+    """Reason why no row below it can be used."""
+
+
+def header_of(cells: list[str], *, unit: str | None, is_single: bool) -> Header | None:
+    """Return the header made of a line's cells; None if none of them is a range.
+
+    `unit` applies to columns without one; with `is_single` all rows are of one emitter.
+    """
+    places: dict[str, tuple[int, Column]] = {}
+    ranges: list[tuple[int, Column]] = []
+    for place, cell in enumerate(cells):
+        column = column_of(cell)
+        if column is None:
+            continue
+        if column.name in ("range", "range_sigma") and not column.unit and unit is not None:
+            column = Column(column.name, unit, column.of)
+        if column.name == "range":
+            ranges.append((place, column))
+        else:
+            places.setdefault(column.name, (place, column))
+    if not ranges:
+        return None
+    with_unit = [each for each in ranges if each[1].unit]
+    of_row = [each for each in ranges if not each[1].of]
+    known = "emitter" in places or "emitter_name" in places
+    problem = None
+    if not with_unit:
+        problem = "distance has no unit: set unit, mm, cm or m"
+    elif of_row and not known and not is_single:
+        problem = "no emitter column known: set single_emitter=true if there is one emitter"
+    chosen = [each for each in of_row if each[1].unit][:1] if of_row else with_unit
+    return Header(len(cells), places, tuple(chosen), problem)
 
 
 class AndroidRttOptions(Params, frozen=True):
@@ -208,6 +326,7 @@ class AndroidRttDecoder(FieldDecoder):
                 "range_mm": values.get("distanceMm"),
                 "range_sigma_mm": values.get("distanceStdDevMm"),
                 "quality": None if quality is None else f"{quality:.6f}",
+                "power_dbm": None if dbm(values.get("rssi")) is None else values["rssi"],
             }
         )
 
@@ -239,6 +358,8 @@ class AndroidRttDecoder(FieldDecoder):
         quality = ratio(whole(row.get("successful")), whole(row.get("attempted")))
         if quality is not None:
             texts["quality"] = f"{quality:.6f}"
+        if dbm(row.get("power")) is not None:
+            texts["power_dbm"] = row["power"]
         if "range_sigma" in row and header.places["range_sigma"][1].unit in LENGTHS:
             texts[f"range_sigma_{header.places['range_sigma'][1].unit}"] = row["range_sigma"]
         if "time" in row:

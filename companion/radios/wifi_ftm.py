@@ -52,7 +52,12 @@ class Esp32FtmDecoder(FieldDecoder):
     _ARDUINO = re.compile(r"FTM Estimate: Distance: (-?[0-9]{1,9}\.[0-9]+) m, Return Time: ")
     _SESSION = re.compile(rf"Starting FTM session with ({MAC.pattern})")
     _PEER = re.compile(rf"Peer\(({MAC.pattern})\) failed! \(Status - ([0-9])\)")
-    _ENDS = re.compile(r"session ends with ([0-9]{1,3}) valid readings out of ([0-9]{1,3})")
+    _ENDS = re.compile(
+        r"session ends with ([0-9]{1,3}) valid readings out of ([0-9]{1,3})"
+        r"(?:,.{0,60}, Avg RSSI: (-[0-9]{1,3}))?"
+    )
+    NO_POWER = "-1"
+    """Average power that the example prints of boards 5 m apart."""
     _FAILURES: Mapping[str, str] = {
         "FTM procedure timed out!": "timed out",
         "No valid FTM Measurements found!": "no valid measurements",
@@ -75,6 +80,7 @@ class Esp32FtmDecoder(FieldDecoder):
     def _forget(self) -> None:
         self._peer: str | None = None
         self._quality: float | None = None
+        self._power_dbm: float | None = None
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the reading of a result; other lines describe the session of the next result."""
@@ -84,11 +90,14 @@ class Esp32FtmDecoder(FieldDecoder):
         if found := self._ARDUINO.search(line):
             return self._result(found[1], None)
         if found := self._SESSION.search(line):
-            self._peer, self._quality = found[1].lower(), None
+            self._forget()
+            self._peer = found[1].lower()
         elif found := self._ENDS.search(line):
             self._quality = ratio(int(found[1]), int(found[2]))
+            self._power_dbm = None if found[3] == self.NO_POWER else number(found[3])
         elif found := self._PEER.search(line):
-            self._peer, self._quality = found[1].lower(), None
+            self._forget()
+            self._peer = found[1].lower()
             status = int(found[2])
             word = self._STATUS[status] if status < len(self._STATUS) else "unknown"
             return self.refused(f"status {status} ({word})")
@@ -100,14 +109,20 @@ class Esp32FtmDecoder(FieldDecoder):
         return []
 
     def _result(self, metres: str, time_s: float | None) -> list[RadioReading]:
-        range_m, quality = number(metres), self._quality
-        self._quality = None
+        range_m, quality, power_dbm = number(metres), self._quality, self._power_dbm
+        self._quality = self._power_dbm = None
         problem = complain_of_unsigned(range_m)
         if problem is not None:
             return self.refused(problem)
         peer = self._peer if self._names_peer else None
         return self.understood(
-            RadioReading(peer, device_time_s=time_s, range_m=range_m, quality=quality)
+            RadioReading(
+                peer,
+                device_time_s=time_s,
+                range_m=range_m,
+                quality=quality,
+                power_dbm=power_dbm,
+            )
         )
 
 

@@ -24,7 +24,7 @@ from sim_link.world.field_radio import Measures
 LIGHT_MPS = 299_792_458.0
 U32 = 1 << 32
 FLOOR_DBM, AT_ONE_METRE_DBM = -95.0, -45.0
-"""Received power, derived from the range: free space, and no less than noise."""
+"""Free space, and no less than noise."""
 LINE_END = "\r\n"
 
 
@@ -59,7 +59,9 @@ class Answer:
 
     @property
     def power_dbm(self) -> float:
-        """Received power by the free-space law; for the log only, never a measurement."""
+        """Received power; by the free-space law, for the log only, if it was not measured."""
+        if self.heard is not None and self.heard.power_dbm is not None:
+            return self.heard.power_dbm
         distance_m = max(1.0, self.range_m or 30.0)
         return max(FLOOR_DBM, AT_ONE_METRE_DBM - 20.0 * math.log10(distance_m))
 

@@ -1,35 +1,223 @@
-"""Devices that print received powers alone: a Bluetooth scan, an access point scan, a gateway.
+"""Devices that print received powers alone: scans, a sniffer, LoRa gateways, a detector of pulses.
 
-No range can be made of it; it is here to be refused by name.
-
-Sources: zephyr `samples/bluetooth/observer`; `iw dev ... scan`; Semtech packet forwarder,
-PROTOCOL.TXT section 4 (rxpk); sandeepmistry/arduino-LoRa `LoRaReceiver`.
+Sources: `iw dev ... scan` on a Raspberry Pi; BlueZ 5.65 `btmon`; ESP32 promiscuous sketches;
+Semtech packet forwarder, PROTOCOL.TXT sections 3.2 and 4 (PUSH_DATA, rxpk); ChirpStack 4, uplink
+event; The Things Stack, "Data Formats"; DonLakeFlyer/MavlinkTagController2, `pulse_detector.py`.
 """
 
 from __future__ import annotations
 
-from sim_link.emulators.emulator import Answer, Emulator, Round, lines, mac_of
+import base64
+import json
+import math
+import struct
+from typing import ClassVar
+
+from sim_link.emulators.emulator import U32, Answer, Emulator, Round, lines, mac_of
+from sim_link.emulators.wifi import SIMULATION_BEGAN_S
+
+CHANNEL_NOISE_DBM = -117.0
+"""Noise of a LoRa channel of 125 kHz: -174 dBm/Hz, 51 dB of bandwidth, 6 dB of the receiver."""
+MOST_SNR_DB = 14.0
+"""Where the SX1301 saturates."""
+PULSE_NOISE_DBM = -150.0
+GATEWAY_EUI = "AA555A0000000101"
 
 
-class PowerScan(Emulator):
-    """Lines of four kinds of receivers, alternately."""
+class WifiScan(Emulator):
+    """`iw dev wlan0 scan`, one channel again and again."""
 
-    name = "rssi_scan"
-    title = "scans and gateways that print received powers alone"
+    name = "wifi_scan"
+    title = "Linux iw, scan of access points"
+    names = "{mac}"
+    gives = "power"
+    rate_hz = 4.0
+
+    def encode(self, asked: Round) -> bytes:
+        """Return a block for each access point."""
+        return lines([line for answer in asked.heard for line in self._block(answer, asked)])
+
+    def _block(self, answer: Answer, asked: Round) -> list[str]:
+        return [
+            f"BSS {mac_of(answer.emitter_id)}(on wlan0)",
+            f"\tlast seen: {self.device_s(asked.sent_at_s):.3f}s [boottime]",
+            "\tTSF: 0 usec (0d, 00:00:00)",
+            "\tfreq: 2437",
+            "\tbeacon interval: 100 TUs",
+            f"\tsignal: {round(answer.power_dbm):.2f} dBm",
+            f"\tlast seen: {round(1e3 * asked.lag_s)} ms ago",
+            "\tSSID: phone",
+            "\tCountry: DE\tEnvironment: Indoor/Outdoor",
+            "\t\tChannels [1 - 13] @ 20 dBm",
+        ]
+
+
+class BleScan(Emulator):
+    """`btmon` beside a scan of Bluetooth advertisements."""
+
+    name = "ble_scan"
+    title = "BlueZ btmon, advertisements"
     names = "{mac_capitals}"
     gives = "power"
     rate_hz = 5.0
 
-    def encode(self, asked: Round) -> bytes:
-        """Return the lines of each kind about an emitter."""
-        return lines([line for answer in asked.heard for line in self._lines(answer)])
+    def boot(self) -> bytes:
+        """Return the monitor's head."""
+        return lines(["Bluetooth monitor ver 5.65"])
 
-    def _lines(self, answer: Answer) -> list[str]:
-        dbm, mac = round(answer.power_dbm), mac_of(answer.emitter_id).upper()
-        kinds = (
-            [f"Device found: {mac} (random) (RSSI {dbm}), type 0, AD data len 29"],
-            [f"\tsignal: {dbm:.2f} dBm"],
-            [f'{{"rxpk":[{{"chan":2,"freq":868.1,"rssi":{dbm},"lsnr":5.1,"size":23}}]}}'],
-            [f"Received packet 'hello 12' with RSSI {dbm}"],
+    def encode(self, asked: Round) -> bytes:
+        """Return an event for each advertisement."""
+        return lines([line for answer in asked.heard for line in self._event(answer)])
+
+    def _event(self, answer: Answer) -> list[str]:
+        power_dbm = round(answer.power_dbm)
+        return [
+            f"> HCI Event: LE Meta Event (0x3e) plen 40    #{self.next_number()} [hci0] 35.351116",
+            "      LE Advertising Report (0x02)",
+            "        Num reports: 1",
+            f"        Address: {mac_of(answer.emitter_id).upper()} (Static)",
+            "        Data length: 28",
+            "        TX power: 5 dBm",
+            f"        RSSI: {power_dbm} dBm (0x{power_dbm & 0xFF:02x})",
+        ]
+
+
+class Esp32Sniffer(Emulator):
+    """An ESP32 in promiscuous mode, a line for each frame of management."""
+
+    name = "esp32_sniffer"
+    title = "ESP32 promiscuous mode, PACKET TYPE lines"
+    names = "{mac}"
+    gives = "power"
+
+    def encode(self, asked: Round) -> bytes:
+        """Return a probe request of each device."""
+        to_all = "ff:ff:ff:ff:ff:ff"
+        return lines(
+            [
+                f"PACKET TYPE=MGMT, CHAN=06, RSSI={round(answer.power_dbm):02d}, ADDR1={to_all}, "
+                f"ADDR2={mac_of(answer.emitter_id)}, ADDR3={to_all}"
+                for answer in asked.heard
+            ]
         )
-        return kinds[self.next_number(len(kinds))]
+
+
+def heard_by_gateway(power_dbm: float) -> tuple[int, float]:
+    """Return the power of the channel and the signal to noise ratio, as a gateway reports them."""
+    channel_mw = 10.0 ** (0.1 * power_dbm) + 10.0 ** (0.1 * CHANNEL_NOISE_DBM)
+    snr_db = min(power_dbm - CHANNEL_NOISE_DBM, MOST_SNR_DB)
+    return round(10.0 * math.log10(channel_mw)), round(snr_db, 1)
+
+
+class LoraForwarder(Emulator):
+    """Semtech's packet forwarder: PUSH_DATA datagrams, a packet in each."""
+
+    name = "lora_forwarder"
+    title = "LoRa gateway, Semtech packet forwarder"
+    names = "260B{0:04X}"
+    gives = "power"
+    rate_hz = 1.0
+
+    def encode(self, asked: Round) -> bytes:
+        """Return a datagram for each packet."""
+        return b"".join(self._datagram(answer, asked) for answer in asked.heard)
+
+    def _datagram(self, answer: Answer, asked: Round) -> bytes:
+        rssi_dbm, snr_db = heard_by_gateway(answer.power_dbm)
+        address = struct.pack("<I", 0x260B0000 | answer.emitter_id)
+        count = struct.pack("<H", self.next_number(1 << 16))
+        payload = b"\x40" + address + b"\x00" + count + b"\x01" + bytes(9)
+        packet = {
+            "tmst": round(1e6 * self.device_s(asked.sent_at_s)) % U32,
+            "chan": 2,
+            "rfch": 0,
+            "freq": 868.5,
+            "stat": 1,
+            "modu": "LORA",
+            "datr": "SF7BW125",
+            "codr": "4/5",
+            "rssi": rssi_dbm,
+            "lsnr": snr_db,
+            "size": len(payload),
+            "data": base64.b64encode(payload).decode(),
+        }
+        token = self._rng.bytes(2)
+        head = b"\x02" + token + b"\x00" + bytes.fromhex(GATEWAY_EUI)
+        return head + json.dumps({"rxpk": [packet]}, separators=(",", ":")).encode()
+
+
+class ChirpStack(Emulator):
+    """ChirpStack's uplink events, a line each as an MQTT subscriber prints them."""
+
+    name = "chirpstack"
+    title = "ChirpStack 4, uplink events"
+    names = "02000000000{0:05x}"
+    gives = "power"
+    rate_hz = 1.0
+
+    def encode(self, asked: Round) -> bytes:
+        """Return a line for each packet."""
+        events = [self._event(answer) for answer in asked.heard]
+        return "".join(json.dumps(each, separators=(",", ":")) + "\n" for each in events).encode()
+
+    def _event(self, answer: Answer) -> dict[str, object]:
+        rssi_dbm, snr_db = heard_by_gateway(answer.power_dbm)
+        return {
+            "deduplicationId": "3ac7e3c4-4401-4b8d-9386-a5c902f9202d",
+            "deviceInfo": {
+                "deviceName": "tag",
+                "devEui": self.name_on_wire(answer.emitter_id),
+                "tags": {},
+            },
+            "devAddr": "00189440",
+            "fCnt": self.next_number(1 << 16),
+            "data": "qmNg",
+            "rxInfo": [{"gatewayId": GATEWAY_EUI.lower(), "rssi": rssi_dbm, "snr": snr_db}],
+            "txInfo": {"frequency": 868100000},
+        }
+
+
+class TheThingsStack(ChirpStack):
+    """The Things Stack's uplink messages."""
+
+    name = "things_stack"
+    title = "The Things Stack, uplink messages"
+
+    def _event(self, answer: Answer) -> dict[str, object]:
+        rssi_dbm, snr_db = heard_by_gateway(answer.power_dbm)
+        gateway = {
+            "gateway_ids": {"gateway_id": "on-the-vehicle", "eui": GATEWAY_EUI},
+            "rssi": rssi_dbm,
+            "channel_rssi": rssi_dbm,
+            "snr": snr_db,
+        }
+        return {
+            "end_device_ids": {
+                "device_id": "tag",
+                "dev_eui": self.name_on_wire(answer.emitter_id).upper(),
+            },
+            "uplink_message": {"f_cnt": self.next_number(1 << 16), "rx_metadata": [gateway]},
+        }
+
+
+class Uavrt(Emulator):
+    """A detector of a pulsed VHF tag: twelve float64 for each pulse."""
+
+    name = "uavrt"
+    title = "UAV-RT pulses, datagrams of the detector"
+    gives = "power"
+    rate_hz = 1.0
+    epoch_s = SIMULATION_BEGAN_S
+    FREQUENCY_HZ: ClassVar[float] = 146_000_000.0
+    CONFIRMED: ClassVar[float] = 2.0
+
+    def encode(self, asked: Round) -> bytes:
+        """Return a datagram for each pulse."""
+        return b"".join(self._pulse(answer, asked) for answer in asked.heard)
+
+    def _pulse(self, answer: Answer, asked: Round) -> bytes:
+        start_s = self.device_s(asked.sent_at_s)
+        snr_db = answer.power_dbm - PULSE_NOISE_DBM
+        group = (float(self.next_number(1 << 16)), 0.0, snr_db)
+        head = (float(answer.emitter_id), self.FREQUENCY_HZ, start_s, start_s + 1.0, snr_db, 1e2)
+        return struct.pack("<12d", *head, *group, self.CONFIRMED, 1.0, 1e-9)

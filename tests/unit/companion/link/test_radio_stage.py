@@ -154,8 +154,23 @@ def test_a_power_that_is_none_is_refused_and_the_range_beside_it_kept(said_dbm: 
     assert measured(stage, RadioReading(emitter=7, power_dbm=said_dbm)) == []
 
 
-def test_a_power_alone_passes() -> None:
+def test_a_power_alone_passes_with_its_offset() -> None:
     assert one(stage_of(), RadioReading(emitter=7, power_dbm=-71.0)).power_dbm == -71.0
+    relative = stage_of(power_offset_db=-150.0)
+    assert one(relative, RadioReading(emitter=7, power_dbm=21.5)).power_dbm == -128.5
+
+
+def test_a_power_beside_a_refused_range_is_not_used_alone() -> None:
+    stage = stage_of()
+    assert measured(stage, replace(READING, range_m=0.0, power_dbm=-71.0)) == []
+    assert stage.all_refused == {"range of exactly 0: nothing measured": 1}
+
+
+def test_names_that_are_not_listed_are_kept_with_their_power() -> None:
+    stage = stage_of(emitters={"tag": 1}, unnamed="refuse")
+    for name, power_dbm in (("a", -71.0), ("b\n", None), ("a", -70.0)):
+        assert measured(stage, RadioReading(emitter=name, range_m=3.0, power_dbm=power_dbm)) == []
+    assert stage.unlisted == {"a": -70.0, "b?": None}
 
 
 def test_half_of_a_reading_is_kept_where_the_other_half_is_refused() -> None:

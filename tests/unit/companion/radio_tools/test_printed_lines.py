@@ -214,6 +214,53 @@ def test_what_cannot_be_a_value_is_refused_by_a_reason_that_helps(
     assert reason in typed.head
 
 
+SCAN = "BSS c4:7c:8d:00:00:01(on wlan0)\n\tsignal: -64.00 dBm\n\tlast seen: 120 ms ago\n"
+UPLINK = (
+    '{"deviceInfo":{"devEui":"0101010101010101"},"rxInfo":[{"gatewayId":"aa","rssi":-57,'
+    '"snr":30}]}\n'
+)
+PULSE = (
+    "Conf: 1 Id:  2 snr:  21.3 heading: 123.0 stft_score: 1e+02 noise_psd: 1e-09 freq: 146000000\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("radio", "printed", "power_dbm"),
+    [
+        ("rssi:emitters={C4:7C:8D:00:00:01: 1}@exec:iw dev wlan0 scan", SCAN, -64.0),
+        ("rssi:unnamed=number@exec:btmon", "[CHG] Device C4:7C:8D:00:00:01 RSSI: -61\n", -61.0),
+        ("rssi:single_emitter=true@/dev/ttyUSB0", "Received packet 'x' with RSSI -61\n", -61.0),
+        ("rssi:single_emitter=true,power_offset_db=3@/dev/ttyUSB0", "RSSI: -61\n", -58.0),
+        ("lora_gateway:unnamed=number@udp:127.0.0.1:1700", UPLINK, -57.0),
+        ("uavrt@file:controller.log", PULSE, 21.3 - 150.0),
+        ("ndjson@stdin:", '{"emitter_id":1,"power_dbm":-61.0}\n', -61.0),
+        (r"lines:pattern='(?P<emitter>\w+) (?P<power_dbm>-\d+)dBm'@/dev/x", "t1 -61dBm\n", -61.0),
+        ("ftm_csv:columns=[emitter,power_dbm]@/dev/x", "02:00:00:00:00:07,-61\n", -61.0),
+        (
+            r"lines:pattern='snr (?P<power_dbm>[\d.-]+)',power_offset_db=-117@/dev/x",
+            "snr -6.5\n",
+            -123.5,
+        ),
+    ],
+)
+def test_a_received_power_is_read(radio: str, printed: str, power_dbm: float) -> None:
+    typed = Typed(radio, printed)
+
+    (measurement,) = typed.newest.values()
+    assert measurement.power_dbm == pytest.approx(power_dbm, abs=0.05), typed.lines
+
+
+def test_devices_of_a_scan_are_shown_until_one_is_listed() -> None:
+    typed = Typed(
+        "rssi@exec:iw dev wlan0 scan", SCAN + SCAN.replace("-64", "-40").replace("1(", "2(")
+    )
+
+    assert not typed.newest
+    assert typed.lines[-1] == (
+        "  not in `emitters`: c4:7c:8d:00:00:02 (-40 dBm), c4:7c:8d:00:00:01 (-64 dBm)"
+    )
+
+
 def test_few_valid_readings_of_a_session_widen_the_sigma() -> None:
     ends = "W (1) wifi:FTM session ends with {} valid readings out of 31, Avg raw RTT: 9.2 nSec\n"
     result = "I (9) ftm_station: Estimated RTT - 33 nSec, Estimated Distance - 5.07 meters\n"
@@ -248,7 +295,9 @@ def test_a_received_power_alone_is_refused_by_that_reason(radio: str, line: str)
         assert [m.power_dbm for m in typed.newest.values()] == [-61.0]
         return
     assert not typed.newest
-    if radio.startswith("ndjson") and not line.startswith("{"):
+    if radio.startswith("ndjson") and "rssi" in line and line.startswith("{"):
+        assert "a power is power_dbm" in typed.head
+    elif radio.startswith("ndjson") and not line.startswith("{"):
         assert "not a JSON object" in typed.head or "not JSON" in typed.head
     else:
         assert "received power only" in typed.head
@@ -269,9 +318,9 @@ def test_a_power_beside_a_range_or_an_angle_is_a_format_that_is_not_known(line: 
     assert typed.head.endswith(f"1 line not recognised; first: {line}")
 
 
-@pytest.mark.parametrize("group", ["power_dbm", "rssi", "snr_db"])
-def test_a_power_is_no_group_of_an_expression(group: str) -> None:
-    with pytest.raises(ConfigError, match="received power only"):
+@pytest.mark.parametrize("group", ["rssi", "snr_db"])
+def test_a_level_is_named_as_a_power_or_refused(group: str) -> None:
+    with pytest.raises(ConfigError, match="is named power_dbm"):
         radio_setups(flown_radios((), [f"lines:pattern='RSSI (?P<{group}>.*)'@/dev/ttyUSB0"]))
 
 

@@ -129,7 +129,7 @@ def test_a_pozyx_answers_in_hexadecimal() -> None:
     data = (12_345).to_bytes(4, "little") + (6_789).to_bytes(4, "little") + b"\xad\xff"
 
     (reading,) = read(decoder, "D,01" + data.hex())
-    assert reading == RadioReading("0x6951", device_time_s=12.345, range_m=6.789)
+    assert reading == RadioReading("0x6951", device_time_s=12.345, range_m=6.789, power_dbm=-83.0)
     assert read(decoder, "D,01" + bytes(10).hex()) == []
     assert decoder.counts.refused == {"no range yet": 1}
 

@@ -27,6 +27,8 @@ ALIKE = {
     "doppler": "kraken",
     "channel_sounding": "lines",
     "silabs_aoa": "uudf",
+    "lora_gateway": "rssi",
+    "uavrt": "rssi",
 }
 """Radios that are set up as another one is."""
 

@@ -24,6 +24,7 @@ ANGLED = RadioReading(
     range_m=0.91,
     azimuth_rad=math.radians(24.90),
     elevation_rad=math.radians(12.01),
+    power_dbm=-66.5,
     frame=AngleFrame.ARRAY,
 )
 RANGED = RadioReading(emitter=1, range_m=2.45, frame=AngleFrame.ARRAY)

@@ -239,7 +239,7 @@ def test_the_groups_of_an_expression_say_quantity_and_unit() -> None:
         ("", "pattern: an expression, such as"),
         (r"(?P<range_m>[\d.]+", "pattern: missing \\), unterminated subpattern"),
         (r"(?P<distance>[\d.]+)", "`distance` is no quantity with a unit"),
-        (r"(?P<emitter>\w+)", "neither a range nor an angle"),
+        (r"(?P<emitter>\w+)", "neither a range, an angle nor a power"),
     ],
 )
 def test_a_bad_expression_is_a_configuration_error(pattern: str, words: str) -> None:
@@ -257,7 +257,7 @@ def test_a_bad_expression_is_a_configuration_error(pattern: str, words: str) -> 
         ("r=4 a=361", "angle is beyond a full turn"),
         ("r=4 q=1.5", "quality is out of bounds"),
         ("r=4 s=-1", "sigma is negative"),
-        ("r= q=1", "neither range nor angle"),
+        ("r= q=1", "neither range, angle nor power"),
     ],
 )
 def test_values_that_cannot_be_are_counted_by_reason(text: str, reason: str) -> None:

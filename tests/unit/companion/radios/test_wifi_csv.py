@@ -76,7 +76,7 @@ def test_columns_can_be_given_with_their_units() -> None:
     ("names", "words"),
     [
         (("emitter", "range"), "`range` is no quantity with a unit"),
-        (("emitter", "time_s"), "neither a range nor an angle"),
+        (("emitter", "time_s"), "neither a range, an angle nor a power"),
         (("range_cm", "range_m"), "says what another one says too"),
     ],
 )

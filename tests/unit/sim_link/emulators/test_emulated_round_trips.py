@@ -18,7 +18,7 @@ from companion.geometry.coordinates import wrap_pi
 from companion.link.radio_stage import RadioStage
 from sim_link.emulators.catalogue import EMULATORS, make_emulator
 from sim_link.emulators.emulator import Answer, Round
-from tests.radio_formats import FORMAT_OF, FORMATS, Format
+from tests.radio_formats import ALL, FORMAT_OF, POWERS, Format
 
 EMITTER = 7
 ROUNDS = 300
@@ -30,7 +30,7 @@ CLOCK_S = 100.0
 
 def formats(*needed: str) -> list[object]:
     """All that tell something."""
-    chosen = [each for each in FORMATS if all(getattr(each, name) for name in needed)]
+    chosen = [each for each in ALL if all(getattr(each, name) for name in needed)]
     return [pytest.param(each, id=each.name) for each in chosen]
 
 
@@ -47,6 +47,7 @@ def drawn(rng: np.random.Generator, sent_at_s: float, *, is_array: bool) -> Rang
         elevation_sigma_rad=0.1,
         is_array_angle=is_array,
         quality=float(rng.uniform(0.4, 1.0)),
+        power_dbm=float(rng.uniform(-119.0, -30.0)),
     )
 
 
@@ -78,10 +79,15 @@ def both(format_: Format) -> list[tuple[RangingMeasurement, RangingMeasurement]]
 
 
 def test_every_emulator_has_a_decoder() -> None:
-    """But for those that print powers alone."""
-    measuring = {name for name, kind in EMULATORS.items() if kind.gives != "power"}
+    assert {each.name for each in ALL} == set(EMULATORS)
 
-    assert {each.name for each in FORMATS} == measuring
+
+@pytest.mark.parametrize("format_", formats("power_db"))
+def test_received_powers_come_back(format_: Format) -> None:
+    for measured, got in both(format_):
+        assert got.power_dbm is not None
+        assert measured.power_dbm is not None
+        assert abs(got.power_dbm - measured.power_dbm) <= SLACK * (format_.power_db or 0.0)
 
 
 @pytest.mark.parametrize("format_", formats("range_m"))
@@ -112,12 +118,13 @@ def test_elevations_come_back_with_their_sign(format_: Format) -> None:
         assert abs(off_deg) <= SLACK * (format_.elevation_deg or 0.0)
 
 
-@pytest.mark.parametrize("format_", [each for each in FORMATS], ids=lambda each: str(each.name))
+@pytest.mark.parametrize("format_", [each for each in ALL], ids=lambda each: str(each.name))
 def test_what_a_format_does_not_tell_is_missing_and_never_zero(format_: Format) -> None:
     for _, got in both(format_)[:20]:
         assert (got.range_m is None) == (format_.range_m is None)
         assert (got.bearing_body_rad is None) == (format_.azimuth_deg is None)
         assert (got.elevation_rad is None) == (format_.elevation_deg is None)
+        assert (got.power_dbm is None) == (format_.power_db is None)
 
 
 @pytest.mark.parametrize("format_", formats("sigma_m"))
@@ -165,7 +172,7 @@ def test_a_clock_that_starts_again_makes_no_difference(name: str, wrap_s: float)
         assert after.measured_at_s == pytest.approx(before.measured_at_s, abs=0.01)
 
 
-@pytest.mark.parametrize("format_", [each for each in FORMATS], ids=lambda each: str(each.name))
+@pytest.mark.parametrize("format_", [each for each in ALL], ids=lambda each: str(each.name))
 def test_who_does_not_answer_has_no_reading(format_: Format) -> None:
     measured, printed = said(format_, 3)
     radio = make_emulator(format_.name, 1, CLOCK_S)
@@ -173,12 +180,11 @@ def test_who_does_not_answer_has_no_reading(format_: Format) -> None:
     stage = RadioStage(format_.setup(EMITTER))
     heard = [m for data, now_s in printed if data for m in stage.receive(data, now_s)]
     assert len(heard) == len(measured)
-    assert [
-        m for m in (stage.receive(silence, 9.0) if silence else []) if m.range_m is not None
-    ] == []
+    after = stage.receive(silence, 9.0) if silence else []
+    assert [m for m in after if m.range_m is not None or format_ in POWERS] == []
 
 
-MANY = [each for each in FORMATS if each.kind.most >= 4]
+MANY = [each for each in ALL if each.kind.most >= 4]
 
 
 @pytest.mark.parametrize("format_", MANY, ids=lambda each: str(each.name))

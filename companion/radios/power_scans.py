@@ -1,0 +1,236 @@
+"""Scans and sniffers that print received powers: Wi-Fi, Bluetooth, LoRa receivers, UAV-RT pulses.
+
+A line belongs to the device whose address it has, or to that of the block that it stands in.
+Without any address it is used only if all lines are of one emitter, which must be configured,
+because the first device of a scan is seldom the one that is searched for.
+
+Sources: `iw` scan.c, station.c and link.c; wireless-tools iwlist.c; wpa_supplicant ctrl_iface.c;
+BlueZ client/main.c and monitor/packet.c; zephyr `samples/bluetooth/observer`; tcpdump
+print-802_11.c; espressif/arduino-esp32 BLE `toString`; ESP32 promiscuous sketches after
+lpodkalicki/blog; sandeepmistry/arduino-LoRa, jgromes/RadioLib, StuartsProjects/SX12XX-LoRa;
+DonLakeFlyer/MavlinkTagController2 `PulseHandler` and `detector/pulse_detector.py`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from struct import Struct
+
+from companion.domain import Params
+from companion.radios.decoder import FrameDecoder, Poll, RadioKind, RadioReading, is_power_only
+from companion.radios.fields import number
+from companion.radios.line_forms import FormDecoder, form
+
+_MAC = "[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
+_EMITTER = f"(?P<emitter>{_MAC})"
+_BLOCK = f"(?P<block>{_MAC})"
+_NUMBER = r"[+-]?[0-9]{1,3}(?:\.[0-9]+)?(?![.,]?[0-9])"
+_DBM = rf"(?P<power_dbm>{_NUMBER})"
+NO_ADDRESS = "no address: set single_emitter=true if there is one emitter"
+
+
+class PowerScanOptions(Params, frozen=True):
+    """Properties that the lines leave open."""
+
+    single_emitter: bool = False
+    """All lines without an address are of one emitter."""
+
+
+class PowerScanDecoder(FormDecoder):
+    """Decoder of the lines of scans, sniffers and receivers."""
+
+    Options = PowerScanOptions
+    options: PowerScanOptions
+    forms = (
+        form(rf"^(?:BSS|Station|Connected to) {_BLOCK}"),
+        form(rf"\bCell [0-9]+ - Address: {_BLOCK}"),
+        form(rf"^\s*(?:(?:LE|BR/EDR) )?Address: {_BLOCK}(?!.*\brssi\b)"),
+        form(rf"^Device {_BLOCK}(?: \((?:public|random)\))?\s*$"),
+        form(r"^(?P<end>[<>@=] |Discovered a peripheral)"),
+        form(r"^\s*inactive time:\s+(?P<idle_ms>[0-9]{1,9}) ms"),
+        form(r"^\s*signal avg:|TX power: "),
+        form(rf"^\s*signal:\s+(?P<signal>{_NUMBER}) (?:\[[-0-9, ]+\] )?dBm"),
+        form(rf"\bSignal level={_DBM} dBm"),
+        form(r"(?:\bSignal level[=:]|^\s*signal: )[0-9]+/[0-9]+", "signal is a share, no dBm"),
+        form(r"RSSI return value: ", "hcitool rssi is relative to an unknown level: use btmon"),
+        form(rf"^\s*RSSI: {_DBM} dBm \(0x"),
+        form(r"\bRSSI: (?:invalid|n/?a)", "no power"),
+        form(
+            rf"\[(?:CHG|NEW)\] Device {_EMITTER} RSSI: (?:is )?(?:0x[0-9a-fA-F]{{8}} \()?{_DBM}\)?$"
+        ),
+        form(r"^\s*RSSI: (?:0x[0-9a-fA-F]{8} \()?(?P<power_dbm>-[0-9]{1,3})\)?\s*$"),
+        form(rf"(?:Device found|\[DEVICE\]): {_EMITTER} .*?RSSI {_DBM}"),
+        form(rf"PACKET TYPE=\w+, CHAN=[0-9]+, RSSI={_DBM},.*?\bADDR2={_EMITTER}"),
+        form(rf"{_DBM}dBm signal .*?\b(?:SA|TA):{_EMITTER}"),
+        form(r"dBm signal ", "frame without the sender's address: tcpdump -e prints it"),
+        form(rf"\bAddress: {_EMITTER}.*?\b(?:rssi|RSSI): {_DBM}"),
+        form(rf"^{_EMITTER}\t[0-9]{{4,5}}\t{_DBM}\t"),
+        form(rf"\bwith RSSI {_DBM}"),
+        form(rf"^\[\w+\] RSSI:\s+{_DBM} dBm$"),
+        form(rf"\bRSSI,{_DBM}dBm\b"),
+    )
+    _ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x01\x02]|^.*\r")
+    _LEVEL = re.compile(
+        r"\b(?<!tx[ _])(?<!noise )(?<!measured )(?:rssi|rss|signal|power|level)"
+        rf"(?:[_ ]?(?:dbm|strength|level))?\b[\"']?\s?[:=,]?\s?{_DBM}(?![%/])"
+        rf"|(?<![\w.,+-])(?P<dbm>{_NUMBER}) ?dBm\b(?! ?noise)",
+        re.IGNORECASE,
+    )
+    _ADDRESS = re.compile(rf"(?<![\w:-]){_MAC}(?![\w:-])")
+    _GATEWAY = re.compile(r'"(?:rxpk|rxInfo|rx_metadata)":')
+    _AGE = re.compile(r"^\s*last seen: (?P<age_ms>[0-9]{1,9}) ms ago")
+
+    def __init__(self, options: Params | None = None) -> None:
+        super().__init__(options)
+        self._forget()
+
+    def reset(self) -> None:
+        """Forget a partial block as well."""
+        super().reset()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._device: str | None = None
+        self._idle_ms = "0"
+        self._held: dict[str, str] | None = None
+        """Power of `iw`, whose age may follow in the next line."""
+
+    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+        """Return the readings of a line, and of the one before if that waited for its age."""
+        line = self._ESCAPES.sub("", line)
+        held, self._held = self._held, None
+        age = self._AGE.search(line)
+        if age is not None:
+            return self.no_reading() if held is None else self._power({**held, **age.groupdict()})
+        readings = [] if held is None else self._power(held)
+        return readings + super().read_line(line, received_s)
+
+    def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
+        """Return the reading of a match; some lines of a block only describe its device."""
+        if "block" in fields or "end" in fields:
+            self._device, self._idle_ms = fields.get("block"), "0"
+        elif "idle_ms" in fields:
+            self._idle_ms = fields["idle_ms"] or "0"
+        elif "signal" in fields and self._device is not None:
+            self._held = {
+                "emitter": self._device,
+                "power_dbm": fields["signal"] or "",
+                "age_ms": self._idle_ms,
+            }
+            return []
+        else:
+            return self._of_device(fields.get("emitter"), fields.get("power_dbm"))
+        return self.no_reading()
+
+    def passed_over(self, line: str) -> list[RadioReading]:
+        """Return the reading of a line of no known form, if nothing in it is ambiguous."""
+        if not is_power_only(line):
+            return super().passed_over(line) if self._device is None else self.no_reading()
+        if self._GATEWAY.search(line):
+            return self.refused("packets of a LoRa gateway: lora_gateway reads them")
+        addresses = set(self._ADDRESS.findall(line))
+        levels = {found["power_dbm"] or found["dbm"] for found in self._LEVEL.finditer(line)}
+        if len(addresses) > 1 or len(levels) > 1:
+            what = "addresses" if len(addresses) > 1 else "powers"
+            return self.refused(f"several {what} in a line: read it by `lines`")
+        if not levels:
+            return self.refused("no power in dBm that can be read: try `lines`")
+        return self._of_device(next(iter(addresses), None), levels.pop())
+
+    def _of_device(self, emitter: str | None, power_dbm: str | None) -> list[RadioReading]:
+        """Return the reading of a device by its address, or by that of its block."""
+        emitter = emitter or self._device
+        if emitter is None and not self.options.single_emitter:
+            return self.refused(NO_ADDRESS)
+        return self._power({"emitter": emitter or "", "power_dbm": power_dbm or ""})
+
+    def _power(self, texts: Mapping[str, str]) -> list[RadioReading]:
+        power_dbm = number(texts["power_dbm"])
+        if power_dbm is not None and power_dbm >= 0.0:
+            return self.refused("power is not negative: no dBm")
+        emitter = texts["emitter"].lower().replace("-", ":")
+        return self.read_fields({**texts, "emitter": emitter})
+
+
+class UavrtDecoder(FrameDecoder):
+    """Decoder of pulses: the detectors' datagrams, and lines of the controller's log.
+
+    A datagram has twelve float64: tag, frequency in Hz (0: heartbeat), start in Unix seconds,
+    expected next start, SNR in dB, score, three of its group, detection status, confirmation and
+    noise. The power is the SNR; `power_offset_db` is the noise in the pulse's bandwidth.
+    """
+
+    start = re.compile(rb"\x00{4}|\x00{1,3}\Z|Conf: |C(?:o(?:n(?:f:?)?)?)?\Z")
+    _LINE = re.compile(rb"Conf: ([01]) Id: +([0-9]{1,9}) snr: +(-?[0-9]{1,3}\.[0-9]) [^\n]*\n")
+    _PULSE = Struct("<12d")
+    LONGEST_LINE = 400
+    LARGEST_TAG, LARGEST_HZ, LARGEST_S = 2**32, 4e9, 2**33
+    MOST_DB = 200.0
+    """Above it no receiver has an SNR."""
+    STATUSES, NO_DETECTION = (0.0, 1.0, 2.0, 3.0), 3.0
+
+    def size_at(self, data: bytes, at: int) -> int | None:
+        """Return the size of a datagram, or of the rest of a line."""
+        if data[at] == 0:
+            return self._PULSE.size if len(data) >= at + self._PULSE.size else None
+        end = data.find(b"\n", at, at + self.LONGEST_LINE)
+        if end < 0:
+            return None if len(data) < at + self.LONGEST_LINE else 0
+        return end + 1 - at
+
+    def read_frame(self, frame: bytes) -> list[RadioReading] | None:
+        """Return the reading of a confirmed pulse; None if this is no pulse."""
+        if frame[0] != 0:
+            found = self._LINE.fullmatch(frame)
+            if found is None:
+                return None
+            return self._pulse(int(found[2]), None, float(found[3]), found[1] == b"1")
+        tag, hertz, start_s, _, snr_db, *_, status, confirmed, _noise = self._PULSE.unpack(frame)
+        in_bounds = (
+            tag.is_integer()
+            and hertz.is_integer()
+            and 0.0 <= tag < self.LARGEST_TAG
+            and 0.0 <= hertz <= self.LARGEST_HZ
+            and 0.0 <= start_s < self.LARGEST_S
+            and status in self.STATUSES
+            and confirmed in (0.0, 1.0)
+        )
+        if not in_bounds:
+            return None
+        if hertz == 0.0 or status == self.NO_DETECTION:
+            return []
+        return self._pulse(int(tag), start_s, snr_db, confirmed == 1.0)
+
+    def _pulse(
+        self, tag: int, start_s: float | None, snr_db: float, is_confirmed: bool
+    ) -> list[RadioReading]:
+        if not is_confirmed:
+            self.counts.refuse("pulse is not confirmed")
+            return []
+        if not abs(snr_db) <= self.MOST_DB:
+            self.counts.refuse("no SNR")
+            return []
+        return [RadioReading(tag, device_time_s=start_s, power_dbm=snr_db)]
+
+
+RSSI = RadioKind(
+    name="rssi",
+    decoder=PowerScanDecoder,
+    title="Scans and sniffers of Wi-Fi, Bluetooth and LoRa",
+    gives="power",
+    emitter="any device that is scanned",
+    transport="exec",
+    poll=Poll("", 0.5),
+    defaults={"unnamed": "refuse"},
+)
+UAVRT = RadioKind(
+    name="uavrt",
+    decoder=UavrtDecoder,
+    title="UAV-RT pulses of MavlinkTagController",
+    gives="power",
+    emitter="a pulsed VHF tag",
+    transport="udp",
+    # Thermal noise of -174 dBm/Hz, 6 dB of the receiver, 60 Hz of a pulse of 15 ms.
+    defaults={"power_offset_db": -150.0},
+)
