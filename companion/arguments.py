@@ -241,11 +241,12 @@ def _add_config(commands: Commands) -> None:
 def _add_warm_up(commands: Commands) -> None:
     warm_up = commands.add_parser(
         "warm-up",
-        help="compile what a flight needs ahead of it, where numba is installed",
-        description="Compile the kernels that a flight with this configuration needs, and keep "
-        "them: half a minute once, so that the flight itself begins within a second.",
+        help="compile the kernels for later flights, where numba is installed",
+        description="Compile the kernels for the flights of every configuration, and keep them: "
+        "half a minute or more, once. It needs numba, setuptools and a C compiler; without it "
+        "kernels run as plain Python, which suffices in flight.",
     )
-    _file(warm_up, "--config", "companion configuration")
+    _file(warm_up, "--config", "companion configuration, which is only checked")
 
 
 def _add_replay(commands: Commands) -> None:

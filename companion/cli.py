@@ -8,7 +8,6 @@ import json
 import logging
 import os
 import sys
-import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -28,7 +27,6 @@ from companion.io.links.link import NOTICE
 from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.radio_recording import is_radio_recording
 from companion.io.shared_clock import clock_of
-from companion.kernel import IS_COMPILED_ON_CALL, IS_NATIVE, count_loaded
 from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
 from companion.replay.walk_replay import (
@@ -38,7 +36,7 @@ from companion.replay.walk_replay import (
     stated_accuracy,
     table,
 )
-from companion.run import FlightOptions, FlightView, fly, prepare
+from companion.run import FlightOptions, FlightView, compile_kernels, fly
 from companion.view.console import ConsoleHandler, PlainView
 from companion.view.cot import CotView, cot_address
 from companion.web.live_map import WebView
@@ -231,14 +229,13 @@ def _tiles(arguments: argparse.Namespace) -> int:
 
 
 def _warm_up(arguments: argparse.Namespace) -> int:
-    config = load_config(arguments.config)
-    if not IS_COMPILED_ON_CALL:
-        plain = "numba is not installed, or switched off: kernels run as plain Python"
-        print("kernels were compiled ahead: nothing to do" if IS_NATIVE else plain)
-        return 0
-    began_s = time.monotonic()
-    prepare(config)
-    print(f"{count_loaded()} kernels are ready, after {time.monotonic() - began_s:.1f} s")
+    load_config(arguments.config)
+    try:
+        print(compile_kernels())
+    except CompanionError as error:
+        print(f"companion: {error}", file=sys.stderr)
+        print("companion: kernels run as plain Python, which suffices in flight", file=sys.stderr)
+        return EXIT_FAILED
     return 0
 
 

@@ -21,6 +21,7 @@ import signal
 import sys
 from typing import TYPE_CHECKING, Any
 
+from companion import kernel_cache
 from companion.errors import printable
 
 if TYPE_CHECKING:
@@ -115,6 +116,7 @@ def main() -> int:
     if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     ignore_broken_pipe(escapes=True)
+    kernel_cache.forgoes_compiler = True
     from companion.cli import main as run
 
     signal.signal(signal.SIGINT, before)

@@ -1,15 +1,13 @@
 """The `kernel` decorator, compiled where numba is installed, and the arrays that kernels take.
 
-The inner arithmetic of the filters is written once, over floats and small float64 arrays. With the
-`fast` extra it is compiled by `numba.njit(cache=True)`; on a vehicle without numba the very same
-functions run as they are.
+The inner arithmetic of the filters is written once, over floats and small float64 arrays. Where it
+was compiled ahead from these very sources (`companion.kernel_cache`), that machine code is called.
+Else the very same functions run as they are in a process that flies, and in others are compiled by
+`numba.njit(cache=True)` where numba is installed.
 
-Compiled kernels are kept in the user's cache, in a folder named after the state of the sources:
-numba notices when a kernel's own file has changed, but not when a kernel that it calls has.
-
-Where the package `companion_kernels` is installed (tools/release/build_kernels.py makes it, the
-Debian package contains it) and was compiled from these very sources, its machine code is called and
-numba is not loaded.
+Kernels that numba compiles are kept in the user's cache, in a folder named after the state of the
+sources: numba notices when a kernel's own file has changed, but not when a kernel that it calls
+has.
 """
 
 from __future__ import annotations
@@ -19,7 +17,6 @@ import functools
 import hashlib
 import importlib
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -27,47 +24,25 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from companion import kernel_cache
+
 F = TypeVar("F", bound=Callable[..., Any])
-
-NATIVE_SOURCES = ("domain.py", "geometry", "estimation", "planning")
-"""Sources of compiled code, in this package."""
-
-
-def sources_digest() -> str:
-    """Return a short name for the text of the kernels' sources."""
-    digest = hashlib.sha256()
-    here = Path(__file__).resolve().parent
-    for name in NATIVE_SOURCES:
-        below = here / name
-        for path in sorted(below.rglob("*.py")) if below.is_dir() else [below]:
-            digest.update(path.relative_to(here).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
-
 
 IS_SWITCHED_OFF = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 """True if kernels shall run as plain Python; then no compiler is loaded either."""
 
-
-def _load_native() -> Any:
-    """Return the package of precompiled kernels; None: none, or of other sources."""
-    with contextlib.suppress(ImportError):
-        package = importlib.import_module("companion_kernels")
-        if sources_digest() == getattr(package, "DIGEST", None):
-            return importlib.import_module("companion_kernels._native"), package.VARIANTS
-    return None
-
-
-_native: Any = None if IS_SWITCHED_OFF else _load_native()
+_native = None if IS_SWITCHED_OFF else kernel_cache.installed()
 numba: Any = None  # its types differ between versions
 if _native is None and not IS_SWITCHED_OFF:
-    os.environ.setdefault("NUMBA_OPT", "1")  # as fast as with its 3, compiled in half the time
-    with contextlib.suppress(ImportError):
-        numba = importlib.import_module("numba")
+    if kernel_cache.forgoes_compiler:
+        _native = kernel_cache.kept()
+    else:
+        os.environ.setdefault("NUMBA_OPT", "1")  # as fast as with its 3, compiled in half the time
+        with contextlib.suppress(ImportError):
+            numba = importlib.import_module("numba")
 
 PACKAGES = ("companion", "sim_link")
 """Those that define kernels."""
-KEPT_S = 30.0 * 86400.0
-"""Time for which unused compiled kernels are kept."""
 
 
 def _sources_digest() -> str:
@@ -85,31 +60,27 @@ def _keep_compiled_apart() -> None:
     """Point numba's cache at a folder for these sources, and drop those long unused."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "companion-guidance"
+    cache = kernel_cache.cache_folder()
+    numba.config.CACHE_DIR = ""
+    if cache is None:
+        return
     current = cache / f"kernels-{_sources_digest()}"
-    numba.config.CACHE_DIR = str(current)
-    try:
+    with contextlib.suppress(OSError):
         current.mkdir(parents=True, exist_ok=True)
         os.utime(current)
-        newest = current.stat().st_mtime
-        for other in cache.glob("kernels-*"):
-            if newest - other.stat().st_mtime > KEPT_S:
-                shutil.rmtree(other, ignore_errors=True)
-    except OSError:
-        numba.config.CACHE_DIR = ""
+        kernel_cache.drop_unused(cache)
+        numba.config.CACHE_DIR = str(current)
 
 
 if numba is not None:
     _keep_compiled_apart()
 
 IS_NATIVE: bool = _native is not None
-"""True if kernels were compiled before they were installed."""
+"""True if kernels were compiled ahead."""
 IS_COMPILED: bool = IS_NATIVE or (numba is not None and not numba.config.DISABLE_JIT)
 """True if kernels are compiled; with numba the first call of each takes up to seconds."""
 IS_COMPILED_ON_CALL: bool = IS_COMPILED and not IS_NATIVE
 """True if the first call of a kernel compiles it, or loads it from the cache."""
-KERNELS: list[Any] = []
-"""Those that numba compiles."""
 
 
 def kernel(function: F) -> F:
@@ -121,9 +92,7 @@ def kernel(function: F) -> F:
         return cast(F, _dispatcher(function, compiled)) if compiled else function
     if numba is None:
         return function
-    compiled = numba.njit(cache=True)(function)
-    KERNELS.append(compiled)
-    return cast(F, compiled)
+    return cast(F, numba.njit(cache=True)(function))
 
 
 def _dispatcher(
@@ -157,16 +126,6 @@ def kind_of(argument: Any) -> object:
     if kind not in _KINDS:
         _KINDS[kind] = f"{kind.__module__}.{kind.__qualname__}"
     return _KINDS[kind]
-
-
-def count_loaded() -> int:
-    """Return the number of kernels compiled, or loaded from the cache, in this process."""
-    return sum(bool(getattr(each, "signatures", ())) for each in KERNELS)
-
-
-def count_compiled() -> int:
-    """Return the number of kernels that the cache lacked, so that this process compiles them."""
-    return sum(bool(each.stats.cache_misses) for each in KERNELS if hasattr(each, "stats"))
 
 
 def has_compiled_cache() -> bool:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from companion import kernel_cache
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
 from companion.errors import CompanionError, LinkError
@@ -40,7 +41,7 @@ from companion.io.shell import Clock, Shell
 from companion.io.state.checkpoints import CheckpointStore
 from companion.io.state.signing_keys import SigningKeeper, load_signing_key, open_signing_keeper
 from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of, state_directory
-from companion.kernel import IS_COMPILED_ON_CALL, count_compiled, count_loaded
+from companion.kernel import IS_COMPILED, IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
@@ -49,7 +50,6 @@ from companion.process.persistence import ParameterKeeper, RestartKeeper
 from companion.process.priority import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
 from companion.process.search_keeper import SearchKeeper
 from companion.process.watchdog import STOPPING, Supervisor, Watchdog
-from companion.warm_up import warm_up
 
 log = logging.getLogger("companion.run")
 
@@ -134,12 +134,20 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
         return BlackBox()
 
 
-def prepare(config: CompanionConfig) -> None:
-    """Compile the kernels of a flight, before its clock starts; nothing to do without numba."""
-    if not IS_COMPILED_ON_CALL:
-        return
+def compile_kernels() -> str:
+    """Compile the kernels unless that was done, and return a sentence about them.
+
+    Raises:
+        CompanionError: They cannot be compiled, or not be kept.
+    """
+    if IS_NATIVE:
+        return "kernels were compiled ahead: nothing to do"
+    if IS_SWITCHED_OFF or not kernel_cache.can_compile():
+        return "numba is not installed, or switched off: kernels run as plain Python"
+    began_s = time.monotonic()
     with _reported_progress():
-        warm_up(config.tracking, build_planner(config))
+        kernel_cache.compile_kernels()
+    return f"kernels compiled, in {time.monotonic() - began_s:.0f} s"
 
 
 @contextmanager
@@ -156,21 +164,20 @@ def _announced_priority(clock: Clock) -> Iterator[None]:
         yield
 
 
-PROGRESS_S = 3.0
+PROGRESS_S = 10.0
 
 
 @contextmanager
 def _reported_progress() -> Iterator[None]:
-    """Report progress every few seconds; the first start compiles, later ones load the cache."""
+    """Report every few seconds that kernels are being compiled."""
     is_over = threading.Event()
 
     def report() -> None:
         seconds = 0.0
+        log.info("compiling kernels, which takes half a minute or more")
         while not is_over.wait(PROGRESS_S):
             seconds += PROGRESS_S
-            doing = "compiling" if count_compiled() else "loading compiled"
-            text = "%s kernels, before any link is opened: %d done after %.0f s"
-            log.info(text, doing, count_loaded(), seconds)
+            log.info("compiling kernels: %.0f s so far", seconds)
 
     reporter = threading.Thread(target=report, name="compiling", daemon=True)
     reporter.start()
@@ -260,8 +267,11 @@ def fly(
     name = link_name(vehicle)
     lock = VehicleLock(state, name, config.vehicle.system_id, place_of(vehicle))
     try:
-        prepare(config)
-        clock.restart()  # compiling is no part of the flight
+        if not IS_COMPILED and not IS_SWITCHED_OFF and kernel_cache.can_compile():
+            log.info(
+                "kernels run as plain Python; companion warm-up compiles them for later starts"
+            )
+        clock.restart()
         flight = _Flight(config, links, clock, keeper, options, state / lock_name(name))
         with _announced_priority(clock):
             flight.run()

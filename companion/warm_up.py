@@ -1,8 +1,8 @@
-"""Compiles the kernels before a flight, because it must not happen during one.
+"""Invented first flights, in which every kernel is called as flights call it.
 
-Where numba is installed, the first call of a kernel compiles it: half a minute in all the first
-time, and a second from the cache. In flight that would starve the control tick, and the autopilot
-would leave offboard mode.
+The kernels are compiled for the types that these calls have, ahead of a flight by
+`companion.kernel_builder`, or at their first call where numba compiles within the process. That
+takes half a minute, and would starve the control tick of a flight.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from companion.domain import ArrayDirection, RangingMeasurement
 from companion.estimation.antenna import LEVEL
 from companion.estimation.measurement_model import AZIMUTH, COSINES
 from companion.estimation.tracker import TargetTracker, TrackerParams
-from companion.kernel import IS_COMPILED_ON_CALL
 from companion.planning.planner import Planner, PlanRequest
 
 TARGET_M = (12.0, 9.0)
@@ -34,8 +33,6 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
 
     The kernels in use depend on the measured quantities, and on a full window.
     """
-    if not IS_COMPILED_ON_CALL:
-        return
     window = msgspec.structs.replace(params.window, size=SMALL_WINDOW)
     params = msgspec.structs.replace(params, window=window)
     rng = np.random.default_rng(0)

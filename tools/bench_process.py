@@ -4,7 +4,7 @@
 
 Each client gets a simulated PX4 of its own, with the streams of PX4's onboard link, at real time.
 The companion flies the canonical search on it; MAVSDK-Python (its position, attitude and health)
-and pymavlink (`recv_match`) idle. FOLDER is the output of tools/release/build_kernels.py. Figures
+and pymavlink (`recv_match`) idle. FOLDER is the output of companion.kernel_builder. Figures
 are of the process after it has settled, while it flies: resident memory and processor time as /proc
 reports them. Flights alternate, one at a time.
 """
@@ -34,17 +34,11 @@ from tools.console import OneLineParser, positive
 ROOT = Path(__file__).resolve().parents[1]
 SETTLING_S = 15.0
 """Time from the start of the client to the first look; the companion has taken off by then."""
-CLIENTS = ("native", "quiet", "numba", "plain", "mavsdk", "pymavlink")
+CLIENTS = ("native", "quiet", "warm", "plain", "mavsdk", "pymavlink")
 """The companion with its kernels compiled ahead, the same where streams that it does not read stop,
-with kernels by numba, or not at all; and who listens only."""
+with kernels that `warm-up` compiled, or not at all; and those that listen only."""
 AHEAD = ("native", "quiet")
 LISTENERS = ("mavsdk", "pymavlink")
-WITHOUT_NUMBA = """
-import sys
-sys.modules["numba"] = None
-from companion.entry import main
-sys.exit(main())
-"""
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -110,10 +104,8 @@ def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
     )
     config.write_text("\n".join(lines))
     program: tuple[str, ...] = (str(Path(sys.executable).with_name("companion")),)
-    if client == "numba":
+    if client == "warm":
         subprocess.run([*program, "warm-up"], check=True, stdout=subprocess.DEVNULL)
-    if client == "plain":
-        program = (sys.executable, "-c", WITHOUT_NUMBA)
     options = ("--connect", f"udp:127.0.0.1:{port}", "--config", str(config), "--quiet")
     return *program, *options
 
@@ -121,7 +113,8 @@ def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
 def environment_of(client: str, kernels: Path | None) -> dict[str, str]:
     """Return the environment with the kernels for a client."""
     path = f"{kernels.resolve()}:{ROOT}" if client in AHEAD and kernels else str(ROOT)
-    return {**os.environ, "PYTHONPATH": path}
+    switch = "1" if client == "plain" else "0"
+    return {**os.environ, "PYTHONPATH": path, "NUMBA_DISABLE_JIT": switch}
 
 
 @contextmanager

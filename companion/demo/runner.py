@@ -30,7 +30,7 @@ from companion.io.links.transports import FlightLink, UdpBind
 from companion.io.shared_clock import Pacer
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import LinkRole, LinkSpec
-from companion.run import FlightOptions, FlightView, fly, is_handed_over, prepare
+from companion.run import FlightOptions, FlightView, fly, is_handed_over
 
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
@@ -158,7 +158,6 @@ def run_demo(
 ) -> bool:
     """Fly, print the result, write the outputs; return True if the target was found."""
     _check_outputs(options)
-    prepare(config)  # before the simulator starts to count its time
     port = free_udp_port()
     with tempfile.TemporaryDirectory() as temporary:
         report = Path(temporary) / "sim-link.json"

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from companion import kernel_cache
 from companion.config.schema import CompanionConfig
 from companion.doctor.autopilot_settings import check_fence, check_parameters
 from companion.doctor.findings import (
@@ -39,7 +40,7 @@ from companion.io.links.transports import Transport
 from companion.io.shell import Clock, Shell
 from companion.io.state.signing_keys import load_signing_key
 from companion.io.state.vehicle_lock import VehicleLock, state_directory
-from companion.kernel import IS_NATIVE, has_compiled_cache
+from companion.kernel import IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.intake import Authenticity
 from companion.link.outlet import COMPONENT_ID
 from companion.process.diagnostics import process_use
@@ -58,9 +59,8 @@ def inspect_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
     return HostFacts(
         python=(sys.version_info.major, sys.version_info.minor, sys.version_info.micro),
         numpy=_version("numpy") or "?",
-        numba=None if IS_NATIVE else _version("numba"),
-        has_native_kernels=IS_NATIVE,
-        are_kernels_kept=has_compiled_cache(),
+        can_compile_kernels=not IS_SWITCHED_OFF and kernel_cache.can_compile(),
+        are_kernels_compiled=IS_NATIVE,
         priority=priority,
         logs=inspect_folder(logs),
         state=inspect_folder(state),
@@ -152,13 +152,11 @@ def exit_code(findings: list[CheckResult]) -> int:
 
 def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[CheckResult]:
     version = ".".join(str(part) for part in host.python)
-    compiled = f"numba {host.numba}" if host.numba else "no numba: kernels run as plain Python"
-    if host.has_native_kernels:
-        compiled = "kernels compiled ahead"
-    yield ok("python", f"{version}, numpy {host.numpy}, {compiled}")
-    if host.numba and not host.are_kernels_kept:
-        text = "not compiled yet: the first flight waits for half a minute"
-        yield warn("kernels", text, "run companion warm-up, with the flight's --config")
+    compiled = "compiled ahead" if host.are_kernels_compiled else "in plain Python"
+    yield ok("python", f"{version}, numpy {host.numpy}, kernels {compiled}")
+    if host.can_compile_kernels and not host.are_kernels_compiled:
+        text = "numba is installed, but the kernels run as plain Python"
+        yield warn("kernels", text, "run companion warm-up, as the user that flies")
     if host.priority is None:
         yield warn("priority", NORMAL_PRIORITY, HOW_TO_ALLOW)
     else:

@@ -118,12 +118,10 @@ class HostFacts:
 
     python: tuple[int, int, int]
     numpy: str
-    numba: str | None
-    """Version of numba; None: not installed, or not needed."""
-    has_native_kernels: bool
-    """True if the kernels were compiled before they were installed."""
-    are_kernels_kept: bool
-    """True if they were compiled before, so that a flight need not wait for it."""
+    can_compile_kernels: bool
+    """True if numba is installed."""
+    are_kernels_compiled: bool
+    """True if the kernels were compiled ahead."""
     priority: str | None
     """Priority that a flight is granted when it is started like this; None: the normal one."""
     logs: PlaceFacts

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 import yaml
 
+from companion import kernel_cache
 from companion.config.fence_files import MAX_BYTES as FENCE_BYTES
 from companion.config.fence_files import read_fence
 from companion.config.loader import parse_value, read_text
@@ -28,7 +29,7 @@ from companion.doctor.findings import CheckResult, as_lines, fail
 from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import flight_links
 from companion.io.links.transports import Transport, check_exposure
-from companion.run import prepare
+from companion.run import compile_kernels
 from companion.setup_tools.autopilot_guide import guide
 from companion.setup_tools.options import AUTOPILOTS, LINK, SYSTEM
 from companion.setup_tools.site_files import (
@@ -100,14 +101,22 @@ def _finish(
     """Compile, examine and advise; the files stay written whatever the result."""
     config = load_config(directory / CONFIG)
     try:
-        if not arguments.no_warm_up:
-            prepare(config)
+        if not arguments.no_warm_up and kernel_cache.can_compile():
+            _compile_kernels()
         findings = [] if arguments.no_doctor else _findings(config, link)
         if findings:
             _say(*as_lines(findings))
         return exit_code(findings)
     finally:
         _say("", *guide(choices.autopilot, link, config), "", *_next(choices, directory, arguments))
+
+
+def _compile_kernels() -> None:
+    """Compile the kernels, or say why they stay plain Python."""
+    try:
+        _say(compile_kernels())
+    except CompanionError as error:
+        _say(f"{error}; kernels run as plain Python, which suffices in flight")
 
 
 def _findings(config: CompanionConfig, link: Transport) -> list[CheckResult]:

@@ -40,7 +40,7 @@ from companion.estimation.window.map_kernels import (
     row_residuals,
     row_sigmas,
 )
-from companion.kernel import Matrix, Vector
+from companion.kernel import Matrix, Vector, frozen
 from sim_link.world.environment import (
     NO_MEMORY,
     Environment,
@@ -110,7 +110,7 @@ def updates(name: str, params: FilterParams) -> Results:
         for kind, filter_of in RECURSIVE.items():
             target_filter = filter_of(params)
             assert isinstance(target_filter, RecursiveFilter)
-            seen = (mean, P, sensor, z, sigma, 0.3, inflation)
+            seen = (frozen(mean), frozen(P), sensor, z, sigma, 0.3, inflation)
             found = target_filter.kernel(*seen, *target_filter.settings)
             for part, value in zip(PARTS, found, strict=True):
                 yield f"{name} {seed} {kind}, {part}", value

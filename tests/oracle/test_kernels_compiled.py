@@ -1,7 +1,7 @@
 """One source of arithmetic: the kernels as plain Python and compiled give the same numbers.
 
 Two processes run `kernel_runs`, one of them with the compiler switched off. After a change of the
-sources the other compiles everything anew, which takes half a minute.
+sources the other compiles everything again, which takes half a minute.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from companion.kernel import Matrix
+from companion.kernel_cache import BUILDER
 from tests.oracle.kernel_runs import IS_COMPILED
 
 pytestmark = pytest.mark.slow
@@ -42,7 +43,7 @@ def _results(path: Path, *, compiled: bool, ahead: Path | None = None) -> dict[s
 @pytest.mark.campaign
 @pytest.mark.skipif(shutil.which("cc") is None, reason="compiling ahead needs a C compiler")
 def test_plain_kernels_and_those_compiled_ahead_agree(tmp_path: Path) -> None:
-    _run("-W", "ignore", "tools/release/build_kernels.py", str(tmp_path))
+    _run("-W", "ignore", "-m", BUILDER, str(tmp_path))
     is_native = "import companion.kernel as k; assert k.IS_NATIVE and k.numba is None"
     _run("-c", is_native, PYTHONPATH=f"{tmp_path}:{ROOT}", NUMBA_DISABLE_JIT="0")
     plain = _results(tmp_path / "plain.npz", compiled=False)

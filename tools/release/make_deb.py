@@ -7,7 +7,7 @@ that one machine makes the packages of every architecture, and installing neithe
 compiles. The same sources and SOURCE_DATE_EPOCH (the last commit's time by default) give the same
 bytes.
 
-The kernels are compiled ahead by tools/release/build_kernels.py, once for each state of the
+The kernels are compiled ahead by `companion.kernel_builder`, once for each state of the
 sources, if an interpreter of the version is installed and the architecture is this machine's.
 Otherwise they run as plain Python, which a line on stderr reports.
 
@@ -29,7 +29,7 @@ from pathlib import Path
 
 from companion import __version__
 from companion.entry import ignore_broken_pipe
-from companion.kernel import sources_digest
+from companion.kernel_cache import BUILDER, DESCRIPTION, sources_digest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGING = ROOT / "packaging"
@@ -130,9 +130,8 @@ def kernels_for(version: str, own: Path) -> Path | None:
     is_this = sys.version.startswith(f"{version}.")
     program = sys.executable if is_this else other_python(version)
     kernels = ROOT / f"build/kernels/{version}/companion_kernels"
-    described, tool = kernels / "__init__.py", ROOT / "tools/release/build_kernels.py"
-    states = (sources_digest(), hashlib.sha256(tool.read_bytes()).hexdigest()[:16])
-    if described.exists() and all(state in described.read_text() for state in states):
+    described = kernels / DESCRIPTION
+    if described.exists() and sources_digest() in described.read_text():
         return kernels
     if program is None:
         return None
@@ -141,7 +140,7 @@ def kernels_for(version: str, own: Path) -> Path | None:
         program = environment_for(program, version, own)
     # objects are named and sorted by their addresses, too: those must be the same each time
     fixed_addresses = ("setarch", "--addr-no-randomize") if shutil.which("setarch") else ()
-    command = (*fixed_addresses, program, "-W", "ignore", str(tool), str(kernels.parent))
+    command = (*fixed_addresses, program, "-W", "ignore", "-m", BUILDER, str(kernels.parent))
     fixed = {"PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "0"}
     subprocess.run(command, check=True, env={**os.environ, **fixed})
     return kernels

@@ -24,7 +24,7 @@ CLIENTS = {
     "native": "companion of the Debian package",
     "quiet": "the same with `link.stop_unread_streams: true`",
     "plain": "companion, kernels as plain Python",
-    "numba": "companion with numba",
+    "warm": "companion, kernels compiled by `companion warm-up`",
     "mavsdk": "MAVSDK-Python 4, listening",
     "pymavlink": "pymavlink, listening",
 }

@@ -15,10 +15,11 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
-from companion.flight_setup import build_endpoint
+from companion.flight_setup import build_endpoint, build_planner
 from companion.io.files import write_bytes_atomic, write_text_atomic
 from companion.io.links.transports import TcpClient, make_link, parse_transport
-from companion.run import prepare
+from companion.kernel import IS_COMPILED_ON_CALL
+from companion.warm_up import warm_up as fly_in_circles
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lab.lockstep.flight import MemoryJournal
@@ -175,10 +176,10 @@ def check_flyable(mission: Mission, name: str) -> None:
 def warm_up(tasks: Sequence[FlightTask]) -> None:
     """Compile what the flights need, once and before any process needs it at the same time."""
     done: list[CompanionConfig] = []
-    for config in (flown_config(task.mission) for task in tasks):
+    for config in (flown_config(task.mission) for task in tasks if IS_COMPILED_ON_CALL):
         if config not in done:
             done.append(config)
-            prepare(config)
+            fly_in_circles(config.tracking, build_planner(config))
 
 
 def fly_all(

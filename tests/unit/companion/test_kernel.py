@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +14,7 @@ import pytest
 
 from companion import kernel as module
 from companion.estimation.measurement_model import RangingModel
-from companion.kernel import frozen, kind_of, sources_digest
+from companion.kernel import frozen, kind_of
 
 
 def scaled(*arguments: Any) -> str:
@@ -65,21 +68,22 @@ def test_records_are_told_by_their_class_and_tuples_by_their_length() -> None:
     assert (kind_of(True), kind_of(1)) == ("bool", "int")
 
 
-@pytest.mark.parametrize("digest", [sources_digest(), "of other sources"])
-def test_kernels_of_other_sources_are_left_alone(
-    monkeypatch: pytest.MonkeyPatch, digest: str
-) -> None:
-    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
-    code = SimpleNamespace()
-    monkeypatch.setitem(
-        sys.modules, "companion_kernels", SimpleNamespace(DIGEST=digest, VARIANTS=TABLE)
-    )
-    monkeypatch.setitem(sys.modules, "companion_kernels._native", code)
-    expected = (code, TABLE) if digest == sources_digest() else None
-    assert module._load_native() == expected
-
-
 @pytest.mark.skipif(not module.IS_SWITCHED_OFF, reason="these tests run compiled")
 def test_nothing_that_compiles_is_loaded_where_it_is_switched_off() -> None:
     assert module.numba is None
     assert not module.IS_COMPILED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("forgoes", [True, False])
+def test_a_process_that_flies_loads_no_compiler(forgoes: bool, tmp_path: Path) -> None:
+    pytest.importorskip("numba")
+    code = f"""
+from companion import kernel_cache
+kernel_cache.forgoes_compiler = {forgoes}
+import sys, companion.run, companion.kernel as kernel
+assert ("numba" in sys.modules or kernel.IS_NATIVE) is not {forgoes}, kernel.IS_NATIVE
+assert kernel.IS_COMPILED is not {forgoes}
+"""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)

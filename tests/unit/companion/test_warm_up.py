@@ -1,26 +1,21 @@
-"""Compiling before the flight: every kernel is called, whatever will be measured."""
+"""Invented first flights: every kernel is called, whatever will be measured."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import pytest
 
 from companion import warm_up as module
-from companion.cli import main
-from companion.config.schema import CompanionConfig
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
 from companion.planning.planner import Plan, PlanRequest
-from companion.run import prepare
 from companion.warm_up import warm_up
 
 SMALL = TrackerParams(window=WindowParams(size=64))
@@ -38,14 +33,7 @@ class Counting(LatchedCrossing):
         return super().plan(request, memory)
 
 
-def test_plain_kernels_need_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "IS_COMPILED_ON_CALL", False)
-    planner = Counting()
-    warm_up(SMALL, planner)
-    assert planner.requests == []
-
-
-def test_a_start_from_the_cache_does_not_wait_for_a_window_of_the_usual_size(
+def test_recording_does_not_wait_for_a_window_of_the_usual_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taken: list[object] = []
@@ -55,43 +43,9 @@ def test_a_start_from_the_cache_does_not_wait_for_a_window_of_the_usual_size(
         taken.append(arguments)
         return fuse(self, *arguments)
 
-    monkeypatch.setattr(module, "IS_COMPILED_ON_CALL", True)
     monkeypatch.setattr(TargetTracker, "fuse", counted)
     warm_up(TrackerParams(), Counting())
     assert 0 < len(taken) < TrackerParams().window.size
-
-
-@pytest.mark.parametrize(
-    ("misses", "said"),
-    [([{}, {}], "loading compiled kernels, "), ([{"float": 1}, {}], "compiling kernels, ")],
-)
-def test_compiling_is_announced_only_where_something_compiles(
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    misses: list[dict[str, int]],
-    said: str,
-) -> None:
-    kernels = [
-        SimpleNamespace(signatures=["f"], stats=SimpleNamespace(cache_misses=missed))
-        for missed in misses
-    ]
-    monkeypatch.setattr("companion.kernel.KERNELS", kernels)
-    monkeypatch.setattr("companion.run.IS_COMPILED_ON_CALL", True)
-    monkeypatch.setattr("companion.run.PROGRESS_S", 0.01)
-    monkeypatch.setattr("companion.run.warm_up", lambda *_: time.sleep(0.1))
-    with caplog.at_level("INFO", logger="companion"):
-        prepare(CompanionConfig())
-    assert caplog.messages[0].startswith(said)
-    assert f"{len(misses)} done" in caplog.messages[0]
-
-
-def test_kernels_compiled_ahead_are_not_prepared(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("companion.cli.IS_COMPILED_ON_CALL", False)
-    monkeypatch.setattr("companion.cli.IS_NATIVE", True)
-    assert main(["warm-up"]) == 0
-    assert capsys.readouterr().out == "kernels were compiled ahead: nothing to do\n"
 
 
 @pytest.mark.slow
@@ -101,7 +55,6 @@ def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_
 ) -> None:
     antenna = FilterParams(antenna=AntennaParams(kind=kind))
     params = msgspec.structs.replace(SMALL, filter=antenna)
-    monkeypatch.setattr(module, "IS_COMPILED_ON_CALL", True)
     kinds: Counter[tuple[bool, bool]] = Counter()
     fuse = TargetTracker.fuse
 

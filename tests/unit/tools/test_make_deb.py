@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import hashlib
 import itertools
 import os
 import re
@@ -16,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from companion import __version__
-from companion.kernel import sources_digest
+from companion.kernel_cache import DESCRIPTION, PACKAGE, sources_digest
 from sim_link.hatch_build import PARSERS, write_manuals
 from tools.release import make_deb
 
@@ -129,30 +128,19 @@ def test_the_date_of_a_build_asks_git_only_if_none_is_given(
     assert len(laid_out) == 3
 
 
-def described_kernels(root: Path, sources: str, tool: str) -> Path:
-    """Kernels as tools/release/build_kernels.py leaves them, of such sources and such a tool."""
-    place = root / f"build/kernels/{sys.version_info.major}.{sys.version_info.minor}"
-    kernels = place / "companion_kernels"
-    kernels.mkdir(parents=True)
-    (kernels / "__init__.py").write_text(f"DIGEST = {sources!r}\nTOOL = {tool!r}\n")
-    return kernels
-
-
-@pytest.mark.parametrize(("sources", "tool"), [("", "x"), ("x", ""), ("", "")])
-def test_kernels_of_other_sources_or_by_another_tool_are_compiled_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: str, tool: str
+@pytest.mark.parametrize("sources", ["of other sources", sources_digest()])
+def test_kernels_of_other_sources_are_compiled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: str
 ) -> None:
-    (tmp_path / "tools/release").mkdir(parents=True)
-    text = b"the tool"
-    (tmp_path / "tools/release/build_kernels.py").write_bytes(text)
-    its_digest = hashlib.sha256(text).hexdigest()[:16]
-    kernels = described_kernels(tmp_path, sources or sources_digest(), tool or its_digest)
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    kernels = tmp_path / f"build/kernels/{version}" / PACKAGE
+    kernels.mkdir(parents=True)
+    (kernels / DESCRIPTION).write_text(f"{{'sources': {sources!r}}}\n")
     compiled: list[str] = []
     monkeypatch.setattr(make_deb, "ROOT", tmp_path)
     monkeypatch.setattr(subprocess, "run", lambda command, **_: compiled.append(command[-1]))
-    version = f"{sys.version_info.major}.{sys.version_info.minor}"
     assert make_deb.kernels_for(version, tmp_path) == kernels
-    assert compiled == ([str(kernels.parent)] if sources or tool else [])
+    assert compiled == ([] if sources == sources_digest() else [str(kernels.parent)])
 
 
 def test_scripts_and_headers_of_wheels_are_left_out(tmp_path: Path) -> None:

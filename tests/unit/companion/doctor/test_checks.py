@@ -52,7 +52,7 @@ HOST_CASES = [
     ("signing key", host_with(key_problem="k: open to others (mode 0644)"), Level.FAIL),
     ("clock", host_with(unix_s=3600.0, has_key=False), Level.WARN),
     ("clock", host_with(unix_s=3600.0), Level.FAIL),
-    ("kernels", host_with(numba="0.63.0", are_kernels_kept=False), Level.WARN),
+    ("kernels", host_with(can_compile_kernels=True), Level.WARN),
     ("clock", host_with(is_clock_synchronised=False), Level.WARN),
     ("clock", host_with(is_clock_synchronised=None), Level.OK),
     ("priority", host_with(priority=None), Level.WARN),
@@ -215,5 +215,5 @@ def test_memory_and_processor_time_are_told() -> None:
 
 
 def test_kernels_compiled_ahead_need_no_warm_up() -> None:
-    facts = host_with(numba=None, has_native_kernels=True)
+    facts = host_with(can_compile_kernels=True, are_kernels_compiled=True)
     assert finding_about("python", facts).text.endswith("kernels compiled ahead")

@@ -146,7 +146,7 @@ def failing(error: BaseException) -> Callable[..., Any]:
         (None, None, "no such device"),
         ("run_doctor", LinkError("udp: another companion (process 1) has this vehicle"), "process"),
         ("run_doctor", KeyboardInterrupt(), ""),
-        ("prepare", KeyboardInterrupt(), ""),
+        ("compile_kernels", KeyboardInterrupt(), ""),
     ],
 )
 def test_what_goes_wrong_after_writing_leaves_the_files_and_the_advice(
