@@ -152,6 +152,8 @@ class WatchingEndpoint(OneShotEndpoint):
                 parts.append(f"{self.stages[number].received} bytes, {status.silent_s:.1f} s ago")
             if status.age_s is not None:
                 parts.append(f"delay {1e3 * status.age_s:.0f} ms")
+            if self.stages[number].setup.is_uncalibrated:
+                parts.append("uncalibrated: range offset unknown")
             if dropped:
                 parts.append(f"flood: {dropped} pieces dropped")
             refused = ", ".join(f"{reason} {count}" for reason, count in status.refused.items())

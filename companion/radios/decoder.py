@@ -31,7 +31,7 @@ MOST_REASONS = 32
 POWER_ONLY = "received power only: rssi, lora_gateway and uavrt read it (docs/radios.md)"
 _POWER = re.compile(
     r"-\d{1,3}(?:\.\d+)? ?dBm\b"
-    r"|\b(?:rssi|rss|signal|signal level|power_dbm|power_db|lsnr|snr|snr_db)\b\W{1,8}-?\d",
+    r"|\b(?:rssi|rssi_dbm|rss|signal|signal level|power_dbm|power_db|lsnr|snr|snr_db)\b\W{1,8}-?\d",
     re.IGNORECASE,
 )
 _MEASURED = re.compile(

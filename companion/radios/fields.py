@@ -60,7 +60,7 @@ NUMBERS: Mapping[str, Unit] = {
     **_in_units("elevation_sigma", "elevation_sigma_rad", **_ANGLES),
     "quality": Unit("quality"),
     "quality_percent": Unit("quality", 0.01),
-    "power_dbm": Unit("power_dbm"),
+    **_in_units("power", "power_dbm", dbm=1.0, db=1.0),
 }
 """Names of numbers; `rtt` is the round-trip time."""
 WORDS = ("emitter", "line_of_sight")
@@ -71,9 +71,9 @@ HEX_NAMES = frozenset(
     name + HEX for name, unit in NUMBERS.items() if unit.attribute not in ("quality", "power_dbm")
 )
 NAMES = frozenset(NUMBERS) | frozenset(WORDS) | HEX_NAMES
-POWERS = frozenset({"rssi", "rssi_dbm", "rss", "power", "power_db", "signal", "snr", "snr_db"})
+POWERS = frozenset({"rssi", "rssi_dbm", "rss", "power", "signal", "snr", "snr_db"})
 """Names of levels, some of them relative to an unknown one."""
-NAME_OF_POWER = "a received power is named power_dbm; other levels need power_offset_db, too"
+NAME_OF_POWER = "name it power_dbm, or power_db with power_offset_db if it is relative to something"
 SKIPPED = ("", "_", "skip")
 """Names of a column that is not read."""
 
@@ -85,10 +85,13 @@ _UNIT_WORDS = {
     **dict.fromkeys(("sec", "seconds"), "s"),
     **{"deg": "deg", "degrees": "deg", "\N{DEGREE SIGN}": "deg", "rad": "rad", "nsec": "ns"},
     **{"feet": "ft", "usec": "us", "msec": "ms", "psec": "ps"},
+    **{word: word for word in ("yd", "yard", "yards", "mi", "mile", "miles", "inch", "inches")},
+    **{word: word for word in ("dm", "um", "nm", "gon", "grad", "mil", "mils", "mrad")},
+    **{word: word for word in ("dbm", "db", "dbfs", "dbw", "dbuv", "mw", "uw", "nw")},
 }
-"""Words for a unit behind a number, and the unit as names of the vocabulary end."""
-_UNIT_BEHIND = re.compile(r"\s?([A-Za-z]++|\N{DEGREE SIGN})(?!\s*[=:])")
-"""A word that is not itself the name of what follows."""
+"""Words for a unit behind a number, and the unit as names of the vocabulary end, if any does."""
+_UNIT_BEHIND = re.compile(r"\s?([A-Za-z]++|\N{DEGREE SIGN})(?!\s*[=:])|(['\"])(?=\s|$)")
+"""A mark of feet or inches, or a word that is not itself the name of what follows."""
 _SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])-$")
 _NUMBER_BEFORE = re.compile(r"[0-9][.,]?$")
 _NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]")
@@ -189,10 +192,16 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
         if is_cut or (end == found.end() and _NUMBER_BEHIND.match(line, end)):
             return f"{name} is part of a longer number"
         behind = _UNIT_BEHIND.match(line, end)
-        word = _UNIT_WORDS.get(behind[1].lower()) if behind else None
+        word = _unit_of(behind)
         if word is not None and "_" in name and word != name.rpartition("_")[2]:
             return f"{name} is followed by `{word}`"
     return None
+
+
+def _unit_of(behind: re.Match[str] | None) -> str | None:
+    if behind is None:
+        return None
+    return behind[2] or _UNIT_WORDS.get(behind[1].lower())
 
 
 class FieldDecoder(LineDecoder):
@@ -235,7 +244,8 @@ class FieldDecoder(LineDecoder):
             else:
                 value = number(text)
             if value is None:
-                return self.refused(f"{name} is no number")
+                comma = ": a decimal point is needed" if "," in text else ""
+                return self.refused(f"{name} is no number{comma}")
             if unit.attribute == "range_m" and is_overflow(value):
                 return self.refused(f"{name} is {value:.0f}: all bits set, no range")
             values[unit.attribute] = value * unit.factor

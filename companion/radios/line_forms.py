@@ -20,7 +20,7 @@ from typing import ClassVar
 from companion.domain import Params
 from companion.errors import ConfigError
 from companion.radios.decoder import RadioReading
-from companion.radios.fields import FieldDecoder
+from companion.radios.fields import FieldDecoder, complain_of_spans
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +53,12 @@ class FormDecoder(FieldDecoder):
             if not each.pattern.groups:
                 return self.no_reading()
             found = each.pattern.finditer(line)
-            return [reading for match in found for reading in self.read_match(match.groupdict())]
+            return [reading for match in found for reading in self._read(match)]
         return self.passed_over(line)
+
+    def _read(self, match: re.Match[str]) -> list[RadioReading]:
+        problem = complain_of_spans(match)
+        return self.refused(problem) if problem else self.read_match(match.groupdict())
 
     def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
         """Return the reading of a match; some radios complete the fields first."""
@@ -161,7 +165,7 @@ class PozyxDecoder(FormDecoder):
         ),
         form(
             r"(?P<emitter>0x[0-9A-Fa-f]{3,4}): (?P<range_mm>[0-9]{1,10})mm,"
-            r" (?P<power_dbm>-?[0-9]{1,5})dB"
+            r" (?P<power_db>-?[0-9]{1,5})dB"
         ),
         form(r"^D,01(?P<data>[0-9A-Fa-f]{20})\s*$"),
         form(r"^ERROR: ranging|^D,00", "ranging failed"),

@@ -24,6 +24,10 @@ from companion.radios.decoder import (
 
 MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
 MOST_ELEVATION_RAD = 0.5 * math.pi + 1e-6
+MOST_SIGMA_RAD = math.pi / math.sqrt(3.0) + 1e-6
+"""Standard deviation of an angle that may be anywhere on the circle."""
+UNITS = re.compile(r'"\w{0,20}units?"\s*:\s*"(?!(?:m|rad|us|dBm)?")')
+"""Key that names a unit which is none of RADIO_RANGING's."""
 RECORD_SEPARATOR = "\x1e"
 """Before each text of a JSON sequence (RFC 8142)."""
 
@@ -54,8 +58,6 @@ class Line(msgspec.Struct, frozen=True):
     range_mm: Any = msgspec.UNSET
     bearing_deg: Any = msgspec.UNSET
     elevation_deg: Any = msgspec.UNSET
-    unit: Any = msgspec.UNSET
-    units: Any = msgspec.UNSET
 
 
 FOREIGN = {
@@ -125,13 +127,13 @@ class NdjsonDecoder(LineDecoder):
         foreign = _foreign_key(line)
         if foreign is not None:
             return f"key `{foreign}` is of another format: companion radio list"
-        if any(given not in (msgspec.UNSET, "m") for given in (line.unit, line.units)):
-            return "key `unit` is not m: range is in metres"
+        if UNITS.search(text):
+            return "key `unit` is none of m, rad, us, dBm: range is in metres"
         if (line.range, line.bearing, line.elevation, line.power_dbm) == (None,) * 4:
             what = "no range, bearing, elevation or power"
             return f"{what}: a power is power_dbm" if is_power_only(text) else what
         names = ("bearing", "elevation", "bearing_std", "elevation_std")
-        bounds = (MOST_BEARING_RAD, MOST_ELEVATION_RAD, MOST_BEARING_RAD, MOST_BEARING_RAD)
+        bounds = (MOST_BEARING_RAD, MOST_ELEVATION_RAD, MOST_SIGMA_RAD, MOST_SIGMA_RAD)
         for name, most_rad in zip(names, bounds, strict=True):
             if abs(getattr(line, name) or 0.0) > most_rad:
                 self._beyond_turn += 1

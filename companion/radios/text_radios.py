@@ -91,6 +91,8 @@ class MakerfabsAtDecoder(SlotDecoder):
             return self.passed_over(line)
         lists = {name: columns(cells) for name, cells in self._LIST.findall(found[4])}
         ranges = [number(cell) for cell in lists.get("range", [])]
+        if any(value is not None and not value.is_integer() for value in ranges):
+            return self.refused("range is no whole number of centimetres")
         powers = {slot: dbm(cell) for slot, cell in enumerate(lists.get("rssi", []))}
         names = [number(cell) for cell in lists.get("ancid", map(str, range(SLOTS)))]
         is_whole = len(ranges) in SLOTS_OF_FIRMWARE and len(names) >= len(ranges)
@@ -117,9 +119,10 @@ class TrekDecoder(SlotDecoder):
 
     _REPORT = re.compile(
         r"mc ([0-9a-f]{2})((?: [0-9a-f]{8}){4})"
-        r" [0-9a-f]{4} [0-9a-f]{2} [0-9a-f]{8} [at]([0-9]):[0-9]"
+        r" [0-9a-f]{4} [0-9a-f]{2} [0-9a-f]{8} [at]([0-9]):[0-9]",
+        re.IGNORECASE,
     )
-    _OTHERS = re.compile(r"m[ra] [0-9a-f]{2}(?: [0-9a-f]{8}){4} ")
+    _OTHERS = re.compile(r"m[ra] [0-9a-f]{2}(?: [0-9a-f]{8}){4} ", re.IGNORECASE)
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the readings of one report."""

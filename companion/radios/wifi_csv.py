@@ -35,7 +35,7 @@ from companion.radios.fields import (
 )
 from companion.radios.wifi_ftm import BY_SHARE, LEAST_SHARE, MAC, complain_of_unsigned
 
-LENGTHS = ("mm", "cm", "m")
+LENGTHS = ("mm", "cm", "m", "km", "ft")
 DATES = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 """Digits of a time since 1970 in this century to its unit; a time since boot has fewer."""
 
@@ -153,6 +153,7 @@ _UNITS = {
     **dict.fromkeys(("mm", "millimeters", "millimetres"), "mm"),
     **dict.fromkeys(("cm", "centimeters", "centimetres"), "cm"),
     **dict.fromkeys(("m", "meter", "meters", "metres"), "m"),
+    **{"km": "km", "ft": "ft", "feet": "ft"},
     **{unit: unit for unit in ("ns", "ps", "us")},
 }
 _UNIT = "|".join(sorted(_UNITS, key=len, reverse=True))

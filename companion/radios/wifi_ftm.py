@@ -46,7 +46,7 @@ class Esp32FtmDecoder(FieldDecoder):
     Options = Esp32FtmOptions
     _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
     _IDF = re.compile(
-        r"I \(([0-9]{1,10})\) [\w.-]+: Estimated RTT - [0-9]{1,10} nSec, "
+        r"(?:I \(([0-9]{1,10})\) )?[\w.-]{1,40}: Estimated RTT - [0-9]{1,10} nSec, "
         r"Estimated Distance - ([0-9]{1,9}\.[0-9]{2}) meters"
     )
     _ARDUINO = re.compile(r"FTM Estimate: Distance: (-?[0-9]{1,9}\.[0-9]+) m, Return Time: ")
@@ -86,7 +86,7 @@ class Esp32FtmDecoder(FieldDecoder):
         """Return the reading of a result; other lines describe the session of the next result."""
         line = self._COLOURS.sub("", line)
         if found := self._IDF.search(line):
-            return self._result(found[2], float(found[1]) / 1000.0)
+            return self._result(found[2], None if found[1] is None else float(found[1]) / 1000.0)
         if found := self._ARDUINO.search(line):
             return self._result(found[1], None)
         if found := self._SESSION.search(line):

@@ -106,6 +106,21 @@ GNB_OLD = OAI.splitlines(keepends=True)[0]
         ("android_rtt@file:r.csv", "\ufeffbssid,distance_mm\naa:bb:cc:00:00:01,5430\n", [5.43]),
         ("android_rtt@file:r.csv", "bssid;distance_mm\naa:bb:cc:00:00:01;5430\n", [5.43]),
         ("android_rtt@file:r.csv", "mac,rangeCm\naa:bb:cc:00:00:01,543\n", [5.43]),
+        ("android_rtt@file:r.csv", "bssid,distance (ft)\naa:bb:cc:00:00:01,17.8\n", [5.425]),
+        ("android_rtt@file:r.csv", "bssid,Distance [km]\naa:bb:cc:00:00:01,0.0543\n", [54.3]),
+        (
+            "esp32_ftm@/dev/ttyUSB0",
+            "I (12:01:33.120) ftm: Estimated RTT - 33 nSec, Estimated Distance - 5.07 meters\n",
+            [5.07],
+        ),
+        (
+            "trek1000@/dev/ttyACM0",
+            "mc 01 0000066F 000005A3 00000512 000004FE 0958 C0 40424042 a0:0\n",
+            [1.647],
+        ),
+        ("bu01@/dev/ttyUSB0", "an0: 1.23 m an1: 2.34 m\n", [1.23, 2.34]),
+        ("ftm_csv@/dev/ttyUSB0", "1234|82|-61\n", [12.34]),
+        ("ftm_csv:columns=[emitter,range_cm],delimiter=;@/dev/ttyUSB0", "7;1234\n", [12.34]),
         ("ftm_csv@/dev/ttyUSB0", "2,33,49,507,2,33120,-61,1,2,3,4,33980,-60,1,2,3,4,\n", [5.07]),
         (
             "esp32_ftm@/dev/ttyUSB0",
@@ -186,6 +201,43 @@ def test_a_line_has_the_value_that_its_radio_measured(
         (r"lines:pattern='(?P<range_mm>\d+)'@/dev/x", "1234ms, 5678mm\n", "followed by `ms`"),
         (r"lines:pattern='d=(?P<range_m>\d+)'@/dev/x", "d=327 cm\n", "followed by `cm`"),
         (r"lines:pattern='d=(?P<range_m>[\d.]+)'@/dev/x", "d=12.5ft\n", "followed by `ft`"),
+        (r"lines:pattern='d=(?P<range_m>[\d.]+)'@/dev/x", "d=12.5 yards\n", "followed by `yards`"),
+        (r"lines:pattern='d=(?P<range_m>[\d.]+)'@/dev/x", "d=12.5'\n", "followed by `'`"),
+        (r"lines:pattern='p=(?P<power_dbm>[\d.-]+)'@/dev/x", "p=-6.5 dB\n", "followed by `db`"),
+        (r"lines:pattern='p=(?P<power_dbm>[\d.-]+)'@/dev/x", "p=-61 mW\n", "followed by `mw`"),
+        (r"lines:pattern='RSSI.*?(?P<power_dbm>\d+)'@/dev/x", "RSSI: -61\n", "the sign"),
+        (
+            r"lines:pattern='d=(?P<range_m>[\d,]+)'@/dev/x",
+            "d=3,25 m\n",
+            "a decimal point is needed",
+        ),
+        (r"lines:pattern='d=(?P<range_m>\S+)'@/dev/x", "d=nan\n", "is no number"),
+        (
+            "android_rtt@file:r.csv",
+            "bssid;distance_m\naa:bb:cc:00:00:01;5,43\n",
+            "a decimal point is needed",
+        ),
+        (
+            "android_rtt@file:r.csv",
+            "bssid,distance_mm\naa:bb:cc:00:00:01,5,430\n",
+            "row of 3 cells below a header of 2",
+        ),
+        ("bu03@/dev/ttyUSB0", "distance: 1.23 cm\n", "followed by `cm`"),
+        ("ryuw122@/dev/ttyUSB0", "+ANCHOR_RCV=DAVID123,5,HELLO,1.20 m\n", "torn line"),
+        (
+            "makerfabs_at@/dev/ttyUSB0",
+            "AT+RANGE=tid:1,mask:02,seq:7,range:(0,2.45,0,0),rssi:(0,0,0,0)\n",
+            "no whole number of centimetres",
+        ),
+        ("ndjson@stdin:", '{"range":12.5,"range_unit":"ft"}\n', "range is in metres"),
+        ("ndjson@stdin:", '{"bearing":-0.785,"bearing_std":5}\n', "bearing is in radians"),
+        ("ndjson@stdin:", '{"emitter_id":1,"rssi_dbm":-61}\n', "a power is power_dbm"),
+        ("ndjson@stdin:", '{"emitter_id":1,"power_dbm":61}\n', "power is not within"),
+        (
+            "trek1000@/dev/ttyACM0",
+            "mc 01 ffffffff 000005a3 00000512 000004fe 0958 c0 40424042 a0:0\n",
+            "beyond every radio",
+        ),
         (
             "kraken@http://127.0.0.1:8081",
             "1718000000000, 218, 61.3, -21.4, 433.92, UCA, 403.2, S1, 0.0, 0.0, 0, 0, GPS, R, R, R,"
@@ -237,8 +289,8 @@ PULSE = (
         (r"lines:pattern='(?P<emitter>\w+) (?P<power_dbm>-\d+)dBm'@/dev/x", "t1 -61dBm\n", -61.0),
         ("ftm_csv:columns=[emitter,power_dbm]@/dev/x", "02:00:00:00:00:07,-61\n", -61.0),
         (
-            r"lines:pattern='snr (?P<power_dbm>[\d.-]+)',power_offset_db=-117@/dev/x",
-            "snr -6.5\n",
+            r"lines:pattern='snr (?P<power_db>[\d.-]+)',power_offset_db=-117@/dev/x",
+            "snr -6.5 dB\n",
             -123.5,
         ),
     ],
@@ -320,7 +372,7 @@ def test_a_power_beside_a_range_or_an_angle_is_a_format_that_is_not_known(line: 
 
 @pytest.mark.parametrize("group", ["rssi", "snr_db"])
 def test_a_level_is_named_as_a_power_or_refused(group: str) -> None:
-    with pytest.raises(ConfigError, match="is named power_dbm"):
+    with pytest.raises(ConfigError, match="name it power_dbm"):
         radio_setups(flown_radios((), [f"lines:pattern='RSSI (?P<{group}>.*)'@/dev/ttyUSB0"]))
 
 
@@ -366,3 +418,9 @@ def test_a_full_turn_of_degrees_does_not_pass_as_radians() -> None:
 
     assert sum(typed.stage.all_refused.values()) == len(range(-179, 180, 7))
     assert not math.isnan(typed.stage.received_s or math.nan)
+
+
+def test_a_radio_whose_offset_must_be_calibrated_is_named_as_uncalibrated() -> None:
+    assert "uncalibrated: range offset unknown" in Typed("srsran_4g@file:enb.log", NO_DELAY).head
+    known = Typed("srsran_4g:offset_steps=11@file:enb.log", NO_DELAY)
+    assert "uncalibrated" not in known.head
