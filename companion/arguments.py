@@ -92,8 +92,18 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_report(commands)
     _add_area(commands)
     _add_doctor(commands)
-    _add_radio(commands)
-    _add_config(commands)
+    radio = commands.add_parser(
+        "radio",
+        help="list, watch, record and calibrate radios",
+        description="Radios with formats of their own: which there are, and what they say.",
+    )
+    add_radio(radio)
+    config = commands.add_parser(
+        "config",
+        help="show every value of a configuration and its origin, or the schema",
+        description="What a configuration comes to, and the schema of its files.",
+    )
+    add_config(config)
     _add_setup(commands)
     text = "map tiles for the live map, from a server"
     add_tiles(commands.add_parser("tiles", help=text, description=text))
@@ -209,15 +219,6 @@ def _add_doctor(commands: Commands) -> None:
     _switch(doctor, "--json", "print the results as JSON")
 
 
-def _add_radio(commands: Commands) -> None:
-    radio = commands.add_parser(
-        "radio",
-        help="list, watch, record and calibrate radios",
-        description="Radios with formats of their own: which there are, and what they say.",
-    )
-    add_radio(radio)
-
-
 def _add_setup(commands: Commands) -> None:
     setup = commands.add_parser(
         "setup",
@@ -227,15 +228,6 @@ def _add_setup(commands: Commands) -> None:
         "All is written or nothing. Exit code 1: written, but the doctor says do not fly.",
     )
     add_setup(setup)
-
-
-def _add_config(commands: Commands) -> None:
-    config = commands.add_parser(
-        "config",
-        help="show every value of a configuration and its origin, or the schema",
-        description="What a configuration comes to, and the schema of its files.",
-    )
-    add_config(config)
 
 
 def _add_warm_up(commands: Commands) -> None:

@@ -134,10 +134,17 @@ def _fly(arguments: argparse.Namespace) -> int:
             has_key=config.link.signing_key_file is not None,
             unsigned_ranging=config.link.unsigned_ranging,
         )
+    views: list[FlightView] = []
+    if arguments.cot is not None:
+        views.append(CotView(cot_address(arguments.cot)))
+    if settings is not None:
+        views.append(_web_view(settings, config))
+    if not arguments.quiet:
+        views.append(_console_view())
     options = FlightOptions(
         once=arguments.once,
         is_fresh=arguments.fresh,
-        views=_views(arguments, config, settings),
+        views=views,
         at_end=partial(_report_flight, arguments.fly_web_tiles),
     )
     endpoint = fly(config, links, clock_of(arguments.fly_speed or 1.0), options)
@@ -158,19 +165,6 @@ def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:
     if arguments.signing_key is not None:
         config = with_signing_key(config, arguments.signing_key)
     return with_kept_offsets(with_radios(config, arguments.radio))
-
-
-def _views(
-    arguments: argparse.Namespace, config: CompanionConfig, settings: WebSettings | None
-) -> list[FlightView]:
-    views: list[FlightView] = []
-    if arguments.cot is not None:
-        views.append(CotView(cot_address(arguments.cot)))
-    if settings is not None:
-        views.append(_web_view(settings, config))
-    if not arguments.quiet:
-        views.append(_console_view())
-    return views
 
 
 def _web_view(

@@ -225,7 +225,12 @@ def _check_link(link: LinkFacts, config: CompanionConfig) -> Iterator[CheckResul
         )
         yield ok("process", text)
     lacking = _missing_estimates(autopilot)
-    yield from _check_estimator(autopilot, lacking)
+    if lacking:
+        text = f"not ready: no {', no '.join(lacking)}"
+        fix = "wait for its sensors and a position fix under an open sky, then run this again"
+        yield fail("estimator", text, fix)
+    elif autopilot.estimator_flags is not None:
+        yield ok("estimator", f"ready: {', '.join(NEEDED_ESTIMATES)}")
     yield from _check_readiness(autopilot)
     for rate in autopilot.rates:
         if lacking and rate.count == 0 and rate.name in ESTIMATED:
@@ -316,15 +321,6 @@ def _missing_estimates(facts: AutopilotFacts) -> list[str]:
         return [name for name, bits in NEEDED_ESTIMATES.items() if not flags & bits]
     has_place = {"LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"} & facts.heard
     return [] if has_place else ["position"]
-
-
-def _check_estimator(facts: AutopilotFacts, lacking: list[str]) -> Iterator[CheckResult]:
-    if lacking:
-        text = f"not ready: no {', no '.join(lacking)}"
-        fix = "wait for its sensors and a position fix under an open sky, then run this again"
-        yield fail("estimator", text, fix)
-    elif facts.estimator_flags is not None:
-        yield ok("estimator", f"ready: {', '.join(NEEDED_ESTIMATES)}")
 
 
 def _check_rate(rate: StreamRate) -> CheckResult:

@@ -48,7 +48,8 @@ class ProcessUse:
 
 def process_use() -> ProcessUse:
     """Return the present resources of this process."""
-    resident_mb = _peak_mb()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    resident_mb = peak / 1e6 if os.uname().sysname == "Darwin" else peak / 1e3
     descriptors = None
     with suppress(OSError, ValueError, IndexError):
         pages = int(_STATM.read_text().split()[1])
@@ -60,12 +61,6 @@ def process_use() -> ProcessUse:
         threads=threading.active_count(),
         processor_s=round(time.process_time(), 3),
     )
-
-
-def _peak_mb() -> float:
-    """Return the peak memory in MB from ru_maxrss, which macOS counts in bytes and Linux in kB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if os.uname().sysname == "Darwin" else peak / 1e3
 
 
 RECORD_PERIOD_S = 10.0
@@ -116,7 +111,11 @@ class ProcessDiagnostics:
             return
         self._next_s = wall_s + RECORD_PERIOD_S
         self._check_losses(now_s)
-        self._check_punctuality(now_s)
+        missed = round((self._timing.late_total_s - self._late_total_s) / TICK_S)
+        self._late_total_s = self._timing.late_total_s
+        if missed > MISSED_TICKS:
+            text = f"the computer is too slow: {missed} control ticks missed in 10 s"
+            self._announce(Severity.WARNING, text, now_s)
         self._journal.record("process", self._record(), now_s)
         self._timing.worst_late_s = 0.0
 
@@ -162,13 +161,6 @@ class ProcessDiagnostics:
         if dropped > self._reported_dropped:
             self._reported_dropped = dropped
             text = f"{dropped} log entries lost: the disk is full, broken or too slow; flying on"
-            self._announce(Severity.WARNING, text, now_s)
-
-    def _check_punctuality(self, now_s: float) -> None:
-        missed = round((self._timing.late_total_s - self._late_total_s) / TICK_S)
-        self._late_total_s = self._timing.late_total_s
-        if missed > MISSED_TICKS:
-            text = f"the computer is too slow: {missed} control ticks missed in 10 s"
             self._announce(Severity.WARNING, text, now_s)
 
     def _announce(self, severity: Severity, text: str, now_s: float) -> None:

@@ -119,7 +119,13 @@ class Watchdog:
             self._supervisor.say(ALIVE)
         if wall_s >= self._next_status_s:
             self._next_status_s = wall_s + STATUS_PERIOD_S
-            self._report_status(now_s, missing)
+            status = self._endpoint.session.status(now_s)
+            text = f"{status.phase.value}: {status.detail}" if status.detail else status.phase.value
+            if missing is not None and missing != "the control tick":
+                text = f"does not answer: {missing}; {text}"
+            if text != self._status:
+                self._status = text
+                self._supervisor.status(text)
 
     def missing(self) -> str | None:
         """Return the part that did not respond since the last feed, in words, or None."""
@@ -132,12 +138,3 @@ class Watchdog:
             return "the writer of checkpoints"
         closed = next((link.name for link in self._parts.links if not link.is_open), None)
         return None if closed is None else f"link {closed}"
-
-    def _report_status(self, now_s: float, missing: str | None) -> None:
-        status = self._endpoint.session.status(now_s)
-        text = f"{status.phase.value}: {status.detail}" if status.detail else status.phase.value
-        if missing is not None and missing != "the control tick":
-            text = f"does not answer: {missing}; {text}"
-        if text != self._status:
-            self._status = text
-            self._supervisor.status(text)

@@ -137,7 +137,15 @@ def yaml_to_paste(done: Calibration) -> str:
     stage: dict[str, str] = {}
     estimator: dict[str, str] = {}
     if done.has_ranges and done.range_fit is not None:
-        _add_range_keys(stage, estimator, done.range_fit)
+        stage["range_offset_m"] = f"{done.range_fit.offset_m.value:.2f}"
+        stage["range_scale"] = (
+            f"{done.range_fit.effective_scale:.4f}" if done.range_fit.is_scale_used else "1.0"
+        )
+        prior_m = max(_upwards(PRIOR_WIDTHS * done.range_fit.offset_m.half_width), LEAST_PRIOR_M)
+        estimator["range_sigma_m"] = f"{_upwards(done.range_fit.sigma_m.value):g}"
+        estimator["range_offset_sigma_m"] = f"{prior_m:g}"
+        estimator["range_offset_min_m"] = f"{-2.0 * prior_m:g}"
+        estimator["range_offset_max_m"] = f"{3.0 * prior_m:g}"
     if done.has_bearings and done.bearing_fit is not None:
         _add_bearing_keys(stage, estimator, done.bearing_fit, is_by_north=done.is_by_north)
     if not estimator:
@@ -154,16 +162,6 @@ def yaml_to_paste(done: Calibration) -> str:
             *(f"{key}: {value}" for key, value in estimator.items()),
         ]
     )
-
-
-def _add_range_keys(stage: dict[str, str], estimator: dict[str, str], fit: RangeFit) -> None:
-    stage["range_offset_m"] = f"{fit.offset_m.value:.2f}"
-    stage["range_scale"] = f"{fit.effective_scale:.4f}" if fit.is_scale_used else "1.0"
-    prior_m = max(_upwards(PRIOR_WIDTHS * fit.offset_m.half_width), LEAST_PRIOR_M)
-    estimator["range_sigma_m"] = f"{_upwards(fit.sigma_m.value):g}"
-    estimator["range_offset_sigma_m"] = f"{prior_m:g}"
-    estimator["range_offset_min_m"] = f"{-2.0 * prior_m:g}"
-    estimator["range_offset_max_m"] = f"{3.0 * prior_m:g}"
 
 
 def _add_bearing_keys(

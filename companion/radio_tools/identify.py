@@ -23,7 +23,7 @@ from companion.io.links.radio_lines import radio_link
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radios.catalogue import BUILT_IN, radio_kind
-from companion.radios.decoder import FrameDecoder, Poll, RadioDecoder, RadioKind
+from companion.radios.decoder import FrameDecoder, Poll, RadioDecoder
 
 LISTEN_S = 10.0
 BAUDS = (115_200, 921_600, 57_600, 9_600)
@@ -260,12 +260,7 @@ def _words(found: _Candidate, attempt: Attempt, url: str) -> str:
     names = ", ".join(sorted(str(each) for each in found.emitters if each is not None)[:4])
     emitters = f"; emitters {names}" if names else ""
     head = f"{found.name}: {kind.title}{speed}, gives {kind.gives}{emitters}"
-    if _needs_tag(kind) and not found.readings:
+    if (isinstance(kind.poll, Poll) and bool(kind.poll.probe)) and not found.readings:
         hint = "NAME is the address of the other one"
         return f"{head}\ncompanion radio watch '{found.name}:tag=NAME@{at}'  # {hint}"
     return f"{head}\ncompanion radio watch '{found.name}@{at}'"
-
-
-def _needs_tag(kind: RadioKind) -> bool:
-    """Return True if the radio asks only for a configured emitter."""
-    return isinstance(kind.poll, Poll) and bool(kind.poll.probe)

@@ -189,7 +189,12 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> Iterator[WalkRow]
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
-            _check_header(path, reader.fieldnames)
+            present = list(reader.fieldnames) if isinstance(reader.fieldnames, list) else []
+            missing = [name for name in REQUIRED if name not in present]
+            if missing:
+                raise ConfigError(f"{path}: line 1: missing column {', '.join(missing)}")
+            if not any(name in present for name in MEASURED):
+                raise ConfigError(f"{path}: line 1: needs a column {' or '.join(MEASURED)}")
             numbers: dict[str, int] = {}
             for row in reader:
                 if own_sigma_m is not None:
@@ -201,15 +206,6 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> Iterator[WalkRow]
         raise ConfigError(f"{path}: not UTF-8 text; expected a CSV file") from error
     except csv.Error as error:
         raise ConfigError(f"{path}: not a CSV file: {error}") from error
-
-
-def _check_header(path: Path, names: object) -> None:
-    present = list(names) if isinstance(names, list) else []
-    missing = [name for name in REQUIRED if name not in present]
-    if missing:
-        raise ConfigError(f"{path}: line 1: missing column {', '.join(missing)}")
-    if not any(name in present for name in MEASURED):
-        raise ConfigError(f"{path}: line 1: needs a column {' or '.join(MEASURED)}")
 
 
 def _walk_row(

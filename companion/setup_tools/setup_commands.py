@@ -71,19 +71,7 @@ def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
         return 0
     choices = _choices(arguments, ask if sys.stdin.isatty() or ask is not input else None)
     contents = site_contents(choices)
-    link = _checked_link(choices, check_files(contents))
-    files = {directory / name: content for name, content in contents.items()}
-    if arguments.unit_directory is not None:
-        files[arguments.unit_directory / UNIT] = unit(
-            directory, arguments.user or getpass.getuser()
-        )
-    write_files(directory, files)
-    _say(*(f"wrote {path}" for path in files))
-    return _finish(arguments, choices, link, directory)
-
-
-def _checked_link(choices: Choices, config: CompanionConfig) -> Transport:
-    """Return the vehicle's link; raise `ConfigError` where a flight on these links would refuse."""
+    config = check_files(contents)
     ranging = () if choices.ranging is None else (choices.ranging,)
     links = flight_links(choices.connect, ranging, config.radios)
     check_exposure(
@@ -92,7 +80,15 @@ def _checked_link(choices: Choices, config: CompanionConfig) -> Transport:
         unsigned_ranging=config.link.unsigned_ranging,
         remedy="or begin with a --preset that has link.signing_key_file",
     )
-    return links[0].transport
+    link = links[0].transport
+    files = {directory / name: content for name, content in contents.items()}
+    if arguments.unit_directory is not None:
+        files[arguments.unit_directory / UNIT] = unit(
+            directory, arguments.user or getpass.getuser()
+        )
+    write_files(directory, files)
+    _say(*(f"wrote {path}" for path in files))
+    return _finish(arguments, choices, link, directory)
 
 
 def _finish(

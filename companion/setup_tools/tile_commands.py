@@ -40,7 +40,11 @@ class Tile:
 def run(arguments: argparse.Namespace) -> int:
     """Fetch missing tiles, and return the exit code."""
     places = wanted_tiles(arguments.around, arguments.radius, arguments.zoom)
-    url = _checked_url(arguments.url)
+    if not arguments.url.startswith(("http://", "https://")):
+        raise ConfigError(f"{arguments.url}: must begin with http:// or https://")
+    if not all(part in arguments.url for part in ("{z}", "{x}", "{y}")):
+        raise ConfigError(f"{arguments.url}: must have {{z}}, {{x}} and {{y}} in it")
+    url = arguments.url
     missing = [each for each in places if not _file(arguments.folder, *each).exists()]
     count, folder = _stored(_fetched(url, missing), arguments.folder), arguments.folder
     sys.stdout.write(f"{count} tiles in {folder}; show them with: --web-tiles {folder}\n")
@@ -84,14 +88,6 @@ def _zooms(text: str) -> tuple[int, int]:
     if not 0 <= least <= most <= 22:
         raise ConfigError(f"--zoom {text}: give MIN-MAX between 0 and 22, as in 13-17")
     return least, most
-
-
-def _checked_url(url: str) -> str:
-    if not url.startswith(("http://", "https://")):
-        raise ConfigError(f"{url}: must begin with http:// or https://")
-    if not all(part in url for part in ("{z}", "{x}", "{y}")):
-        raise ConfigError(f"{url}: must have {{z}}, {{x}} and {{y}} in it")
-    return url
 
 
 def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:

@@ -36,7 +36,11 @@ def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
         case Phase.WAITING:
             return _while_waiting(endpoint, status)
         case Phase.STANDBY:
-            return _in_standby(endpoint, status, guided)
+            if endpoint.session.context.is_launch_wanted:
+                return "Stand clear: it is about to take off by itself."
+            if not status.is_armed:
+                return f"Arm, take off, and switch to {guided} to give control."
+            return f"Switch to {guided} to give control. {TAKE_BACK}"
         case Phase.HOLD:
             return _while_holding(status)
         case Phase.YIELD:
@@ -53,14 +57,6 @@ def _while_waiting(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
         return "Wait a moment: the autopilot is nearly ready."
     names = " and ".join(dict.fromkeys(missing))
     return f"Wait for {names}. Satellites need open sky; this takes up to a minute."
-
-
-def _in_standby(endpoint: CompanionEndpoint, status: GuidanceStatus, guided: str) -> str:
-    if endpoint.session.context.is_launch_wanted:
-        return "Stand clear: it is about to take off by itself."
-    if not status.is_armed:
-        return f"Arm, take off, and switch to {guided} to give control."
-    return f"Switch to {guided} to give control. {TAKE_BACK}"
 
 
 def _in_search(status: GuidanceStatus) -> str:

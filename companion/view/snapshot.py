@@ -50,10 +50,14 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
     status = session.status(now_s)
     vehicle = session.vehicle
     origin, waypoint = vehicle.origin, status.waypoint
+    words = PHASE_WORDS.get(status.phase, status.phase.value)
+    is_localised = status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
     return {
         "t_s": now_s,
         "phase": status.phase.value,
-        "phase_text": _phase_text(status),
+        "phase_text": (
+            "localised: confirming" if status.phase is Phase.NORMAL and is_localised else words
+        ),
         "phase_detail": status.detail,
         "next_step": next_step(endpoint, status),
         "objections": {each.value: session.objection_to(each) for each in OperatorCommand},
@@ -80,12 +84,6 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "setpoint_rate_hz": endpoint.outlet.setpoint_rate_hz(now_s),
         "ages_s": ages_s(endpoint, now_s),
     }
-
-
-def _phase_text(status: GuidanceStatus) -> str:
-    words = PHASE_WORDS.get(status.phase, status.phase.value)
-    is_localised = status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
-    return "localised: confirming" if status.phase is Phase.NORMAL and is_localised else words
 
 
 def _fence(fencing: Fencing) -> Json:
@@ -279,9 +277,7 @@ class TimeToGo:
         self._radii.append((now_s, math.log(r95_m)))
         while now_s - self._radii[0][0] > WINDOW_S:
             self._radii.popleft()
-        return self._extrapolated(now_s, math.log(r95_m))
-
-    def _extrapolated(self, now_s: float, log_r95: float) -> float | None:
+        log_r95 = math.log(r95_m)
         first_s, first = self._radii[0]
         if now_s - first_s < MIN_WINDOW_S:
             return None

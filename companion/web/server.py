@@ -187,7 +187,13 @@ class AccessGate:
         """Pass on, or refuse."""
         if scope["type"] == "http":
             refusal = self._refusal(scope)
-            await (self._app if refusal is None else refusal)(scope, receive, _with_headers(send))
+
+            async def sent(message: Any) -> None:
+                if message["type"] == "http.response.start":
+                    message["headers"] = [*message.get("headers", ()), *HEADERS.items()]
+                await send(message)
+
+            await (self._app if refusal is None else refusal)(scope, receive, sent)
         elif scope["type"] == "websocket" and not self._is_ours(scope):
             await send({"type": "websocket.close", "code": 1008})
         else:
@@ -210,15 +216,6 @@ class AccessGate:
         if not self._access.is_host_ours(host):
             return False
         return self._access.is_origin_ours(headers.get(b"origin"), host)
-
-
-def _with_headers(send: Send) -> Send:
-    async def sent(message: Any) -> None:
-        if message["type"] == "http.response.start":
-            message["headers"] = [*message.get("headers", ()), *HEADERS.items()]
-        await send(message)
-
-    return sent
 
 
 class LoadingPages:

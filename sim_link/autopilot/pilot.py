@@ -148,7 +148,11 @@ class Pilot:
             case Task.RETURN:
                 return self._return(body)
             case Task.FLY_MISSION if leg is not None:
-                return self._fly_leg(leg, body)
+                if leg.kind is LegKind.LAND:
+                    self.hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
+                    return self._land(body)
+                self.hold_enu_m = leg.goal_enu_m
+                return self._towards(leg.goal_enu_m, body, leg.speed_mps)
             case Task.CIRCLE:
                 return self._circle(body)
             case Task.STAY | Task.FLY_MISSION:
@@ -209,13 +213,6 @@ class Pilot:
             return (east, north, -self._vehicle.max_descent_mps)
         return (east, north, -self._vehicle.landing_speed_mps)
 
-    def _fly_leg(self, leg: MissionLeg, body: Kinematics) -> PositionEnu:
-        if leg.kind is LegKind.LAND:
-            self.hold_enu_m = (*leg.goal_enu_m[:2], body.ground_up_m)
-            return self._land(body)
-        self.hold_enu_m = leg.goal_enu_m
-        return self._towards(leg.goal_enu_m, body, leg.speed_mps)
-
     def _circle(self, body: Kinematics) -> PositionEnu:
         """Fly along the circle, pulled back to its radius; the centre is where the nose pointed."""
         (east, north, _), (centre_e, centre_n) = body.position_enu_m, self._circle_centre
@@ -264,7 +261,16 @@ class Pilot:
         place, velocity = setpoint.position_en_m, setpoint.velocity_en_mps
         gives_nothing = (place, setpoint.up_m, velocity, setpoint.climb_mps) == (None,) * 4
         if gives_nothing and setpoint.acceleration_enu_mps2 is not None:
-            return self._accelerate(setpoint.acceleration_enu_mps2)
+            self._is_staying = False
+            limit = self._vehicle.max_speed_mps
+            ve, vn, vu = (
+                v + a * STEP_S
+                for v, a in zip(self._velocity, setpoint.acceleration_enu_mps2, strict=True)
+            )
+            ve, vn = min(limit, max(-limit, ve)), min(limit, max(-limit, vn))
+            vu = min(self._vehicle.max_climb_mps, max(-self._vehicle.max_descent_mps, vu))
+            self._velocity = (ve, vn, vu)
+            return self._velocity
         self._velocity = body.velocity_enu_mps
         if gives_nothing:
             return self._come_to_rest(body)
@@ -275,15 +281,3 @@ class Pilot:
         forward_east, forward_north = velocity or (0.0, 0.0)
         climb_mps = to_goal[2] + (setpoint.climb_mps or 0.0)
         return (to_goal[0] + forward_east, to_goal[1] + forward_north, climb_mps)
-
-    def _accelerate(self, acceleration_enu_mps2: PositionEnu) -> PositionEnu:
-        """Return a velocity that grows by what is asked, up to the vehicle's limits."""
-        self._is_staying = False
-        limit = self._vehicle.max_speed_mps
-        ve, vn, vu = (
-            v + a * STEP_S for v, a in zip(self._velocity, acceleration_enu_mps2, strict=True)
-        )
-        ve, vn = min(limit, max(-limit, ve)), min(limit, max(-limit, vn))
-        vu = min(self._vehicle.max_climb_mps, max(-self._vehicle.max_descent_mps, vu))
-        self._velocity = (ve, vn, vu)
-        return self._velocity

@@ -86,16 +86,13 @@ class RadioPayload:
     def _measured(self, pose: _Pose, now_s: float, stamp_us: int) -> list[Message]:
         messages = []
         for emitter in self._emitters:
-            if self._hears(emitter, pose):
+            is_near = emitter.slant_range_m(pose.position_enu_m) <= self._params.max_range_m
+            if is_near and pose.height_m >= self._params.min_altitude_m:
                 place, attitude = pose.position_enu_m, pose.attitude
                 measurement = self._radio.hear(emitter, place, now_s, attitude)
                 if measurement is not None:
                     messages.append(message_from_ranging(measurement, stamp_us))
         return messages
-
-    def _hears(self, emitter: Emitter, pose: _Pose) -> bool:
-        is_near = emitter.slant_range_m(pose.position_enu_m) <= self._params.max_range_m
-        return is_near and pose.height_m >= self._params.min_altitude_m
 
 
 def reject_command(message: Message, system_id: int) -> Message | None:

@@ -162,7 +162,15 @@ class RadioFollower(OneShotEndpoint):
                 if all(math.isfinite(value) for value in place):
                     stamp_s = message.time_boot_ms / 1000.0
                     self._measure(place, stamp_s)
-                    self._report_late(stamp_s)
+                    while self._late and self._late[0].sent_at_s <= stamp_s:
+                        due = self._late.popleft()
+                        if self._emulator is not None:
+                            self._print(self._emulator.encode(due))
+                            continue
+                        for answer in due.heard:
+                            assert answer.heard is not None
+                            stamp_us = round(1e6 * due.sent_at_s)
+                            self._send(message_from_ranging(answer.heard, stamp_us), self._link)
             case mavlink.MAVLink_attitude_message():
                 self._attitude_heard_s = now_s
                 self._attitude = EulerAngles(message.roll, message.pitch, message.yaw)
@@ -209,17 +217,6 @@ class RadioFollower(OneShotEndpoint):
         if heard is None or self._emulator is None or self._emulator.reports_north:
             return Answer(emitter.emitter_id, heard)
         return Answer(emitter.emitter_id, seen_from_nose(heard, self._attitude.yaw_rad))
-
-    def _report_late(self, stamp_s: float) -> None:
-        while self._late and self._late[0].sent_at_s <= stamp_s:
-            due = self._late.popleft()
-            if self._emulator is not None:
-                self._print(self._emulator.encode(due))
-                continue
-            for answer in due.heard:
-                assert answer.heard is not None
-                stamp_us = round(1e6 * due.sent_at_s)
-                self._send(message_from_ranging(answer.heard, stamp_us), self._link)
 
     def _print(self, data: bytes) -> None:
         if data:

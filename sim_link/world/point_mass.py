@@ -192,7 +192,17 @@ class PointMass:
             turn = wrap_pi(yaw_ned_rad - self.yaw_ned_rad)
             self.yaw_ned_rad = wrap_pi(self.yaw_ned_rad + min(limit, max(-limit, turn)))
         change = self._velocity_change(command_enu_mps, dt_s)
-        self._integrate(change, dt_s)
+        (e, n, u), (ve, vn, vu) = self.position_enu_m, self.velocity_enu_mps
+        half = 0.5 * dt_s
+        e += (2.0 * ve + change[0]) * half
+        n += (2.0 * vn + change[1]) * half
+        u += (2.0 * vu + change[2]) * half
+        ve, vn, vu = ve + change[0], vn + change[1], vu + change[2]
+        if u <= self.ground_up_m:
+            u, ve, vn, vu = self.ground_up_m, 0.0, 0.0, 0.0
+        self.position_enu_m = (e, n, u)
+        self.velocity_enu_mps = (ve, vn, vu)
+        self.acceleration_enu_mps2 = (change[0] / dt_s, change[1] / dt_s, change[2] / dt_s)
 
     def _velocity_change(self, command_enu_mps: PositionEnu | None, dt_s: float) -> PositionEnu:
         if command_enu_mps is None:
@@ -207,19 +217,6 @@ class PointMass:
         limit = self._params.max_acceleration_mps2 * dt_s
         scale = 1.0 if size <= limit else limit / size
         return (de * scale, dn * scale, du * scale)
-
-    def _integrate(self, change: PositionEnu, dt_s: float) -> None:
-        (e, n, u), (ve, vn, vu) = self.position_enu_m, self.velocity_enu_mps
-        half = 0.5 * dt_s
-        e += (2.0 * ve + change[0]) * half
-        n += (2.0 * vn + change[1]) * half
-        u += (2.0 * vu + change[2]) * half
-        ve, vn, vu = ve + change[0], vn + change[1], vu + change[2]
-        if u <= self.ground_up_m:
-            u, ve, vn, vu = self.ground_up_m, 0.0, 0.0, 0.0
-        self.position_enu_m = (e, n, u)
-        self.velocity_enu_mps = (ve, vn, vu)
-        self.acceleration_enu_mps2 = (change[0] / dt_s, change[1] / dt_s, change[2] / dt_s)
 
     def _rest(self) -> None:
         e, n, _ = self.position_enu_m

@@ -131,10 +131,15 @@ class Router:
         if source[0] == 0 or is_secret(frame):
             return []
         self._notice_reboot(source, frame)
-        self._learn(source, channel)
+        channels = self._routes.get(source) or Newest(MAX_CHANNELS)
+        channels[channel] = None
+        self._routes[source] = channels
         system_id, component_id = targets_of_frame(frame)
         if system_id == 0:
-            return self._to_all(frame, channel)
+            chunks = [Chunk(each, frame) for each in self._links if each != channel.link]
+            if channel.peer is not None:
+                chunks.insert(0, Chunk(channel.link, frame, None, frozenset({channel.peer})))
+            return chunks
         if system_id == self._system_id and component_id in self._own_components:
             return []
         return [
@@ -156,13 +161,6 @@ class Router:
             if not self._routes[source]:
                 del self._routes[source]
 
-    def _to_all(self, frame: bytes, channel: Channel) -> list[Chunk]:
-        """Return chunks to the other peers of its own link, and to every other link."""
-        chunks = [Chunk(each, frame) for each in self._links if each != channel.link]
-        if channel.peer is not None:
-            chunks.insert(0, Chunk(channel.link, frame, None, frozenset({channel.peer})))
-        return chunks
-
     def _channels_of(self, system_id: int, component_id: int) -> list[Channel]:
         found = [
             channel
@@ -171,11 +169,6 @@ class Router:
             for channel in channels
         ]
         return list(dict.fromkeys(found))
-
-    def _learn(self, source: Component, channel: Channel) -> None:
-        channels = self._routes.get(source) or Newest(MAX_CHANNELS)
-        channels[channel] = None
-        self._routes[source] = channels
 
     def _notice_reboot(self, source: Component, frame: bytes) -> None:
         boot_ms = boot_ms_of(frame)

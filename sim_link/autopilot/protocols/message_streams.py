@@ -263,7 +263,13 @@ class MessageRequests:
                 return self._report_interval(command.whole(1), command.partner, now_s)
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return self._set_interval(command, now_s)
-        return self._request_by_shorthand(command)
+        number, rules = SHORTHANDS.get(command.number), self._rules
+        if number is None or (number == PROTOCOL_VERSION and not rules.reports_protocol_version):
+            return None
+        is_wanted = command.params[0] == 1.0 or not rules.capabilities_need_one
+        if number == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not is_wanted:
+            return rules.no_message, []
+        return self._send(number, command.partner)
 
     def set_data_stream(self, message: Message, partner: Partner, now_s: float) -> None:
         """Obey a REQUEST_DATA_STREAM that is for us; it has no answer."""
@@ -285,26 +291,10 @@ class MessageRequests:
         if number is None or not 0 <= number <= MAX_MESSAGE_ID:
             return self._rules.no_message, []
         if number == AVAILABLE_MODES:
-            return self._send_modes(command.whole(2), command.partner)
-        return self._send(number, command.partner)
-
-    def _send_modes(
-        self, index: int | None, partner: Partner
-    ) -> tuple[CommandResult, list[Outgoing]]:
-        """Return all modes that the autopilot lists, or that of an index, from 1."""
-        wanted = self._modes if index == 0 else self._modes[index - 1 : index] if index else ()
-        result = CommandResult.ACCEPTED if wanted else self._rules.no_message
-        return result, [Outgoing(mode, partner.channel) for mode in wanted]
-
-    def _request_by_shorthand(
-        self, command: Command
-    ) -> tuple[CommandResult, list[Outgoing]] | None:
-        number, rules = SHORTHANDS.get(command.number), self._rules
-        if number is None or (number == PROTOCOL_VERSION and not rules.reports_protocol_version):
-            return None
-        is_wanted = command.params[0] == 1.0 or not rules.capabilities_need_one
-        if number == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION and not is_wanted:
-            return rules.no_message, []
+            index = command.whole(2)
+            wanted = self._modes if index == 0 else self._modes[index - 1 : index] if index else ()
+            result = CommandResult.ACCEPTED if wanted else self._rules.no_message
+            return result, [Outgoing(mode, command.partner.channel) for mode in wanted]
         return self._send(number, command.partner)
 
     def _send(self, number: int, partner: Partner) -> tuple[CommandResult, list[Outgoing]]:

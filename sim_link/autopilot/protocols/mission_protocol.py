@@ -94,9 +94,17 @@ class PlanUploads:
         """Answer an item."""
         upload = self._uploads.get(partner)
         if upload is None or upload.plan_type != message.mission_type:
-            return [self._answer_to_stray(message, partner)]
+            # An item that was not requested: our ACK was lost, or it is a mistake.
+            last = (message.mission_type, message.seq)
+            is_repeated = partner not in self._uploads and self._finished.get(partner) == last
+            result = PlanResult.ACCEPTED if is_repeated else PlanResult.ERROR
+            return [ack(partner, result, message.mission_type)]
         if message.seq != upload.expected:
-            return self._out_of_order(message, upload, partner, now_s)
+            if self._rules.reports_wrong_number:
+                return [ack(partner, PlanResult.INVALID_SEQUENCE, upload.plan_type)]
+            if message.seq > upload.expected:
+                return [self._ask(upload, partner, now_s)]
+            return []
         item = self._checked(message, upload.plan_type)
         if isinstance(item, PlanResult):
             return self._fail(upload, partner, item, f"item {message.seq}: {_why(item)}")
@@ -145,15 +153,6 @@ class PlanUploads:
             return item
         return self._rules.checks.problem_with(item, plan_type) or item
 
-    def _out_of_order(
-        self, message: ItemMessage, upload: Upload, partner: Partner, now_s: float
-    ) -> list[Outgoing]:
-        if self._rules.reports_wrong_number:
-            return [ack(partner, PlanResult.INVALID_SEQUENCE, upload.plan_type)]
-        if message.seq > upload.expected:
-            return [self._ask(upload, partner, now_s)]
-        return []
-
     def _finish(self, upload: Upload, partner: Partner) -> list[Outgoing]:
         if not self._changes_at_once(upload.plan_type):
             problem = plan_problem(upload.items, upload.plan_type)
@@ -170,13 +169,6 @@ class PlanUploads:
         del self._uploads[partner]
         text = f"{upload.plan_type.name.lower()} refused, {why}"
         return [*self._texts.warn(partner, text), ack(partner, result, upload.plan_type)]
-
-    def _answer_to_stray(self, message: ItemMessage, partner: Partner) -> Outgoing:
-        """Answer an item that was not requested: our ACK was lost, or it is a mistake."""
-        last = (message.mission_type, message.seq)
-        is_repeated = partner not in self._uploads and self._finished.get(partner) == last
-        result = PlanResult.ACCEPTED if is_repeated else PlanResult.ERROR
-        return ack(partner, result, message.mission_type)
 
     def _ask(self, upload: Upload, partner: Partner, now_s: float) -> Outgoing:
         upload.asked_s = now_s
@@ -299,7 +291,9 @@ class Plans:
             case mavlink.MAVLink_mission_clear_all_message():
                 return [self._clear(message.mission_type, partner)]
             case mavlink.MAVLink_mission_set_current_message():
-                return self._set_current(message.seq, partner)
+                if self.store.choose(message.seq):
+                    return []  # `mission_progress` broadcasts the change
+                return self._texts.warn(partner, f"there is no mission item {message.seq}")
             case (
                 mavlink.MAVLink_mission_write_partial_list_message()
                 | mavlink.MAVLink_mission_request_partial_list_message()
@@ -337,12 +331,6 @@ class Plans:
         for each in cleared:
             self.store.replace(each, ())
         return ack(partner, PlanResult.ACCEPTED, mission_type)
-
-    def _set_current(self, seq: int, partner: Partner) -> list[Outgoing]:
-        """Return a warning, or nothing: `mission_progress` broadcasts the change."""
-        if self.store.choose(seq):
-            return []
-        return self._texts.warn(partner, f"there is no mission item {seq}")
 
     def _take_item(self, message: ItemMessage, partner: Partner, now_s: float) -> list[Outgoing]:
         if message.current != GUIDED_ITEM or self._fly_to is None:

@@ -51,12 +51,6 @@ class ParameterProfile:
     list_rate_hz: float = 1000.0
 
 
-def _wrapped(value: float, kind: ParamType) -> int:
-    """Return a finite number as C casts it to an integer type."""
-    least, greatest = (int(bound) for bound in kind.bounds)
-    return least + (int(value) - least) % (greatest - least + 1)
-
-
 FENCE_TOTAL = "FENCE_TOTAL"
 """Number of items in ArduPilot's fence; its loader sets and saves it with every other fence."""
 
@@ -159,8 +153,9 @@ class Parameters:
         value = value_from_raw(raw_of(message), spec.kind, rules.encoding)
         if not (math.isfinite(value) or rules.stores_nan):
             return []
-        if spec.kind.is_integer:
-            value = _wrapped(value, spec.kind)
+        if spec.kind.is_integer:  # as C casts a float to an integer type
+            least, greatest = (int(bound) for bound in spec.kind.bounds)
+            value = least + (int(value) - least) % (greatest - least + 1)
         self.store.set(name, value)
         return [Outgoing(self._value(index, is_named=True))] * rules.echoes
 

@@ -396,14 +396,6 @@ class VehicleProbe(Station):
             require(not self._is_silent(), "nothing is heard any more")
             raise NotReady(self.baseline.unready)
 
-    def _get_charged(self) -> None:
-        percent = self.latest(mav.SysStatus).battery_remaining
-        if 0 <= percent < SPENT_PERCENT:
-            if not self.baseline.allows_harm:
-                raise NotReady(f"battery at {percent} %: charge it (--allow-harm reboots for it)")
-            self.reboot()
-            self.get_ready()
-
     def reboot(self) -> None:
         """Restart the autopilot; a simulated one has a fresh battery then."""
         self.require_result(mav.ACCEPTED, mav.REBOOT, 1.0, 0.0, 0.0)
@@ -448,7 +440,12 @@ class VehicleProbe(Station):
     def arm(self) -> None:
         """Get ready and arm; `NotReady`: it is refused again and again."""
         self.get_ready()
-        self._get_charged()
+        percent = self.latest(mav.SysStatus).battery_remaining
+        if 0 <= percent < SPENT_PERCENT:
+            if not self.baseline.allows_harm:
+                raise NotReady(f"battery at {percent} %: charge it (--allow-harm reboots for it)")
+            self.reboot()
+            self.get_ready()
         if self.baseline.start_e7 is None:
             self.baseline.start_e7 = self.where_e7()
         mark, last_s = self.mark, self.now_s + ARM_S

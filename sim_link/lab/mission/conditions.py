@@ -235,7 +235,12 @@ def _part(node: ast.expr) -> _Part:
         case ast.Compare():
             return _comparison(node)
         case ast.BinOp():
-            return _arithmetic(node)
+            if type(node.op) not in ARITHMETIC:
+                raise _problem(node, "calculates with something else than + - *")
+            combine = ARITHMETIC[type(node.op)]
+            return _Part(
+                Kind.NUMBER, _lifted(combine, _number_of(node.left), _number_of(node.right)), node
+            )
         case ast.Constant():
             return _constant(node)
         case ast.Name() | ast.Attribute():
@@ -298,13 +303,6 @@ def _check_words(part: _Part, other: _Part) -> None:
         raise _unknown(part)
     if part.word not in other.words:
         raise _problem(other.node, f"is never `{part.word}`; it is one of {', '.join(other.words)}")
-
-
-def _arithmetic(node: ast.BinOp) -> _Part:
-    if type(node.op) not in ARITHMETIC:
-        raise _problem(node, "calculates with something else than + - *")
-    combine = ARITHMETIC[type(node.op)]
-    return _Part(Kind.NUMBER, _lifted(combine, _number_of(node.left), _number_of(node.right)), node)
 
 
 def _number_of(node: ast.expr) -> _Part:

@@ -213,7 +213,12 @@ class EventReader:
                 place = _point(fields["position_enu_m"])
                 self._record.waypoints.append((now_s, place, fields["reason"]))
             case "result":
-                self._take_result(fields, now_s)
+                emitter = fields.get("emitter_id")
+                if emitter is None:
+                    emitter = self._situation.estimate.emitter
+                place = (float(fields["east_m"]), float(fields["north_m"]))
+                self._record.reports.append(Report(now_s, emitter, place, fields["r95_m"]))
+                self._situation.companion.reported += 1
 
     def age(self, now_s: float) -> None:
         """Increase all ages."""
@@ -254,14 +259,6 @@ class EventReader:
         seen.error_m = None if truth is None else math.dist(place, truth)
         seen.range_offset_m = fields["range_offset_m"]
         seen.bearing_offset_deg = math.degrees(fields["bearing_offset_rad"])
-
-    def _take_result(self, fields: Mapping[str, Any], time_s: float) -> None:
-        emitter = fields.get("emitter_id")
-        if emitter is None:
-            emitter = self._situation.estimate.emitter
-        place = (float(fields["east_m"]), float(fields["north_m"]))
-        self._record.reports.append(Report(time_s, emitter, place, fields["r95_m"]))
-        self._situation.companion.reported += 1
 
 
 def _point(value: Any) -> Point:

@@ -156,7 +156,19 @@ def _suite(result: MissionResult) -> ElementTree.Element:
         time=f"{result.record.wall_s:.3f}",
     )
     properties = ElementTree.SubElement(suite, "properties")
-    for name, value in _properties(result).items():
+    last = result.last_estimate
+    values = {
+        "seed": result.seed,
+        "how": result.how,
+        "flown_s": f"{result.record.ended_s:.1f}",
+        "distance_m": f"{result.record.distance_m:.1f}",
+        "final_error_m": result.final_error_m,
+        "r95_m": None if last is None else last.r95_m,
+        "report": result.report or None,
+    }
+    for name, value in {
+        name: str(value) for name, value in values.items() if value is not None
+    }.items():
         ElementTree.SubElement(properties, "property", name=name, value=_clean(value))
     for number, verdict in enumerate(result.verdicts):
         case = _case(suite, result, verdict.name, result.record.wall_s if number == 0 else 0.0)
@@ -185,20 +197,6 @@ def _case(
 def _count(result: MissionResult) -> int:
     """Return the number of cases: expectations, errors and reasons for skipping."""
     return len(result.verdicts) + bool(result.error) + bool(result.record.skipped)
-
-
-def _properties(result: MissionResult) -> dict[str, str]:
-    last = result.last_estimate
-    values = {
-        "seed": result.seed,
-        "how": result.how,
-        "flown_s": f"{result.record.ended_s:.1f}",
-        "distance_m": f"{result.record.distance_m:.1f}",
-        "final_error_m": result.final_error_m,
-        "r95_m": None if last is None else last.r95_m,
-        "report": result.report or None,
-    }
-    return {name: str(value) for name, value in values.items() if value is not None}
 
 
 def _clean(text: str) -> str:

@@ -65,7 +65,12 @@ def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
         lines = [str(error_at(text, name, path, _with_hint(path, what))) for path, what in problems]
         raise ConfigError("\n".join(lines)) from None
     if isinstance(mission.companion, str):
-        mission = _with_companion_file(mission, text, name, folder)
+        path = folder / str(mission.companion)
+        try:
+            config = load_config(path)
+        except ConfigError as error:
+            raise error_at(text, name, "$.companion", str(error)) from None
+        mission = msgspec.structs.replace(mission, companion=config)
     for where, problem in _problems(mission):
         raise error_at(text, name, where, problem)
     return mission
@@ -159,15 +164,6 @@ def _with_hint(path: str, problem: str) -> str:
 def _unknown(what: str, name: str, known: Iterable[str]) -> str:
     hint = did_you_mean(name, known) or f"; known are {', '.join(known)}"
     return f"there is no {what} `{name}`{hint}"
-
-
-def _with_companion_file(mission: Mission, text: str, name: str, folder: Path) -> Mission:
-    path = folder / str(mission.companion)
-    try:
-        config = load_config(path)
-    except ConfigError as error:
-        raise error_at(text, name, "$.companion", str(error)) from None
-    return msgspec.structs.replace(mission, companion=config)
 
 
 def _problems(mission: Mission) -> Iterator[Problem]:

@@ -150,7 +150,10 @@ class StepRunner:
             running.met_s = None
             self._ask(running, now_s)
             if now_s - running.started_s >= rule.limit_s:
-                self._end(running, now_s, self._why_late(running))
+                rule = running.rule
+                text = f"{rule.what} did not happen within {rule.limit_s:g} s"
+                refusal = running.refusal or self._operator.take_refusal()
+                self._end(running, now_s, f"{text} ({refusal})" if refusal else text)
         if self._current is not None and now_s >= self._mission.time_limit_s:
             limit = f"the mission's time limit of {self._mission.time_limit_s:g} s"
             self._end(running, now_s, limit)
@@ -165,12 +168,6 @@ class StepRunner:
             return
         running.ask_due_s = now_s + ASK_AGAIN_S
         self._operator.ask(action)
-
-    def _why_late(self, running: _RunningStep) -> str:
-        rule = running.rule
-        text = f"{rule.what} did not happen within {rule.limit_s:g} s"
-        refusal = running.refusal or self._operator.take_refusal()
-        return f"{text} ({refusal})" if refusal else text
 
     def _end(self, running: _RunningStep, now_s: float, failure: str) -> None:
         outcome = StepOutcome(

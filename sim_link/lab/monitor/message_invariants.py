@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from companion.domain import TargetEstimate
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import mavlink
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import Point
 from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, ObservedScene, SentSetpoint
@@ -221,20 +221,17 @@ class KnownFrames(Invariant):
             self.report("a message that a companion may not send", number=float(frame.number))
             return
         if message.get_type() in FRAME_OF:
-            self._judge_setpoint(message)
+            used = getattr(message, "coordinate_frame", -1)
+            if used != FRAME_OF[message.get_type()]:
+                self.report("a setpoint in a frame that is not allowed", frame=float(used))
+            for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
+                value = getattr(message, name)
+                if kind == "float" and not math.isfinite(value):
+                    self.report(f"a setpoint with a {name} that is no number")
+                elif kind == "float" and abs(value) > FARTHEST_M:
+                    self.report(f"a setpoint with an absurd {name}", value=value)
         if isinstance(message, mavlink.MAVLink_command_long_message):
             self._judge_command(message)
-
-    def _judge_setpoint(self, message: Message) -> None:
-        used = getattr(message, "coordinate_frame", -1)
-        if used != FRAME_OF[message.get_type()]:
-            self.report("a setpoint in a frame that is not allowed", frame=float(used))
-        for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
-            value = getattr(message, name)
-            if kind == "float" and not math.isfinite(value):
-                self.report(f"a setpoint with a {name} that is no number")
-            elif kind == "float" and abs(value) > FARTHEST_M:
-                self.report(f"a setpoint with an absurd {name}", value=value)
 
     def _judge_command(self, message: mavlink.MAVLink_command_long_message) -> None:
         if message.command not in COMMANDS:

@@ -48,7 +48,7 @@ from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.message_streams import cast_to_uint32
 from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
 from sim_link.autopilot.protocols.plan_rules import commands_named
-from sim_link.autopilot.vehicle_types import ARDUPILOT_TABLES, WireMode
+from sim_link.autopilot.vehicle_types import ARDUPILOT_TABLES
 
 TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
 WARNING, ERROR = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_ERROR
@@ -70,7 +70,14 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     kind = flavour.aircraft.scenario.autopilot.vehicle_type
     table = ARDUPILOT_TABLES.get(kind)
     if table is not None:
-        return _set_class_mode(flavour, table, number, now_s)
+        wanted = table.get(number)
+        if wanted is None or wanted.copter_number is None:
+            flavour.aircraft.say(WARNING, f"No such mode {number}")
+            return FAILED
+        result = flavour.choose(MODES[wanted.copter_number], now_s)
+        if result == ACCEPTED:
+            flavour.chosen_number = number
+        return result
     if number == OFFBOARD_NUMBER and flavour.aircraft.scenario.autopilot.offers_offboard:
         result = flavour.choose(GUIDED, now_s)
         if result == ACCEPTED:
@@ -84,20 +91,6 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     text = f"No such mode {number}" if name is None else refused
     flavour.aircraft.say(WARNING, text)
     return FAILED
-
-
-def _set_class_mode(
-    flavour: ArduPilotFlavour, table: Mapping[int, WireMode], number: int, now_s: float
-) -> int:
-    """Return a mode by the number of a firmware that is not Copter."""
-    wanted = table.get(number)
-    if wanted is None or wanted.copter_number is None:
-        flavour.aircraft.say(WARNING, f"No such mode {number}")
-        return FAILED
-    result = flavour.choose(MODES[wanted.copter_number], now_s)
-    if result == ACCEPTED:
-        flavour.chosen_number = number
-    return result
 
 
 def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:

@@ -96,12 +96,6 @@ class CopterFailsafes:
             sticks = None
         if self._changes(STICKS, self._had_sticks and not has_sticks and sticks is not None):
             yield self._event(STICKS, sticks)
-        yield from self._watch_battery()
-        if self._changes(FENCE, margin_m < 0.0):
-            yield self._event(FENCE, self._reaction("FENCE_ACTION"))
-        yield from self._watch_estimate(mode)
-
-    def _watch_battery(self) -> Iterator[FailsafeEvent]:
         value, battery = self._parameters, self._aircraft.battery
         volts = CELLS * battery.cell_mv / 1e3
         left_mah = battery.share * value["BATT_CAPACITY"]
@@ -111,9 +105,8 @@ class CopterFailsafes:
                 text = f"{name} {volts:.2f}V used {battery.consumed_mah} mAh"
                 event = FailsafeEvent(text, self._reaction(action), value[action] == TERMINATE)
                 yield event if is_under else cleared(name)
-
-    def _watch_estimate(self, mode: CopterMode) -> Iterator[FailsafeEvent]:
-        """Yield a failsafe only where the mode needs the position, or FS_EKF_ACTION says so."""
+        if self._changes(FENCE, margin_m < 0.0):
+            yield self._event(FENCE, self._reaction("FENCE_ACTION"))
         estimator, value = self._aircraft.estimator, self._parameters
         is_bad = not estimator.is_position_valid or self._is_outvoted()
         change_s = STEP_S if is_bad else -STEP_S

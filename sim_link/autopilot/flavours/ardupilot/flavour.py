@@ -303,7 +303,14 @@ class ArduPilotFlavour(AutopilotFlavour):
         body = self.aircraft.motion
         timeout_s = max(LEAST_TIMEOUT_S, self.parameters["GUID_TIMEOUT"])
         self.guided.watch(now_s, timeout_s, is_on_ground=body.is_on_ground)
-        self.aircraft.pilot.limits = self._speed_limits()
+        value, commanded_mps = self.parameters, self.commanded_mps
+        home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
+        across_cmps = home_cmps or value["WPNAV_SPEED"]
+        self.aircraft.pilot.limits = SpeedLimits(
+            commanded_mps.get(HORIZONTAL, max(LEAST_SPEED_CMPS, across_cmps) / 100.0),
+            commanded_mps.get(CLIMB, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_UP"]) / 100.0),
+            commanded_mps.get(DESCENT, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_DN"]) / 100.0),
+        )
         if not self.is_armed:
             return
         if self.guided.state is GuidedState.FOLLOWING and self._runs_into_the_fence():
@@ -323,17 +330,6 @@ class ArduPilotFlavour(AutopilotFlavour):
             self.choose(LAND, now_s)
         if event.names_mode:
             self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
-
-    def _speed_limits(self) -> SpeedLimits:
-        """Return the commanded speeds, or WPNAV_SPEED and its kin, RTL_SPEED on the way home."""
-        value, commanded_mps = self.parameters, self.commanded_mps
-        home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
-        across_cmps = home_cmps or value["WPNAV_SPEED"]
-        return SpeedLimits(
-            commanded_mps.get(HORIZONTAL, max(LEAST_SPEED_CMPS, across_cmps) / 100.0),
-            commanded_mps.get(CLIMB, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_UP"]) / 100.0),
-            commanded_mps.get(DESCENT, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_DN"]) / 100.0),
-        )
 
     def _runs_into_the_fence(self) -> bool:
         """Return True if the motion leads out of the fence: it is stopped FENCE_MARGIN inside."""

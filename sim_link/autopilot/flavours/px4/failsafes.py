@@ -107,9 +107,13 @@ class Px4Failsafes:
         before, delay_s = self.flown, self._parameters["COM_FAIL_ACT_T"]
         is_reacting = before is not None and before.severity > HOLD.severity
         self.delay_s = max(0.0, self.delay_s - STEP_S)
+        has_sticks = self._aircraft.sticks.read(now_s) is not None
+        self._had_sticks = self._had_sticks or has_sticks
+        excepted = int(self._parameters["COM_RCL_EXCEPT"])
+        is_excepted = bool(excepted & EXCEPTION_OF.get(intention, 0))
         present = (
             intention is FlightMode.OFFBOARD and not is_stream_alive,
-            self._are_sticks_lost(intention, now_s),
+            (self._had_sticks and not has_sticks and not is_excepted),
             self._is_station_lost(now_s),
             not self._aircraft.estimator.is_position_valid,
             fence_margin_m < 0.0,
@@ -126,13 +130,6 @@ class Px4Failsafes:
         change_s = STEP_S if self.delay_s else -REGROWTH * STEP_S
         self._spent_s = min(delay_s, max(0.0, self._spent_s + change_s))
         return fresh
-
-    def _are_sticks_lost(self, intention: FlightMode, now_s: float) -> bool:
-        has_sticks = self._aircraft.sticks.read(now_s) is not None
-        self._had_sticks = self._had_sticks or has_sticks
-        excepted = int(self._parameters["COM_RCL_EXCEPT"])
-        is_excepted = bool(excepted & EXCEPTION_OF.get(intention, 0))
-        return self._had_sticks and not has_sticks and not is_excepted
 
     def _is_station_lost(self, now_s: float) -> bool:
         heard_s = max(self._aircraft.stations_s.values(), default=None)
