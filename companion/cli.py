@@ -343,8 +343,13 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    from companion.demo.browser import open_page
-    from companion.demo.runner import DemoOptions, check_simulator, run_demo, scenario_named
+    from companion.demo.runner import (
+        DemoOptions,
+        check_simulator,
+        open_page,
+        run_demo,
+        scenario_named,
+    )
 
     check_simulator()
     scenario, preset = None, None

@@ -46,10 +46,15 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
 from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
-from companion.process.persistence import ParameterKeeper, RestartKeeper
-from companion.process.priority import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
-from companion.process.search_keeper import SearchKeeper
-from companion.process.watchdog import STOPPING, Supervisor, Watchdog
+from companion.process.persistence import ParameterKeeper, RestartKeeper, SearchKeeper
+from companion.process.watchdog import (
+    HOW_TO_ALLOW,
+    NORMAL_PRIORITY,
+    STOPPING,
+    Supervisor,
+    Watchdog,
+    raised_priority,
+)
 
 log = logging.getLogger("companion.run")
 

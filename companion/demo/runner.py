@@ -3,34 +3,88 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import math
+import os
 import signal
 import sys
 import tempfile
+import threading
 import time
+import webbrowser
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from companion.config.presets import CONFIG_FOLDERS
+from companion.config.loader import CONFIG_FOLDERS
 from companion.config.schema import CompanionConfig
-from companion.demo.simulator_process import STOP_TIMEOUT_S, SimulatorProcess
 from companion.domain import radii_text
 from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.polygons import Point
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.guidance.phases import Phase
-from companion.io.child_process import HOST, free_udp_port
+from companion.io.child_process import HOST, START_S, ChildProcess, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, UdpBind
 from companion.io.shared_clock import Pacer
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import LinkRole, LinkSpec
 from companion.run import FlightOptions, FlightView, fly, is_handed_over
+
+STOP_TIMEOUT_S = 30.0
+"""Real time for its last report, which a busy computer delays."""
+
+
+class SimulatorProcess(ChildProcess):
+    """`sim-link`, which ends with this process; its output goes beside its report."""
+
+    def __init__(
+        self,
+        report: Path,
+        seed: int,
+        clock: Pacer,
+        scenario: Path | None,
+        companion_port: int,
+        autopilot: str | None,
+    ) -> None:
+        self._report = report
+        arguments = [
+            *("-m", "sim_link", "--stop-on-eof", "--quiet"),
+            *("--seed", str(seed), "--speed", str(clock.speed), "--report", str(report)),
+            *("--listen", f"{HOST}:{free_udp_port()}"),
+            *("--send-to", f"{HOST}:{companion_port}"),
+            *(() if scenario is None else ("--scenario", str(scenario))),
+            *(() if autopilot is None else ("--autopilot", autopilot)),
+        ]
+        super().__init__("sim-link", arguments, report.with_suffix(".log"), clock.environment(0))
+
+    def __enter__(self) -> SimulatorProcess:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop(STOP_TIMEOUT_S)
+
+    def started_report(self) -> dict[str, Any]:
+        """Return the report, with the truth, of a started simulator; else `CompanionError`."""
+        deadline = time.monotonic() + START_S
+        while not self._report.exists():
+            if not self.is_alive or time.monotonic() > deadline:
+                words = self.last_words.removeprefix("sim-link: ")
+                raise CompanionError(f"the simulator did not start{words and ': '}{words}")
+            time.sleep(0.02)
+        return self.report()
+
+    def report(self) -> dict[str, Any]:
+        """Return the current report."""
+        value: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
+        return value
+
 
 FENCE_AROUND_AREA_M = 10.0
 OBSTACLE_CLEARANCE_M = 5.0
@@ -336,3 +390,20 @@ class DemoResult:
 def _say(line: str) -> None:
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
+
+
+SCREENS = ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY")
+"""One of these is set where a browser can be seen; over SSH and in services none is."""
+
+
+def open_page(url: str) -> bool:
+    """Open a page without blocking the flight; return False if there is no screen."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in SCREENS):
+        return False
+    threading.Thread(target=_open, args=(url,), name="browser", daemon=True).start()
+    return True
+
+
+def _open(url: str) -> None:
+    with suppress(webbrowser.Error, OSError):
+        webbrowser.open(url)

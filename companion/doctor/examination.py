@@ -30,8 +30,7 @@ from companion.doctor.findings import (
     ok,
     warn,
 )
-from companion.doctor.probe import DoctorProbe
-from companion.doctor.radio_check import check_radios, inspect_radios
+from companion.doctor.probe import DoctorProbe, check_radios, inspect_radios
 from companion.domain import Autopilot
 from companion.errors import CompanionError
 from companion.guidance.flight.vehicle import vehicle_refusal
@@ -44,7 +43,7 @@ from companion.kernel import IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.intake import Authenticity
 from companion.link.outlet import COMPONENT_ID
 from companion.process.diagnostics import process_use
-from companion.process.priority import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
+from companion.process.watchdog import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
 from companion.run import link_name, open_signing
 
 MEGABYTE = 1_000_000

@@ -14,9 +14,8 @@ from functools import lru_cache
 from typing import Generic, Protocol, TypeVar
 
 from companion.domain import TargetEstimate, Waypoint, WaypointReason
-from companion.geometry.obstacles import FreeSpace, between
+from companion.geometry.obstacles import FreeSpace, WayFinder, between
 from companion.geometry.polygons import Point, Polygon, deepest_point, depth_m
-from companion.geometry.visibility import WayFinder
 from companion.kernel import Matrix
 from companion.search.outlook import Outlook
 

@@ -6,9 +6,8 @@ import base64
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.geometry.coordinates import LocalOrigin
+from companion.geometry.coordinates import LocalOrigin, corner_of, tile_at
 from companion.geometry.polygons import Point
-from companion.geometry.web_tiles import corner_of, tile_at
 from companion.web.settings import zooms_of
 
 MOST_TILES = 24

@@ -3,19 +3,180 @@
 from __future__ import annotations
 
 import argparse
+import ast
+import inspect
+import itertools
 import json
 import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from companion.config.origins import (
-    DEFAULT,
-    Shown,
-    as_json,
-    as_yaml,
-    json_schema,
-    notes_of,
-    shown_values,
+import msgspec
+import yaml
+
+from companion.config.loader import parse_value, read_text
+from companion.config.schema import (
+    CompanionConfig,
+    load_config,
+    with_fence,
+    with_radios,
+    with_signing_key,
 )
-from companion.config.schema import load_config, with_fence, with_radios, with_signing_key
+from companion.config.versions import KEY, SCHEMA_VERSION, renew
+from companion.link.radio_stage import RadioSettings
+
+DEFAULT = "default"
+WIDTH = 44
+"""Column of the origins."""
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A value, its path with dots, and its origin."""
+
+    path: str
+    value: object
+    origin: str
+
+
+def shown_values(file: Path | None, steps: Sequence[tuple[str, CompanionConfig]]) -> list[Shown]:
+    """Return every value of the last configuration, in the order of the schema.
+
+    `steps` are pairs of an origin and the configuration after it: first the file (or nothing), then
+    each flag.
+    """
+    written = {} if file is None else _written(file)
+    origins: dict[str, str] = {}
+    values: dict[str, object] = {}
+    for number, (origin, config) in enumerate(steps):
+        for path, value in _leaves(config, ""):
+            if number == 0:
+                origins[path] = origin if _is_in(written, path) else DEFAULT
+            elif value != values[path]:
+                origins[path] = origin
+            values[path] = value
+    return [Shown(path, values[path], origins[path]) for path in values]
+
+
+def as_yaml(values: Sequence[Shown]) -> list[str]:
+    """Return the values as lines of a configuration file, with origins as remarks."""
+    lines: list[str] = []
+    open_sections: list[str] = []
+    for shown in values:
+        *sections, key = shown.path.split(".")
+        pairs = zip(sections, open_sections, strict=False)
+        same = sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
+        lines += [f"{'  ' * n}{sections[n]}:" for n in range(same, len(sections))]
+        open_sections = sections
+        line = f"{'  ' * len(sections)}{key}: {_flow(shown.value)}"
+        lines.append(f"{line:<{WIDTH}}  # {shown.origin}")
+    return lines
+
+
+def as_json(values: Sequence[Shown]) -> list[dict[str, object]]:
+    """Return the values for programs."""
+    return [
+        {"path": each.path, "value": msgspec.to_builtins(each.value), "origin": each.origin}
+        for each in values
+    ]
+
+
+def notes_of(file: Path | None) -> list[str]:
+    """Return remarks about keys of a file that an earlier schema had and that have no effect."""
+    raw = {} if file is None else parse_value(read_text(file), str(file))
+    dropped = renew(raw, str(file)) if isinstance(raw, dict) else []
+    return [f"# $.{path} is gone since schema {SCHEMA_VERSION}: delete it" for path in dropped]
+
+
+def json_schema() -> str:
+    """Return the JSON Schema of a configuration file, with the meaning of each key."""
+    kinds = (CompanionConfig, RadioSettings)
+    (whole, settings), records = msgspec.json.schema_components(
+        kinds, ref_template="#/$defs/{name}"
+    )
+    records["RadioConfig"]["properties"]["settings"] = settings
+    remarks = dict(_remarks(CompanionConfig)) | dict(_remarks(RadioSettings))
+    for record, name in remarks:
+        properties = records[record]["properties"]
+        if name in properties:  # others are fixed, and no keys
+            properties[name] = {**properties[name], "description": remarks[record, name]}
+    head = {"$schema": DIALECT, "title": "companion-guidance configuration"}
+    return json.dumps({**head, **whole, "$defs": records}, indent=2)
+
+
+def _written(file: Path) -> dict[str, Any]:
+    raw = parse_value(read_text(file), str(file))
+    if not isinstance(raw, dict):
+        return {}
+    has_version = KEY in raw
+    renew(raw, str(file))
+    if not has_version:
+        del raw[KEY]
+    return raw
+
+
+def _is_in(raw: object, path: str) -> bool:
+    for part in path.split("."):
+        if not isinstance(raw, dict) or part not in raw:
+            return False
+        raw = raw[part]
+    return True
+
+
+def _leaves(record: object, path: str) -> Iterator[tuple[str, object]]:
+    """Yield the values of a record that are not records themselves, with their paths."""
+    for name in getattr(record, "__struct_fields__", ()):
+        value, place = getattr(record, name), f"{path}{name}"
+        if isinstance(value, msgspec.Struct):
+            yield from _leaves(value, f"{place}.")
+        else:
+            yield place, value
+
+
+def _flow(value: object) -> str:
+    plain = msgspec.to_builtins(value)
+    text = yaml.safe_dump(plain, default_flow_style=True, width=10_000, sort_keys=False)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _remarks(kind: type[msgspec.Struct]) -> Iterator[tuple[tuple[str, str], str]]:
+    """Yield the docstrings of the fields of a record and of records in it, by their names."""
+    seen: set[type] = set()
+    waiting: list[Any] = [msgspec.inspect.type_info(kind)]
+    while waiting:
+        info = waiting.pop()
+        if isinstance(info, msgspec.inspect.StructType):
+            if info.cls in seen:
+                continue
+            seen.add(info.cls)
+            waiting += [each.type for each in info.fields]
+            for name, text in _field_remarks(info.cls):
+                yield (info.cls.__name__, name), text
+        elif isinstance(info, msgspec.inspect.UnionType):
+            waiting += info.types
+        elif isinstance(info, msgspec.inspect.VarTupleType):
+            waiting.append(info.item_type)
+
+
+def _field_remarks(cls: type) -> Iterator[tuple[str, str]]:
+    """Yield the docstrings of the fields of a class, from its source, without inherited ones."""
+    try:
+        (body,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+    except (OSError, TypeError):  # a package without its sources
+        return
+    statements = body.body if isinstance(body, ast.ClassDef) else []
+    for before, after in itertools.pairwise(statements):
+        if (
+            isinstance(before, ast.AnnAssign)
+            and isinstance(before.target, ast.Name)
+            and isinstance(after, ast.Expr)
+            and isinstance(after.value, ast.Constant)
+        ):
+            yield before.target.id, " ".join(str(after.value.value).split())
 
 
 def run(arguments: argparse.Namespace) -> int:

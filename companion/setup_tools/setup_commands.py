@@ -1,14 +1,25 @@
-"""`companion setup`: asks for the vehicle's equipment, or takes it from flags, and sets it up."""
+"""`companion setup`: asks for the vehicle's equipment, or takes it from flags, and sets it up.
+
+Sources of the autopilot's settings: the parameter references of PX4 1.15 and ArduCopter 4.5,
+docs/px4.md and docs/ardupilot.md. `companion doctor` reads the values back and explains them.
+
+Files are written or removed all together, or none of them. Every file is made and checked in a
+folder of its own, and then moved into its place. An earlier file there is kept beside it, under its
+name and `.before-setup`, and comes back with `--remove`. `setup.json` lists the written files, with
+checksums, so that no file is deleted that was changed since.
+"""
 
 from __future__ import annotations
 
 import argparse
 import getpass
+import hashlib
 import os
 import shlex
 import shutil
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +28,9 @@ import msgspec
 import yaml
 
 from companion import kernel_cache
-from companion.config.fence_files import MAX_BYTES as FENCE_BYTES
-from companion.config.fence_files import read_fence
-from companion.config.loader import parse_value, read_text
-from companion.config.presets import preset_named, preset_names, shipped_file
+from companion.config.area_files import MAX_BYTES as FENCE_BYTES
+from companion.config.area_files import read_fence
+from companion.config.loader import parse_value, preset_named, preset_names, read_text, shipped_file
 from companion.config.radios import parse_radio_option
 from companion.config.schema import CompanionConfig, load_config
 from companion.config.versions import KEY, SCHEMA_VERSION
@@ -28,18 +38,161 @@ from companion.doctor.examination import exit_code, run_doctor
 from companion.doctor.findings import CheckResult, as_lines, fail
 from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import flight_links
-from companion.io.links.transports import Transport, check_exposure
+from companion.io.files import read_file, write_bytes_atomic
+from companion.io.links.transports import SerialPort, Transport, check_exposure
 from companion.run import compile_kernels
-from companion.setup_tools.autopilot_guide import guide
 from companion.setup_tools.options import AUTOPILOTS, LINK, SYSTEM
-from companion.setup_tools.site_files import (
-    CONFIG,
-    SERVICE_OPTIONS,
-    UNIT,
-    check_files,
-    remove_files,
-    write_files,
-)
+
+CONFIG, SERVICE_OPTIONS, UNIT = "companion.yaml", "service.env", "companion.service"
+RECORD = "setup.json"
+BEFORE = ".before-setup"
+
+
+class SetupRecord(msgspec.Struct, frozen=True):
+    """Files of one setup: absolute paths to the SHA-256 of their contents."""
+
+    files: dict[str, str]
+
+
+def check_files(contents: Mapping[str, bytes]) -> CompanionConfig:
+    """Load the configuration as a flight would; `contents` by names in its folder."""
+    with tempfile.TemporaryDirectory() as temporary:
+        for name, content in contents.items():
+            (Path(temporary) / name).write_bytes(content)
+        try:
+            return load_config(Path(temporary) / CONFIG)
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(f"{temporary}/", "")) from None
+
+
+def write_files(directory: Path, contents: Mapping[Path, bytes]) -> None:
+    """Write the files, and the record; if one cannot be written, everything is as before."""
+    record = _record(directory)
+    files = {} if record is None else dict(record.files)
+    earlier: dict[Path, bytes | None] = {}
+    kept: list[Path] = []
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for path, content in contents.items():
+            earlier[path] = read_file(path) if path.exists() else None
+            kept += _keep_what_was_there(path, files)
+            write_bytes_atomic(path, content)
+            files[str(path.absolute())] = _sum(content)
+        text = msgspec.json.format(msgspec.json.encode(SetupRecord(files)), indent=2)
+        write_bytes_atomic(directory / RECORD, text + b"\n")
+    except (CompanionError, OSError) as error:
+        _undo(earlier, kept)
+        if isinstance(error, CompanionError):
+            raise
+        raise CompanionError(f"{directory}: cannot be made ({error.strerror})") from error
+
+
+def _undo(earlier: Mapping[Path, bytes | None], kept: Sequence[Path]) -> None:
+    """Restore the files that a failed setup had replaced."""
+    for path, content in earlier.items():
+        if content is None:
+            path.unlink(missing_ok=True)
+        elif read_file(path) != content:
+            write_bytes_atomic(path, content)
+    for path in kept:
+        path.unlink(missing_ok=True)
+
+
+def remove_files(directory: Path) -> list[str]:
+    """Undo a setup; return a line for each file. Raise `ConfigError` if there was none."""
+    record = _record(directory)
+    if record is None:
+        raise ConfigError(f"{directory}: no setup was made here ({RECORD} is missing)")
+    lines = []
+    for name, checksum in record.files.items():
+        path = Path(name)
+        if path.exists() and _sum(read_file(path)) != checksum:
+            lines.append(f"kept: {path}, which was changed since; delete it yourself")
+            continue
+        is_back = _put_back(path)
+        lines.append(f"{'as before the setup' if is_back else 'removed'}: {path}")
+    (directory / RECORD).unlink()
+    return lines
+
+
+def _record(directory: Path) -> SetupRecord | None:
+    path = directory / RECORD
+    if not path.exists():
+        return None
+    try:
+        return msgspec.json.decode(read_file(path), type=SetupRecord)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"{path}: is not what a setup wrote ({error})") from None
+
+
+def _keep_what_was_there(path: Path, files: Mapping[str, str]) -> list[Path]:
+    """Keep a file that no setup wrote, or that was changed since, beside; return its copies."""
+    if not path.exists() or files.get(str(path.absolute())) == _sum(read_file(path)):
+        return []
+    before = path.with_name(path.name + BEFORE)
+    shutil.copy2(path, before)
+    return [before]
+
+
+def _put_back(path: Path) -> bool:
+    """Delete a file, or restore the earlier one; return True if there was one."""
+    before = path.with_name(path.name + BEFORE)
+    if before.exists():
+        before.replace(path)
+        return True
+    path.unlink(missing_ok=True)
+    return False
+
+
+def _sum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+Setting = tuple[str, str, str]
+"""Name, value, reason."""
+
+
+def settings_to_make(autopilot: str, link: Transport, config: CompanionConfig) -> list[Setting]:
+    """Return the parameters of one vehicle, in the order in which they are set."""
+    baud = link.baud if isinstance(link, SerialPort) else None
+    speed_mps = config.limits.speed_mps
+    if autopilot == "px4":
+        port: list[Setting] = [
+            ("MAV_1_CONFIG", "102", "MAVLink on TELEM 2; restart, then the next two appear"),
+            ("MAV_1_MODE", "2", "the streams of a companion (Onboard)"),
+            ("SER_TEL2_BAUD", f"{baud}", "the speed of the serial port"),
+        ]
+        return [
+            *(port if baud is not None else []),
+            ("COM_OF_LOSS_T", "1.0", "seconds without setpoints that end OFFBOARD"),
+            ("COM_OBL_RC_ACT", "5", "then Hold; 0 sinks where there is no transmitter"),
+            ("GF_ACTION", "2", "PX4's own geofence holds, should all else fail"),
+            ("MPC_XY_VEL_MAX", f"{speed_mps:g}", "m/s, or more: limits.speed_mps"),
+        ]
+    port = [
+        ("SERIAL2_PROTOCOL", "2", "MAVLink 2 on TELEM 2"),
+        ("SERIAL2_BAUD", f"{0 if baud is None else baud // 1000}", "the speed of the serial port"),
+    ]
+    return [
+        *(port if baud is not None else []),
+        ("FS_GCS_ENABLE", "1", "a lost ground station brings the vehicle home"),
+        ("SYSID_MYGCS", "255", "the id of your ground station, never the vehicle's own"),
+        ("FENCE_ENABLE", "1", "ArduPilot's own fence, should all else fail"),
+        ("FENCE_ACTION", "4", "it brakes; 1 returns"),
+        ("WPNAV_SPEED", f"{100.0 * speed_mps:g}", "cm/s, or more: limits.speed_mps"),
+    ]
+
+
+def guide(autopilot: str, link: Transport, config: CompanionConfig) -> list[str]:
+    """Return the settings as lines for people."""
+    name = {"px4": "PX4", "ardupilot": "ArduPilot"}[autopilot]
+    rows = settings_to_make(autopilot, link, config)
+    width = max(len(row[0]) for row in rows)
+    return [
+        f"set in {name} (QGroundControl or Mission Planner, Parameters):",
+        *(f"  {key:<{width}}  {value:<6}  {why}" for key, value, why in rows),
+    ]
+
 
 SYSTEM_UNITS = (Path("/lib/systemd/system"), Path("/usr/lib/systemd/system"))
 """Folders of packaged units, which read `service.env` of `SYSTEM`."""

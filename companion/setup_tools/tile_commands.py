@@ -14,7 +14,7 @@ from pathlib import Path
 
 from companion import __version__
 from companion.errors import CompanionError, ConfigError
-from companion.geometry.web_tiles import LATITUDES_DEG, tile_at
+from companion.geometry.coordinates import LATITUDES_DEG, tile_at
 
 MOST_TILES = 20_000
 """Most tiles of one fetch; more is a burden to a server that others pay for."""

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.config.fence_files import areas_of_kml
+from companion.config.area_files import areas_of_kml
 from companion.geometry.geofence import GeoArea, NamedArea
 
 RING = "8.0,47.0,0 8.01,47.0,0\n 8.0,47.01 8.0,47.0,0"

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from companion.config.fence_files import areas_of_plan
+from companion.config.area_files import areas_of_plan
 from companion.geometry.geofence import GeoArea, NamedArea
 
 TRIANGLE = [[47.0, 8.0], [47.0, 8.01], [47.01, 8.0]]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.config.fence_files import MAX_BYTES, read_fence
+from companion.config.area_files import MAX_BYTES, read_fence
 from companion.errors import ConfigError
 from companion.geometry.geofence import GeoArea, GeoFence
 

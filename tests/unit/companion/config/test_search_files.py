@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.config.area_files import read_search_site
 from companion.config.schema import load_config
-from companion.config.search_files import read_search_site
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin
 from companion.search.search_site import SiteRaster, grid_of_site

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from companion.demo.browser import SCREENS
+from companion.demo.runner import SCREENS
 
-OPEN = "from companion.demo.browser import open_page; import time; "
+OPEN = "from companion.demo.runner import open_page; import time; "
 URL = "http://127.0.0.1:8080/?token=abc"
 
 

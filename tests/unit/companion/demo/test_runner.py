@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from companion.cli import main
-from companion.config.presets import CONFIG_FOLDERS
+from companion.config.loader import CONFIG_FOLDERS
 from companion.config.schema import CompanionConfig
 from companion.demo.runner import (
     DemoResult,

@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.radios import RadioConfig
 from companion.doctor.findings import Level, RadioFacts
-from companion.doctor.radio_check import check_radios, inspect_radios
+from companion.doctor.probe import check_radios, inspect_radios
 from companion.link.quality import RadioStatus
 
 STATUS = RadioStatus("nlink", 9.9, 0.05, 0.004, 50, {}, 0, 0)

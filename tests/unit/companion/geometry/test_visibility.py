@@ -7,9 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from companion.geometry.obstacles import FreeSpace, between
+from companion.geometry.obstacles import NODE_SLACK_M, FreeSpace, WayFinder, between
 from companion.geometry.polygons import Point
-from companion.geometry.visibility import NODE_SLACK_M, WayFinder
 from tests.unit.companion.geometry.test_obstacles import places, stars
 
 SQUARE = ((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.geometry.web_tiles import corner_of, tile_at
+from companion.geometry.coordinates import corner_of, tile_at
 
 
 def test_a_known_place_has_its_known_tile() -> None:

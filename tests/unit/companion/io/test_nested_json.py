@@ -14,7 +14,7 @@ from companion.io.radio_recording import read_radio_recording
 from companion.io.state.radio_offsets import FILE as OFFSETS
 from companion.io.state.radio_offsets import kept_offsets
 from companion.replay.walk_replay import stated_accuracy
-from companion.setup_tools.site_files import RECORD, remove_files
+from companion.setup_tools.setup_commands import RECORD, remove_files
 
 DEPTH = 100_000
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {

@@ -16,7 +16,7 @@ PR_CAPBSET_DROP, CAP_SYS_NICE = 24, 23
 """Of linux/prctl.h and linux/capability.h."""
 SHOW = """
 import os, subprocess, sys, threading, time
-from companion.process.priority import raised_priority
+from companion.process.watchdog import raised_priority
 
 def policy():
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK

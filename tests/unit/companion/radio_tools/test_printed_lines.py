@@ -15,7 +15,7 @@ from companion.errors import ConfigError
 from companion.flight_setup import radio_links
 from companion.link.quality import RadioWatch
 from companion.mav.endpoint import Chunk
-from companion.radio_tools.watching import WatchingEndpoint
+from companion.radio_tools.radio_commands import WatchingEndpoint
 
 
 class Typed:

@@ -28,8 +28,8 @@ from companion.link.intake import Authenticity
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
+from companion.radio_tools.radio_commands import WatchingEndpoint, scatter_of
 from companion.radio_tools.recorder import PoseListener, RecordingEndpoint
-from companion.radio_tools.watching import WatchingEndpoint, scatter_of
 from companion.radios import catalogue
 from companion.replay.radio_replay import replay_recording
 from tests.unit.companion.link.wire import PEER, heartbeat, local_position, origin

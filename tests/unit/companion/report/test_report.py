@@ -18,8 +18,7 @@ from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.estimation.filters.robust_update import asymmetric_huber_loss
 from companion.flight_setup import FlightFacts, write_facts
-from companion.geometry.coordinates import Projection
-from companion.geometry.web_tiles import tile_at
+from companion.geometry.coordinates import Projection, tile_at
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
 from companion.guidance.messages import FenceMessages, GuardMessages

@@ -10,7 +10,7 @@ from companion.domain import EstimateState, FlightMode
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.phases import Phase
 from companion.guidance.session import GuidanceStatus
-from companion.view.next_step import next_step
+from companion.view.snapshot import next_step
 from tests.loop.loop_helpers import Loop
 
 MOST_WORDS = 20

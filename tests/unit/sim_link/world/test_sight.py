@@ -11,9 +11,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu
-from companion.geometry.obstacles import FreeSpace
+from companion.geometry.obstacles import FreeSpace, WayFinder
 from companion.geometry.polygons import Point, depth_m, edges, nearest_on_segment
-from companion.geometry.visibility import WayFinder
 from sim_link.world.environment import Environment, ObstacleParams
 from sim_link.world.line_of_sight import (
     detour,
