@@ -26,7 +26,6 @@ from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.neighbours import FleetAmongOthers
-from sim_link.fleet.scenario_io import load_scenario
 from sim_link.fleet.vehicles import (
     Fleet,
     FleetFiles,
@@ -34,6 +33,7 @@ from sim_link.fleet.vehicles import (
     has_signing_ended,
     link_specs,
     links_of_others,
+    load_scenario,
     make_vehicles,
     udp_ports,
 )

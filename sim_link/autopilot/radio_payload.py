@@ -19,10 +19,9 @@ from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.message_streams import DUE_TOLERANCE_S
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.autopilot.telemetry import MAVLINK_VERSION
-from sim_link.world.attitude import EulerAngles
 from sim_link.world.environment import ChannelParams, Emitter, Environment
 from sim_link.world.field_radio import FieldRadio
-from sim_link.world.point_mass import PointMass
+from sim_link.world.point_mass import EulerAngles, PointMass
 
 COMPONENT_ID = mavlink.MAV_COMP_ID_PERIPHERAL
 HEARTBEAT_PERIOD_S = 1.0

@@ -1,6 +1,6 @@
 """The scenario: everything that one simulated flight is made of.
 
-The defaults are the canonical scenario. `sim_link.fleet.scenario_io` reads it from YAML.
+The defaults are the canonical scenario. `sim_link.fleet.vehicles` reads it from YAML.
 """
 
 from __future__ import annotations

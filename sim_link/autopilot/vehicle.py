@@ -43,7 +43,7 @@ from sim_link.autopilot.incidents import (
 )
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.clock_protocols import StampClock
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.scenario import FlavourName, Scenario
 from sim_link.world.point_mass import PointMass
 

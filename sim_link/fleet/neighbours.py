@@ -19,8 +19,8 @@ from companion.mav.dialect import POSITION_ONLY, mavlink
 from companion.mav.endpoint import Address, Chunk, Endpoint
 from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import GUIDED
 from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.ardupilot.flight_modes import GUIDED
 from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.scenario import Scenario

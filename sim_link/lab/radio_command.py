@@ -19,7 +19,7 @@ from companion.io.links.transports import Transport, UdpConnect, parse_transport
 from companion.io.shell import Clock, Shell
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, make_emulator
-from sim_link.fleet.scenario_io import load_scenario
+from sim_link.fleet.vehicles import load_scenario
 from sim_link.lab.radio_follower import GeodeticEmitter, RadioFollower
 from sim_link.lab.radio_outlets import is_stdout, parse_outlet
 from sim_link.world.antenna import AntennaModelParams

@@ -35,9 +35,9 @@ from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.emulators.emulator import Answer, Emulator, Round
-from sim_link.world.attitude import LEVEL, EulerAngles
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams, Environment
 from sim_link.world.field_radio import FieldRadio
+from sim_link.world.point_mass import LEVEL, EulerAngles
 
 FOLLOW, SEND = 0, 1
 """Links: where the vehicle is heard, and where measurements go to if that is another one."""

@@ -27,7 +27,7 @@ from typing import Annotated, Literal, NamedTuple
 import msgspec
 
 from companion.domain import Params, PositionEnu
-from sim_link.world.attitude import Components, EulerAngles, seen_from
+from sim_link.world.point_mass import Components, EulerAngles, seen_from
 
 AntennaKind = Literal["ideal", "planar", "line", "two_axis"]
 Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]

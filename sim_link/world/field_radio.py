@@ -39,7 +39,6 @@ from sim_link.world.antenna import (
     seen_by_antenna,
     turned_about_vertical,
 )
-from sim_link.world.attitude import LEVEL, Components, EulerAngles, seen_from
 from sim_link.world.environment import (
     NO_MEMORY,
     ChannelParams,
@@ -53,6 +52,7 @@ from sim_link.world.environment import (
     remembered,
 )
 from sim_link.world.line_of_sight import detour, is_blocked_in_space, walls_between
+from sim_link.world.point_mass import LEVEL, Components, EulerAngles, seen_from
 from sim_link.world.radio_channel import MIN_RANGE_M, ChannelDraw, RadioChannel
 
 Measures = Literal["both", "range", "bearing"]

@@ -1,4 +1,4 @@
-"""A point-mass multicopter: velocity commands in, position out.
+"""A point-mass multicopter: velocity commands in, position and attitude out.
 
 Theory of operation. The velocity follows its command, which is limited to speed, climb and descent,
 as a first-order lag whose change is limited to the acceleration that the tilt allows. The wind
@@ -10,18 +10,57 @@ the drag of the air, which is linear in the air speed, as that of rotors is (P. 
 ICRA 2010). The drag shows in the attitude only; what it does to the motion is in the wind's share.
 
 Positions are local east-north-up metres; yaw is clockwise from north.
+
+Frames are forward, right, down (the body's, an antenna's) within north, east, down. A frame is
+turned first by yaw about its third axis, then by pitch about its second, then by roll about its
+first, as aircraft are: R = R_z(yaw) R_y(pitch) R_x(roll) takes a vector's components in the turned
+frame to those in the outer one; `seen_from` is its transpose.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import msgspec
 
 from companion.domain import NonNegative, Params, PositionEnu, Positive
 from companion.geometry.coordinates import wrap_pi
-from sim_link.world.attitude import EulerAngles, leaning
+
+Components = tuple[float, float, float]
+"""Along the three axes of a frame."""
+
+
+class EulerAngles(NamedTuple):
+    """Euler angles of a turned frame in an outer one, rad; a body's yaw is clockwise from north."""
+
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+
+
+LEVEL = EulerAngles()
+
+
+def seen_from(attitude: EulerAngles, outer: Components) -> Components:
+    """Return the components of an outer vector in the turned frame: R transposed, times it."""
+    x, y, z = outer
+    cos, sin = math.cos(attitude.yaw_rad), math.sin(attitude.yaw_rad)
+    x, y = cos * x + sin * y, cos * y - sin * x
+    cos, sin = math.cos(attitude.pitch_rad), math.sin(attitude.pitch_rad)
+    x, z = cos * x - sin * z, sin * x + cos * z
+    cos, sin = math.cos(attitude.roll_rad), math.sin(attitude.roll_rad)
+    return (x, cos * y + sin * z, cos * z - sin * y)
+
+
+def leaning(forward_mps2: float, right_mps2: float, down_mps2: float) -> tuple[float, float]:
+    """Return roll and pitch of a multicopter whose thrust gives a horizontal acceleration.
+
+    `down_mps2` is what the thrust holds against, gravity in steady flight. The roll leaves out that
+    the pitch has shortened the upright part of the thrust: 1 degree at 20 degrees of both.
+    """
+    return math.atan2(right_mps2, down_mps2), -math.atan2(forward_mps2, down_mps2)
+
 
 GRAVITY_MPS2 = 9.80665
 GROUND_CONTACT_M = 1e-3

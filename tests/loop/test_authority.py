@@ -28,7 +28,7 @@ from sim_link.autopilot.incidents import (
 )
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkBlackout, ModeFlap, SecondSender
-from sim_link.lab.faults.injector import Injector
+from sim_link.lab.faults.faulty_link import Injector
 from sim_link.lab.lockstep.flight import VEHICLE_PEER
 from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import LinkFaults, Loop

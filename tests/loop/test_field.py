@@ -17,7 +17,7 @@ from companion.guidance.phases import Phase
 from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
-from sim_link.fleet.scenario_io import load_scenario
+from sim_link.fleet.vehicles import load_scenario
 from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import EmitterParams, FieldChannelParams
 from tests.loop.loop_helpers import AUTO, Loop

@@ -19,7 +19,7 @@ from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.fleet.neighbours import Neighbour
 from sim_link.lab.faults.fault_models import LinkBlackout
-from sim_link.lab.faults.injector import Injector
+from sim_link.lab.faults.faulty_link import Injector
 from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import Loop
 

@@ -31,7 +31,7 @@ from sim_link.autopilot.protocols.command_protocol import (
 from sim_link.autopilot.protocols.link_layer import Router
 from sim_link.autopilot.protocols.message_streams import MessageRequests, StreamProfile
 from sim_link.autopilot.protocols.mission_protocol import Plans
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.protocols.plan_items import PlanStore, PlanType
 
 pytestmark = pytest.mark.slow

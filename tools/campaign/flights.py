@@ -25,8 +25,7 @@ from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
-from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.faults.injector import Injector
+from sim_link.lab.faults.faulty_link import FaultyLink, Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
 from sim_link.lab.mission.flight_readers import rules_of

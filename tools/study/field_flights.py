@@ -25,7 +25,7 @@ from companion.domain import FlightMode
 from companion.errors import ConfigError
 from companion.geometry.polygons import Point
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.scenario_io import load_scenario
+from sim_link.fleet.vehicles import load_scenario
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 from sim_link.lab.pool import Pool, sources_digest
 from tools.study.study import ConfigKind, FlightGrid, FlightRow, hint

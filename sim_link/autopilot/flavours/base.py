@@ -34,8 +34,7 @@ from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.command_protocol import Command, CommandForms, CommandResult
 from sim_link.autopilot.protocols.message_streams import RequestProfile, StreamProfile
-from sim_link.autopilot.protocols.parameter_protocol import ParameterProfile
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameter_protocol import ParameterProfile, ParameterStore
 from sim_link.autopilot.protocols.plan_items import MissionState
 from sim_link.autopilot.protocols.plan_rules import MAX_ALTITUDE_M, PlanRules
 

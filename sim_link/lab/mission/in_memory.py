@@ -18,8 +18,7 @@ from companion.flight_setup import build_endpoint
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.faults.fault_models import Schedule
-from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.faults.injector import Injector
+from sim_link.lab.faults.faulty_link import FaultyLink, Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers
 from sim_link.lab.lockstep.flight_harness import Operator as Station
 from sim_link.lab.lockstep.observer import Frame, Observer

@@ -28,11 +28,10 @@ from companion.io.links.transports import Transport, UdpBind, UdpConnect, parse_
 from companion.io.logs.log_files import TlogWriter
 from companion.io.shared_clock import Pacer
 from companion.io.shell import Clock, Shell
-from sim_link.lab.event_tail import EventTail
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
 from sim_link.lab.lockstep.observer import Frame, Lane
-from sim_link.lab.mission.flight_readers import EventReader, TelemetryReader, WireWatch
+from sim_link.lab.mission.flight_readers import EventReader, EventTail, TelemetryReader, WireWatch
 from sim_link.lab.mission.in_memory import Progress
 from sim_link.lab.mission.mavsdk_operator import MavsdkOperator
 from sim_link.lab.mission.processes import COMPANION, RADIO, VEHICLE, Hub, ProcessHarness

@@ -21,7 +21,6 @@ from sim_link.lab.monitor import (
     authority_invariants,
     fence_invariants,
     message_invariants,
-    text_invariants,
 )
 from sim_link.lab.monitor.independent_checks import Proof, SenderTrust
 from sim_link.lab.monitor.scene import (
@@ -58,7 +57,7 @@ TITLES = {
         message_invariants.OnlyProvedFrames,
         message_invariants.Bounded,
         message_invariants.Repeatable,
-        text_invariants.FewTexts,
+        authority_invariants.FewTexts,
     )
 }
 
@@ -249,7 +248,7 @@ class Monitor(FrameMonitor):
             authority_invariants.SilentWithoutTick(scene),
             message_invariants.HonestCovariance(scene, estimate),
             message_invariants.Bounded(scene),
-            text_invariants.FewTexts(scene),
+            authority_invariants.FewTexts(scene),
             self.repeat,
         ]
         if snapshot is not None:

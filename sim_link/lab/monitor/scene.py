@@ -19,8 +19,7 @@ from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor import independent_checks
-from sim_link.lab.monitor.fence_in_force import FencesInForce, FlownFence
-from sim_link.lab.monitor.independent_checks import Point
+from sim_link.lab.monitor.independent_checks import FencesInForce, FlownFence, Point
 
 Corners = tuple[tuple[float, float], ...]
 

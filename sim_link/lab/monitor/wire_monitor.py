@@ -23,7 +23,6 @@ from sim_link.lab.monitor import (
     authority_invariants,
     fence_invariants,
     message_invariants,
-    text_invariants,
 )
 from sim_link.lab.monitor.monitor import FrameMonitor
 from sim_link.lab.monitor.scene import (
@@ -181,7 +180,7 @@ class WireMonitor(FrameMonitor):
             self._stream,
             self._covariance,
             message_invariants.Bounded(scene),
-            text_invariants.FewTexts(scene),
+            authority_invariants.FewTexts(scene),
         ]
         super().__init__(scene, invariants)
 

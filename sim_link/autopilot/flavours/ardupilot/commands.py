@@ -13,8 +13,7 @@ from collections.abc import Mapping
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, OFFBOARD_NUMBER
 from sim_link.autopilot.control_inputs import Setpoint
-from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.ardupilot.flight_modes import (
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     AUTO,
     CLIMB,
     DESCENT,
@@ -26,6 +25,7 @@ from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     NEVER_ENTERED,
     RTL,
 )
+from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.flavours.ardupilot.guided import OUT_OF_SIGHT_M, Target
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from sim_link.autopilot.aircraft import CELLS, Aircraft
-from sim_link.autopilot.flavours.ardupilot.flight_modes import (
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     ALT_HOLD,
     BRAKE,
     GUIDED,
@@ -23,7 +23,7 @@ from sim_link.autopilot.flavours.ardupilot.flight_modes import (
     CopterMode,
 )
 from sim_link.autopilot.pilot import STEP_S
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 
 REACTIONS: dict[str, tuple[CopterMode | None, ...]] = {
     "FS_GCS_ENABLE": (None, RTL, RTL, SMART_RTL, SMART_RTL, LAND, RTL, BRAKE),

@@ -22,12 +22,12 @@ from sim_link.autopilot.control_inputs import (
     TargetMessage,
 )
 from sim_link.autopilot.flavours.ardupilot.failsafes import CopterFailsafes, FailsafeEvent
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import FIRMWARE
-from sim_link.autopilot.flavours.ardupilot.flight_modes import (
+from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     AUTO,
     BY_WHAT_IT_DOES,
     CLIMB,
     DESCENT,
+    FIRMWARE,
     GUIDED,
     HORIZONTAL,
     LAND,
@@ -46,7 +46,7 @@ from sim_link.autopilot.flavours.base import (
 )
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.vehicle_types import IGNORES_LOCAL_SETPOINTS, shown_number
 from sim_link.world.point_mass import stopping_point
 

@@ -29,8 +29,8 @@ from sim_link.autopilot.flavours.base import (
     set_home,
     terminate,
 )
+from sim_link.autopilot.flavours.px4.firmware_profile import MAIN_MODES
 from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
-from sim_link.autopilot.flavours.px4.flight_modes import MAIN_MODES
 from sim_link.autopilot.protocols.command_protocol import UNANSWERED, Command
 
 GLOBAL = mavlink.MAV_FRAME_GLOBAL

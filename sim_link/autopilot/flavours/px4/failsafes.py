@@ -24,7 +24,7 @@ from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.pilot import STEP_S
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 
 REGROWTH = 0.25
 """Rate at which the delay recovers, in s per s."""

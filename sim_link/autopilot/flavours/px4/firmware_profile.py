@@ -1,4 +1,4 @@
-"""Identity, parameters and message rates of PX4 1.15; `firmware.yaml` has its rules.
+"""Identity, parameters, message rates and modes of PX4 1.15; `firmware.yaml` has its rules.
 
 `parameters.csv` has its parameters. Names, types, defaults and ranges of COM_*, NAV_*_ACT, GF_* and
 MPC_* were compared with the sources of its modules; the rest is set after the sense of its
@@ -7,16 +7,21 @@ parameters in the order of their names; SYS_AUTOSTART 10040 is its simulated qua
 
 A link has the streams of PX4's onboard link (MAV_x_MODE 2), of its ground station link (mode 0), of
 its narrow one, or (mode Custom) nothing but HEARTBEAT.
+
+Source of the modes: PX4 1.15 as observed in SITL; MAVLink common, MAV_MODE_FLAG.
 """
 
 from __future__ import annotations
 
+from companion.domain import FlightMode
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
+from companion.mav.flight_modes import PX4_MAIN_AND_SUB
 from sim_link.autopilot.flavours.base import read_firmware
-from sim_link.autopilot.pilot import STEP_S, SpeedLimits
+from sim_link.autopilot.pilot import STEP_S, SpeedLimits, Task
+from sim_link.autopilot.protocols.addressing import flags_of
 from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
-from sim_link.autopilot.protocols.parameter_store import ParameterStore, read_rows, read_specs
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.scenario import LossAction, Scenario
 
 PACKAGE = "sim_link.autopilot.flavours.px4"
@@ -88,3 +93,26 @@ through a PX4 1.16.2."""
 DIALECT = frozenset(CRC_EXTRA_BY_ID).difference(NOT_PASSED_ON)
 
 FIRMWARE = read_firmware(PACKAGE, STREAMS, DIALECT)
+
+
+MAIN_MODES = frozenset(main for main, _ in PX4_MAIN_AND_SUB.values())
+WITHOUT_POSITION_CONTROL = frozenset({FlightMode.STABILIZED, FlightMode.ACRO, FlightMode.MANUAL})
+STICK_MODES = WITHOUT_POSITION_CONTROL | {FlightMode.POSITION, FlightMode.ALTITUDE}
+TASKS: dict[FlightMode, Task] = {
+    FlightMode.HOLD: Task.STAY,
+    FlightMode.TAKEOFF: Task.TAKE_OFF,
+    FlightMode.LAND: Task.LAND,
+    FlightMode.RETURN: Task.RETURN,
+    FlightMode.MISSION: Task.FLY_MISSION,
+    FlightMode.OFFBOARD: Task.FOLLOW,
+}
+"""Tasks of all modes but those for sticks."""
+ENDED_BY_DISARMING = frozenset(TASKS) - {FlightMode.OFFBOARD}
+AUTO_FLAGS = flags_of("MAV_MODE_FLAG", "STABILIZE_ENABLED GUIDED_ENABLED AUTO_ENABLED")
+MANUAL_FLAGS = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+STICK_FLAGS = MANUAL_FLAGS | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+BASE_MODE_FLAGS: dict[FlightMode, int] = {
+    **dict.fromkeys((FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED), STICK_FLAGS),
+    **dict.fromkeys((FlightMode.MANUAL, FlightMode.ACRO), MANUAL_FLAGS),
+}
+"""Flags of a mode beside CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""

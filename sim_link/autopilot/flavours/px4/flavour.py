@@ -53,19 +53,20 @@ from sim_link.autopilot.flavours.base import (
     HeartbeatState,
 )
 from sim_link.autopilot.flavours.px4.failsafes import Px4Failsafes, Reaction
-from sim_link.autopilot.flavours.px4.firmware_profile import FIRMWARE, speed_limits
-from sim_link.autopilot.flavours.px4.flight_modes import (
+from sim_link.autopilot.flavours.px4.firmware_profile import (
     AUTO_FLAGS,
     BASE_MODE_FLAGS,
     ENDED_BY_DISARMING,
+    FIRMWARE,
     STICK_MODES,
     TASKS,
     WITHOUT_POSITION_CONTROL,
+    speed_limits,
 )
 from sim_link.autopilot.flavours.px4.offboard import setpoint_from
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import Task
-from sim_link.autopilot.protocols.parameter_store import ParameterStore
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
 THROTTLE_LOW, THROTTLE_ABOVE_CENTRE = -0.8, 0.2

@@ -15,7 +15,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.neighbours import FleetAmongOthers
-from sim_link.fleet.scenario_io import load_scenario
+from sim_link.fleet.vehicles import load_scenario
 
 PEER = ("127.0.0.1", 14540)
 

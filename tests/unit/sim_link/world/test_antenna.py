@@ -21,7 +21,7 @@ from sim_link.world.antenna import (
     seen_by_antenna,
     turned_about_vertical,
 )
-from sim_link.world.attitude import LEVEL, Components, EulerAngles
+from sim_link.world.point_mass import LEVEL, Components, EulerAngles
 
 QUIET = (0.0, 0.0, 0.0)
 PLANAR, LINE, TWO_AXIS = (

@@ -9,8 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu
-from sim_link.world.attitude import LEVEL, EulerAngles, leaning, seen_from
-from sim_link.world.point_mass import DRAG_PER_S, MulticopterParams, PointMass, WindParams
+from sim_link.world.point_mass import (
+    DRAG_PER_S,
+    LEVEL,
+    EulerAngles,
+    MulticopterParams,
+    PointMass,
+    WindParams,
+    leaning,
+    seen_from,
+)
 
 STEP_S = 0.02
 ANGLES = st.floats(-3.0, 3.0)

@@ -18,8 +18,9 @@ from sim_link.autopilot.protocols.parameter_protocol import (
     NO_INDEX,
     ParameterProfile,
     Parameters,
+    ParameterStore,
+    ParamSpec,
 )
-from sim_link.autopilot.protocols.parameter_store import ParameterStore, ParamSpec
 from tests.unit.sim_link.autopilot.protocols.wire import (
     COMPANION,
     COMPANION_CHANNEL,

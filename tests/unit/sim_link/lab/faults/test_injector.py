@@ -32,8 +32,7 @@ from sim_link.lab.faults.fault_models import (
     Schedule,
     SecondSender,
 )
-from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.faults.injector import Injector
+from sim_link.lab.faults.faulty_link import FaultyLink, Injector
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 from sim_link.lab.lockstep.flight_harness import Operator
 from sim_link.lab.lockstep.observer import Frame, Observer

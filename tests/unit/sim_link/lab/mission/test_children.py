@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from companion.io.child_process import ChildProcess
-from sim_link.lab.event_tail import EventTail
+from sim_link.lab.mission.flight_readers import EventTail
 
 
 def flight(root: Path, name: str, text: str) -> Path:
