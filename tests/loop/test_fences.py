@@ -17,9 +17,9 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from companion.view.snapshot import picture_of
 from sim_link.autopilot.scenario import AutopilotParams, OriginParams, Scenario
-from sim_link.lab.lockstep.flight_harness import Checkpointing
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import LinkFaults, Loop
+from tools.campaign.checkpointing import Checkpointing
 
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE
 IN, OUT = 5001, 5002

@@ -35,8 +35,8 @@ from companion.mav.endpoint import Chunk
 from companion.replay.flight_replay import replay_flight
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
-from sim_link.lab.lockstep.flight_harness import Checkpointing
 from sim_link.world.environment import EmitterParams
+from tools.campaign.checkpointing import Checkpointing
 
 pytestmark = pytest.mark.slow
 

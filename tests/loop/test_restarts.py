@@ -13,8 +13,8 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import VehicleReboot
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.lockstep.flight_harness import Checkpointing
 from tests.loop.loop_helpers import AUTO, Loop
+from tools.campaign.checkpointing import Checkpointing
 
 MANUAL = CompanionConfig()
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM

@@ -18,9 +18,9 @@ from sim_link.autopilot import incidents
 from sim_link.autopilot.incidents import StationFence
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import StreamMute
-from sim_link.lab.lockstep.flight_harness import Checkpointing
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
+from tools.campaign.checkpointing import Checkpointing
 
 Flavour = Literal["px4", "ardupilot"]
 FLAVOURS: tuple[Flavour, ...] = ("px4", "ardupilot")

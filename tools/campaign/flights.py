@@ -27,9 +27,10 @@ from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers, MemoryJournal
-from sim_link.lab.lockstep.flight_harness import Checkpointing, Operator
+from sim_link.lab.lockstep.flight_harness import Operator
 from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor
+from tools.campaign.checkpointing import Checkpointing
 
 
 @dataclass(frozen=True, slots=True)

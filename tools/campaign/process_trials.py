@@ -22,9 +22,9 @@ from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.child_process import HOST, ChildProcess, free_udp_ports
 from companion.mav.dialect import mavlink
-from sim_link.lab.lockstep.flight_harness import MemoryStore
 from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.mission.flight_readers import EventTail
+from tools.campaign.checkpointing import MemoryStore
 from tools.campaign.flights import Dice, Part, Trial, TrialOutcome, launched_flight
 
 KILL_EARLIEST_S, KILL_LATEST_S = 1.0, 45.0

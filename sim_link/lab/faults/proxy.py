@@ -1,6 +1,6 @@
 """`sim-link proxy`: faults between a real vehicle or simulator and a real companion on UDP.
 
-    vehicle  <-->  vehicle_side | faults | companion_side  <-->  companion
+    vehicle  <-->  its link | faults | the companion's link  <-->  companion
 
 Theory of operation. Either side stands for the other one. Every datagram passes a `FaultyLink`, the
 same as in memory, and what is late waits in a queue; attackers send to the companion from a socket
@@ -11,12 +11,6 @@ from __future__ import annotations
 
 import argparse
 import heapq
-import math
-import selectors
-import signal
-import socket
-import time
-from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,19 +20,17 @@ import yaml
 
 from companion.arguments import number_in
 from companion.config.loader import load_yaml
-from companion.errors import ConfigError, LinkError
-from companion.io.links.transports import udp_address
-from companion.mav.endpoint import Address
+from companion.errors import ConfigError
+from companion.io.links.transports import UdpBind, UdpConnect, udp_address
+from companion.io.shell import Clock, Shell
+from companion.mav.endpoint import Address, Chunk, OneShotEndpoint
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import Attacker, FaultyLink
 from sim_link.lab.lockstep.observer import Lane
 
-MAX_DATAGRAM = 65_535
-READS = 200
-"""Datagrams that are read at most before the queue is looked at again."""
-LONGEST_WAIT_S = 0.5
-BUFFER_BYTES = 1 << 21
+VEHICLE, COMPANION, ATTACK = range(3)
+"""Links: where the vehicle sends to, and two to the companion, each with an address of its own."""
 ATTACK_PERIOD_S = 0.02
 MOST_ATTACKS_AT_ONCE = 1000
 
@@ -54,136 +46,64 @@ class Counters:
     attacks: int = 0
 
 
-class FaultProxy(AbstractContextManager["FaultProxy"]):
-    """Two sockets with faults between them from the start on; `LinkError`: no such address."""
+class FaultProxy(OneShotEndpoint):
+    """Carries datagrams between its links, with faults from the start on."""
 
     def __init__(
-        self, vehicle_side: Address, companion: Address, schedule: faults.Schedule, seed: int
+        self, schedule: faults.Schedule, seed: int, duration_s: float | None = None
     ) -> None:
+        super().__init__(duration_s, ATTACK_PERIOD_S)
         self.counters = Counters()
-        self._companion = companion
         self._vehicle: Address | None = None
-        self._vehicle_side = _bound(vehicle_side)
-        self._companion_side = _bound((companion[0], 0))
-        self._attack_side = _bound((companion[0], 0))
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._vehicle_side, selectors.EVENT_READ, Lane.TO_COMPANION)
-        self._selector.register(self._companion_side, selectors.EVENT_READ, Lane.TO_VEHICLE)
-        self._began_s = time.monotonic()
         self._link = FaultyLink(schedule, seed)
         self._attacks = [f for f in schedule.faults if isinstance(f, faults.SecurityFault)]
         self._attacker = Attacker(np.random.default_rng((seed, 0xA77)))
-        self._attacked_s = 0.0
         self._owed = 0.0
         self._queue: list[tuple[float, int, bytes, Lane]] = []
         self._count = 0
 
-    @property
-    def vehicle_side(self) -> Address:
-        """Address to which the vehicle has to send."""
-        host, port = self._vehicle_side.getsockname()
-        return str(host), int(port)
-
-    @property
-    def companion_side(self) -> Address:
-        """Address that the companion hears."""
-        host, port = self._companion_side.getsockname()
-        return str(host), int(port)
-
-    def add(self, fault: FaultRecord) -> None:
+    def add(self, fault: FaultRecord, now_s: float) -> None:
         """Add a fault, its times counted from now."""
-        self._link.add(fault, self._now_s())
+        self._link.add(fault, now_s)
 
-    def run(self, duration_s: float) -> None:
-        """Carry datagrams for a while."""
-        until_s = self._now_s() + duration_s
-        while (now_s := self._now_s()) < until_s:
-            self._wait(min(until_s - now_s, LONGEST_WAIT_S))
-            self._attack()
-            self._deliver()
+    def receive(self, chunk: Chunk, now_s: float) -> None:
+        """Let a datagram of vehicle or companion pass the faults."""
+        lane = Lane.TO_VEHICLE
+        if chunk.link == VEHICLE:
+            lane, self._vehicle = Lane.TO_COMPANION, chunk.peer
+            self._attacker.overhear(chunk.data)
+        elif chunk.link == ATTACK:
+            return
+        arriving = self._link.carry(chunk.data, lane, now_s)
+        self.counters.lost += not arriving
+        for due_s, data in arriving:
+            self._count += 1
+            heapq.heappush(self._queue, (due_s, self._count, data, lane))
 
-    def close(self) -> None:
-        """Close everything; what waits is lost."""
-        self._selector.close()
-        for each in (self._vehicle_side, self._companion_side, self._attack_side):
-            each.close()
+    def next_timer_s(self) -> float:
+        """Return the time of the next delivery or attack."""
+        return min(self._next_s, self._queue[0][0]) if self._queue else self._next_s
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _now_s(self) -> float:
-        return time.monotonic() - self._began_s
-
-    def _wait(self, longest_s: float) -> None:
-        if self._queue:
-            longest_s = min(longest_s, max(0.0, self._queue[0][0] - self._now_s()))
-        if self._attacks:
-            longest_s = min(longest_s, ATTACK_PERIOD_S)
-        for key, _ in self._selector.select(longest_s):
-            assert isinstance(key.fileobj, socket.socket)
-            self._read(key.fileobj, key.data)
-
-    def _read(self, source: socket.socket, lane: Lane) -> None:
-        for _ in range(READS):
-            try:
-                data, peer = source.recvfrom(MAX_DATAGRAM)
-            except BlockingIOError:
-                return
-            except OSError:  # an earlier datagram had no receiver
-                continue
-            now_s = self._now_s()
-            if lane is Lane.TO_COMPANION:
-                self._vehicle = peer
-                self._attacker.overhear(data)
-            elif peer != self._companion:
-                continue
-            arriving = self._link.carry(data, lane, now_s)
-            self.counters.lost += not arriving
-            for due_s, each in arriving:
-                self._count += 1
-                heapq.heappush(self._queue, (due_s, self._count, each, lane))
-
-    def _deliver(self) -> None:
-        now_s = self._now_s()
+    def handle_timer(self, now_s: float) -> None:
+        """Deliver what is due, and attack."""
+        elapsed_s = now_s - self.now_s
+        super().handle_timer(now_s)
         while self._queue and self._queue[0][0] <= now_s:
             _, _, data, lane = heapq.heappop(self._queue)
             if lane is Lane.TO_COMPANION:
                 self.counters.to_companion += 1
-                self._send(self._companion_side, data, self._companion)
+                self._output.append(Chunk(COMPANION, data))
             elif self._vehicle is not None:
                 self.counters.to_vehicle += 1
-                self._send(self._vehicle_side, data, self._vehicle)
-
-    def _attack(self) -> None:
-        now_s = self._now_s()
-        elapsed_s, self._attacked_s = now_s - self._attacked_s, now_s
+                self._output.append(Chunk(VEHICLE, data, self._vehicle))
         for fault in (each for each in self._attacks if each.is_active(now_s)):
             self._owed = min(self._owed + fault.rate_hz * elapsed_s, MOST_ATTACKS_AT_ONCE)
             while self._owed >= 1.0:
                 self._owed -= 1.0
-                data = self._attacker.next(fault)
-                if data is not None:
+                attack = self._attacker.next(fault)
+                if attack is not None:
                     self.counters.attacks += 1
-                    self._send(self._attack_side, data, self._companion)
-
-    def _send(self, source: socket.socket, data: bytes, peer: Address) -> None:
-        try:
-            source.sendto(data, peer)
-        except OSError:
-            self.counters.refused += 1
-
-
-def _bound(address: Address) -> socket.socket:
-    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    bound.setblocking(False)
-    with suppress(OSError):
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
-    try:
-        bound.bind(address)
-    except OSError as error:
-        bound.close()
-        raise LinkError(f"udp {address[0]}:{address[1]}: {error.strerror}") from error
-    return bound
+                    self._output.append(Chunk(ATTACK, attack))
 
 
 DESCRIPTION = """
@@ -215,17 +135,14 @@ def run(arguments: argparse.Namespace) -> int:
     schedule = _schedule(arguments.fault, arguments.faults)
     listen = udp_address("--listen", arguments.listen)
     companion = udp_address("--companion", arguments.companion)
-    with FaultProxy(listen, companion, schedule, arguments.seed) as proxy:
-        host, port = proxy.vehicle_side
-        print(f"proxy: vehicle to {host}:{port}, companion {arguments.companion}", flush=True)
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-        try:
-            proxy.run(arguments.for_s or math.inf)
-        except KeyboardInterrupt:
-            pass
-        finally:
-            signal.signal(signal.SIGTERM, before)
-        print(f"proxy: {proxy.counters}", flush=True)
+    proxy = FaultProxy(schedule, arguments.seed, arguments.for_s)
+    to_companion = UdpConnect(*companion)
+    shell = Shell(proxy, [UdpBind(*listen), to_companion, to_companion], Clock())
+    host, port = listen
+    print(f"proxy: vehicle to {host}:{port}, companion {arguments.companion}", flush=True)
+    shell.run_blocking()
+    proxy.counters.refused = sum(link.counters.send_errors for link in shell.links)
+    print(f"proxy: {proxy.counters}", flush=True)
     return 0
 
 

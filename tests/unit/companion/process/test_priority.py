@@ -47,11 +47,11 @@ os.sched_setscheduler, os.setpriority = refuse, refuse_below
 """
 RUN_ON = """
 import logging, os, time
-from companion.process import priority
+from companion.process import watchdog
 
 logging.basicConfig(format="%(message)s")
-priority.LONGEST_RUN_S = 0.2
-with priority.raised_priority():
+watchdog.LONGEST_RUN_S = 0.2
+with watchdog.raised_priority():
     began_s = time.process_time()
     while time.process_time() - began_s < 0.5:
         pass

@@ -19,8 +19,8 @@ from companion.guidance.tracking.emitters import QueueParams
 from companion.io.state.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
 from companion.process.persistence import RestartKeeper
-from sim_link.lab.lockstep.flight_harness import MemoryStore
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint, hear_autopilot
+from tools.campaign.checkpointing import MemoryStore
 
 CONFIG = CompanionConfig()
 AUTO = msgspec.structs.replace(CONFIG, mission=SessionParams(engage="auto"))

@@ -8,8 +8,8 @@ import pytest
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from sim_link.lab.faults.fault_models import KINDS
-from sim_link.lab.lockstep.flight_harness import MemoryStore
 from sim_link.lab.lockstep.observer import Frame, Lane
+from tools.campaign.checkpointing import MemoryStore
 from tools.campaign.endurance import FrameMaker, Usage, slope_after
 from tools.campaign.flights import Trial
 from tools.campaign.link_trials import Gaps, pauses_of

@@ -1,17 +1,16 @@
-"""The UDP proxy on real sockets, with the faults that are tested in memory."""
+"""The proxy as an endpoint on invented time, with the faults that are tested in memory."""
 
 from __future__ import annotations
 
 import socket
-import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import pytest
 
 from companion.errors import ConfigError, LinkError
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
+from companion.mav.endpoint import Address, Chunk
 from sim_link.lab.faults.fault_models import (
     Fault,
     ForeignFrames,
@@ -20,110 +19,94 @@ from sim_link.lab.faults.fault_models import (
     LinkLoss,
     Schedule,
 )
-from sim_link.lab.faults.proxy import FaultProxy
+from sim_link.lab.faults.proxy import ATTACK, COMPANION, VEHICLE, FaultProxy
 from sim_link.lab.subcommands import run_subcommand
 
-HOST = "127.0.0.1"
-PATIENCE_S = 30.0
+VEHICLE_PEER: Address = ("127.0.0.1", 14580)
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
 
 
-@contextmanager
-def ends(*faults: Fault) -> Iterator[tuple[socket.socket, FaultProxy, socket.socket]]:
-    """A vehicle, a proxy and a companion."""
-    with (
-        closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as vehicle,
-        closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as companion,
-    ):
-        for each in (vehicle, companion):
-            each.bind((HOST, 0))
-            each.settimeout(PATIENCE_S)
-        address = companion.getsockname()
-        with FaultProxy((HOST, 0), (HOST, address[1]), Schedule(faults=faults), 1) as proxy:
-            yield vehicle, proxy, companion
+class Ends:
+    """Vehicle and companion of a proxy."""
 
+    def __init__(self, *faults: Fault) -> None:
+        self.proxy = FaultProxy(Schedule(faults=faults), 1)
 
-def arrived(end: socket.socket) -> list[bytes]:
-    end.setblocking(False)
-    found = []
-    while True:
-        try:
-            found.append(end.recv(2048))
-        except BlockingIOError:
-            return found
+    def down(self, data: bytes, now_s: float = 0.0) -> None:
+        self.proxy.receive(Chunk(VEHICLE, data, VEHICLE_PEER), now_s)
 
+    def up(self, data: bytes, now_s: float = 0.0) -> None:
+        self.proxy.receive(Chunk(COMPANION, data, ("127.0.0.1", 14550)), now_s)
 
-def carried(proxy: FaultProxy, end: socket.socket) -> list[bytes]:
-    """What arrives first, however long the proxy is kept from running."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (found := arrived(end)):
-        assert time.monotonic() < deadline_s, "nothing arrives"
-        proxy.run(0.02)
-    return found
+    def sent(self, now_s: float) -> list[Chunk]:
+        self.proxy.handle_timer(now_s)
+        return self.proxy.take_output()
 
 
 def test_both_directions_pass() -> None:
-    with ends() as (vehicle, proxy, companion):
-        vehicle.sendto(b"down", proxy.vehicle_side)
-        proxy.run(0.05)
-        data, peer = companion.recvfrom(2048)
-        assert (data, peer) == (b"down", proxy.companion_side)
-        companion.sendto(b"up", peer)
-        proxy.run(0.05)
-        assert vehicle.recv(2048) == b"up"
+    ends = Ends()
+    ends.down(b"down")
+    assert ends.sent(0.0) == [Chunk(COMPANION, b"down")]
+    ends.up(b"up")
+    assert ends.sent(0.0) == [Chunk(VEHICLE, b"up", VEHICLE_PEER)]
+
+
+def test_nothing_is_sent_to_a_vehicle_that_was_not_heard() -> None:
+    ends = Ends()
+    ends.up(b"up")
+    assert ends.sent(0.0) == []
 
 
 def test_loss_takes_its_share_and_counts_it() -> None:
-    with ends(LinkLoss(share=0.3)) as (vehicle, proxy, companion):
-        for i in range(100):
-            vehicle.sendto(bytes((i, 0)), proxy.vehicle_side)
-        proxy.run(0.2)
-        count = len(arrived(companion))
-        assert 50 < count < 90
-        assert (proxy.counters.to_companion, proxy.counters.lost) == (count, 100 - count)
+    ends = Ends(LinkLoss(share=0.3))
+    for i in range(100):
+        ends.down(bytes((i, 0)))
+    count = len(ends.sent(0.0))
+    assert 50 < count < 90
+    assert (ends.proxy.counters.to_companion, ends.proxy.counters.lost) == (count, 100 - count)
 
 
 def test_a_late_datagram_waits() -> None:
-    with ends(LinkDelay(delay_s=0.2)) as (vehicle, proxy, companion):
-        sent_s = time.monotonic()
-        vehicle.sendto(b"late", proxy.vehicle_side)
-        assert carried(proxy, companion) == [b"late"]
-        assert time.monotonic() - sent_s >= 0.2
+    ends = Ends(LinkDelay(delay_s=0.01))
+    assert ends.sent(0.0) == []
+    ends.down(b"late")
+    assert ends.proxy.next_timer_s() == 0.01
+    assert ends.sent(0.009) == []
+    assert ends.sent(0.01) == [Chunk(COMPANION, b"late")]
 
 
-@pytest.mark.slow
 def test_a_fault_may_be_added_on_the_run() -> None:
-    with ends() as (vehicle, proxy, companion):
-        proxy.add(LinkBlackout(duration_s=1.0))
-        vehicle.sendto(b"lost", proxy.vehicle_side)
-        proxy.run(1.1)
-        vehicle.sendto(b"found", proxy.vehicle_side)
-        assert carried(proxy, companion) == [b"found"]
+    ends = Ends()
+    ends.proxy.add(LinkBlackout(duration_s=1.0), 5.0)
+    ends.down(b"lost", 5.5)
+    ends.down(b"found", 6.1)
+    assert [chunk.data for chunk in ends.sent(6.1)] == [b"found"]
 
 
-def test_an_attacker_has_an_address_of_its_own() -> None:
-    with ends(ForeignFrames(rate_hz=200.0)) as (vehicle, proxy, companion):
-        frame = MavCodec(1, 1).encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
-        vehicle.sendto(frame, proxy.vehicle_side)
-        proxy.run(0.3)
-        assert proxy.counters.attacks > 20
-        senders = {companion.recvfrom(2048)[1] for _ in range(20)}
-        assert proxy.companion_side in senders
-        assert len(senders) == 2
+def test_an_attacker_has_an_address_of_its_own_and_is_not_answered() -> None:
+    ends = Ends(ForeignFrames(rate_hz=200.0))
+    ends.down(MavCodec(1, 1).encode(HEARTBEAT))
+    links = {chunk.link for tick in range(16) for chunk in ends.sent(0.02 * tick)}
+    assert links == {COMPANION, ATTACK}
+    assert ends.proxy.counters.attacks == pytest.approx(60, abs=1)
+    ends.proxy.receive(Chunk(ATTACK, b"who are you?", ("127.0.0.1", 14550)), 0.32)
+    assert all(chunk.link != VEHICLE for chunk in ends.sent(0.32))
 
 
-def test_nobody_else_reaches_the_vehicle() -> None:
-    with ends() as (vehicle, proxy, _):
-        vehicle.sendto(b"here I am", proxy.vehicle_side)
-        proxy.run(0.05)
-        with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as stranger:
-            stranger.sendto(b"obey me", proxy.companion_side)
-            proxy.run(0.05)
-        assert arrived(vehicle) == []
+def test_it_ends_after_its_time() -> None:
+    proxy = FaultProxy(Schedule(), 1, 2.0)
+    proxy.handle_timer(1.99)
+    assert not proxy.is_finished
+    proxy.handle_timer(2.0)
+    assert proxy.is_finished
 
 
-def test_a_taken_port_is_told() -> None:
-    with ends() as (_, proxy, _), pytest.raises(LinkError, match="in use"):
-        FaultProxy(proxy.vehicle_side, (HOST, 1), Schedule(), 1)
+def test_a_taken_port_is_an_error_of_the_link() -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        with pytest.raises(LinkError, match=f"{port} is taken"):
+            run_subcommand(["proxy", "--listen", f"127.0.0.1:{port}"])
 
 
 @pytest.mark.parametrize(
