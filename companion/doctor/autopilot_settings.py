@@ -82,8 +82,7 @@ def _fencing_in_flight(facts: AutopilotFacts, config: CompanionConfig) -> Fencin
     return fencing
 
 
-def _farthest_m(settings: Settings) -> float | None:
-    """Return the guard's largest distance from home; None: its fence is not known."""
+def _check_radius(name: str, settings: Settings) -> Iterator[CheckResult]:
     limits = settings.config.limits
     fencing = _fencing_in_flight(settings.facts, settings.config)
     fence = fencing.guard.limits.fence or limits.guard_limits().fence
@@ -91,11 +90,7 @@ def _farthest_m(settings: Settings) -> float | None:
     if fence is not None:
         corner_m = max(math.hypot(*corner) for corner in fence.polygon_enu_m)
         reaches_m.append(corner_m - fence.margin_m)
-    return min(reaches_m, default=None)
-
-
-def _check_radius(name: str, settings: Settings) -> Iterator[CheckResult]:
-    reach_m = _farthest_m(settings)
+    reach_m = min(reaches_m, default=None)
     if reach_m is not None:
         ours = f"the companion may fly {reach_m:.0f} m away"
         how = ("around home", ours, "make the companion's fence smaller")

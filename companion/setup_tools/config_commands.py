@@ -184,17 +184,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.config_command == "schema":
         _say(json_schema())
         return 0
-    values = _values(arguments)
-    if arguments.changed:
-        values = [each for each in values if each.origin != DEFAULT]
-    if arguments.json:
-        _say(json.dumps(as_json(values), indent=2))
-    else:
-        _say("\n".join([*notes_of(arguments.config), *as_yaml(values)]))
-    return 0
-
-
-def _values(arguments: argparse.Namespace) -> list[Shown]:
     config = load_config(arguments.config)
     steps = [(str(arguments.config), config)]
     if arguments.site is not None:
@@ -206,7 +195,14 @@ def _values(arguments: argparse.Namespace) -> list[Shown]:
     for radio in arguments.radios:
         config = with_radios(config, [radio])
         steps.append((f"--radio {radio}", config))
-    return shown_values(arguments.config, steps)
+    values = shown_values(arguments.config, steps)
+    if arguments.changed:
+        values = [each for each in values if each.origin != DEFAULT]
+    if arguments.json:
+        _say(json.dumps(as_json(values), indent=2))
+    else:
+        _say("\n".join([*notes_of(arguments.config), *as_yaml(values)]))
+    return 0
 
 
 def _say(text: str) -> None:

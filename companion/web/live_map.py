@@ -162,13 +162,6 @@ class WebProcess:
         self.starts += 1
         self.viewers = 0
 
-    def _start_again(self) -> None:
-        try:
-            self._start()
-        except OSError as error:  # out of memory or file descriptors: try later
-            log.warning("the live map cannot be started again: %s", error.strerror)
-            self._restart_s = time.monotonic() + LONGEST_RESTART_S
-
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
     ) -> list[OperatorCommand]:
@@ -177,7 +170,11 @@ class WebProcess:
             return []
         if self._restart_s is not None:
             if may_send and time.monotonic() >= self._restart_s:
-                self._start_again()
+                try:
+                    self._start()
+                except OSError as error:  # out of memory or file descriptors: try later
+                    log.warning("the live map cannot be started again: %s", error.strerror)
+                    self._restart_s = time.monotonic() + LONGEST_RESTART_S
             return []
         self._flush()
         if self._restart_s is not None:

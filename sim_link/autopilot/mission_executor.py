@@ -154,7 +154,10 @@ class MissionRun:
             case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
                 return self._fly(item, self._place_of(item, place), place, math.inf, now_s)
             case mavlink.MAV_CMD_NAV_TAKEOFF:
-                return self._take_off(item, place, now_s)
+                if self._goal is None:
+                    up_m = self._locate(item)[2]
+                    self._goal = (place[0], place[1], max(up_m, place[2]))
+                return self._fly(item, self._goal, place, 0.0, now_s)
             case mavlink.MAV_CMD_NAV_DELAY | mavlink.MAV_CMD_CONDITION_DELAY:
                 goal = self._goal = self._goal or place
                 return self._fly(item, goal, place, hold_s, now_s)
@@ -182,12 +185,6 @@ class MissionRun:
             is_here = (item.x, item.y) == (0, 0) or NO_VALUE in (item.x, item.y)
             self._goal = place if is_here else self._locate(item)
         return self._goal
-
-    def _take_off(self, item: PlanItem, place: PositionEnu, now_s: float) -> MissionLeg | None:
-        if self._goal is None:
-            up_m = self._locate(item)[2]
-            self._goal = (place[0], place[1], max(up_m, place[2]))
-        return self._fly(item, self._goal, place, 0.0, now_s)
 
     def _land(self, item: PlanItem, place: PositionEnu, is_on_ground: bool) -> MissionLeg | None:
         east, north, _ = self._place_of(item, place)

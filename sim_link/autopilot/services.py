@@ -288,9 +288,20 @@ class Services:
 
     def _command(self, command: Command, now_s: float) -> int:
         if command.number == CALIBRATION_COMMAND:
-            return self._calibrate(command, now_s)
+            if self._vehicle.is_armed:
+                return self._firmware.busy
+            return (
+                ACCEPTED
+                if self._firmware.calibrates_at_once
+                else self._calibration.begin(command, now_s)
+            )
         if command.number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
-            return self._reboot(command)
+            if self._vehicle.is_armed:
+                return self._firmware.busy
+            if command.params[0] != 1.0:  # a shutdown
+                return UNSUPPORTED
+            self.wants_reboot = True
+            return ACCEPTED
         if command.number == mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
             index = command.whole(1)
             if index is None or not self._store.choose(index):
@@ -298,24 +309,6 @@ class Services:
             self._take_plan_events()
             return ACCEPTED
         return self._vehicle.flavour.command(command, now_s)
-
-    def _calibrate(self, command: Command, now_s: float) -> int:
-        if self._vehicle.is_armed:
-            return self._firmware.busy
-        return (
-            ACCEPTED
-            if self._firmware.calibrates_at_once
-            else self._calibration.begin(command, now_s)
-        )
-
-    def _reboot(self, command: Command) -> int:
-        """Reboot the autopilot itself, unless armed; a shutdown is refused."""
-        if self._vehicle.is_armed:
-            return self._firmware.busy
-        if command.params[0] != 1.0:
-            return UNSUPPORTED
-        self.wants_reboot = True
-        return ACCEPTED
 
     def _take_plan_events(self) -> None:
         for event in self._store.take_events():

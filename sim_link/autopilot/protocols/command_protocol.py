@@ -225,23 +225,20 @@ class Commands:
     def _refusal(self, command: Command, now_s: float) -> CommandResult | None:
         if command.frame is None and command.number in self._forms.int_only:
             return CommandResult.UNSUPPORTED
-        is_repeated = self._is_repeated(command, now_s)
+        # Accepted a moment ago, and now with a higher confirmation number.
+        last = self._answered.get(command.partner)
+        is_repeated = (
+            last is not None
+            and last.key == _key(command)
+            and command.confirmation > last.confirmation
+            and now_s - last.time_s <= REPEAT_WINDOW_S
+        )
         if command.number in self._running:
             own = self._running[command.number].command.partner == command.partner
             if is_repeated and own:
                 return CommandResult.IN_PROGRESS
             return CommandResult.TEMPORARILY_REJECTED
         return CommandResult.ACCEPTED if is_repeated else None
-
-    def _is_repeated(self, command: Command, now_s: float) -> bool:
-        """Return True if it was accepted a moment ago and now has a higher confirmation number."""
-        last = self._answered.get(command.partner)
-        return (
-            last is not None
-            and last.key == _key(command)
-            and command.confirmation > last.confirmation
-            and now_s - last.time_s <= REPEAT_WINDOW_S
-        )
 
     def _remember(self, command: Command, now_s: float) -> None:
         if command.number not in ASKS_FOR_A_MESSAGE:

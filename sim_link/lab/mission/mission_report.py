@@ -68,13 +68,24 @@ def _times(results: list[MissionResult]) -> tuple[float, float, float]:
 
 def report_page(result: MissionResult) -> str:
     """Return the page as text."""
+    record, mission, last = result.record, result.mission, result.last_estimate
+    rows = [
+        ("Flown", f"{record.ended_s:.1f} s, {record.distance_m:.0f} m"),
+        ("Flown by", result.how),
+    ]
+    if last is not None:
+        whose = f" of emitter {mission.emitter.emitter_id}" if mission.emitters else ""
+        rows.append((f"Final error{whose}", f"{result.error_m(last):.2f} m"))
+        rows.append((f"R95{whose}", f"{last.r95_m:.2f} m"))
+    if record.closest_approach_m is not None:
+        rows.append(("Closest to the fence", f"{record.closest_approach_m:.1f} m"))
     page = FlightPage(
         kind="Mission report",
         name=result.title,
         verdict="passed" if result.is_passed else "failed",
         is_passed=result.is_passed,
         about=result.mission.about,
-        facts=_figures(result),
+        facts=[*rows, ("Script", result.file)],
         map=flight_map(_map_layers(result)),
         map_note=MAP_NOTE,
         charts=_charts(result),
@@ -89,21 +100,6 @@ def report_page(result: MissionResult) -> str:
         record=result.record,
         invariants=invariants_of(result.record),
     )
-
-
-def _figures(result: MissionResult) -> list[tuple[str, str]]:
-    record, mission, last = result.record, result.mission, result.last_estimate
-    rows = [
-        ("Flown", f"{record.ended_s:.1f} s, {record.distance_m:.0f} m"),
-        ("Flown by", result.how),
-    ]
-    if last is not None:
-        whose = f" of emitter {mission.emitter.emitter_id}" if mission.emitters else ""
-        rows.append((f"Final error{whose}", f"{result.error_m(last):.2f} m"))
-        rows.append((f"R95{whose}", f"{last.r95_m:.2f} m"))
-    if record.closest_approach_m is not None:
-        rows.append(("Closest to the fence", f"{record.closest_approach_m:.1f} m"))
-    return [*rows, ("Script", result.file)]
 
 
 def events_of(record: FlightRecord) -> list[EventRow]:

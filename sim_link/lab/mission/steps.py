@@ -113,7 +113,9 @@ class StepRunner:
         while not self.is_over:
             current = self._current or self._begin(now_s)
             self._situation.mission.step_time_s = now_s - current.started_s
-            self._watch(now_s)
+            for name, condition in self._always:
+                if name not in self._record.breaches and condition.is_false(self._situation):
+                    self._record.breaches[name] = now_s
             if not self._advance(current, now_s):
                 return
 
@@ -123,11 +125,6 @@ class StepRunner:
             self._end(self._current, now_s, reason)
         else:
             self._record.failure = reason
-
-    def _watch(self, now_s: float) -> None:
-        for name, condition in self._always:
-            if name not in self._record.breaches and condition.is_false(self._situation):
-                self._record.breaches[name] = now_s
 
     def _begin(self, now_s: float) -> _RunningStep:
         name, step = self._steps[self._next]

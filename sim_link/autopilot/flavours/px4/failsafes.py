@@ -111,10 +111,11 @@ class Px4Failsafes:
         self._had_sticks = self._had_sticks or has_sticks
         excepted = int(self._parameters["COM_RCL_EXCEPT"])
         is_excepted = bool(excepted & EXCEPTION_OF.get(intention, 0))
+        heard_s = max(self._aircraft.stations_s.values(), default=None)
         present = (
             intention is FlightMode.OFFBOARD and not is_stream_alive,
             (self._had_sticks and not has_sticks and not is_excepted),
-            self._is_station_lost(now_s),
+            (heard_s is not None and now_s - heard_s > self._parameters["COM_DL_LOSS_T"]),
             not self._aircraft.estimator.is_position_valid,
             fence_margin_m < 0.0,
             self._aircraft.battery.share <= self._parameters["BAT_CRIT_THR"],
@@ -130,10 +131,6 @@ class Px4Failsafes:
         change_s = STEP_S if self.delay_s else -REGROWTH * STEP_S
         self._spent_s = min(delay_s, max(0.0, self._spent_s + change_s))
         return fresh
-
-    def _is_station_lost(self, now_s: float) -> bool:
-        heard_s = max(self._aircraft.stations_s.values(), default=None)
-        return heard_s is not None and now_s - heard_s > self._parameters["COM_DL_LOSS_T"]
 
     def _note(self, cause: Cause, is_present: bool) -> bool:
         number = 0 if cause.parameter is None else int(self._parameters[cause.parameter])

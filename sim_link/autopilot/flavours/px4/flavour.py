@@ -301,19 +301,16 @@ class Px4Flavour(AutopilotFlavour):
             is_stream_alive=self._is_stream_alive(now_s),
         )
         for cause in fresh:
-            self._announce(cause.text)
+            self.aircraft.say(CRITICAL, f"Failsafe: {cause.text}")
+            delay_s = self._failsafes.delay_s
+            wait = f", entering Hold for {delay_s:.0f} seconds" if delay_s > 0.0 else ""
+            # The tab marks that an EVENT has the same content.
+            self.aircraft.say(CRITICAL, f"Failsafe activated{wait}\t")
         reaction = self._failsafes.flown
         if reaction is Reaction.DISARM:
             self.disarm(is_forced=True)
         else:
             self._reaction = None if reaction is None else reaction.mode
-
-    def _announce(self, cause: str) -> None:
-        """Send a text with a trailing tab, which marks that an EVENT has the same content."""
-        self.aircraft.say(CRITICAL, f"Failsafe: {cause}")
-        delay_s = self._failsafes.delay_s
-        wait = f", entering Hold for {delay_s:.0f} seconds" if delay_s > 0.0 else ""
-        self.aircraft.say(CRITICAL, f"Failsafe activated{wait}\t")
 
     def settle(self, now_s: float, why: str = "") -> None:
         """Settle as the base does, with the height of a return known before it begins."""
