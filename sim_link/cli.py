@@ -73,8 +73,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     ignore_broken_pipe()
     try:
         if given and given[0] in SUBCOMMANDS:
-            from sim_link.lab.subcommands import run_subcommand  # slow to import, and rarely needed
-
             return run_subcommand(given)
         return _run(simulator_parser().parse_args(given))
     except CompanionError as error:
@@ -85,6 +83,43 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print("sim-link: interrupted", file=sys.stderr)
         return EXIT_FAILED
+
+
+def run_subcommand(argv: Sequence[str]) -> int:
+    """Run a subcommand; return the exit code.
+
+    `CompanionError`: bad input, or something could not be done.
+    """
+    arguments = subcommand_parser().parse_args(argv)
+    code: int = arguments.run(arguments)
+    return code
+
+
+def subcommand_parser() -> RaisingParser:
+    """Return the parser of `sim-link` with a subcommand."""
+    from sim_link.lab import radio_command  # the laboratory is slow to import, and rarely needed
+    from sim_link.lab.faults import proxy
+    from sim_link.lab.mission import mission_cli
+
+    parser = RaisingParser(prog="sim-link")
+    commands = parser.add_subparsers(required=True, metavar="{mission,radio,proxy}")
+    mission = commands.add_parser("mission", help="fly mission scripts")
+    kinds = mission.add_subparsers(required=True, metavar="{run}")
+    for below, name, summary, module in (
+        (kinds, "run", "fly scripts and report pass or fail", mission_cli),
+        (commands, "radio", "a radio payload for a vehicle that has none", radio_command),
+        (commands, "proxy", "a bad link between a vehicle and a companion", proxy),
+    ):
+        subcommand = below.add_parser(
+            name,
+            help=summary,
+            description=module.DESCRIPTION,
+            epilog=module.EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(subcommand)
+        subcommand.set_defaults(run=module.run)
+    return parser
 
 
 def simulator_parser() -> RaisingParser:

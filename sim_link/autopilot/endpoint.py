@@ -37,8 +37,7 @@ from sim_link.autopilot.incidents import (
     VehicleReboot,
     WindChange,
 )
-from sim_link.autopilot.other_components import OtherComponentSender
-from sim_link.autopilot.other_station import CHANNEL, station_orders
+from sim_link.autopilot.other_senders import STATION_CHANNEL, OtherComponentSender, station_orders
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, LinkSetup, Outgoing
 from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
@@ -170,7 +169,7 @@ class SimEndpoint:
     def _obey_station(self, incident: StationRecord, boot_s: float) -> None:
         """Execute an order of another ground station, on its own link or that of all others."""
         is_about_lines = isinstance(incident, StationRates)
-        channels = list(self._services.requests.channels) if is_about_lines else [CHANNEL]
+        channels = list(self._services.requests.channels) if is_about_lines else [STATION_CHANNEL]
         for message in station_orders(incident, self.vehicle):
             for channel in channels:
                 answers = self._services.handle(message, channel, boot_s)

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, PositionEnu, Positive
-from sim_link.autopilot.other_components import ComponentName
 from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.world.environment import Coordinate
 from sim_link.world.point_mass import Share, WindSpeed
@@ -23,6 +22,9 @@ Deflection = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 ClockPace = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 ClockStep = Annotated[float, msgspec.Meta(ge=-3600.0, le=3600.0)]
 StallLength = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
+ComponentName = Literal[
+    "gimbal", "camera", "adsb", "router", "station", "mavros", "companion", "tracker", "autopilot"
+]
 EstimatorVote = Literal["all", "velocity", "position", "height", "compass"]
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 

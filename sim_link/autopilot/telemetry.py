@@ -82,7 +82,7 @@ def sys_status(vehicle: SimVehicle) -> Fields:
 
 
 def system_time(vehicle: SimVehicle) -> Fields:
-    """Return SYSTEM_TIME; its Unix time stays 0 (unknown), so that a run depends on its seed only."""
+    """Return SYSTEM_TIME; Unix time stays 0 (unknown), so that a run depends on its seed only."""
     return (0, boot_ms(vehicle))
 
 

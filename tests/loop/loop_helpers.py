@@ -28,8 +28,8 @@ from sim_link.lab.lockstep.flight import (
     MakeCompanion,
     Makers,
     MemoryJournal,
+    Operator,
 )
-from sim_link.lab.lockstep.flight_harness import Operator
 from sim_link.lab.lockstep.observer import Frame, Lane, Observer
 
 __all__ = [

@@ -13,8 +13,7 @@ from companion.domain import FlightMode, PositionEnu
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.link.identity import DOUBT_S
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.incidents import OtherComponent, OtherVehicle, PilotMode
-from sim_link.autopilot.other_components import ComponentName
+from sim_link.autopilot.incidents import ComponentName, OtherComponent, OtherVehicle, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.fleet.neighbours import Neighbour

@@ -37,8 +37,7 @@ from sim_link.autopilot.incidents import (
 )
 from sim_link.lab.faults import fault_effects
 from sim_link.lab.faults import fault_models as faults
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
-from sim_link.lab.lockstep.flight_harness import Operator
+from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Operator
 from sim_link.lab.lockstep.observer import Delivery, Frame, Lane, Observer
 
 LINK_LANES = {

@@ -20,7 +20,7 @@ from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector
 from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers
-from sim_link.lab.lockstep.flight_harness import Operator as Station
+from sim_link.lab.lockstep.flight import Operator as Station
 from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.mission import results, steps
 from sim_link.lab.mission.conditions import FlightSituation

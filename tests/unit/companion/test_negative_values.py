@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.arguments import RaisingParser, argument_parser
-from sim_link.lab.subcommands import subcommand_parser
+from sim_link.cli import subcommand_parser
 
 
 @pytest.mark.parametrize("place", ["-35.36,149.16", "-33.4,-70.6,520", "-.5,-60.1"])

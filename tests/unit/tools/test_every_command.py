@@ -10,9 +10,8 @@ from textwrap import dedent
 import pytest
 
 from companion.arguments import argument_parser, check_place_of_options
-from sim_link.cli import SUBCOMMANDS, simulator_parser
+from sim_link.cli import SUBCOMMANDS, simulator_parser, subcommand_parser
 from sim_link.lab.conformance.cli import parsed_arguments
-from sim_link.lab.subcommands import subcommand_parser
 from tests.unit.tools.test_commands_in_pages import PAGES, ROOT
 
 SHELL = re.compile(r"^( *)```sh\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)

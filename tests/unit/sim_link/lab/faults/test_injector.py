@@ -33,8 +33,7 @@ from sim_link.lab.faults.fault_models import (
     SecondSender,
 )
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal
-from sim_link.lab.lockstep.flight_harness import Operator
+from sim_link.lab.lockstep.flight import Flight, MemoryJournal, Operator
 from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import run_until
 

@@ -11,6 +11,7 @@ from companion.errors import ConfigError, LinkError
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk
+from sim_link.cli import run_subcommand
 from sim_link.lab.faults.fault_models import (
     Fault,
     ForeignFrames,
@@ -20,7 +21,6 @@ from sim_link.lab.faults.fault_models import (
     Schedule,
 )
 from sim_link.lab.faults.proxy import ATTACK, COMPANION, VEHICLE, FaultProxy
-from sim_link.lab.subcommands import run_subcommand
 
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)

@@ -10,8 +10,7 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal
-from sim_link.lab.lockstep.flight_harness import Operator
+from sim_link.lab.lockstep.flight import Flight, MemoryJournal, Operator
 from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import reboot, run_until, take_off
 

@@ -1,0 +1,188 @@
+"""Other senders beside the vehicle: components on its links, and a second ground station.
+
+Each component sends a HEARTBEAT a second, and what is typical of it. They are no part of the
+autopilot, and are heard on all of its links, as components are whose frames it passes on.
+
+Source: MAVLink common, MAV_COMPONENT and MAV_TYPE; MAVROS2 (`1/191`, TIMESYNC at 10 Hz), STorM32
+gimbals (MAV_AUTOPILOT_GENERIC) and mavp2p (system 125, a station without autopilot) as heard.
+
+The ground station orders what an incident says. It speaks to the vehicle over a line of its own, so
+the companion hears its orders only by what the autopilot shows of them; on a line that both share
+it hears the answers, too.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import POSITION_ONLY, Message, mavlink
+from companion.mav.param_encoding import raw_value
+from sim_link.autopilot.incidents import (
+    ComponentName,
+    StationFence,
+    StationHome,
+    StationParameter,
+    StationRates,
+    StationRecord,
+)
+from sim_link.autopilot.protocols.addressing import Channel
+from sim_link.autopilot.protocols.message_streams import message_id
+from sim_link.autopilot.vehicle import SimVehicle
+
+
+class Identity(NamedTuple):
+    """Ids, kind and pace of a component."""
+
+    component_id: int
+    mav_type: int
+    autopilot: int = mavlink.MAV_AUTOPILOT_INVALID
+    system_id: int | None = None
+    """None: the vehicle's."""
+
+
+IDENTITIES: Mapping[ComponentName, Identity] = {
+    "gimbal": Identity(154, mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_GENERIC),
+    "camera": Identity(100, mavlink.MAV_TYPE_CAMERA),
+    "adsb": Identity(156, mavlink.MAV_TYPE_ADSB),
+    "router": Identity(191, mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_GENERIC, 125),
+    "station": Identity(190, mavlink.MAV_TYPE_GCS, system_id=255),
+    "mavros": Identity(191, mavlink.MAV_TYPE_ONBOARD_CONTROLLER),
+    "companion": Identity(191, mavlink.MAV_TYPE_ONBOARD_CONTROLLER),
+    "tracker": Identity(
+        1, mavlink.MAV_TYPE_ANTENNA_TRACKER, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 2
+    ),
+    "autopilot": Identity(2, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4),
+}
+"""Identity of each component; `companion` sends setpoints beside, as a second one of ours does, and
+`autopilot` is a second flight controller of the same vehicle."""
+HEARTBEAT_S, STREAM_S = 1.0, 0.1
+
+
+class OtherComponentSender:
+    """Sender of one component, from `began_s` on."""
+
+    def __init__(self, name: ComponentName, vehicle_system_id: int, began_s: float) -> None:
+        self._name = name
+        self._identity = identity = IDENTITIES[name]
+        self._vehicle = vehicle_system_id
+        self._codec = MavCodec(identity.system_id or vehicle_system_id, identity.component_id)
+        self._heartbeat_s = self._stream_s = began_s
+
+    def frames(self, now_s: float) -> list[bytes]:
+        """Return the frames that are due."""
+        due: list[Message] = []
+        if now_s >= self._heartbeat_s:
+            self._heartbeat_s = now_s + HEARTBEAT_S
+            identity = self._identity
+            due.append(
+                mavlink.MAVLink_heartbeat_message(
+                    identity.mav_type, identity.autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                )
+            )
+        if now_s >= self._stream_s:
+            self._stream_s = now_s + STREAM_S
+            due += self._stream(now_s)
+        return [self._codec.encode(message) for message in due]
+
+    def _stream(self, now_s: float) -> list[Message]:
+        match self._name:
+            case "mavros":
+                return [mavlink.MAVLink_timesync_message(0, round(now_s * 1e9))]
+            case "companion":
+                zeros = (0.0,) * 8
+                return [
+                    mavlink.MAVLink_set_position_target_local_ned_message(
+                        round(now_s * 1e3),
+                        self._vehicle,
+                        1,
+                        1,
+                        POSITION_ONLY,
+                        5.0,
+                        5.0,
+                        -10.0,
+                        *zeros,
+                    )
+                ]
+            case "gimbal":
+                return [
+                    mavlink.MAVLink_mount_orientation_message(
+                        round(now_s * 1e3), 0.0, -90.0, 0.0, math.nan
+                    )
+                ]
+        return []
+
+
+STATION_IDS = (254, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+STATION_CHANNEL = Channel(0, ("other station", 0))
+"""Link of its own; only this station receives the answers on it."""
+E7 = 1e7
+FENCE = mavlink.MAV_MISSION_TYPE_FENCE
+
+
+def station_orders(incident: StationRecord, vehicle: SimVehicle) -> list[Message]:
+    """Return the messages of the station, as the vehicle receives them, in order."""
+    target = (vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+    orders: list[Message] = []
+    match incident:
+        case StationFence():
+            orders = _fence_orders(incident, vehicle, target)
+        case StationParameter():
+            orders = _parameter_orders(incident, vehicle, target)
+        case StationRates():
+            interval_us = 1e6 / incident.rate_hz if incident.rate_hz > 0.0 else -1.0
+            params = (float(message_id(incident.message)), interval_us, *[0.0] * 5)
+            number = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+            orders = [mavlink.MAVLink_command_long_message(*target, number, 0, *params)]
+        case StationHome():
+            place = vehicle.estimator.world_origin.geodetic_from_enu(
+                (incident.east_m, incident.north_m, incident.up_m)
+            )
+            what = (*target, mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_CMD_DO_SET_HOME, 0, 0)
+            nothing, at = (0.0, 0.0, 0.0, 0.0), (round(E7 * place[0]), round(E7 * place[1]))
+            orders = [mavlink.MAVLink_command_int_message(*what, *nothing, *at, place[2])]
+    codec = MavCodec(*STATION_IDS)
+    received = (codec.decode_frame(codec.encode(order)) for order in orders)
+    return [message for message in received if message is not None]
+
+
+def _fence_orders(
+    incident: StationFence, vehicle: SimVehicle, target: tuple[int, int]
+) -> list[Message]:
+    """Return an upload, or the clearing of the fence."""
+    half_m = incident.half_side_m
+    if half_m is None:
+        return [mavlink.MAVLink_mission_clear_all_message(*target, FENCE)]
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = [(half_m * east, half_m * north) for east, north in signs]
+    command, first = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, float(len(corners))
+    if incident.is_circle:
+        command, first = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, half_m
+        corners = [(0.0, 0.0)]
+    command += 0 if incident.is_inclusion else 1
+    messages: list[Message] = [mavlink.MAVLink_mission_count_message(*target, len(corners), FENCE)]
+    for seq, (east_m, north_m) in enumerate(corners):
+        place = (incident.east_m + east_m, incident.north_m + north_m, 0.0)
+        latitude, longitude, _ = vehicle.estimator.world_origin.geodetic_from_enu(place)
+        what = (*target, seq, mavlink.MAV_FRAME_GLOBAL, command, 0, 1, first, 0.0, 0.0, 0.0)
+        at = (round(E7 * latitude), round(E7 * longitude), 0.0)
+        messages.append(mavlink.MAVLink_mission_item_int_message(*what, *at, FENCE))
+    return messages
+
+
+def _parameter_orders(
+    incident: StationParameter, vehicle: SimVehicle, target: tuple[int, int]
+) -> list[Message]:
+    """Return a PARAM_SET; none of a parameter that the autopilot does not have."""
+    store = vehicle.flavour.parameters
+    index = store.index_of(incident.name)
+    if index is None or not math.isfinite(incident.value):
+        return []
+    kind = store.specs[index].kind
+    encoding = vehicle.flavour.firmware.parameters.encoding
+    (value,) = struct.unpack("<f", raw_value(incident.value, kind, encoding))
+    name = incident.name.encode("ascii")
+    return [mavlink.MAVLink_param_set_message(*target, name, value, kind)]
