@@ -21,7 +21,7 @@ from companion.guidance.tracking.emitters import EmitterQueue, QueueParams
 from companion.io.logs.log_files import damage_text
 from companion.io.radio_recording import RadioBytes, TimedPose, read_radio_recording
 from companion.link.radio_stage import RadioStage
-from companion.replay.walk_replay import TargetResult
+from companion.replay.walk_replay import TargetResult, result_of
 
 END_S = 10.0
 """Time after the last record at which all waiting measurements are due."""
@@ -91,7 +91,10 @@ def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
     lines = [*filter(None, [damage_text(path, "line", damaged)]), *_radio_lines(stages)]
     if not poses:
         return RadioReplay([*lines, *_unplaced_lines(targets)])
-    results = _results(targets, now_s)
+    results = [
+        result_of(target.queue.current, str(number), target.count, now_s)
+        for number, target in sorted(targets.items())
+    ]
     return RadioReplay([*lines, *map(_refusals, results)], results)
 
 
@@ -127,22 +130,3 @@ def _unplaced_lines(targets: dict[int, _Target]) -> list[str]:
         middle = f", median range {statistics.median(ranges_m):.2f} m" if ranges_m else ""
         lines.append(f"  emitter {number}: {target.count} measurements{middle}")
     return [*lines, "no estimate: no autopilot was connected, so positions are unknown"]
-
-
-def _results(targets: dict[int, _Target], now_s: float) -> list[TargetResult]:
-    results = []
-    for number, target in sorted(targets.items()):
-        tracker = target.queue.current
-        if tracker.params.window.enabled:
-            tracker.optimize(tracker.params.window.starts)
-        results.append(
-            TargetResult(
-                target_id=str(number),
-                rows=target.count,
-                accepted=tracker.accepted,
-                refused={reason.value: count for reason, count in tracker.rejected.items()},
-                estimate=tracker.estimate(now_s),
-                observability=tracker.health.observability,
-            )
-        )
-    return results

@@ -144,22 +144,27 @@ def replay_walk(
             progress(number)
     if not targets:
         raise ConfigError(f"{path}: has no rows below its header")
-    return [_result(target_id, target) for target_id, target in targets.items()]
+    return [
+        replace(
+            result_of(target.tracker, target_id, target.rows, target.last_s),
+            truth_enu_m=target.truth_enu_m,
+        )
+        for target_id, target in targets.items()
+    ]
 
 
-def _result(target_id: str, target: _Replayed) -> TargetResult:
-    tracker = target.tracker
+def result_of(tracker: TargetTracker, target_id: str, rows: int, now_s: float) -> TargetResult:
+    """Optimise once more over the whole window, and return the result."""
     if tracker.params.window.enabled:
         tracker.optimize(tracker.params.window.starts)
     return TargetResult(
         target_id=target_id,
-        rows=target.rows,
+        rows=rows,
         accepted=tracker.accepted,
         refused={reason.value: count for reason, count in tracker.rejected.items()},
-        estimate=tracker.estimate(target.last_s),
-        truth_enu_m=target.truth_enu_m,
+        estimate=tracker.estimate(now_s),
         observability=tracker.health.observability,
-        budget_m=tracker.budget(target.last_s),
+        budget_m=tracker.budget(now_s),
     )
 
 
