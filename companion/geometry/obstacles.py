@@ -34,7 +34,6 @@ from companion.geometry.polygons import (
     are_apart,
     are_within,
     contains,
-    depth_m,
     edges,
     nearest_on_segment,
     signed_area_m2,
@@ -77,21 +76,30 @@ class FreeSpace:
 
     def allows(self, point: Point) -> bool:
         """Return True if a point is free of every border by the margin; never on a border."""
-        least_m = max(self.margin_m, GRAZE_M)
-        if not all(depth_m(fence, point) >= least_m for fence in self._fences):
+        if not self._is_inside(point):
             return False
-        return all(-depth_m(polygon, point) >= least_m for polygon in self.keep_out_enu_m)
+        least_m = max(self.margin_m, GRAZE_M)
+        for edge in self._near(point, point, least_m + GRAZE_M):
+            if not math.dist(point, nearest_on_segment(*edge, point)) >= least_m:
+                return False
+        return True
 
     def is_clear(self, start: Point, end: Point) -> bool:
         """Return True if the whole straight leg keeps the margin, its ends included."""
-        if not all(contains(fence, start) for fence in self._fences):
-            return False
-        if any(contains(polygon, start) for polygon in self.keep_out_enu_m):
+        if not self._is_inside(start):
             return False
         reach_m = max(self.margin_m - GRAZE_M, GRAZE_M)
-        return not any(
-            are_within(reach_m, start, end, *edge) for edge in self._near(start, end, reach_m)
-        )
+        for edge in self._near(start, end, reach_m):
+            if are_within(reach_m, start, end, *edge):
+                return False
+        return True
+
+    def _is_inside(self, point: Point) -> bool:
+        """Return True if a point is inside of every fence and of no keep-out, at any distance."""
+        for fence in self._fences:
+            if not contains(fence, point):
+                return False
+        return not any(contains(polygon, point) for polygon in self.keep_out_enu_m)
 
     def _near(self, start: Point, end: Point, reach_m: float) -> list[Segment]:
         """Return the edges whose bounding box is within reach of a leg's: in practice few."""

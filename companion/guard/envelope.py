@@ -16,7 +16,7 @@ Standard library only.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from companion.geometry.polygons import Point
 
@@ -70,6 +70,8 @@ class Stopping:
     """Deceleration that the vehicle reaches in any case."""
     navigation_sigma_m: float
     """Standard deviation of its position, per axis."""
+    clearance_m: float = field(init=False, repr=False, compare=False)
+    """Distance to keep from every border, moving or not."""
 
     def __post_init__(self) -> None:
         """Refuse values that are not finite, negative, or without deceleration."""
@@ -79,11 +81,7 @@ class Stopping:
             raise ValueError("acceleration_mps2: must be a finite number above 0")
         if not 0.0 <= self.navigation_sigma_m < math.inf:
             raise ValueError("navigation_sigma_m: must be a finite number and not negative")
-
-    @property
-    def clearance_m(self) -> float:
-        """Distance to keep from every border, moving or not."""
-        return SIGMAS * self.navigation_sigma_m
+        object.__setattr__(self, "clearance_m", SIGMAS * self.navigation_sigma_m)
 
     def point(self, place: Point, velocity_mps: Point) -> Point:
         """Return the farthest point at which a body with this velocity stops."""

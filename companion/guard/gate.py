@@ -147,6 +147,7 @@ class Guard:
         fence, clearance_m = limits.fence, limits.stopping.clearance_m
         self._known = None if fence is None else (fence, fence.free_space(clearance_m))
         """The fence, and the area for the vehicle itself on its way to a setpoint."""
+        self._band_m = limits.altitude_m
 
     def here(self, motion: Motion) -> Guarded:
         """Return the setpoint "stay where you are", in the band; from outside it is then walked in.
@@ -223,7 +224,7 @@ class Guard:
             return GuardReason.JUMPED
         if not ways.is_clear(vehicle, step.start):
             return GuardReason.CUT_OFF
-        stop = limits.stopping.point(vehicle, _level(step.motion.velocity_enu_mps))
+        stop = limits.stopping.point(vehicle, step.motion.velocity_enu_mps[:2])
         if not ways.is_clear(vehicle, stop):
             return GuardReason.TOO_FAST
         return None if fence.allows(step.start) else GuardReason.MARGIN
@@ -234,7 +235,7 @@ class Guard:
         In the margin that is walked in meanwhile: a wind keeps a vehicle beside its setpoint. But
         never farther outside than the vehicle is.
         """
-        ve, vn = _level(step.motion.velocity_enu_mps)
+        ve, vn = step.motion.velocity_enu_mps[:2]
         passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn
         if why is not GuardReason.TOO_FAST or passed < 0.0:
             return Guarded(self.here(step.motion).position_enu_m, (why,))
@@ -280,7 +281,8 @@ class Guard:
     # The next setpoint
 
     def _in_band(self, up_m: float, motion: Motion, reasons: list[GuardReason]) -> float:
-        low_m, high_m = (motion.home_enu_m[2] + height_m for height_m in self.limits.altitude_m)
+        home_up_m = motion.home_enu_m[2]
+        low_m, high_m = home_up_m + self._band_m[0], home_up_m + self._band_m[1]
         if not low_m <= up_m <= high_m:
             reasons.append(GuardReason.ALTITUDE)
         return min(max(up_m, low_m), high_m)
@@ -318,7 +320,7 @@ class Guard:
     def _velocity(self, step: _Step, goal: Point, fence: Fence) -> Point:
         """Return the velocity towards the goal, within the envelope and the stopping distance."""
         envelope, stopping = self.limits.envelope, self.limits.stopping
-        before, left_m = _level(step.previous.velocity_enu_mps), math.dist(step.start, goal)
+        before, left_m = step.previous.velocity_enu_mps[:2], math.dist(step.start, goal)
         if left_m == 0.0:
             return envelope.next_velocity(before, (0.0, 0.0), step.dt_s)
         east, north = (goal[0] - step.start[0]) / left_m, (goal[1] - step.start[1]) / left_m
@@ -331,7 +333,7 @@ class Guard:
         )
         lead = (step.start[0] - step.vehicle[0], step.start[1] - step.vehicle[1])
         if lead[0] * east + lead[1] * north > 0.0:
-            ve, vn = _level(step.motion.velocity_enu_mps)
+            ve, vn = step.motion.velocity_enu_mps[:2]
             room_m = max(0.0, envelope.step_m - math.hypot(*lead))
             pace_mps = max(0.0, ve * east + vn * north) + stopping.speed_mps(room_m, step.dt_s)
             if pace_mps < speed_mps:
@@ -344,7 +346,7 @@ class Guard:
     ) -> bool:
         """Return True if a setpoint may be the last one; see the theory of operation."""
         stopping = self.limits.stopping
-        arrival = ahead(step.vehicle, _level(step.motion.velocity_enu_mps), stopping.latency_s)
+        arrival = ahead(step.vehicle, step.motion.velocity_enu_mps[:2], stopping.latency_s)
         return (
             fence.allows(place)
             and ways.is_clear(place, stopping.point(place, velocity))
@@ -355,9 +357,10 @@ class Guard:
 
 def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: float) -> bool:
     """Return True if all inputs of a setpoint are numbers within the range of a local frame."""
-    values = (*motion.position_enu_m, *motion.velocity_enu_mps, *motion.home_enu_m)
-    are_near = all(abs(value) <= FARTHEST_M for value in values)
-    return are_near and all(map(math.isfinite, (*goal, dt_s))) and speed_cap_mps >= 0.0
+    for value in (*motion.position_enu_m, *motion.velocity_enu_mps, *motion.home_enu_m):
+        if not abs(value) <= FARTHEST_M:
+            return False
+    return all(map(math.isfinite, (*goal, dt_s))) and speed_cap_mps >= 0.0
 
 
 def _outside_m(place: Sequence[float], fence: Fence) -> float:
@@ -367,8 +370,4 @@ def _outside_m(place: Sequence[float], fence: Fence) -> float:
 
 
 def _are_finite(*vectors: Position) -> bool:
-    return all(math.isfinite(value) for vector in vectors for value in vector)
-
-
-def _level(velocity_enu_mps: Position) -> Point:
-    return velocity_enu_mps[0], velocity_enu_mps[1]
+    return all(all(map(math.isfinite, vector)) for vector in vectors)

@@ -7,12 +7,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from companion.geometry.obstacles import (
+    GRAZE_M,
     FreeSpace,
     between,
     moved_left,
     share_in_capsule,
 )
-from companion.geometry.polygons import Point, nearest_on_segment
+from companion.geometry.polygons import Point, depth_m, nearest_on_segment
 
 SQUARE = ((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))
 HOUSE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))
@@ -61,6 +62,14 @@ def spaces(draw: st.DrawFn) -> FreeSpace:
 def test_free_is_inside_and_outside_by_the_margin(point: Point, allowed: bool) -> None:
     assert FreeSpace(SQUARE, [HOUSE], 2.0).allows(point) is allowed
     assert FreeSpace(SQUARE[::-1], [HOUSE[::-1]], 2.0).allows(point) is allowed
+
+
+@given(spaces(), places)
+def test_only_edges_nearby_decide_and_that_is_enough(space: FreeSpace, point: Point) -> None:
+    fences = space.borders[: len(space.borders) - len(space.keep_out_enu_m)]
+    depths_m = [depth_m(fence, point) for fence in fences]
+    depths_m += [-depth_m(keep_out, point) for keep_out in space.keep_out_enu_m]
+    assert space.allows(point) is all(depth >= max(space.margin_m, GRAZE_M) for depth in depths_m)
 
 
 @pytest.mark.parametrize("point", [HOUSE[0], HOUSE[2], (15.0, 10.0), (0.0, 20.0), SQUARE[1]])
