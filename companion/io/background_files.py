@@ -26,10 +26,10 @@ from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterThread
 logger = logging.getLogger("companion.io")
 
 MAX_QUEUED = 10_000
-GATHER_S = 0.25
-"""A thread that wakes for each record takes the interpreter from the control tick a hundred times
-a second. Records reach the disk once a second anyway."""
 SYNC_PERIOD_S = 1.0
+GATHER_S = SYNC_PERIOD_S
+"""A thread that wakes for each record takes the interpreter from the control tick a hundred times
+a second. Records reach the disk once in this time anyway."""
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 
 
