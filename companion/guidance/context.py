@@ -142,7 +142,7 @@ class SessionContext:
         self.reasons: Counter[Reason] = Counter()
         """Number of times that each reason became the worst finding."""
         self._is_stopping = False
-        self._finding_messages = FindingMessages()
+        self.finding_messages = FindingMessages()
         self._commands: list[Command] = []
         self._is_control_change = False
         """True if control began or ended since commands were taken last."""
@@ -175,7 +175,7 @@ class SessionContext:
         if phase in OUT_OF_CONTROL:
             self.withdraw()
         if phase not in IN_CONTROL:
-            self._finding_messages = FindingMessages()
+            self.finding_messages = FindingMessages()
         if not (left in IN_CONTROL and phase in STREAMING):
             self.steering.forget_setpoint()
         if trigger is Trigger.MODE_GIVEN:
@@ -216,15 +216,10 @@ class SessionContext:
         self._is_stopping = True
         return self.enter(Trigger.STOP, now_s) and self.authority.phase is Phase.HANDBACK
 
-    @property
-    def announced_finding(self) -> Finding | None:
-        """The finding that was announced last; None: that nothing is wrong."""
-        return self._finding_messages.announced
-
     def record_finding(self, finding: Finding | None, now_s: float) -> bool:
         """Record the current finding, or None; return True if it has to be announced."""
         self.finding = finding
-        if not self._finding_messages.take(finding, now_s):
+        if not self.finding_messages.take(finding, now_s):
             return False
         if finding is not None:
             self.reasons[finding.reason] += 1

@@ -70,16 +70,16 @@ class Reporting:
         if self._final is not None:
             self._ask_again(*self._final, now_s)
         context, params = self._context, self._context.params
-        heard_s = context.tracker.last_accepted_s
+        heard_s = context.emitters.current.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
-        is_reportable = is_fresh and context.tracker.params.is_range_calibrated
+        is_reportable = is_fresh and context.emitters.current.params.is_range_calibrated
         flown = context.estimate if context.authority.phase in FLYING and is_reportable else None
         head = self._head(flown, heard_s, now_s)
         if head is not None and flown is not None:
             if head is SETTLED:
                 text = f"stop radius out of reach: relative R95 settled at {flown.r95_m:.2g} m"
                 context.announce(Severity.NOTICE, text)
-            self._report(context.tracker, flown, head)
+            self._report(context.emitters.current, flown, head)
             if context.emitters.report_current():
                 self._stop_rule.reset()
                 self._settled_rule.reset()
@@ -406,7 +406,7 @@ class ControlTick:
         context = self._context
         if finding is not None and finding.verdict is Verdict.HAND_BACK:
             finding = self._handover.hold_if_unconfirmed(finding, now_s)
-        before = context.announced_finding
+        before = context.finding_messages.announced
         is_new = context.record_finding(finding, now_s)
         if finding is None:
             if context.authority.phase is not Phase.NORMAL and context.enter(

@@ -137,7 +137,8 @@ class GuidanceSession:
         elif isinstance(event, events.TimeLeft):
             self._measuring.go_on(event.time_s)
         elif isinstance(event, events.TimerFired):
-            self.vehicle.tick(event.heard_s, event.time_s)
+            self.vehicle.heard_s = event.heard_s
+            self.vehicle.mode_watch.tick(event.time_s)
             if self._recollection.waiting:
                 self._recollection.advance(event.time_s)
             self._control.run(event.time_s)

@@ -301,8 +301,8 @@ class CompanionEndpoint:
     def _receive_on_vehicle_link(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
         """Process a frame on the vehicle link; the log has no room for every unknown peer's."""
         binding = self.binding
-        was_bound, is_peer = binding.is_bound, chunk.peer == binding.peer
-        if binding.is_keyed or not was_bound or is_peer:
+        is_peer = chunk.peer == binding.peer
+        if is_peer or binding.is_keyed or binding.bound is None:
             self._journal.frame(frame, now_s)
         if message_id(frame) in UNREAD:
             if self.authenticity.is_proved(frame):
@@ -314,9 +314,9 @@ class CompanionEndpoint:
         is_ours = binding.recognise(message, chunk.peer, now_s)
         self._note_binding(now_s)
         if is_ours:
-            phase = self.session.phase
+            phase = self.session.authority.phase
             self.executor.receive(message, now_s)
-            if self.session.phase is not phase:
+            if self.session.authority.phase is not phase:
                 self._note_control(now_s)
         is_peer = chunk.peer == binding.peer
         if is_peer and isinstance(message, ParamRequest | AddressedCommand):
@@ -334,9 +334,8 @@ class CompanionEndpoint:
 
     def _note_control(self, now_s: float) -> None:
         """Report to the binding whether we have control."""
-        session = self.session
-        has_vehicle = session.phase in HAS_VEHICLE or session.phase is Phase.LAUNCHING
-        is_armed = session.vehicle.is_armed
+        phase, is_armed = self.session.authority.phase, self.session.vehicle.is_armed
+        has_vehicle = phase in HAS_VEHICLE or phase is Phase.LAUNCHING
         self.binding.note_control(now_s, is_in_control=has_vehicle, is_armed=is_armed)
 
     def _note_binding(self, now_s: float) -> None:

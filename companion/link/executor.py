@@ -72,6 +72,8 @@ class SessionExecutor:
 
     def tick(self, now_s: float) -> None:
         """Send the request that is due, or abandon it."""
+        if self._requests.pending is None:
+            return
         due = self._requests.due(now_s)
         if isinstance(due, RequestAnswered):
             self.handle(due, now_s)

@@ -29,7 +29,7 @@ is there.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 
 from companion.guidance.commands import Announce, Severity
@@ -184,27 +184,27 @@ class Intake:
         self.budget = FloodBudget()
         self._binding = binding
 
-    def take(self, chunk: Chunk) -> Iterator[bytes]:
-        """Yield the verified frames of a chunk, or a raw chunk as it is, within the budget."""
+    def take(self, chunk: Chunk) -> list[bytes]:
+        """Return the verified frames of a chunk, or a raw chunk as it is, within the budget."""
         if self.is_raw:
-            if self.budget.spend_raw(len(chunk.data)):
-                yield chunk.data
-            return
+            return [chunk.data] if self.budget.spend_raw(len(chunk.data)) else []
         codec, spend, peer, binding = self.codec, self.budget.spend, chunk.peer, self._binding
         is_known = not chunk.is_datagram or (
-            binding is not None and binding.is_bound and peer == binding.peer
+            binding is not None and binding.bound is not None and peer == binding.peer
         )
         is_free = is_known and _is_heartbeat(chunk) and self.budget.spend_heartbeat()
+        frames: list[bytes] = []
         if not (is_free or spend(Resource.BYTES, len(chunk.data), peer, is_known=is_known)):
-            return
+            return frames
         for frame in codec.splitter.split(chunk.data, is_datagram=chunk.is_datagram):
             if not (is_free or spend(Resource.FRAMES, 1, peer, is_known=is_known)):
-                return
+                break
             if not codec.proves(frame):
                 continue
             if not (is_free or spend(Resource.MESSAGES, 1, peer, is_known=is_known)):
-                return
-            yield frame
+                break
+            frames.append(frame)
+        return frames
 
 
 def _is_heartbeat(chunk: Chunk) -> bool:

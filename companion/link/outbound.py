@@ -58,23 +58,24 @@ class RequestClient:
     """Request in flight; a new one replaces it, because only the latest counts."""
 
     def __init__(self) -> None:
-        self._pending: _Pending | None = None
+        self.pending: _Pending | None = None
+        """Request without an answer yet; None: there is none."""
 
     def submit(self, kind: RequestKind, command: VehicleCommand, target: Ids) -> None:
         """Start a request with the next call of `due`."""
-        self._pending = _Pending(kind, command, target)
+        self.pending = _Pending(kind, command, target)
 
     def cancel(self) -> None:
         """Forget the request in flight."""
-        self._pending = None
+        self.pending = None
 
     def due(self, now_s: float) -> Message | RequestAnswered | None:
         """Return the message to send now, or the failure of a request without answer."""
-        pending = self._pending
+        pending = self.pending
         if pending is None or now_s < pending.next_s:
             return None
         if pending.sends >= SENDS:
-            self._pending = None
+            self.pending = None
             return RequestAnswered(now_s, pending.kind, Outcome.NO_ANSWER)
         if pending.first_s is None:
             pending.first_s = now_s
@@ -87,7 +88,7 @@ class RequestClient:
         self, ack: mavlink.MAVLink_command_ack_message, now_s: float
     ) -> RequestAnswered | None:
         """Return the result of the request in flight by an ACK of the autopilot, if final."""
-        pending = self._pending
+        pending = self.pending
         if pending is None or pending.sends == 0 or ack.command != pending.command.number:
             return None  # not sent yet: the answer belongs to a request that was replaced
         if ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
@@ -95,7 +96,7 @@ class RequestClient:
             last_s = now_s if pending.first_s is None else pending.first_s + MAX_PROGRESS_S
             pending.next_s = min(now_s + IN_PROGRESS_S, last_s)
             return None
-        self._pending = None
+        self.pending = None
         if ack.result == mavlink.MAV_RESULT_ACCEPTED:
             return RequestAnswered(now_s, pending.kind, Outcome.ACCEPTED)
         name = result_words("MAV_RESULT", ack.result, "MAV_RESULT_")

@@ -237,7 +237,7 @@ class FloodShield:
 
     def tick(self, now_s: float) -> None:
         """Note whether anything was over budget."""
-        dropped = self._intake.budget.dropped_unread
+        dropped = sum(self._intake.budget.dropped)
         if dropped > self._dropped:
             self._dropped = dropped
             self._flooded_s = now_s

@@ -99,9 +99,13 @@ class FrameSplitter:
         if len(data) < HEADER_LENGTH[MAGIC_V2] or data[0] != MAGIC_V2:
             return False
         crc_extra = self._crc_extra_by_id.get(data[7] | data[8] << 8 | data[9] << 16)
-        if crc_extra is None or data[2] & ~INCOMPAT_SIGNED or frame_end(data, 0) != len(data):
+        if crc_extra is None or data[2] & ~INCOMPAT_SIGNED:
             return False
-        return has_good_crc(data, crc_extra)
+        at = HEADER_LENGTH[MAGIC_V2] + data[1]
+        end = at + CRC_LENGTH + (SIGNATURE_LENGTH if data[2] else 0)
+        if end != len(data):
+            return False
+        return crc16.mcrf4xx(data[1:at] + bytes((crc_extra,))) == data[at] | data[at + 1] << 8
 
     def take_unknown(self) -> list[bytes]:
         """Return unverified frames of unknown messages since the last call."""

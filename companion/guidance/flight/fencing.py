@@ -220,9 +220,12 @@ class Fencing:
 
     def set_home(self, home_enu_m: Point) -> None:
         """Set the autopilot's home, east and north; in the air a circle about the old one stays."""
-        before, circle = self._home_enu_m, self._circle
+        before = self._home_enu_m
+        if before == home_enu_m:
+            return
+        circle = self._circle
         self._home_enu_m = home_enu_m
-        if self._limits.radius_m is None or before == home_enu_m:
+        if self._limits.radius_m is None:
             return
         if self._is_airborne and before and math.dist(before, home_enu_m) > TOLERANCE_M:
             self._flown += circle

@@ -159,6 +159,7 @@ class VehicleView:
         self.landed = LandedState.UNKNOWN
         self._landed_s = -math.inf
         self.heard_s: float | None = None
+        """Time of the autopilot's last frame, as of the last control tick or HEARTBEAT."""
         self.distance_m = 0.0
         """Distance flown while armed, climbs included."""
         self._counted_at: PositionEnu | None = None
@@ -191,11 +192,6 @@ class VehicleView:
                 self.landed, self._landed_s = event.landed, event.time_s
             case events.IdentityDoubted():
                 self.identity_problem = event.problem
-
-    def tick(self, heard_s: float | None, now_s: float) -> None:
-        """Note at a control tick when the autopilot was heard, and what its silence means."""
-        self.heard_s = heard_s
-        self.mode_watch.tick(now_s)
 
     def forget(self) -> None:
         """Drop all state that a restart of the autopilot invalidates."""

@@ -75,7 +75,7 @@ class InputWatch(Watch):
         elif self._lost is not None:
             self._watch_return(now_s)
         context = self._context
-        estimate, heard_s = context.estimate, context.tracker.last_accepted_s
+        estimate, heard_s = context.estimate, context.emitters.current.last_accepted_s
         if heard_s is None or now_s - heard_s > context.params.ranging_timeout_s:
             self._is_dropout, self._agreed = True, 0
         elif self._agreed >= AGREEING:
@@ -99,7 +99,7 @@ class InputWatch(Watch):
         It is 1 while a pattern is searched, which uses no estimate.
         """
         context = self._context
-        estimate, heard_s = context.estimate, context.tracker.last_accepted_s
+        estimate, heard_s = context.estimate, context.emitters.current.last_accepted_s
         if estimate is None or heard_s is None or self._is_searching(now_s):
             return 1.0
         age_s = now_s - heard_s
@@ -145,7 +145,7 @@ class InputWatch(Watch):
         if age_s > params.ranging_timeout_s:
             text = f"no ranging for {params.ranging_timeout_s:g} s"
             return Finding(Verdict.HOLD, Reason.NO_RANGING, text)
-        objection = self._context.tracker.objection(now_s)
+        objection = self._context.emitters.current.objection(now_s)
         if objection is not None:
             is_unit = objection in (Objection.RANGE_UNIT, Objection.BEARING_UNIT)
             reason = Reason.WRONG_UNIT if is_unit else Reason.FILTER_DIVERGED
