@@ -36,6 +36,7 @@ from tools.study.reporting.study_tables import (
 from tools.study.reporting.tables import tables_of
 from tools.study.searched_area import Trial
 from tools.study.searched_area import fly as fly_search
+from tools.study.searched_prior import FixPair, fly_pair, table_of_pairs
 from tools.study.study import FlightRow, ResultRow, Study, StudyResult
 from tools.study.study_run import (
     FOLDER_NAME,
@@ -62,6 +63,8 @@ def main() -> int:
         check_folder(out)
         if arguments.study == AREA:
             return run_area(arguments, out)
+        if arguments.study == PRIOR:
+            return run_prior(arguments, out)
         if arguments.study == SEARCH:
             return run_search(arguments, out)
         studies = studies_of(arguments.study, STUDIES)
@@ -91,7 +94,9 @@ def parsed() -> argparse.Namespace:
     """Return the parsed command line."""
     parser = OneLineParser(description=__doc__)
     parser.add_argument(
-        "study", metavar="STUDY", help="a name in configs/studies, a YAML file, area or search"
+        "study",
+        metavar="STUDY",
+        help="a name in configs/studies, a YAML file, area, search or prior",
     )
     parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
     parser.add_argument("--seed", type=non_negative, default=1)
@@ -192,6 +197,28 @@ def run_search(arguments: argparse.Namespace, out: Path) -> int:
     print(table, end="")
     if not is_met:
         print("run_study: the planner `probability` exceeds a limit", file=sys.stderr)
+    return 0 if is_met else 1
+
+
+PRIOR, PRIOR_FLIGHTS = "prior", 300
+"""Two thirds of them have a contact after a search."""
+
+
+def run_prior(arguments: argparse.Namespace, out: Path) -> int:
+    """Fly searches to their first fix, with and without what was searched in vain."""
+    runs = arguments.runs or PRIOR_FLIGHTS
+    flown: dict[int, FixPair] = {}
+    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
+        for number, pair in pool.results(partial(fly_pair, seed=arguments.seed), range(runs)):
+            if pair is not None:
+                flown[number] = pair
+            on_done(1.0)
+    make_folder(out)
+    table, is_met = table_of_pairs([flown[number] for number in sorted(flown)])
+    write_text_atomic(out / "prior.txt", table)
+    print(table, end="")
+    if not is_met:
+        print("run_study: the searched prior delays a fix", file=sys.stderr)
     return 0 if is_met else 1
 
 

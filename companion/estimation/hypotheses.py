@@ -32,7 +32,10 @@ from companion.estimation.window.map_kernels import AXES, VALUES
 from companion.geometry.coordinates import wrap_pi
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
+from companion.search.search_prior import SearchPrior
 
+AMBIGUOUS_PROBABILITY = 0.05
+"""Probability of a second hypothesis from which the estimate is ambiguous."""
 RING_SIZE = 24
 """Hypotheses on the ring around a first range: one every 15 degrees."""
 RAY_SIZE = 8
@@ -177,6 +180,24 @@ def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
     weights: Vector = np.exp(logs - logs.max())
     normalised: Vector = weights / weights.sum()
     return normalised
+
+
+def with_prior(
+    hypotheses: tuple[Hypothesis, ...], prior: SearchPrior | None
+) -> tuple[Hypothesis, ...]:
+    """Return hypotheses with the prior in their weights, which are of measurements alone.
+
+    They are best first. Where measurements alone have decided for one place, the prior does not
+    count: it never delays a decision.
+    """
+    if prior is None or len(hypotheses) == 1:
+        return hypotheses
+    if np.count_nonzero(probabilities(hypotheses) >= AMBIGUOUS_PROBABILITY) == 1:
+        return hypotheses
+    weighted = [
+        replace(h, log_weight=h.log_weight + prior.log_at(h.place_enu_m)) for h in hypotheses
+    ]
+    return tuple(sorted(weighted, key=lambda h: -h.log_weight))
 
 
 def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from companion.domain import EstimateState, TargetEstimate
-from companion.estimation.hypotheses import Hypothesis, probabilities
+from companion.estimation.hypotheses import AMBIGUOUS_PROBABILITY, Hypothesis, probabilities
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET, RangingModel
 from companion.estimation.window.shared_errors import NO_ERRORS, SharedErrors
 from companion.kernel import Matrix, Vector, frozen, kernel
@@ -46,8 +46,6 @@ _PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
 _COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
 """Squared cosines and sines of those directions."""
 
-AMBIGUOUS_PROBABILITY = 0.05
-"""Probability of a second hypothesis from which the estimate is ambiguous."""
 LEAST_ASIDE_M = 10.0
 """Shortest detour that is asked for; shorter ones do not separate mirror images."""
 MAX_AMBIGUOUS = 3

@@ -43,6 +43,7 @@ from companion.estimation.hypotheses import (
     first_hypotheses,
     shift_hypothesis,
     state_step,
+    with_prior,
 )
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
@@ -65,6 +66,7 @@ from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, shared_sigmas
 from companion.estimation.window.window_map import WindowParams
+from companion.search.search_prior import SearchPrior
 
 
 class EstimationConfig(Params, frozen=True):
@@ -160,6 +162,8 @@ class TargetTracker:
         self._optimizer = WindowOptimizer(self._filter.params, params.window, storage_params)
         self._shared = NO_ERRORS
         self._kept_estimate = KeptEstimate()
+        self.prior: SearchPrior | None = None
+        """What a search in vain has left of the area at first contact; None: nothing is known."""
         self._moves = 0
         """Number of frame shifts and resets; steps that began before the latest are abandoned."""
         self._noise = InnovationNoise.starting(params.initial_inflation)
@@ -264,8 +268,11 @@ class TargetTracker:
         return FusionReport(None, bank.reports[0], agrees=gate.agrees)
 
     def _start(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
-        self.hypotheses = first_hypotheses(
-            measurement, sensor_enu_m, self.params.effective_filter, self.params.hypotheses
+        self.hypotheses = with_prior(
+            first_hypotheses(
+                measurement, sensor_enu_m, self.params.effective_filter, self.params.hypotheses
+            ),
+            self.prior,
         )
 
     def _restart(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
@@ -299,6 +306,7 @@ class TargetTracker:
             is_white=self._noise.is_white,
             fresh_starts=fresh_starts,
         )
+        self.hypotheses = with_prior(self.hypotheses, self.prior)
         params, is_auto = self._filter.params, self.antenna is not None
         sigmas = shared_sigmas(params, self.own, self._best_own_m, is_auto=is_auto)
         self._shared = self._optimizer.shared(self.hypotheses[0], sigmas)
@@ -321,6 +329,7 @@ class TargetTracker:
         self.last_accepted_s = None
         self.raised_m = 0.0
         self.own, self._best_own_m = None, math.inf
+        self.prior = None
 
     def _forget_place(self) -> None:
         self._moves += 1
@@ -341,6 +350,7 @@ class TargetTracker:
         step = state_step(self._filter.params, shift_enu_m[:2], turn_rad)
         self.raised_m += shift_enu_m[2]
         self.hypotheses = tuple(shift_hypothesis(h, step, sigma_m) for h in self.hypotheses)
+        self.prior = None if self.prior is None else self.prior.moved(shift_enu_m[:2])
         self._optimizer.move(shift_enu_m[:2], step)
         self.watch.move(shift_enu_m[:2], step, self._filter.params)
         self._screen.forget_motion()

@@ -124,6 +124,7 @@ class SessionContext:
         self.guard = guard
         self.vehicle = VehicleView(needs_origin=needs_origin)
         self.searching = searching or Searching()
+        emitters.search_prior = lambda: self.searching.prior(self.vehicle.frame)
         self.flight_plan = FlightPlan(planner, guard, emitters, self.searching, params.altitude_m)
         self.fencing = fencing
         self.steering = Steering(guard, params.altitude_m)

@@ -15,6 +15,7 @@ from companion.geometry.polygons import Corners
 from companion.guidance.flight.vehicle import VehicleView
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
+from companion.search.search_prior import SearchPrior
 from companion.search.search_site import SearchSite, grid_of_site
 from companion.search.searched_area import SearchedArea, SearchState, state_of
 from companion.search.searched_flight import (
@@ -55,6 +56,7 @@ class Searching:
         self._track: list[tuple[float, float, float, float]] = []
         self._state: tuple[float, SearchState] | None = None
         self._outlook: tuple[float, Outlook] | None = None
+        self._prior: tuple[float, SearchPrior] | None = None
         self.listened_s = 0.0
         """Time in the air that counts."""
         self.ended_s = 0.0
@@ -152,6 +154,17 @@ class Searching:
         if self._outlook is None or now_s - self._outlook[0] >= STATE_EVERY_S:
             self._outlook = (now_s, outlook_of(self._area))
         return self._outlook[1]
+
+    def prior(self, frame: LocalOrigin | None) -> SearchPrior | None:
+        """Return where the emitter may be, at first contact; None: nothing is known in this frame.
+
+        It is at most seconds old, by control ticks alone, so that a replay has the same.
+        """
+        if self._area is None or not self.is_worth_reporting or frame != self._origin:
+            return None
+        if self._prior is None or self._ticked_s - self._prior[0] >= STATE_EVERY_S:
+            self._prior = (self._ticked_s, SearchPrior.of(state_of(self._area)))
+        return self._prior[1]
 
     def finish(self) -> None:
         """Complete all work on the cells, at the end of the flight."""

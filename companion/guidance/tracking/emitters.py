@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal
 
 import msgspec
@@ -22,6 +23,7 @@ from companion.estimation.screening.measurement_screen import RejectReason, reje
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.geometry.polygons import Point
+from companion.search.search_prior import SearchPrior
 
 Order = Literal["first", "nearest", "strongest", "listed"]
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
@@ -67,6 +69,8 @@ class EmitterQueue:
         self._tracker_params = trackers
         self._strengths: dict[int, float] = {}
         self.reported: set[int] = set()
+        self.search_prior: Callable[[], SearchPrior | None] = lambda: None
+        """Source of the prior of an emitter at its first measurement."""
         self._deferred: list[int] = []
         """Emitters that were current and got lost, the longest ago first."""
         self._place: Point = (0.0, 0.0)
@@ -143,6 +147,7 @@ class EmitterQueue:
     ) -> Steps[FusionReport]:
         """Fuse a measurement of any emitter, its bearing in ENU, from the antenna's position."""
         if self.is_single:
+            self._set_prior(self.current)
             return (yield from self.current.fuse.steps(measurement, sensor_enu_m, now_s, own))
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is None:
@@ -151,11 +156,17 @@ class EmitterQueue:
             if reason is not None:
                 return self.current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
+        self._set_prior(tracker)
         report = yield from tracker.fuse.steps(measurement, sensor_enu_m, now_s, own)
         if report.reject_reason is None and sensor_enu_m is not None:
             self._place = sensor_enu_m[:2]
             self._note_strength(measurement)
         return report
+
+    def _set_prior(self, tracker: TargetTracker) -> None:
+        """Pass what the search has left, until the first measurement is accepted."""
+        if tracker.accepted == 0:
+            tracker.prior = self.search_prior()
 
     def choose(self, now_s: float, *, is_flying: bool) -> None:
         """Choose the current emitter; in flight it stays if it can."""

@@ -10,9 +10,8 @@ import pytest
 
 from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy, TargetEstimate
 from companion.estimation.filters.target_filter import FilterParams, FilterState
-from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.hypotheses import AMBIGUOUS_PROBABILITY, Hypothesis
 from companion.estimation.target_estimate import (
-    AMBIGUOUS_PROBABILITY,
     MAX_AMBIGUOUS,
     KeptEstimate,
     aside_of_m,
