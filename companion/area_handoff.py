@@ -23,7 +23,7 @@ from companion.handoff import NAMESPACE, utc_text
 from companion.search.detection_model import DetectionModel
 from companion.search.outlines import gaps_of, outlines
 from companion.search.searched_area import SearchState
-from companion.search.searched_flight import GOOD_POD, SearchedFlight, statement
+from companion.search.searched_flight import GOOD_POD, SearchedFlight, reach_source, statement
 
 RECORD, GEOJSON, KML = "searched_area.json", "searched_area.geojson", "searched_area.kml"
 PNG, GPX, TEXT = "searched_area.png", "searched_area.gpx", "searched_area.txt"
@@ -66,7 +66,8 @@ def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str
         "listened_s": flight.listened_s,
         "is_radio_heard": flight.is_radio_heard,
         "assumptions": None if flight.detection is None else _assumptions(flight.detection),
-        "reach_source": None if flight.detection is None else "configured: search.detection",
+        "reach_source": reach_source(flight),
+        "reach_learnt": None if flight.learnt is None else msgspec.to_builtins(flight.learnt),
         "track": _track(flight),
         "unix_s": flight.ended_unix_s,
     }

@@ -187,6 +187,7 @@ class Reporting:
         height_m, origin = tracker.target_height_m, context.vehicle.origin
         result, text = result_of(estimate, origin, height_m, tracker.emitter_id, head)
         context.report(result)
+        context.searching.learn(tracker.emitter_id, estimate.position_enu_m, context.vehicle)
         for each in (text, *radius_texts(estimate)):
             context.announce(Severity.NOTICE, each)
 
@@ -293,10 +294,16 @@ class ControlTick:
         """Count the time in which the radio listens, until there is contact."""
         context, fence = self._context, self._context.guard.limits.fence
         is_heard = context.estimate is not None or context.emitters.accepted > 0
-        if is_heard and context.searching.contact_s is not None:
+        if is_heard and context.searching.is_over:
             return
         area = None if fence is None else tuple(fence.polygon_enu_m)
-        problem = context.searching.tick(now_s, context.vehicle, area, is_heard=is_heard)
+        problem = context.searching.tick(
+            now_s,
+            context.vehicle,
+            area,
+            is_heard=is_heard,
+            heard_id=context.tracker.emitter_id,
+        )
         if problem is not None:
             context.warn(f"no searched area: {problem}")
 

@@ -51,7 +51,7 @@ from companion.io.state.checkpoints import (
 from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterThread
 from companion.link.endpoint import CompanionEndpoint
 from companion.search.searched_area import SearchState
-from companion.search.searched_flight import SearchedFlight, statement
+from companion.search.searched_flight import SearchedFlight, searched_again, statement
 
 log = logging.getLogger("companion.run")
 
@@ -293,8 +293,8 @@ class SearchKeeper(WriterThread[Snapshot]):
         self._session = session
         self._journal = journal
         self._next_s: float | None = None
-        self._written: tuple[float, float | None] | None = None
-        """Seconds listened and time of contact of what was written last."""
+        self._written: tuple[float, float | None, bool] | None = None
+        """Seconds listened, time of contact, and True with a learnt reach, as written last."""
         self._now_s = 0.0
         super().__init__("write searched area", MAX_QUEUED)
 
@@ -316,7 +316,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         if flight is None:
             return None
         snapshot = (flight, searching.state(self._now_s))
-        present = (searching.listened_s, searching.contact_s)
+        present = (searching.listened_s, searching.contact_s, flight.learnt is not None)
         if present != self._written:
             self._written = present
             self.append(snapshot)
@@ -333,6 +333,8 @@ class SearchKeeper(WriterThread[Snapshot]):
     def write_batch(self, batch: list[Snapshot]) -> None:
         """Write the newest."""
         flight, state = batch[-1]
+        if flight.learnt is not None:  # on this thread: it takes seconds
+            state = searched_again([flight])
         text = json.dumps(plain(result_fields(flight, state)), allow_nan=False, indent=2)
         self._journal.result_of_search(text.encode() + b"\n")
         for name, content in area_files(flight, state).items():

@@ -94,8 +94,8 @@ class SearchedArea:
 
     def __init__(self, grid: SearchGrid, model: DetectionModel) -> None:
         self.grid, self.model = grid, model
-        self._table = MissTable(model)
-        self._spread = self._table.spread_matrix()
+        self.table = MissTable(model)
+        self._spread = self.table.spread_matrix()
         self._centres = grid.centres_enu_m
         cells = len(grid.poa)
         self._left = np.zeros((cells, len(NODE_WEIGHTS)), dtype=np.float32)
@@ -145,6 +145,11 @@ class SearchedArea:
         """Squares of the shadowing's correlation length that were listened from."""
         return self._places.keys()
 
+    @property
+    def has_work(self) -> bool:
+        """True if `advance` has something to do."""
+        return bool(self._work)
+
     def advance(self) -> bool:
         """Do one piece of the work that waits; False: there is none."""
         if not self._work:
@@ -152,8 +157,8 @@ class SearchedArea:
         piece = self._work.popleft()
         self._here_square = piece.square
         if piece.place_m is not None:
-            index = self._table.index_of(self.model.margin_db(self._centres, piece.place_m))
-            self._here += np.float32(piece.answers) * self._table.rows[index]
+            index = self.table.index_of(self.model.margin_db(self._centres, piece.place_m))
+            self._here += np.float32(piece.answers) * self.table.rows[index]
             np.maximum(self._here, np.float32(LEAST_LOG), out=self._here)
         elif piece.is_return:
             self._left -= self._counted()

@@ -12,6 +12,7 @@ import numpy as np
 from companion.domain import Params, PositionEnu, Positive
 from companion.geometry.coordinates import LocalOrigin
 from companion.search.detection_model import DetectionModel
+from companion.search.learnt_reach import LearntReach
 from companion.search.outlines import gaps_of
 from companion.search.search_grid import SearchGrid
 from companion.search.searched_area import Look, SearchedArea, SearchState, state_of
@@ -79,6 +80,8 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     """True if the radio sent anything in this flight; if not, perhaps it never listened."""
     origin: LocalOrigin | None
     detection: DetectionModel | None = None
+    learnt: LearntReach | None = None
+    """Reach as the first contact showed it; None: as configured."""
     grid: StoredGrid | None = None
     looks: list[tuple[float, float, float, float]] = []
     """East, north, height and number of answers."""
@@ -90,18 +93,22 @@ def searched_again(flights: Sequence[SearchedFlight]) -> SearchState | None:
     """Return what flights have searched together, over the grid of the first one.
 
     None: nothing can be stated, because it has no grid or model. Flights of other origins are moved
-    by the difference of the origins.
+    by the difference of the origins. What a contact showed of the reach holds for all flights that
+    assumed the same.
     """
     first = flights[0]
     if first.grid is None:
         return None
     grid = first.grid.grid()
+    learnt = {flight.detection: flight.learnt for flight in flights if flight.learnt is not None}
     areas: dict[DetectionModel, SearchedArea] = {}
     for flight in flights:
         if flight.detection is None:
             continue
         if flight.detection not in areas:
-            areas[flight.detection] = SearchedArea(grid, flight.detection)
+            shown = learnt.get(flight.detection)
+            model = flight.detection if shown is None else shown.model(flight.detection)
+            areas[flight.detection] = SearchedArea(grid, model)
         shift = _shift_m(flight.origin, first.origin)
         areas[flight.detection].take(
             Look(east + shift[0], north + shift[1], up, answers)
@@ -129,8 +136,28 @@ def statement(flight: SearchedFlight, state: SearchState | None) -> str:
     named = ", ".join(gap.name for gap in gaps) if gaps else "none"
     return (
         f"{heard} {_percent(state.share_at(GOOD_POD))} of the planned area searched at 80 % or "
-        f"more; POS {_percent(state.pos)}; gaps: {named}."
+        f"more; POS {_percent(state.pos)}; gaps: {named}.{_reach(flight)}"
     )
+
+
+def _reach(flight: SearchedFlight) -> str:
+    """Return the reach that the figures assume, with its source."""
+    if flight.detection is None:
+        return ""
+    if flight.learnt is not None:
+        return f" Reach {flight.learnt.reach_m:.0f} m, by the first contact."
+    return f" Reach {flight.detection.reach_m:.0f} m, as configured."
+
+
+def reach_source(flight: SearchedFlight) -> str | None:
+    """Return where the reach is from, in words; None: it is unknown."""
+    if flight.detection is None:
+        return None
+    configured = f"{flight.detection.reach_m:g} m, {flight.detection.reach_sigma_db:g} dB"
+    if flight.learnt is None:
+        return f"configured, search.detection: {configured}"
+    learnt = f"{flight.learnt.reach_m:g} m, {flight.learnt.reach_sigma_db:g} dB"
+    return f"first contact of this flight: {learnt}; configured: {configured}"
 
 
 def _percent(share: float) -> str:

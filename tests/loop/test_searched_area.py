@@ -77,6 +77,8 @@ def test_contact_ends_the_count_and_the_flight_is_as_without_it() -> None:
     assert flight is not None
     assert flight.contact_unix_s is not None
     assert flight.ended_unix_s <= flight.contact_unix_s
+    assert flight.learnt is not None  # from the position of the report
+    assert flight.learnt.reach_sigma_db < DETECTION.reach_sigma_db
     assert [s.position_enu_m for s in with_area.setpoints] == [
         s.position_enu_m for s in without.setpoints
     ]

@@ -11,8 +11,9 @@ import math
 
 from companion.domain import LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
-from companion.geometry.polygons import Corners
+from companion.geometry.polygons import Corners, Point
 from companion.guidance.flight.vehicle import VehicleView
+from companion.search.learnt_reach import LearntReach, learnt_reach
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.search_prior import SearchPrior
@@ -61,6 +62,10 @@ class Searching:
         """Time in the air that counts."""
         self.ended_s = 0.0
         """Time of the last position that counted."""
+        self.contact_id: int | None = None
+        self._contact_m: PositionEnu | None = None
+        """Vehicle position at contact, in the frame of the grid; up is above the ground."""
+        self._learnt: LearntReach | None = None
         self.contact_s: float | None = None
         """Time of the first accepted measurement."""
         self.is_radio_heard = False
@@ -71,17 +76,30 @@ class Searching:
         """True if there was a search."""
         return self.listened_s >= WORTH_TELLING_S
 
+    @property
+    def is_over(self) -> bool:
+        """True if nothing is counted any more, and all work on the cells is done."""
+        has_work = self._area is not None and self._area.has_work
+        return self.contact_s is not None and not has_work
+
     def tick(
-        self, now_s: float, vehicle: VehicleView, fence_enu_m: Corners | None, *, is_heard: bool
+        self,
+        now_s: float,
+        vehicle: VehicleView,
+        fence_enu_m: Corners | None,
+        *,
+        is_heard: bool,
+        heard_id: int | None = None,
     ) -> str | None:
         """Count the time since the last control tick; return a problem with the area, once."""
         passed_s, self._ticked_s = now_s - self._ticked_s, now_s
-        if is_heard:
-            if self.contact_s is None:
-                self.contact_s = now_s
-            return None
         if self._area is not None:
             self._area.advance()
+        if is_heard:
+            if self.contact_s is None:
+                self.contact_s, self.contact_id = now_s, heard_id
+                self._note_contact(vehicle)
+            return None
         place, height_m = vehicle.position_enu_m, vehicle.height_m
         is_airborne = vehicle.is_armed and vehicle.landed is LandedState.IN_AIR
         is_placed = vehicle.is_position_fresh(now_s) and vehicle.track.is_trusted_at(now_s)
@@ -95,6 +113,21 @@ class Searching:
         if self._area is None and self._problem is None:
             return self._begin(fence_enu_m)
         return None
+
+    def _note_contact(self, vehicle: VehicleView) -> None:
+        place, height_m = vehicle.position_enu_m, vehicle.height_m
+        if place is not None and height_m is not None and self._area is not None:
+            self._contact_m = (*self._in_first_frame(place, vehicle)[:2], height_m)
+
+    def learn(self, emitter_id: int | None, emitter_enu_m: Point, vehicle: VehicleView) -> None:
+        """Learn the reach from the position of the emitter that was heard first, once reported."""
+        if self._area is None or self._contact_m is None or self._learnt is not None:
+            return
+        if emitter_id != self.contact_id or not self.is_worth_reporting:
+            return
+        self._area.finish()
+        place = self._in_first_frame((*emitter_enu_m, 0.0), vehicle)
+        self._learnt = learnt_reach(self._area, self._contact_m, place[:2])
 
     def _count(self, now_s: float, passed_s: float, place_m: PositionEnu) -> None:
         assert self._began_s is not None
@@ -204,6 +237,7 @@ class Searching:
             is_radio_heard=self.is_radio_heard,
             origin=self._origin,
             detection=self.params.detection,
+            learnt=self._learnt,
             grid=None if self._area is None else StoredGrid.of(self._area.grid),
             looks=[(*_rounded(look.place_m), round(look.answers, 3)) for look in looks],
             track=list(self._track),

@@ -90,7 +90,7 @@ def test_the_sentence_for_the_radio() -> None:
     state = SearchState(grid(), pod)
     assert statement(flight(0.0), state) == (
         "Nothing heard. 94 % of the planned area searched at 80 % or more; POS 85 %; gaps: "
-        "NE corner."
+        "NE corner. Reach 50 m, as configured."
     )
     silent = msgspec.structs.replace(flight(0.0), is_radio_heard=False)
     assert "sent nothing at all: check that it listened" in statement(silent, state)
