@@ -11,10 +11,10 @@ Folder whose name begins with one of `KEEP_OUT_NAMES`. Altitudes are ignored.
 
 An XML document with a DOCTYPE could bring entities that grow without bound, and is refused.
 
-Locations of the emitter are GeoJSON polygons or an ASCII grid, in degrees. Source: RFC 7946 for
-GeoJSON; a polygon's property `weight` is its relative probability, 1 without it. Source: Esri ASCII
-raster format: a header of ncols, nrows, xllcorner, yllcorner, cellsize and perhaps NODATA_value,
-then rows from the north; here in degrees of WGS84.
+Locations of the emitter are polygons or an ASCII grid, in degrees. The relative probability of a
+polygon is in the property `weight` of GeoJSON (RFC 7946), or in the ExtendedData of a KML
+Placemark; 1 without it. Source: Esri ASCII raster format: a header of ncols, nrows, xllcorner,
+yllcorner, cellsize and perhaps NODATA_value, then rows from the north; here in degrees of WGS84.
 """
 
 from __future__ import annotations
@@ -134,6 +134,14 @@ _NAMESPACE = re.compile(r"^\{[^}]*\}")
 
 def areas_of_kml(text: str) -> list[NamedArea]:
     """Return the areas in a KML file, in order; `ValueError` begins with the path of the fault."""
+    root = _kml_root(text)
+    areas: list[NamedArea] = []
+    for number, (polygon, is_keep_out) in enumerate(_polygons(root, False), start=1):
+        areas += _areas(polygon, f"Polygon {number}", is_keep_out)
+    return areas
+
+
+def _kml_root(text: str) -> Element:
     if "<!DOCTYPE" in text.upper():
         raise ValueError("a DOCTYPE has no place in KML; save the file again")
     try:
@@ -145,10 +153,7 @@ def areas_of_kml(text: str) -> list[NamedArea]:
         raise ValueError("not XML in UTF-8") from None
     if _tag(root) != "kml":
         raise ValueError(f"<{_tag(root)}>: is not KML")
-    areas: list[NamedArea] = []
-    for number, (polygon, is_keep_out) in enumerate(_polygons(root, False), start=1):
-        areas += _areas(polygon, f"Polygon {number}", is_keep_out)
-    return areas
+    return root
 
 
 def _tag(element: Element) -> str:
@@ -231,10 +236,15 @@ MOST_AREAS = 1000
 
 def read_search_site(path: Path) -> SearchSite:
     """Return the weighted areas in a file; a `ConfigError` names the file and the fault."""
-    readers = {".geojson": _areas_of_geojson, ".json": _areas_of_geojson, ".asc": _raster_of_ascii}
+    readers = {
+        ".geojson": _areas_of_geojson,
+        ".json": _areas_of_geojson,
+        ".kml": _areas_of_search_kml,
+        ".asc": _raster_of_ascii,
+    }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise ConfigError(f"{path}: a search area is a .geojson or .asc file, in degrees")
+        raise ConfigError(f"{path}: a search area is a .geojson, .kml or .asc file, in degrees")
     try:
         return reader(read_text(path, MAX_BYTES))
     except ValueError as error:
@@ -248,7 +258,45 @@ def _areas_of_geojson(text: str) -> SearchSite:
         raise ValueError(f"not JSON ({error})") from None
     if not isinstance(root, dict):
         raise ValueError("not a GeoJSON object")
-    areas = tuple(_site_areas(root))
+    return _checked(tuple(_site_areas(root)))
+
+
+def _areas_of_search_kml(text: str) -> SearchSite:
+    """Return the polygons of all Placemarks; several of one share its weight."""
+    areas: list[SiteArea] = []
+    for number, placemark in enumerate(_below(_kml_root(text), "Placemark"), start=1):
+        path, polygons = f"Placemark {number}", list(_below(placemark, "Polygon"))
+        weight = _weight(_extended_data(placemark), path) / max(1, len(polygons))
+        for polygon in polygons:
+            outer = _children(polygon, "outerBoundaryIs", "LinearRing", "coordinates")
+            inner = _children(polygon, "innerBoundaryIs", "LinearRing", "coordinates")
+            if len(outer) != 1:
+                raise ValueError(f"{path}: has {len(outer)} outer rings")
+            rings = [_ring(each, path).corners_deg for each in (*outer, *inner)]
+            places = [[[lon, lat] for lat, lon in ring] for ring in rings]
+            outside, *holes = (_site_ring(ring, path) for ring in places)
+            areas.append(SiteArea(outside, weight, tuple(holes)))
+    return _checked(tuple(areas))
+
+
+def _below(element: Element, tag: str) -> Iterator[Element]:
+    return (each for each in element.iter() if _tag(each) == tag)
+
+
+def _extended_data(placemark: Element) -> dict[str, object]:
+    """Return the values of Data and SimpleData by name, numbers where they are."""
+    values: dict[str, object] = {}
+    for each in (*_below(placemark, "Data"), *_below(placemark, "SimpleData")):
+        inner = _children(each, "value")
+        text = (inner[0].text if inner else each.text) or ""
+        try:
+            values[each.get("name", "")] = float(text)
+        except ValueError:
+            values[each.get("name", "")] = text
+    return values
+
+
+def _checked(areas: tuple[SiteArea, ...]) -> SearchSite:
     if not areas:
         raise ValueError("there is no polygon in it")
     if len(areas) > MOST_AREAS:
@@ -278,9 +326,9 @@ def _site_areas(root: Mapping[str, object]) -> Iterator[SiteArea]:
 def _weight(properties: Mapping[str, object], path: str) -> float:
     weight = properties.get("weight", 1.0)
     if isinstance(weight, bool) or not isinstance(weight, int | float):
-        raise ValueError(f"{path}.properties.weight: is not a number")
+        raise ValueError(f"{path}: its weight is not a number")
     if not 0.0 <= weight < math.inf:
-        raise ValueError(f"{path}.properties.weight: is not a number from 0 on")
+        raise ValueError(f"{path}: its weight is not a number from 0 on")
     return float(weight)
 
 

@@ -44,6 +44,37 @@ def test_polygons_have_their_weights_and_holes(tmp_path: Path) -> None:
     assert not in_hole.any()
 
 
+def placemark(
+    ring: list[list[float]], data: str = "", hole: list[list[float]] | None = None
+) -> str:
+    def boundary(name: str, places: list[list[float]]) -> str:
+        text = " ".join(f"{lon},{lat},0" for lon, lat in places)
+        ring = f"<LinearRing><coordinates>{text}</coordinates></LinearRing>"
+        return f"<{name}>{ring}</{name}>"
+
+    inner = "" if hole is None else boundary("innerBoundaryIs", hole)
+    polygon = f"<Polygon>{boundary('outerBoundaryIs', ring)}{inner}</Polygon>"
+    return f"<Placemark><ExtendedData>{data}</ExtendedData>{polygon}</Placemark>"
+
+
+def kml(*placemarks: str) -> str:
+    inner = "".join(placemarks)
+    space = "http://www.opengis.net/kml/2.2"
+    return f'<kml xmlns="{space}"><Document><Folder>{inner}</Folder></Document></kml>'
+
+
+def data(value: str) -> str:
+    return f'<Data name="weight"><value>{value}</value></Data>'
+
+
+def test_kml_is_the_same_area_as_geojson(tmp_path: Path) -> None:
+    simple = '<SchemaData><SimpleData name="weight">30</SimpleData></SchemaData>'
+    text = kml(placemark(RING, data("70"), HOLE), placemark(EAST, simple))
+    by_kml = read_search_site(written(tmp_path / "poa.kml", text))
+    by_json = written(tmp_path / "poa.geojson", geojson(([RING, HOLE], 70), ([EAST], 30)))
+    assert by_kml == read_search_site(by_json)
+
+
 def test_without_weights_all_polygons_count_the_same(tmp_path: Path) -> None:
     path = written(tmp_path / "poa.json", geojson(([RING], None), ([EAST], None)))
     grid = grid_of_site(read_search_site(path), ORIGIN, 10.0)
@@ -74,16 +105,23 @@ NODATA_value -1
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
-        ("poa.kmz", "", "a search area is a .geojson or .asc file, in degrees"),
+        ("poa.kmz", "", "a search area is a .geojson, .kml or .asc file, in degrees"),
         ("poa.geojson", "{", "not JSON"),
         ("poa.geojson", "[]", "not a GeoJSON object"),
         ("poa.geojson", geojson(), "there is no polygon in it"),
         ("poa.geojson", geojson(([RING], 0)), "no polygon has a weight above 0"),
-        ("poa.geojson", geojson(([RING], -1)), "weight: is not a number from 0 on"),
-        ("poa.geojson", geojson(([RING], "70")), "weight: is not a number"),
+        ("poa.geojson", geojson(([RING], -1)), "weight is not a number from 0 on"),
+        ("poa.geojson", geojson(([RING], "70")), "weight is not a number"),
         ("poa.geojson", geojson(([[[2.6e6, 1.2e6]] * 4], 1)), "are not degrees; save it as WGS84"),
         ("poa.geojson", geojson(([RING[:2]], 1)), "fewer than 3 corners"),
         ("poa.geojson", geojson(([[RING[0], RING[2], RING[1], RING[3]]], 1)), "cross each other"),
+        ("poa.kml", kml(), "there is no polygon in it"),
+        ("poa.kml", kml(placemark(RING, data("0"))), "no polygon has a weight above 0"),
+        ("poa.kml", kml(placemark(RING, data("much"))), "Placemark 1: its weight is not a number"),
+        ("poa.kml", kml(placemark([[2.6e6, 1.2e6]] * 4)), "are not degrees; save it as WGS84"),
+        ("poa.kml", kml(placemark(RING[:2])), "fewer than 3 corners"),
+        ("poa.kml", "<gpx/>", "is not KML"),
+        ("poa.kml", "<kml>", "not XML"),
         ("poa.asc", "ncols 2\nnrows 2\n1 2\n3 4", "the header has no xllcorner"),
         ("poa.asc", "ncols two\n", "`two` is not a number"),
         (
