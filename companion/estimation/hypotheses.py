@@ -14,7 +14,7 @@ does their offset. Heights are not shifted here: the tracker keeps those from be
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,12 +60,15 @@ class HypothesisParams(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """One position where the target may be, with its log-probability up to a constant."""
+    """One position where the target may be, with its log-likelihood up to a constant."""
 
     log_weight: float
     state: FilterState
     least_covariance_m2: Matrix | None = None
     """Lower limit of the position covariance, (2, 2), from the window; None: no limit."""
+    log_prior: float = 0.0
+    """Log of the prior probability of its position, up to a constant; `log_weight` is of
+    measurements alone."""
 
     @property
     def place_enu_m(self) -> Point:
@@ -172,32 +175,40 @@ def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_
 
 
 def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
-    """Return the probabilities of the hypotheses, in order; their sum is 1."""
+    """Return the probabilities of the hypotheses, in order; their sum is 1.
+
+    The prior counts until measurements alone have decided for one place: it never delays that.
+    """
     hypotheses = tuple(hypotheses)
     if len(hypotheses) == 1:
         return np.ones(1)
-    logs = np.array([h.log_weight for h in hypotheses])
-    weights: Vector = np.exp(logs - logs.max())
+    return _normalised(_logs(hypotheses))
+
+
+def _logs(hypotheses: Sequence[Hypothesis]) -> list[float]:
+    measured = [h.log_weight for h in hypotheses]
+    if not any(h.log_prior for h in hypotheses):
+        return measured
+    if np.count_nonzero(_normalised(measured) >= AMBIGUOUS_PROBABILITY) == 1:
+        return measured
+    return [h.log_weight + h.log_prior for h in hypotheses]
+
+
+def _normalised(logs: Sequence[float]) -> Vector:
+    weights: Vector = np.exp(np.array(logs) - max(logs))
     normalised: Vector = weights / weights.sum()
     return normalised
 
 
-def with_prior(
-    hypotheses: tuple[Hypothesis, ...], prior: SearchPrior | None
+def ranked(
+    hypotheses: Iterable[Hypothesis], prior: SearchPrior | None = None
 ) -> tuple[Hypothesis, ...]:
-    """Return hypotheses with the prior in their weights, which are of measurements alone.
-
-    They are best first. Where measurements alone have decided for one place, the prior does not
-    count: it never delays a decision.
-    """
-    if prior is None or len(hypotheses) == 1:
-        return hypotheses
-    if np.count_nonzero(probabilities(hypotheses) >= AMBIGUOUS_PROBABILITY) == 1:
-        return hypotheses
-    weighted = [
-        replace(h, log_weight=h.log_weight + prior.log_at(h.place_enu_m)) for h in hypotheses
-    ]
-    return tuple(sorted(weighted, key=lambda h: -h.log_weight))
+    """Return the hypotheses best first, with the prior of their positions."""
+    placed = tuple(hypotheses)
+    if prior is not None and len(placed) > 1:
+        placed = tuple(replace(h, log_prior=prior.log_at(h.place_enu_m)) for h in placed)
+    logs = _logs(placed)
+    return tuple(placed[i] for i in sorted(range(len(placed)), key=lambda i: -logs[i]))
 
 
 def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
@@ -216,7 +227,7 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
                 break
         else:
             kept.append(replace(candidate, log_weight=log_weight))
-    return tuple(sorted(kept, key=lambda h: -h.log_weight))
+    return ranked(kept)
 
 
 def _distance2(a: FilterState, b: FilterState) -> float:

@@ -41,9 +41,9 @@ from companion.estimation.hypotheses import (
     HypothesisParams,
     consolidated,
     first_hypotheses,
+    ranked,
     shift_hypothesis,
     state_step,
-    with_prior,
 )
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
@@ -268,7 +268,7 @@ class TargetTracker:
         return FusionReport(None, bank.reports[0], agrees=gate.agrees)
 
     def _start(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
-        self.hypotheses = with_prior(
+        self.hypotheses = ranked(
             first_hypotheses(
                 measurement, sensor_enu_m, self.params.effective_filter, self.params.hypotheses
             ),
@@ -306,7 +306,7 @@ class TargetTracker:
             is_white=self._noise.is_white,
             fresh_starts=fresh_starts,
         )
-        self.hypotheses = with_prior(self.hypotheses, self.prior)
+        self.hypotheses = ranked(self.hypotheses, self.prior)
         params, is_auto = self._filter.params, self.antenna is not None
         sigmas = shared_sigmas(params, self.own, self._best_own_m, is_auto=is_auto)
         self._shared = self._optimizer.shared(self.hypotheses[0], sigmas)

@@ -9,7 +9,7 @@ import pytest
 
 from companion.domain import EstimateState, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterState
-from companion.estimation.hypotheses import Hypothesis, probabilities, with_prior
+from companion.estimation.hypotheses import Hypothesis, probabilities, ranked
 from companion.estimation.tracker import TargetTracker, TrackerParams
 from companion.search.search_grid import WeightedArea, grid_over
 from companion.search.search_prior import SearchPrior
@@ -60,11 +60,13 @@ def test_a_decision_of_the_measurements_is_left_alone() -> None:
         state = FilterState.of(0.0, np.array([0.0, north_m, 0.0, 0.0]), np.eye(4))
         return Hypothesis(math.log(probability), state)
 
-    decided = (at(60.0, 0.96), at(-60.0, 0.04))
-    assert with_prior(decided, searched(1.0)) is decided
-    open_ones = (at(60.0, 0.9), at(-60.0, 0.1))
-    turned = with_prior(open_ones, searched(1.0))
+    prior = searched(1.0)
+    decided = ranked((at(60.0, 0.96), at(-60.0, 0.04)), prior)
+    assert decided[0].place_enu_m == (0.0, 60.0)
+    assert probabilities(decided)[0] == pytest.approx(0.96)
+    turned = ranked((at(60.0, 0.9), at(-60.0, 0.1)), prior)
     assert turned[0].place_enu_m == (0.0, -60.0)
+    assert turned[0].log_weight == math.log(0.1)  # of measurements alone
 
 
 def test_the_prior_moves_with_the_frame_and_goes_with_it() -> None:
