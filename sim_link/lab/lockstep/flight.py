@@ -154,9 +154,9 @@ class Flight:
         self._socket: deque[tuple[Chunk, bool, bool]] = deque()
         self._socket_bytes = 0
         self.neighbours: list[Neighbour] = []
+        """Other vehicles that are heard now."""
         self.vehicle_peer = VEHICLE_PEER
         """Address of the vehicle, which a NAT on the way may change."""
-        """Other vehicles that are heard now."""
         self.sim = makers.simulator(scenario, seed, 0.0)
         self.start_companion()
         for other in scenario.other_vehicles:

@@ -12,7 +12,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from companion.config.schema import CompanionConfig
 from companion.entry import is_interrupt
 from companion.errors import CompanionError, ConfigError
 from sim_link import cli
@@ -175,12 +174,12 @@ def test_an_interrupt_of_the_warm_up_is_told_in_a_line_and_in_junit(
     capsys: pytest.CaptureFixture[str],
     is_compiled: bool,
 ) -> None:
-    def prepare(_config: CompanionConfig) -> None:
+    def warm_up(_tasks: object) -> None:
         if is_compiled:
             raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sim_link.lab.mission.batch.prepare", prepare)
+    monkeypatch.setattr("sim_link.lab.mission.batch.warm_up", warm_up)
     junit = tmp_path / "j.xml"
     assert run(script(tmp_path, "m.yaml"), "--repeat", 2, "--junit", junit) == 1
     assert capsys.readouterr().err == "sim-link: interrupted after 0 of 2 flights\n"
