@@ -218,8 +218,8 @@ def rigs() -> Iterator[list[Rig]]:
 @pytest.fixture(scope="module", autouse=True)
 def compiled_kernels() -> None:
     """What compiles once and is kept on disk must not count against the time of a flight."""
-    code = "from companion.config.schema import CompanionConfig as C; import companion.run as run"
-    subprocess.run([sys.executable, "-c", f"{code}; run.prepare(C())"], check=True)
+    code = "from companion.run import compile_kernels; compile_kernels()"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def every_format() -> list[object]:
