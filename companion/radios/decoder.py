@@ -36,10 +36,12 @@ _POWER = re.compile(
 )
 _MEASURED = re.compile(
     r"\d ?(?:m|cm|mm|km|ft|ns|ps|deg|rad|meters?)\b|\N{DEGREE SIGN}"
-    r"|dist|rang|rtt|tof|bearing|azimuth|elevation|angle|doa",
+    r"|(?<![a-z])(?:dist(?:ance)?|rang(?:e|es|ing)|rtt|tof|bearing|azimuth|elevation|angles?|doa)"
+    r"(?:[mc]?m|deg|rad)?(?![a-z])",
     re.IGNORECASE,
 )
-"""Other quantities: a line with one of them is of an unknown format, and is counted as that."""
+"""Other quantities, as words, because names of networks hold anything: a line with one of them is
+of an unknown format, and is counted as that."""
 
 
 def is_power_only(line: str) -> bool:

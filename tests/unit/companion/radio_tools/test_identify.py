@@ -202,6 +202,7 @@ def test_noise_is_no_radio(seed: int) -> None:
         listener = Listener()
         listener.feed(data, 0.0)
         assert listener.found is None, listener.found
+        assert listener.found_by_power is None, listener.found_by_power
 
 
 def test_the_speed_of_a_serial_port_is_tried_and_said() -> None:

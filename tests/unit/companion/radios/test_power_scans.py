@@ -46,7 +46,7 @@ def scanned(text: str, *, single: bool = False) -> tuple[list[tuple[object, obje
         (f"11b -61dBm signal -95dBm noise antenna 0 DA:{TO_ALL} SA:{MAC} Probe (x)\n", -61.0),
         (f"Advertised Device: Name: , Address: {MAC}, txPower: -59, rssi: -61 \n", -61.0),
         (f"{MAC}\t2437\t-61\t[WPA2-PSK-CCMP][ESS]\thome\n", -61.0),
-        (f"RSSI: -61 Ch: 6 BSSID: {MAC} ESSID: home\n", -61.0),
+        (f"RSSI: -61 Ch: 6 BSSID: {MAC} ESSID: Orange-Triangle-District\n", -61.0),
         (f'{{"mac":"{MAC.upper()}","rssi":-61,"ch":6}}\n', -61.0),
         (f"{MAC.replace(':', '-')} -61.5 dBm\n", -61.5),
     ],
@@ -112,10 +112,10 @@ def test_a_block_ends_where_the_next_event_begins() -> None:
 
 
 def test_powers_beside_distances_are_of_a_format_that_is_not_known() -> None:
-    decoder = PowerScanDecoder()
-
-    assert decoder.feed(f"{MAC} rssi -61 dist 3.2 m\n".encode(), 0.0) == []
-    assert decoder.counts.unrecognised == 1
+    for quantity in ("dist 3.2", "distance_m=3", '"distanceMm":3200', "angle: 12", "Range=3"):
+        decoder = PowerScanDecoder()
+        assert decoder.feed(f"{MAC} rssi -61 {quantity}\n".encode(), 0.0) == []
+        assert decoder.counts.unrecognised == 1
 
 
 def pulse(
