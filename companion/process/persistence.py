@@ -315,7 +315,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         flight = searching.flight(self._journal.started_unix_s)
         if flight is None:
             return None
-        snapshot = (flight, searching.state(self._now_s))
+        snapshot = (flight, searching.shown_state(self._now_s))
         present = (searching.listened_s, searching.contact_s, flight.learnt is not None)
         if present != self._written:
             self._written = present

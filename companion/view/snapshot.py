@@ -23,8 +23,9 @@ from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.phases import PHASE_WORDS, Phase
-from companion.guidance.session import EmitterStatus, GuidanceStatus
+from companion.guidance.session import EmitterStatus, GuidanceSession, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
+from companion.search.searched_flight import GOOD_POD
 
 TAKE_BACK = "Any other mode takes control back at once."
 ALWAYS = {
@@ -302,6 +303,20 @@ class FlightSnapshot:
     """Names and states."""
     next_step: str = ""
     """The operator's next step."""
+    searched: str | None = None
+    """Searched area until now; None: there was contact, or nothing is stated."""
+
+
+def searched_words(session: GuidanceSession, now_s: float) -> str | None:
+    """Return how much of the area is searched, in a few words, until there is contact."""
+    searching = session.searching
+    if searching.contact_s is not None or not searching.is_worth_reporting:
+        return None
+    state = searching.shown_state(now_s)
+    if state is None:
+        return None
+    good = 100.0 * state.share_at(GOOD_POD)
+    return f"POS {100.0 * state.pos:.0f} %, {good:.0f} % of the area at 80 % or more"
 
 
 def flight_snapshot(
@@ -318,6 +333,7 @@ def flight_snapshot(
         time_to_go_s=time_to_go_s,
         radios=radio_words(endpoint, now_s),
         next_step=next_step(endpoint, status),
+        searched=searched_words(endpoint.session, now_s),
     )
 
 

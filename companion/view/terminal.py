@@ -83,6 +83,7 @@ def _rows(moment: FlightSnapshot) -> list[tuple[str, Text]]:
         ("vehicle", Text(f"{status.mode.value}, {armed}, height {height}")),
         ("flown", Text(f"{status.distance_m:.0f} m")),
         ("distance", Text(_distance(status))),
+        *([] if moment.searched is None else [("searched", Text(moment.searched))]),
         *_estimate_rows(status, moment.stop_radius_m),
         ("to go", Text("-" if to_go_s is None else f"about {to_go_s:.0f} s")),
         *_emitter_rows(status.emitters),

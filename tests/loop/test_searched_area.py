@@ -13,6 +13,7 @@ from companion.guidance.session_params import SessionParams
 from companion.run import is_handed_over
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams
+from companion.view.snapshot import searched_words
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
@@ -115,3 +116,35 @@ def test_a_replayed_record_states_the_same() -> None:
     again = searched_again([read])
     assert again is not None
     assert again.pos == pytest.approx(state.pos, abs=0.005)
+
+
+def test_a_view_shows_how_much_is_searched_and_changes_nothing_in_the_flight() -> None:
+    """Also where the planner flies by the same map; after contact there is nothing to show."""
+    search = SearchAreaParams(detection=DETECTION, stop_pos=0.6)
+    watched, alone = flown(search), flown(search)
+    shown: set[str | None] = set()
+    for loop in (watched, alone):
+        for _ in range(300):
+            if loop is watched:
+                shown.add(searched_words(loop.companion.session, loop.now_s))
+            loop.run(0.2)
+    assert None in shown  # on the ground
+    assert any(text is not None and text.startswith("POS ") for text in shown)
+    assert watched.companion.session.is_search_over
+    assert [s.position_enu_m for s in watched.setpoints] == [
+        s.position_enu_m for s in alone.setpoints
+    ]
+
+
+def test_a_planner_by_probability_finds_what_is_heard_on_the_way() -> None:
+    config = CompanionConfig(
+        mission=SessionParams(engage="auto"),
+        limits=LimitsConfig(fence_enu_m=FENCE),
+        planner=PlannerConfig(search="probability", pattern=PatternConfig(spacing_m=25.0)),
+        search=SearchAreaParams(detection=DETECTION),
+    )
+    emitter = EmitterParams(position_enu_m=(50.0, 50.0))
+    payload = PayloadParams(max_range_m=30.0)
+    loop = Loop(config, Scenario(emitter=emitter, payload=payload))
+    loop.run_until(lambda: bool(loop.notes.results), 300.0)
+    assert loop.notes.results[0][1].estimate.position_enu_m == pytest.approx((50.0, 50.0), abs=3.0)

@@ -34,6 +34,9 @@ WORTH_TELLING_S = 10.0
 STATE_EVERY_S = 2.0
 """Time between two updates of the state, for the end of the search and for its planner."""
 
+SHOWN_EVERY_S = 5.0
+"""The same for views and files; a view asks every second."""
+
 
 class Searching:
     """Accumulates the searched area of one flight; without a model of detection, its track."""
@@ -56,6 +59,7 @@ class Searching:
         self._began_s: float | None = None
         self._track: list[tuple[float, float, float, float]] = []
         self._state: tuple[float, SearchState] | None = None
+        self._shown: tuple[float, SearchState] | None = None
         self._outlook: tuple[float, Outlook] | None = None
         self._prior: tuple[float, SearchPrior] | None = None
         self.listened_s = 0.0
@@ -175,6 +179,17 @@ class Searching:
             self._state = (now_s, state_of(self._area))
         return self._state[1]
 
+    def shown_state(self, now_s: float) -> SearchState | None:
+        """Return the state for views and files, at most seconds old; None: there is no grid.
+
+        It is kept apart from `state`: the flight, and so its replay, does not depend on its views.
+        """
+        if self._area is None:
+            return None
+        if self._shown is None or now_s - self._shown[0] >= SHOWN_EVERY_S:
+            self._shown = (now_s, state_of(self._area))
+        return self._shown[1]
+
     def outlook(self, now_s: float, vehicle: VehicleView) -> Outlook | None:
         """Return what is left to search, at most seconds old; None: unknown.
 
@@ -203,7 +218,7 @@ class Searching:
         """Complete all work on the cells, at the end of the flight."""
         if self._area is not None:
             self._area.finish()
-            self._state = None
+            self._state = self._shown = None
 
     def end(self, now_s: float, sweeps: int) -> str | None:
         """Return the reason to end a search without contact, in words; None: it goes on."""
