@@ -107,6 +107,17 @@ class RangingMeasurement:
         """True if it has a direction that a filter can use."""
         return self.bearing_enu_rad is not None or self.array is not None
 
+    @property
+    def has_any(self) -> bool:
+        """True if it has a range, a direction or a power that a filter can use."""
+        return self.range_m is not None or self.has_direction or self.power_dbm is not None
+
+    @property
+    def is_power_alone(self) -> bool:
+        """True if it has neither a range nor a bearing beside its power."""
+        others = (self.range_m, self.bearing_enu_rad, self.bearing_body_rad)
+        return self.power_dbm is not None and others == (None,) * 3
+
     def without_direction(self) -> RangingMeasurement:
         """Return the measurement without its direction."""
         return replace(self, bearing_enu_rad=None, bearing_body_rad=None, array=None)

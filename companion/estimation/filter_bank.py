@@ -3,9 +3,10 @@
 The gate decides which innovations a credible estimate can explain. An innovation is tested in
 standard deviations of the estimate's own uncertainty and of the measured noise. Reflections make
 ranges longer by any amount and are left to the robust loss, but no path is shorter than the
-straight one: a range that is too short by more than the gate is an error, and so is a bearing that
-is off by more. Those are not fused. A range that is too long even for a reflection is fused,
-because the loss bounds its influence, but it does not count as agreement.
+straight one: a range that is too short by more than the gate is an error, and so are a bearing that
+is off by more and a signal that is too strong. Those are not fused. A range that is too long even
+for a reflection is fused, because the loss bounds its influence, but it does not count as
+agreement. Obstruction weakens a signal by any amount.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from companion.estimation.filters.target_filter import (
     UpdateReport,
 )
 from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.measurement_model import AZIMUTH, COSINES
+from companion.estimation.measurement_model import AZIMUTH, COSINES, POWER
 from companion.estimation.screening.measurement_screen import RejectReason
 
 LIKELY_LOG_RATIO = math.log(0.05)
@@ -43,14 +44,22 @@ class Gate(NamedTuple):
     """False: too short to be fused."""
     passes_bearing: bool = True
     """False: off by too much to be fused."""
+    passes_power: bool = True
+    """False: too strong to be fused."""
     agrees_in_range: bool = True
     """True if the range, if any, agrees with the estimate: neither too short nor absurdly long."""
     agrees_in_bearing: bool = True
+    agrees_in_power: bool = True
 
     @property
     def agrees(self) -> bool:
         """True if every measured component agrees with the estimate."""
-        return self.agrees_in_range and self.agrees_in_bearing
+        return self.agrees_in_range and self.agrees_in_bearing and self.agrees_in_power
+
+    @property
+    def passes_all(self) -> bool:
+        """True if every measured component may be fused."""
+        return self.passes_range and self.passes_bearing and self.passes_power
 
     @classmethod
     def of(cls, report: UpdateReport, inflation: Inflation, antenna: int = AZIMUTH) -> Gate:
@@ -60,16 +69,21 @@ class Gate(NamedTuple):
         if antenna == COSINES:
             borne = max(borne, abs(_in_sigmas(report.elevation, inflation[2])))
         is_short, is_off = ranged < -GATE_SIGMAS, borne > GATE_SIGMAS
+        is_strong = report.power is not None and (
+            _in_sigmas(report.power, inflation[POWER]) > GATE_SIGMAS
+        )
         return cls(
             passes_range=not is_short,
             passes_bearing=not is_off,
+            passes_power=not is_strong,
             agrees_in_range=not is_short and ranged <= LONG_SIGMAS,
             agrees_in_bearing=not is_off,
+            agrees_in_power=not is_strong,
         )
 
     def unarmed(self) -> Gate:
         """Return the same result with nothing rejected, for an estimate that is not yet proven."""
-        return self._replace(passes_range=True, passes_bearing=True)
+        return self._replace(passes_range=True, passes_bearing=True, passes_power=True)
 
     def joined(self, other: Gate) -> Gate:
         """Return the combined result of two hypotheses: what either explains is no outlier."""
@@ -78,18 +92,21 @@ class Gate(NamedTuple):
     @property
     def reject_reason(self) -> RejectReason:
         """Reason under which a measurement that does not pass is counted."""
-        return RejectReason.BEARING_OUTLIER if self.passes_range else RejectReason.RANGE_OUTLIER
+        if not self.passes_range:
+            return RejectReason.RANGE_OUTLIER
+        return RejectReason.POWER_OUTLIER if self.passes_bearing else RejectReason.BEARING_OUTLIER
 
     def passed(self, measurement: RangingMeasurement) -> RangingMeasurement | None:
         """Return the components of a measurement that may be fused; None: none."""
-        if self.passes_range and self.passes_bearing:
+        if self.passes_all:
             return measurement
         if not self.passes_range:
             measurement = replace(measurement, range_m=None)
         if not self.passes_bearing:
             measurement = measurement.without_direction()
-        has_any = measurement.range_m is not None or measurement.has_direction
-        return measurement if has_any else None
+        if not self.passes_power:
+            measurement = replace(measurement, power_dbm=None)
+        return measurement if measurement.has_any else None
 
 
 OPEN = Gate()
@@ -155,7 +172,7 @@ def log_likelihood(
 ) -> float:
     """Return the robust log-likelihood of an update's innovations, tempered by the inflation."""
     total = 0.0
-    for row, (k_long, k_short), c in zip(report.modalities, thresholds, inflation, strict=True):
+    for row, (k_long, k_short), c in zip(report.modalities, thresholds, inflation, strict=False):
         if row is None:
             continue
         spread2 = row.noise_sigma**2 * (1.0 + row.prior_share)

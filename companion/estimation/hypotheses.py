@@ -1,9 +1,9 @@
 """Hypotheses about the target's position: the first ones, pruning and merging, navigation jumps.
 
-One range alone puts the target on a ring, one bearing alone on a ray. Both are covered by a small
-bank of Gaussians, each updated by the same filter and weighted by its (tempered) likelihood. A
-straight track leaves two of them, mirror images of each other: the state is then ambiguous, and
-both are kept. A range with a bearing needs only one.
+One range alone puts the target on a ring, one bearing alone on a ray, one power on rings. All are
+covered by a small bank of Gaussians, each updated by the same filter and weighted by its (tempered)
+likelihood. A straight track leaves two of them, mirror images of each other: the state is then
+ambiguous, and both are kept. A range with a bearing needs only one.
 
 When the vehicle's navigation jumps, hypotheses and measurements are shifted with it. Measurements
 are relative to the vehicle, so the target, and every position that it was measured from, move by as
@@ -44,6 +44,10 @@ RAY_GROWTH = 1.8
 """Ratio of the distances of neighbouring hypotheses along a bearing; their radial sigma is 0.35 of
 the distance, so that they overlap."""
 
+POWER_RINGS, POWER_RING_SIZE = (0.33, 1.0, 3.0), 8
+"""Rings about a first power, as shares of the prior distance, and hypotheses on each. A prior of 10
+to 15 dB at an exponent of 2.75 is a factor of 2.3 to 3.5."""
+
 PRUNE_LOG_RATIO = math.log(1e-7)
 """Log of the probability relative to the best hypothesis below which one is dropped."""
 
@@ -83,8 +87,10 @@ def first_hypotheses(
     params: HypothesisParams,
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses that a target's first measurement gives rise to."""
-    range_m = measurement.range_m
-    if range_m is None:
+    range_m, power_dbm = measurement.range_m, measurement.power_dbm
+    if range_m is None and not measurement.has_direction and power_dbm is not None:
+        placed = _on_rings(sensor_enu_m, power_dbm, filter_params)
+    elif range_m is None:
         placed = [
             place
             for direction_rad in _directions_rad(measurement)
@@ -152,6 +158,28 @@ def _on_ring(ground_m: float, params: FilterParams) -> _Placed:
         (direction_rad, ground_m, _polar_covariance(direction_rad, radial_m, across_m))
         for direction_rad in directions_rad
     ]
+
+
+def distance_by_power_m(power_dbm: float, params: FilterParams) -> float:
+    """Return the slant range at which the prior expects a power, metres, at most 1 km."""
+    mean, index = params.prior[0], params.model.power_index
+    decades = float(mean[index] - power_dbm) / (10.0 * float(mean[index + 1]))
+    return math.pow(10.0, min(max(decades, 0.0), 3.0))
+
+
+def _on_rings(sensor_enu_m: PositionEnu, power_dbm: float, params: FilterParams) -> _Placed:
+    """Return the positions about the prior distance, which is known to a factor of three."""
+    rise_m = sensor_enu_m[2] - params.target_height_m
+    placed: _Placed = []
+    for ratio in POWER_RINGS:
+        slant_m = ratio * distance_by_power_m(power_dbm, params)
+        ground_m = math.sqrt(max(slant_m**2 - rise_m**2, 1.0))
+        across_m = math.pi * ground_m / POWER_RING_SIZE
+        for index in range(POWER_RING_SIZE):
+            turn_rad = 2.0 * math.pi * index / POWER_RING_SIZE
+            covariance = _polar_covariance(turn_rad, 0.5 * ground_m, across_m)
+            placed.append((turn_rad, ground_m, covariance))
+    return placed
 
 
 def _along_ray(

@@ -1,14 +1,17 @@
-"""Measurement model: slant range, bearing and elevation of one target, h(x), H and R.
+"""Measurement model: range, bearing, elevation and received power of one target, h(x), H and R.
 
 The state is [east, north, range offset, bearing offset], followed by a range scale and by the
-target's height where these are not known:
+target's height where these are not known, and by the power at 1 m, P0 in dBm, and the path-loss
+exponent n where power is used:
 
     range       (1 + scale) |target - sensor| + range offset        slant
     bearing     atan2(north difference, east difference) + bearing offset
     elevation   atan2(height difference, ground range)
+    power       P0 - 10 n log10(|target - sensor| / 1 m)             slant
 
-A measurement is three numbers in that order, NaN where nothing was measured: inside the kernels
-they are one array. With a known height and no elevation the geometry is that of the plane.
+A measurement is three or, in a model with P0, four numbers in that order, NaN where nothing was
+measured: inside the kernels they are one array. With a known height and no elevation the geometry
+is that of the plane.
 
 This module is the only place of h, H and R. Each function takes one measurement, a pose (3,) or
 (9,), or n of them at once, a pose (3, n) or (9, n), and its result has the same last axis: the
@@ -27,9 +30,14 @@ the plane of the array: near its normal an azimuth has no information. Where s /
 angle, a phase has less information than its variance suggests, by 1 + (s / rho)^2 to a good
 approximation (that of a Rician phase).
 
+Obstruction makes a range longer and a signal weaker, never the reverse, so that power has the same
+one-sided loss as ranges, on the side of weak signals.
+
 Paper: eq. (1) with h of the range lifted to the flown altitude, because a radio measures slant
-range (the paper works in the plane of flight). Deviations: scale, height, elevation and arrays.
-Source of the arrays: H. L. Van Trees, Optimum Array Processing (2002), chapters 2 and 4.
+range (the paper works in the plane of flight). Deviations: scale, height, elevation, power and
+arrays. Source of the log-distance path loss: T. S. Rappaport, Wireless Communications (2002),
+section 4.9. Source of the arrays: H. L. Van Trees, Optimum Array Processing (2002), chapters 2 and
+4.
 """
 
 from __future__ import annotations
@@ -39,19 +47,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from companion.estimation.number_or_array import arctan2, components, larger, root, wrapped
+from companion.estimation.number_or_array import (
+    arctan2,
+    components,
+    larger,
+    natural_log,
+    root,
+    wrapped,
+)
 from companion.kernel import Matrix, Vector, kernel
 
 EAST, NORTH, RANGE_OFFSET, BEARING_OFFSET = 0, 1, 2, 3
 """Indices of the state that always exist."""
 
-RANGE, BEARING, ELEVATION = 0, 1, 2
-"""Rows of a measurement; an array's direction cosines are in the last two."""
+RANGE, BEARING, ELEVATION, POWER = 0, 1, 2, 3
+"""Rows of a measurement; an array's direction cosines are in the second and third."""
 MODALITIES = 3
-"""Number of rows of a measurement."""
+"""Number of rows of a measurement without power; `rows_of` is the number of a model."""
+POSSIBLE_SIDE = {RANGE: 1.0, POWER: -1.0}
+"""Sign of the innovations that obstruction can cause: longer ranges, weaker signals."""
 
 ABSENT = -1
 """Index of a component that is not part of the state."""
+DB_PER_NEPER = 10.0 / math.log(10.0)
+"""dB of power for each unit of its natural logarithm."""
 
 NEAREST2_M2 = 0.05**2
 """Lower limit of squared distances where they divide: a direction to a target nearer than the
@@ -89,6 +108,14 @@ class RangingModel(NamedTuple):
     """Weight of a range in the window's objective, as a share of an independent one."""
     direction_share: float = 1.0
     """The same weight of a direction."""
+    power_index: int = ABSENT
+    """Index of P0 in the state, which the exponent follows, or `ABSENT`."""
+
+
+@kernel
+def rows_of(model: RangingModel) -> int:
+    """Return the number of rows of a measurement, 3, or 4 with power."""
+    return MODALITIES + 1 if model.power_index >= 0 else MODALITIES
 
 
 @kernel
@@ -151,6 +178,11 @@ def fill_predicted(
 ) -> None:
     """Fill the first modalities of z, (m,) or (m, n), as a state predicts them, not wrapped."""
     z[RANGE] = range_factor(mean, model) * root(sight.slant2_m2) + float(mean[RANGE_OFFSET])
+    if z.shape[0] > POWER:
+        # 10 log10(slant) is half of 10 log10(slant^2)
+        loss_db = 0.5 * DB_PER_NEPER * natural_log(larger(sight.slant2_m2, NEAREST2_M2))
+        p0, exponent = float(mean[model.power_index]), float(mean[model.power_index + 1])
+        z[POWER] = p0 - exponent * loss_db
     if z.shape[0] == 1:
         return
     if model.antenna == AZIMUTH:
@@ -166,11 +198,11 @@ def fill_predicted(
 
 @kernel
 def predicted(mean: Vector, pose: Vector, model: RangingModel) -> Vector:
-    """Return range, bearing and elevation, (3,), of a state; metres and radians, not wrapped.
+    """Return the values that a state predicts, (3 or 4,); metres, radians, dBm, not wrapped.
 
     The pose is the sensor's position, (3,), or with an antenna array also its two axes, (9,).
     """
-    z = np.empty(MODALITIES)
+    z = np.empty(rows_of(model))
     fill_predicted(z, sight_of(mean, pose, model), mean, pose, model)
     return z
 
@@ -210,6 +242,8 @@ def fill_partials(H: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: Ra
         H[RANGE, model.scale_index] = root(sight.slant2_m2)
     if model.height_index >= 0:
         H[RANGE, model.height_index] = du * by_slant
+    if H.shape[0] > POWER:
+        fill_power_partials(H, sight, mean, model)
     if H.shape[0] == 1:
         return
     if model.antenna != AZIMUTH:
@@ -229,9 +263,22 @@ def fill_partials(H: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: Ra
 
 
 @kernel
+def fill_power_partials(H: Matrix, sight: Sight, mean: Vector, model: RangingModel) -> None:
+    """Fill the row of received power of H with its partials by the state."""
+    index, slant2 = model.power_index, larger(sight.slant2_m2, NEAREST2_M2)
+    by_slant2 = -DB_PER_NEPER * float(mean[index + 1]) / slant2
+    H[POWER, EAST] = sight.east_m * by_slant2
+    H[POWER, NORTH] = sight.north_m * by_slant2
+    if model.height_index >= 0:
+        H[POWER, model.height_index] = sight.up_m * by_slant2
+    H[POWER, index] = 1.0
+    H[POWER, index + 1] = -0.5 * DB_PER_NEPER * natural_log(slant2)
+
+
+@kernel
 def jacobian(mean: Vector, pose: Vector, model: RangingModel) -> Matrix:
-    """Return the partials by the state, (3, k); zero where a direction is undefined."""
-    H = np.zeros((MODALITIES, mean.size))
+    """Return the partials by the state, (3 or 4, k); zero where a direction is undefined."""
+    H = np.zeros((rows_of(model), mean.size))
     fill_partials(H, sight_of(mean, pose, model), mean, pose, model)
     return H
 
@@ -276,6 +323,10 @@ def fill_noise(
     """
     own2 = model.own_sigma_m * model.own_sigma_m
     R[RANGE] = sigma[RANGE] * sigma[RANGE] + own2
+    if R.shape[0] > POWER:
+        per_share2 = (DB_PER_NEPER * float(mean[model.power_index + 1])) ** 2
+        subtended2 = own2 / larger(sight.slant2_m2, NEAREST2_M2)
+        R[POWER] = sigma[POWER] * sigma[POWER] + per_share2 * subtended2
     if R.shape[0] == 1:
         return
     share2 = own2 / model.bearing_inflation
@@ -314,6 +365,10 @@ def add_second_order(
     """
     slant2 = larger(sight.slant2_m2, NEAREST2_M2)
     R[RANGE] += space_m2 * space_m2 / (4.0 * slant2)
+    if R.shape[0] > POWER:
+        # ln(slant) bends by +-1 / slant^2 along and across: 1/2 tr (H P)^2 at most
+        bend = DB_PER_NEPER * float(mean[model.power_index + 1]) * space_m2 / slant2
+        R[POWER] += 0.5 * bend * bend
     if R.shape[0] == 1:
         return
     if model.antenna == AZIMUTH:
@@ -355,8 +410,8 @@ def fill_variances(
 
 @kernel
 def variances(P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel) -> Vector:
-    """Return the variances of range, bearing and elevation, (3,), m^2 and rad^2."""
-    R = np.empty(MODALITIES)
+    """Return the variances of the modalities, (3 or 4,), m^2, rad^2 and dB^2."""
+    R = np.empty(rows_of(model))
     fill_variances(R, P, sight_of(mean, pose, model), mean, pose, sigma, model)
     return R
 
@@ -365,10 +420,10 @@ def variances(P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: Rangi
 def linearised(
     z: Vector, P: Matrix, mean: Vector, pose: Vector, sigma: Vector, model: RangingModel
 ) -> tuple[Vector, Matrix, Vector]:
-    """Return innovations (3,), partials (3, k) and variances (3,) of one measurement."""
-    sight = sight_of(mean, pose, model)
+    """Return innovations (m,), partials (m, k) and variances (m,) of one measurement."""
+    sight, count = sight_of(mean, pose, model), rows_of(model)
     y = innovations_of(z, sight, mean, pose, model)
-    H, R = np.zeros((MODALITIES, mean.size)), np.empty(MODALITIES)
+    H, R = np.zeros((count, mean.size)), np.empty(count)
     fill_partials(H, sight, mean, pose, model)
     fill_variances(R, P, sight, mean, pose, sigma, model)
     return y, H, R

@@ -33,6 +33,10 @@ def _arctan2(y: Any, x: Any) -> Any:
     return math.atan2(y, x) if isinstance(y, float) else np.arctan2(y, x)
 
 
+def _natural_log(x: Any) -> Any:
+    return math.log(x) if isinstance(x, float) else np.log(x)
+
+
 def _larger(x: Any, y: Any) -> Any:
     return max(x, y) if isinstance(x, float) else np.maximum(x, y)
 
@@ -45,6 +49,7 @@ components: Any = _same if IS_COMPILED else _components
 """Components of an array (k,) or rows of an array (k, n), to be read by index."""
 root: Any = np.sqrt if IS_COMPILED else _root
 arctan2: Any = np.arctan2 if IS_COMPILED else _arctan2
+natural_log: Any = np.log if IS_COMPILED else _natural_log
 larger: Any = np.maximum if IS_COMPILED else _larger
 """Larger one of each pair."""
 whole: Any = np.floor if IS_COMPILED else _whole

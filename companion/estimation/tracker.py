@@ -47,7 +47,7 @@ from companion.estimation.hypotheses import (
 )
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
-from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE, target_height_m
+from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE, rows_of, target_height_m
 from companion.estimation.noise.innovations import InnovationNoise, TrackerHealth
 from companion.estimation.screening.measurement_screen import (
     AcceptanceParams,
@@ -107,6 +107,11 @@ class TrackerParams(EstimationConfig, frozen=True):
         return self
 
     @property
+    def with_power(self) -> TrackerParams:
+        """The same parameters for an emitter that gives power alone; itself if configured."""
+        return msgspec.structs.replace(self, filter=self.filter.with_power)
+
+    @property
     def effective_filter(self) -> FilterParams:
         """Parameters of the tracker's filter: `filter` with ranges bounded on the short side."""
         if self.range_gross_k is None or self.filter.range_k_short is not None:
@@ -134,7 +139,6 @@ class TargetTracker:
     """Tracker of one emitter: `emitter_id`, or the first one received."""
 
     def __init__(self, params: TrackerParams, emitter_id: int | None = None) -> None:
-        self.params = params
         self.emitter_id = emitter_id
         self.accepted = 0
         self.last_accepted_s: float | None = None
@@ -149,10 +153,21 @@ class TargetTracker:
         """Sum of the height steps of the vehicle's navigation since the track began: heights in the
         tracker keep the first zero, about which a configured target height is valid."""
         self.integrity = TrackIntegrity()
+        self._screen = MeasurementScreen(params.filter, params.acceptance)
+        self._shared = NO_ERRORS
+        self._kept_estimate = KeptEstimate()
+        self.prior: SearchPrior | None = None
+        """What a search in vain has left of the area at first contact; None: nothing is known."""
+        self._moves = 0
+        """Number of frame shifts and resets; steps that began before the latest are abandoned."""
+        self._set_up(params)
+
+    def _set_up(self, params: TrackerParams) -> None:
+        """Build the parts that depend on the components of the state."""
+        self.params = params
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
         """Identification of an antenna that is not configured; None: it is configured."""
-        self._screen = MeasurementScreen(params.filter, params.acceptance)
         filter_params = params.effective_filter
         if params.filter.antenna.kind == "auto":
             self.antenna = AntennaCheck(filter_params)
@@ -160,13 +175,17 @@ class TargetTracker:
         self._filter = filter_of(params.kind, filter_params)
         storage_params = None if self.antenna is None else self._filter.params
         self._optimizer = WindowOptimizer(self._filter.params, params.window, storage_params)
-        self._shared = NO_ERRORS
-        self._kept_estimate = KeptEstimate()
-        self.prior: SearchPrior | None = None
-        """What a search in vain has left of the area at first contact; None: nothing is known."""
-        self._moves = 0
-        """Number of frame shifts and resets; steps that began before the latest are abandoned."""
-        self._noise = InnovationNoise.starting(params.initial_inflation)
+        rows = rows_of(self._filter.params.model)
+        self._noise = self._first_noise = InnovationNoise.starting(params.initial_inflation, rows)
+
+    def _prepared(self, measurement: RangingMeasurement) -> RangingMeasurement:
+        """Return the measurement without a power that is neither configured nor alone at first."""
+        if measurement.power_dbm is None or self.params.filter.power_at_1m_dbm is not None:
+            return measurement
+        if self.accepted or not measurement.is_power_alone:
+            return replace(measurement, power_dbm=None)
+        self._set_up(self.params.with_power)
+        return measurement
 
     @property
     def rejected(self) -> Counter[RejectReason]:
@@ -187,6 +206,7 @@ class TargetTracker:
         """
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
+        measurement = self._prepared(measurement)
         sensor_enu_m = self._about_kept_zero(sensor_enu_m)
         reason = self._screen.admit(measurement, sensor_enu_m, now_s)
         if reason is not None or sensor_enu_m is None:
@@ -278,7 +298,7 @@ class TargetTracker:
     def _restart(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Discard the track, and reinitialise from the latest measurement, even an outlier."""
         self.integrity.give_up(measurement.measured_at_s, self.accepted)
-        self._noise = InnovationNoise.starting(self.params.initial_inflation)
+        self._noise = self._first_noise
         self._optimizer.begin_with_latest()
         self._start(measurement, sensor_enu_m)
         return FusionReport(None, None, restarted=True)
@@ -334,7 +354,7 @@ class TargetTracker:
     def _forget_place(self) -> None:
         self._moves += 1
         self.hypotheses, self._shared = (), NO_ERRORS
-        self._noise = InnovationNoise.starting(self.params.initial_inflation)
+        self._noise = self._first_noise
         self.integrity.forget()
         self.watch.clear()
         self._optimizer.clear()
@@ -367,6 +387,9 @@ class TargetTracker:
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Restore a checkpoint with inflated covariances; return why if it cannot be used."""
+        sizes = {len(place.mean) for place in belief.places}
+        if sizes == {len(self.params.with_power.filter.prior[0])}:
+            self._set_up(self.params.with_power)
         params = self._filter.params
         problem = belief.problem(len(params.prior[0]))
         if problem is not None:

@@ -70,6 +70,18 @@ class LossParams(Params, frozen=True):
     """Fading from packet to packet."""
     null_depth_db: NonNegative = 0.0
     """Null of a dipole along the vehicle's vertical, straight below and above; 0: none."""
+    obstruction_db: NonNegative = 0.0
+    """Mean loss of an obstructed path, in proportion to the excess of its range."""
+    sensitivity_dbm: Annotated[float, msgspec.Meta(ge=-174.0, le=0.0)] | None = None
+    """Received power at which half of the packets are lost; None: the radio reports no power."""
+    power_step_db: Positive = 1.0
+    """Step of the reported power."""
+
+    def reported_dbm(self, margin_db: float) -> float | None:
+        """Return the power that a radio reports of a packet with this margin; None: none."""
+        if self.sensitivity_dbm is None:
+            return None
+        return self.power_step_db * round((self.sensitivity_dbm + margin_db) / self.power_step_db)
 
 
 class FieldChannelParams(ChannelParams, frozen=True):

@@ -17,7 +17,7 @@ azimuth by itself. A level slab of thickness w and permittivity e delays by
 w (sqrt(e) - 1) straight above and w sqrt(e - 1) at most (plane wave, Snell's law). A packet is
 heard while a margin is positive: 10 n log10(half range / slant range), less what walls and the
 dipole's null take (its gain is the squared sine of the angle to its axis), and what shadowing and
-fading add.
+fading add. A radio that reports received power reports its sensitivity plus that margin, in steps.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from sim_link.world.line_of_sight import detour, is_blocked_in_space, walls_betw
 from sim_link.world.point_mass import LEVEL, Components, EulerAngles, seen_from
 from sim_link.world.radio_channel import MIN_RANGE_M, ChannelDraw, RadioChannel
 
-Measures = Literal["both", "range", "bearing"]
+Measures = Literal["both", "range", "bearing", "power"]
 IDEAL = AntennaModelParams()
 PATH_NORMALS, GROSS_NORMALS, FREE_NORMALS = 3, 4, 5
 """Drawn for each measurement: of the path, of gross errors, and of what never stays."""
@@ -181,13 +181,16 @@ class FieldRadio(RadioChannel):
         if is_plain and params.is_as_in_the_paper:
             return self.measure(emitter, place, time_s)
         moment = self._moment(emitter, place, attitude, params)
-        if not self._is_heard(moment):
+        margin_db = self._margin_db(moment)
+        if margin_db <= 0.0:
             return None
-        bearing = None if self._measures == "range" else self._bearing(moment)
-        range_m = None if self._measures == "bearing" else self._range_m(moment)
-        if bearing is None and range_m is None:
+        bearing = self._bearing(moment) if self._measures in ("both", "bearing") else None
+        range_m = self._range_m(moment) if self._measures in ("both", "range") else None
+        power_dbm = None if params.loss is None else params.loss.reported_dbm(margin_db)
+        if bearing is None and range_m is None and power_dbm is None:
             return None
-        return self._measurement(moment, time_s, range_m, bearing)
+        measurement = self._measurement(moment, time_s, range_m, bearing)
+        return measurement if power_dbm is None else replace(measurement, power_dbm=power_dbm)
 
     def _moment(
         self,
@@ -234,10 +237,11 @@ class FieldRadio(RadioChannel):
         edges = self._around(emitter, self._environment).edges
         return bool(is_blocked_in_space(*emitter.position_enu_m, *place, edges))
 
-    def _is_heard(self, moment: _Moment) -> bool:
+    def _margin_db(self, moment: _Moment) -> float:
+        """Return a packet's margin above the threshold; positive: it is heard."""
         loss = moment.params.loss
         if loss is None:
-            return True
+            return math.inf
         walls = 0
         if self._environment is not None:
             edges = self._environment.edges
@@ -247,7 +251,10 @@ class FieldRadio(RadioChannel):
         slant_m = moment.emitter.slant_range_m(moment.place)
         margin_db = link_margin_db(loss, slant_m, walls, body[2])
         margin_db += loss.shadow_sigma_db * moment.shadow + loss.fading_sigma_db * moment.free[4]
-        return margin_db > 0.0
+        if loss.obstruction_db > 0.0 and moment.params.range_bias_mean_m > 0.0:
+            excess = moment.draw.range_bias_m / moment.params.range_bias_mean_m
+            margin_db -= loss.obstruction_db * excess
+        return margin_db
 
     def _range_m(self, moment: _Moment) -> float:
         params, slant_m = moment.params, moment.emitter.slant_range_m(moment.place)

@@ -162,7 +162,7 @@ def windows(name: str, params: FilterParams) -> Results:
         yield f"{name} {seed} influences", clipped(u, thresholds)
         yield f"{name} {seed} partials", row_partials(rows, start, sigmas, model)
         prior = (information, pull, model)
-        yield f"{name} {seed} cost", map_cost(offs, start, sigmas, thresholds, *prior)
+        yield f"{name} {seed} cost", map_cost(rows, offs, start, sigmas, thresholds, *prior)
         A, descent, _ = normal_equations(rows, start, offs, sigmas, thresholds, *prior)
         yield f"{name} {seed} normal matrix", A
         yield f"{name} {seed} descent", descent

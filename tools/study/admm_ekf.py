@@ -83,7 +83,7 @@ def split(
     """
     PHt = np.dot(P, H.T.copy())
     spread = np.dot(H, PHt)
-    S = spread + np.diag(inflation / penalty)
+    S = spread + np.diag(inflation[: y.size] / penalty)
     gain = np.linalg.solve(S, PHt.T.copy()).T.copy()
     explained = np.dot(H, gain)  # share of the residuals that a step of the state explains
     v, dual, asked = np.zeros(3), np.zeros(3), np.zeros(3)

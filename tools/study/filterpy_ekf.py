@@ -56,7 +56,7 @@ class FilterpyEkf:
         rows = np.flatnonzero(~np.isnan(z)).tolist()
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
         noise = self._variances(state, sensor, sigma, late_s)
-        effective = noise * np.array(inflation)
+        effective = noise * np.array(inflation[: len(noise)])
         ekf = self._filter(state, len(rows))
         if rows:
             ekf.update(

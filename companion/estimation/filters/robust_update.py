@@ -22,7 +22,7 @@ The update in Joseph form. With whitened innovations u = y / sqrt(R) and the wei
     x    <- x + K y
     P    <- (I - K H) P (I - K H)^T + K R_eff K^T
 
-where c is the inflation. Range, bearing and elevation have independent noise, so the joint update
+where c is the inflation. The modalities have independent noise, so the joint update
 is done row by row with all rows linearised at the same prior mean, which is the same thing without
 a matrix inverse.
 
@@ -214,25 +214,25 @@ def robust_update(
     bounds: Matrix,
     model: RangingModel,
 ) -> tuple[Vector, Matrix, Matrix, bool]:
-    """Update the state with one measurement of up to three rows, each with its own robust weight.
+    """Update the state with one measurement of up to m rows, each with its own robust weight.
 
     Args:
-        z: (3,) range, bearing, elevation; NaN where not measured.
-        sigma: (3,) noise of the radio.
+        z: (m,) range, bearing, elevation, power; NaN where not measured.
+        sigma: (m,) noise of the radio.
         late_m2: Variance per axis that the target gained since the measurement was taken.
-        inflation: (3,) factors on the variances.
-        thresholds: (3, 2) long and short threshold of each modality, in sigma; inf: none.
+        inflation: (m,) factors on the variances.
+        thresholds: (m, 2) long and short threshold of each modality, in sigma; inf: none.
         bounds: (2, n) lower and upper bounds of the state.
 
     Returns:
-        Mean (n,), covariance (n, n), report (3, 7) with the fields of `ModalityReport` in their
+        Mean (n,), covariance (n, n), report (m, 7) with the fields of `ModalityReport` in their
         order, the row's share of the NIS, and NaN rows where nothing was measured, and True if the
         covariance is positive definite; if it is not, mean and covariance are those given.
     """
     y, H, R = linearised(z, P, mean, sensor_enu_m, sigma, model)
-    report = np.full((3, 7), np.nan)
+    report = np.full((y.size, 7), np.nan)
     new_mean, new_P = mean, P
-    for row in range(3):
+    for row in range(y.size):
         innovation, by_state = float(y[row]), H[row]
         if math.isnan(innovation):
             continue

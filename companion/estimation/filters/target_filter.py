@@ -26,17 +26,19 @@ from companion.estimation.measurement_model import (
     AZIMUTH,
     BEARING_OFFSET,
     COSINES,
+    MODALITIES,
     PLANAR,
     RANGE_OFFSET,
     RangingModel,
+    rows_of,
 )
 from companion.kernel import Matrix, Vector, frozen
 
 Pose = tuple[float, ...]
 """Sensor position, followed by the two axes of an antenna array if any: 3 or 9 numbers, ENU."""
-Inflation = tuple[float, float, float]
-"""Factors on the variances of range, bearing and elevation."""
-NO_INFLATION: Inflation = (1.0, 1.0, 1.0)
+Inflation = tuple[float, ...]
+"""Factors on the variances of the modalities."""
+NO_INFLATION: Inflation = (1.0,) * (MODALITIES + 1)
 """Thermal noise only."""
 
 
@@ -56,10 +58,10 @@ class FilterState:
 
 @dataclass(frozen=True, slots=True)
 class ModalityReport:
-    """Result of one range, bearing or elevation in an update."""
+    """Result of one modality in an update."""
 
     innovation: float
-    """z - h(x), metres or radians; positive when a range is longer than predicted."""
+    """z - h(x), metres, radians or dB; positive when a range is longer than predicted."""
     innovation_variance: float
     """S with the robust weight in it, after the modalities before this one were fused."""
     noise_sigma: float
@@ -88,11 +90,13 @@ class UpdateReport:
     """y^T S^-1 y over the modalities measured, with the robust weights in S."""
     is_positive_definite: bool
     """False: `state` is the previous one, and the filter must be reset."""
+    power: ModalityReport | None = None
 
     @property
     def modalities(self) -> tuple[ModalityReport | None, ...]:
-        """Range, bearing and elevation, in this order."""
-        return (self.range, self.bearing, self.elevation)
+        """Range, bearing, elevation and, if it was measured, power, in this order."""
+        rows = (self.range, self.bearing, self.elevation)
+        return rows if self.power is None else (*rows, self.power)
 
 
 class TargetFilter(Protocol):
@@ -117,13 +121,32 @@ class TargetFilter(Protocol):
         Args:
             state: At the measurement's time, or later: then the measurement is late, and the random
                 walk since then is added to its noise.
-            measurement: With range, bearing in ENU, elevation, or several of them.
-            inflation: Factors on the variance of range, bearing and elevation.
+            measurement: With range, bearing in ENU, elevation, power, or several of them.
+            inflation: Factors on the variance of each modality.
         """
 
 
 NO_AXES = (0.0,) * 6
 """Placeholder axes of a measurement without a direction."""
+POWER_SIGMA_DB, POWER_STEP_DB = 4.5, 1.0
+"""Fast fading of a received power that a radio averages little, 3 to 6 dB, and the step in which
+radios report it."""
+POWER_PLACE_SIGMA_DB, POWER_LENGTH_M = 6.0, 30.0
+"""Shadowing, 4 to 8 dB, and its correlation length: 10 m in rubble to 100 m in the open (M.
+Gudmundson, Electronics Letters 27, 1991)."""
+POWER_TOTAL_SIGMA_DB = math.hypot(
+    POWER_SIGMA_DB, POWER_PLACE_SIGMA_DB, POWER_STEP_DB / math.sqrt(12.0)
+)
+"""Standard deviation of one received power, its rounding included."""
+POWER_SIGMA_0_DB = 10.0
+"""Prior standard deviation of the power at 1 m: transmit power, and gains of both antennas."""
+UNKNOWN_POWER_DBM, UNKNOWN_POWER_SIGMA_DB = -40.0, 15.0
+"""The same prior if nothing is configured: from -59 dBm of a Bluetooth beacon of 0 dBm to -11 dBm
+of a LoRa module of 20 dBm at 868 MHz."""
+EXPONENT, EXPONENT_SIGMA = 2.75, 0.4
+"""Prior of the path-loss exponent: 2 in free space to 3.5 in urban areas (Rappaport, table 4.2)."""
+EXPONENT_BOUNDS = (1.6, 6.0)
+"""Least and greatest exponent of the same table: a corridor in sight, an obstructed building."""
 MAX_SIGMAS = (MOST, math.pi, math.pi)
 """Largest standard deviations of a range (m), a bearing and an elevation (rad) that are used: half
 a turn is no information about a direction."""
@@ -168,6 +191,9 @@ class FilterConfig(Params, frozen=True):
     """Prior standard deviation of the range's scale error; 0: no scale error."""
     range_scale_max: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.5
     """Hard bound of the scale error, to both sides."""
+    power_at_1m_dbm: Annotated[float, msgspec.Meta(ge=-174.0, le=60.0)] | None = None
+    """Prior mean of the received power 1 m from the emitter, known to 10 dB; null: unknown, and
+    power is used only of an emitter that gives nothing else at first."""
     reach_m: Positive | None = None
     """Reach of this radio, as the standard deviation per axis of the target about the path; null:
     unlimited."""
@@ -220,6 +246,8 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
     """Hard lower bound of the scale error, where it differs; 0: ranges are never too short."""
     stamp_lag_s: NonNegative = 0.0
     """Delay of the radio's stamps after the measurement."""
+    power_at_1m_sigma_db: Positive = POWER_SIGMA_0_DB
+    """Standard deviation of the power at 1 m."""
     near_target_terms: bool = True
     """Second-order terms of the measurement model, without which the filter diverges near the
     target."""
@@ -232,6 +260,7 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
     def model(self) -> RangingModel:
         """Constants of the measurement model and of the state's layout, for the kernels."""
         has_scale, has_height = self.range_scale_sigma > 0.0, self.target_height_sigma_m > 0.0
+        has_power = self.power_at_1m_dbm is not None
         return RangingModel(
             height_m=self.target_height_m,
             height_index=4 + has_scale if has_height else ABSENT,
@@ -239,6 +268,18 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
             own_sigma_m=self.own_position_sigma_m,
             near_target_terms=self.near_target_terms,
             antenna=MODELS[self.antenna.kind],
+            power_index=4 + has_scale + has_height if has_power else ABSENT,
+        )
+
+    @property
+    def with_power(self) -> FilterParams:
+        """The same assumptions for an emitter that gives power alone; itself if configured."""
+        if self.power_at_1m_dbm is not None:
+            return self
+        return msgspec.structs.replace(
+            self,
+            power_at_1m_dbm=UNKNOWN_POWER_DBM,
+            power_at_1m_sigma_db=UNKNOWN_POWER_SIGMA_DB,
         )
 
     @property
@@ -278,6 +319,9 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         if self.target_height_sigma_m > 0.0:
             mean.append(self.target_height_m)
             sigmas.append(self.target_height_sigma_m)
+        if self.power_at_1m_dbm is not None:
+            mean += [self.power_at_1m_dbm, EXPONENT]
+            sigmas += [self.power_at_1m_sigma_db, EXPONENT_SIGMA]
         return np.array(mean), np.array(sigmas)
 
     @cached_property
@@ -297,34 +341,43 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
             least = self.range_scale_min
             bounds[0, model.scale_index] = -self.range_scale_max if least is None else least
             bounds[1, model.scale_index] = self.range_scale_max
+        if model.power_index != ABSENT:
+            bounds[:, model.power_index + 1] = EXPONENT_BOUNDS
         return bounds
 
     @cached_property
     def thresholds(self) -> Matrix:
-        """Long and short threshold of range, bearing and elevation, (3, 2), in sigma."""
+        """Thresholds of positive and negative innovations of each modality, (m, 2), in sigma.
+
+        A weak signal is as little evidence as a long range.
+        """
         angle = threshold(self.bearing_k)
         ranges = (threshold(self.range_k_long), threshold(self.range_k_short))
-        return np.array([ranges, (angle, angle), (angle, angle)])
+        all_rows = np.array([ranges, (angle, angle), (angle, angle), ranges[::-1]])
+        return all_rows[: rows_of(self.model)]
 
     def kernel_row(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu
     ) -> tuple[Pose, Vector, Vector]:
-        """Return a measurement for the kernels: the sensor's pose, values and sigmas, each (3,)."""
+        """Return a measurement for the kernels: the sensor's pose, values and sigmas, each (m,)."""
         m = measurement
         pose: Pose = sensor_enu_m
         has_elevation = self.use_elevation and not m.is_array_angle
-        values = (m.range_m, m.bearing_enu_rad, m.elevation_rad if has_elevation else None)
+        angles = (m.bearing_enu_rad, m.elevation_rad if has_elevation else None)
         if self.model.antenna != AZIMUTH:
-            values, pose = (m.range_m, None, None), (*sensor_enu_m, *NO_AXES)
+            angles, pose = (None, None), (*sensor_enu_m, *NO_AXES)
             if m.array is None and m.bearing_enu_rad is not None and self.model.antenna == PLANAR:
                 # a north-referenced bearing is treated as that of a level array
-                values = (m.range_m, -m.bearing_enu_rad, None)
+                angles = (-m.bearing_enu_rad, None)
                 pose = (*sensor_enu_m, *LEVEL[0], *LEVEL[1])
             elif m.array is not None:
-                values = (m.range_m, m.array.first, m.array.second)
+                angles = (m.array.first, m.array.second)
                 pose = (*sensor_enu_m, *m.array.first_axis_enu, *m.array.second_axis_enu)
-        z = np.array([math.nan if v is None else v for v in values])
-        return pose, z, np.array(self.effective_sigmas(m))
+        values, sigmas = [m.range_m, *angles], [*self.effective_sigmas(m)]
+        if self.model.power_index != ABSENT:
+            values.append(m.power_dbm)
+            sigmas.append(POWER_TOTAL_SIGMA_DB)
+        return pose, np.array([math.nan if v is None else v for v in values]), np.array(sigmas)
 
     def effective_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
         """Return the standard deviations of range, bearing and elevation that are used.

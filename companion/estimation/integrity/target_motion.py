@@ -29,6 +29,7 @@ import numpy as np
 
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
+from companion.estimation.measurement_model import MODALITIES
 from companion.estimation.stepwise import Steps, Stepwise, passes
 from companion.estimation.window.map_kernels import SEQUENCE, Row, hold_at_bounds, row_vector
 from companion.estimation.window.sandwich import (
@@ -127,8 +128,8 @@ class MotionWatch:
         """Motion that the latest tests indicate, confirmed or not; None: stationary."""
 
     def add(self, time_s: float, row: Row) -> None:
-        """Process a measurement."""
-        if self._is_enabled:
+        """Process a measurement; one of power alone shows no motion, but shadows."""
+        if self._is_enabled and not np.isnan(row[1][:MODALITIES]).all():
             self._rows.append(row_vector(row, time_s))
             self._left -= 1
 
@@ -249,7 +250,7 @@ class _MotionFit:
         rows = np.array(self._rows)
         rows[:, :2] -= self._age_s[:, None] * state[-2:]
         scores = self._map.scores(rows, state[:-2])
-        by_velocity = scores.H[:, :2] * np.tile(self._age_s, 3)[:, None]
+        by_velocity = scores.H[:, :2] * np.tile(self._age_s, len(scores.u))[:, None]
         H = np.concatenate([scores.H, by_velocity], axis=1)
         return Scores(scores.u, scores.psi, H, scores.is_measured, scores.thermal)
 
@@ -320,7 +321,7 @@ class _MotionFit:
         # this lower bound nearly always suffices to decline, at half the cost
         if not is_significant(least_variability(scores)):
             return False
-        return is_significant(pooled_variability(scores, A_inverse, np.ones(3)))
+        return is_significant(pooled_variability(scores, A_inverse, np.ones(len(scores.u))))
 
     def covariance(self, state: Vector) -> tuple[Matrix, float]:
         """Return the state's covariance, (k + 2, k + 2), and the inflation over thermal noise."""

@@ -41,27 +41,33 @@ class Contact:
     bearing_s: float | None = None
     agreeing: int = 0
     """Measurements that agreed since the last gap, or since the first one."""
+    power_s: float | None = None
 
     def after(self, measurement: RangingMeasurement, gate: Gate) -> Contact:
         """Return the contact after a measurement with its bearing in ENU, which may be late."""
         at_s, newest_s = measurement.measured_at_s, self.newest_s
         range_s, bearing_s = self.range_s, self.bearing_s
         has_range = measurement.range_m is not None and gate.agrees_in_range
-        has_bearing = measurement.bearing_enu_rad is not None or measurement.array is not None
-        has_bearing = has_bearing and gate.agrees_in_bearing
-        if not (has_range or has_bearing):
+        has_bearing = measurement.has_direction and gate.agrees_in_bearing
+        has_power = measurement.power_dbm is not None and gate.agrees_in_power
+        if not (has_range or has_bearing or has_power):
             return self
         if has_range:
             range_s = at_s if range_s is None else max(range_s, at_s)
         if has_bearing:
             bearing_s = at_s if bearing_s is None else max(bearing_s, at_s)
+        power_s = self.power_s
+        if has_power:
+            power_s = at_s if power_s is None else max(power_s, at_s)
         is_gap = newest_s is not None and at_s - newest_s > GAP_S
-        return Contact(range_s, bearing_s, (0 if is_gap else self.agreeing) + gate.agrees)
+        agreeing = (0 if is_gap else self.agreeing) + gate.agrees
+        return Contact(range_s, bearing_s, agreeing, power_s)
 
     @property
     def newest_s(self) -> float | None:
         """Time of the newest measurement of any kind; None: none yet."""
-        times_s = [time_s for time_s in (self.range_s, self.bearing_s) if time_s is not None]
+        of_each = (self.range_s, self.bearing_s, self.power_s)
+        times_s = [time_s for time_s in of_each if time_s is not None]
         return max(times_s, default=None)
 
     def is_interrupted(self, now_s: float) -> bool:
@@ -237,7 +243,7 @@ def _normalised_squares(report: UpdateReport, inflation: Inflation) -> list[floa
     if _is_reflected(report):
         return []
     squares = []
-    for row, c in zip(report.modalities, inflation, strict=True):
+    for row, c in zip(report.modalities, inflation, strict=False):
         if row is not None:
             squares.append(row.whitened_innovation**2 / (c / row.weight + row.prior_share))
     return squares
@@ -301,8 +307,7 @@ class TrackIntegrity:
         """
         if self._inflation_at_loss is None:
             return measured
-        range_, bearing, elevation = map(min, measured, self._inflation_at_loss)
-        return (range_, bearing, elevation)
+        return tuple(map(min, measured, self._inflation_at_loss))
 
     def begin(self, measurement: RangingMeasurement) -> None:
         """Count the first measurement of an estimate, which agrees by definition."""

@@ -142,8 +142,8 @@ class TrackerHealth:
     """Mean NIS per degree of freedom; 1 is consistent."""
     is_overconfident: bool
     """True if it is above its 95 % band."""
-    correlation: tuple[float, float, float]
-    """Lag-1 correlation of range, bearing and elevation innovations; 0: white."""
+    correlation: tuple[float, ...]
+    """Lag-1 correlation of each modality's innovations; 0: white."""
     inflation: Inflation
     """Variance of each modality over thermal noise."""
     nlos_share: float
@@ -168,15 +168,15 @@ class InnovationNoise:
     nis_sum: float = 0.0
 
     @classmethod
-    def starting(cls, initial_inflation: float) -> InnovationNoise:
-        """Return the noise before the first innovation."""
-        return cls((NoiseMonitor(initial_inflation),) * MODALITIES)
+    def starting(cls, initial_inflation: float, rows: int = MODALITIES) -> InnovationNoise:
+        """Return the noise of a model with so many rows before the first innovation."""
+        return cls((NoiseMonitor(initial_inflation),) * rows)
 
     def after(self, report: UpdateReport, thresholds: Matrix) -> InnovationNoise:
-        """Return the noise after one more update; `thresholds` are (3, 2)."""
+        """Return the noise after one more update; `thresholds` are (m, 2)."""
         monitors = []
         for monitor, row, (k_long, k_short) in zip(
-            self.monitors, report.modalities, thresholds.tolist(), strict=True
+            self.monitors, report.modalities, thresholds.tolist(), strict=False
         ):
             if row is None:
                 monitors.append(monitor)
@@ -214,21 +214,18 @@ class InnovationNoise:
     def inflation(self, found: Inflation | None) -> Inflation:
         """Return the variance inflation of each modality; `found` is the window's, if solved."""
         if found is None:
-            ranges, bearings, elevations = (monitor.inflation for monitor in self.monitors)
-        else:
-            ranges, bearings, elevations = (
-                min(noise * monitor.repetition, MAX_INFLATION)
-                for noise, monitor in zip(found, self.monitors, strict=True)
-            )
-        return (ranges, bearings, elevations)
+            return tuple(monitor.inflation for monitor in self.monitors)
+        return tuple(
+            min(noise * monitor.repetition, MAX_INFLATION)
+            for noise, monitor in zip(found, self.monitors, strict=True)
+        )
 
     def health(self, inflation: Inflation, observability: Observability | None) -> TrackerHealth:
         """Return the live values."""
-        ranges, bearings, elevations = self.monitors
         return TrackerHealth(
             nis=self.nis,
             is_overconfident=self.is_overconfident,
-            correlation=(ranges.correlation, bearings.correlation, elevations.correlation),
+            correlation=tuple(monitor.correlation for monitor in self.monitors),
             inflation=inflation,
             nlos_share=self.nlos_share,
             observability=observability,

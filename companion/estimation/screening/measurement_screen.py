@@ -23,7 +23,13 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
 
-from companion.domain import Params, PositionEnu, Positive, RangingMeasurement
+from companion.domain import (
+    POWER_LIMITS_DBM,
+    Params,
+    PositionEnu,
+    Positive,
+    RangingMeasurement,
+)
 from companion.estimation.antenna import (
     ABOUT_VERTICAL,
     MAX_BEARING_RAD,
@@ -46,6 +52,7 @@ class RejectReason(Enum):
     RANGE_ABSURD = "range absurd"
     BEARING_ABSURD = "bearing absurd"
     ELEVATION_ABSURD = "elevation absurd"
+    POWER_ABSURD = "received power absurd"
     SIGMA_NOT_POSITIVE = "sigma not positive"
     FROM_THE_FUTURE = "from the future"
     STALE = "stale"
@@ -55,6 +62,7 @@ class RejectReason(Enum):
     WRONG_UNIT = "in a wrong unit, as it seems"
     RANGE_OUTLIER = "range too short for the estimate"
     BEARING_OUTLIER = "bearing off the estimate"
+    POWER_OUTLIER = "signal too strong for the estimate"
     NO_POSITION = "own position unknown at its time"
     NO_YAW = "own yaw unknown at its time"
     NO_ATTITUDE = "own roll, pitch or yaw unknown at its time"
@@ -89,15 +97,20 @@ def reject_reason_of(
     elevations = [] if m.elevation_rad is None else [m.elevation_rad]
     reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
     sigmas = [sigma for sigma in reported if sigma is not None]
-    numbers = [*ranges, *bearings, *elevations, *sigmas]
+    powers = [] if m.power_dbm is None else [m.power_dbm]
+    numbers = [*ranges, *bearings, *elevations, *powers, *sigmas]
     checks = (
-        (bool(ranges or bearings), RejectReason.NOTHING_MEASURED),
+        (bool(ranges or bearings or powers), RejectReason.NOTHING_MEASURED),
         (all(map(math.isfinite, (*numbers, m.measured_at_s))), RejectReason.NOT_FINITE),
         (not any(0.0 < abs(v) < LEAST_NORMAL for v in numbers), RejectReason.DENORMAL),
         (all(v > 0.0 for v in ranges), RejectReason.RANGE_NOT_POSITIVE),
         (all(v <= params.max_range_m for v in ranges), RejectReason.RANGE_ABSURD),
         (all(abs(v) <= MAX_BEARING_RAD for v in bearings), RejectReason.BEARING_ABSURD),
         (all(abs(v) <= MAX_ELEVATION_RAD for v in elevations), RejectReason.ELEVATION_ABSURD),
+        (
+            all(POWER_LIMITS_DBM[0] <= v <= POWER_LIMITS_DBM[1] for v in powers),
+            RejectReason.POWER_ABSURD,
+        ),
         (all(v > 0.0 for v in sigmas), RejectReason.SIGMA_NOT_POSITIVE),
         (m.measured_at_s <= now_s + FUTURE_TOLERANCE_S, RejectReason.FROM_THE_FUTURE),
         (now_s - m.measured_at_s <= params.max_age_s, RejectReason.STALE),
@@ -135,6 +148,8 @@ FROZEN_M = 2.0
 FROZEN_STEPS = 2.0
 """The same motion in steps of the ranges, if more: motion across the line of sight changes no
 range."""
+FROZEN_POWER_M = 50.0
+"""The same motion for powers, which are reported in whole dB: two steps at 300 m and exponent 3."""
 
 
 class FrozenValue:
@@ -305,6 +320,7 @@ class MeasurementScreen:
         self._bearings.forget_samples()
         least_m = max(FROZEN_M, FROZEN_STEPS * self._params.range_step_m)
         self._frozen_range, self._frozen_bearing = FrozenValue(least_m), FrozenValue()
+        self._frozen_power = FrozenValue(FROZEN_POWER_M)
 
     @property
     def objection(self) -> Objection | None:
@@ -341,7 +357,7 @@ class MeasurementScreen:
             return RejectReason.DUPLICATE
         if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
             return RejectReason.NO_POSITION
-        if measurement.range_m is None:
+        if measurement.range_m is None and measurement.power_dbm is None:
             return self._lost_direction(measurement)
         return None
 
@@ -376,11 +392,21 @@ class MeasurementScreen:
             passed = replace(passed, range_m=None)
         if bearing_reason is not None:
             passed = passed.without_direction()
-        has_direction = passed.bearing_enu_rad is not None or passed.array is not None
-        if has_direction:
+        if passed.has_direction:
             self.has_body_bearings = passed.bearing_body_rad is not None
-        has_any = passed.range_m is not None or has_direction
-        return Judgement(passed if has_any else None, range_reason or bearing_reason, is_new)
+        power_reason = self._power_reason(measurement, sensor_enu_m)
+        if power_reason is not None:
+            passed = replace(passed, power_dbm=None)
+        reason = range_reason or bearing_reason or power_reason
+        return Judgement(passed if passed.has_any else None, reason, is_new)
+
+    def _power_reason(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu
+    ) -> RejectReason | None:
+        power_dbm, time_s = measurement.power_dbm, measurement.measured_at_s
+        if power_dbm is None or not self._frozen_power.add(power_dbm, time_s, sensor_enu_m):
+            return None
+        return RejectReason.FROZEN
 
     def _range_reason(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float

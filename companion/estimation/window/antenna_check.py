@@ -131,7 +131,7 @@ class AntennaCheck:
 
     @Stepwise
     def look(self, rows: Matrix, mean: Vector, inflation: Inflation) -> Steps[bool]:
-        """Compare the candidates on rows (n, 16), from `mean` (k,); return True on a change.
+        """Compare the candidates on rows (n, 18), from `mean` (k,); return True on a change.
 
         The rows are those of a planar array, each with its reported angle.
         """
@@ -254,7 +254,7 @@ class AntennaFit(NamedTuple):
 
 
 def without_nlos(rows: Matrix, found: Sequence[AntennaFit]) -> Matrix | None:
-    """Return the rows (n, 16) without bearings beside a range too long for any candidate.
+    """Return the rows (n, 18) without bearings beside a range too long for any candidate.
 
     None: there are none, or too few others for a comparison.
     """

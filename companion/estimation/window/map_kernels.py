@@ -1,10 +1,11 @@
 """MAP problem over many measurements: residuals, cost, damped re-weighted Gauss-Newton.
 
 Rows are [east, north, up, range, bearing, elevation, range sigma, bearing sigma, elevation sigma,
-sequence number], NaN where nothing was measured, followed by the two axes of an antenna array
-(`measurement_model`). Residuals are whitened and laid out modality by modality, (3, n); missing
-measurements have residual zero and a zero row of partials, so that they contribute nothing. A
-Gaussian prior 1/2 x^T L x - e^T x is added.
+sequence number], NaN where nothing was measured, followed by the two axes of an antenna array, and
+by power, its sigma and its weight, as far as the model has them (`measurement_model`).
+Residuals are whitened and laid out modality by modality, (m, n), with the m modalities of the
+model; missing measurements have residual zero and a zero row of partials, so that they contribute
+nothing. A Gaussian prior 1/2 x^T L x - e^T x is added.
 
 Paper: eq. (9).
 """
@@ -12,19 +13,26 @@ Paper: eq. (9).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.estimation.filters.target_filter import Pose
 from companion.estimation.measurement_model import (
     AZIMUTH,
+    BEARING,
     COSINES,
+    ELEVATION,
     FIRST_AXIS,
     MODALITIES,
+    POWER,
+    RANGE,
     RangingModel,
     fill_noise,
     fill_partials,
     innovations,
+    rows_of,
     sight_of,
 )
 from companion.kernel import Matrix, Vector, kernel
@@ -36,7 +44,10 @@ AXES = SEQUENCE + 1
 """First columns of the values, their standard deviations, the sequence number, and an array's
 axes."""
 COLUMNS, ARRAY_COLUMNS = AXES, AXES + 6
-"""Number of columns without and with an array's axes."""
+"""Number of columns without and with an array's axes, and without power."""
+POWER_COLUMNS = 3
+POWER_VALUE, POWER_SIGMA, POWER_WEIGHT = -3, -2, -1
+"""Number and positions of the columns of power, counted from the end."""
 
 MAX_ITERATIONS = 25
 """Gauss-Newton steps of a solution at most."""
@@ -51,13 +62,22 @@ DAMPING_MAX = 1e8
 MIN_CURVATURE_RATIO = 1e-3
 """Lower limit of the damping scale of one horizontal axis, as a share of the other one's."""
 Row = tuple[Pose, Vector, Vector]
-"""Pose of a measurement, its values (3,), NaN where not measured, and their sigmas (3,)."""
+"""Pose of a measurement, its values (m,), NaN where not measured, and their sigmas (m,)."""
 
 
 def row_vector(row: Row, last: float) -> Vector:
-    """Return a row, (10,) or (16,), with `last` in place of the sequence number."""
+    """Return a row, (10 to 19,), with `last` in place of the sequence number."""
     pose, z, sigma = row
-    return np.array([*pose[:FIRST_AXIS], *z, *sigma, last, *pose[FIRST_AXIS:]])
+    powers = (z[POWER], sigma[POWER], 1.0) if z.size > POWER else ()
+    return np.array(
+        [*pose[:FIRST_AXIS], *z[:POWER], *sigma[:POWER], last, *pose[FIRST_AXIS:], *powers]
+    )
+
+
+def columns_of(model: RangingModel) -> int:
+    """Return the number of columns of a row."""
+    columns = COLUMNS if model.antenna == AZIMUTH else ARRAY_COLUMNS
+    return columns + POWER_COLUMNS * (rows_of(model) - MODALITIES)
 
 
 @kernel
@@ -65,29 +85,54 @@ def poses_of(rows: Matrix, model: RangingModel) -> Matrix:
     """Return the sensor's pose of every row, (3, n) or with an antenna array (9, n)."""
     if model.antenna == AZIMUTH:
         return rows[:, :VALUES].T
-    return np.concatenate((rows[:, :VALUES].T, rows[:, AXES:].T))
+    return np.concatenate((rows[:, :VALUES].T, rows[:, AXES:ARRAY_COLUMNS].T))
+
+
+@kernel
+def values_of(rows: Matrix, count: int) -> Matrix:
+    """Return the values of the first modalities of every row, (count, n)."""
+    if count <= POWER:
+        return rows[:, VALUES : VALUES + count].T
+    return np.concatenate((rows[:, VALUES:SIGMAS].T, rows[:, POWER_VALUE:POWER_SIGMA].T))
+
+
+def without_values(rows: Matrix, gross: Mapping[int, NDArray[np.bool_]]) -> Matrix:
+    """Return the rows with NaN for the values of each modality where `gross`, (n,), is true."""
+    kept = np.array(rows)
+    for modality, is_gross in gross.items():
+        kept[is_gross, VALUES + modality if modality < POWER else POWER_VALUE] = np.nan
+    return kept
+
+
+@kernel
+def thermal_sigmas_of(rows: Matrix, count: int) -> Matrix:
+    """Return the radio's standard deviations of every row, (3 or 4, n)."""
+    if count <= POWER:
+        return rows[:, SIGMAS:SEQUENCE].T
+    return np.concatenate((rows[:, SIGMAS:SEQUENCE].T, rows[:, POWER_SIGMA:POWER_WEIGHT].T))
 
 
 @kernel
 def row_sigmas(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
-    """Return the standard deviations of thermal noise and vehicle position at `mean`, (3, n)."""
-    R = np.empty((MODALITIES, rows.shape[0]))
+    """Return the standard deviations of thermal noise and vehicle position at `mean`, (m, n)."""
+    R = np.empty((rows_of(model), rows.shape[0]))
     poses = poses_of(rows, model)
     sight = sight_of(mean, poses, model)
-    fill_noise(R, rows[:, SIGMAS:SEQUENCE].T, sight, mean, poses, model)
+    fill_noise(R, thermal_sigmas_of(rows, R.shape[0]), sight, mean, poses, model)
     return np.sqrt(R)
 
 
 @kernel
 def has_any(rows: Matrix, modality: int) -> bool:
     """Return True if any row has it: most radios lack a modality, which then costs no time."""
-    return bool(np.isfinite(rows[:, VALUES + modality]).any())
+    column = VALUES + modality if modality < POWER else rows.shape[1] + POWER_VALUE
+    return bool(np.isfinite(rows[:, column]).any())
 
 
 @kernel
-def modalities_of(rows: Matrix) -> int:
+def modalities_of(rows: Matrix, model: RangingModel) -> int:
     """Return the number of modalities up to the last one that any row has, at least 1."""
-    count = MODALITIES
+    count = rows_of(model)
     while count > 1 and not has_any(rows, count - 1):
         count -= 1
     return count
@@ -99,26 +144,26 @@ def first_innovations(rows: Matrix, mean: Vector, model: RangingModel, count: in
 
     Not whitened; NaN: not measured. Units: m, rad, or those of a direction cosine.
     """
-    z = np.ascontiguousarray(rows[:, VALUES : VALUES + count].T)
+    z = np.ascontiguousarray(values_of(rows, count))
     return innovations(z, mean, poses_of(rows, model), model)
 
 
 @kernel
 def measured_innovations(rows: Matrix, mean: Vector, model: RangingModel) -> Matrix:
     """Return the innovations of the modalities up to the last one that any row has, (m, n)."""
-    return first_innovations(rows, mean, model, modalities_of(rows))
+    return first_innovations(rows, mean, model, modalities_of(rows, model))
 
 
 @kernel
 def whitened(y: Matrix, sigmas: Matrix) -> Matrix:
-    """Return innovations y, (m, n), over their sigmas (3, n), zero where not measured."""
+    """Return innovations y, (m, n), over their sigmas, zero where not measured."""
     return np.where(np.isnan(y), 0.0, y / sigmas[: y.shape[0]])
 
 
 @kernel
 def row_residuals(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
-    """Return the whitened residuals of all measurements, (3, n), zero where not measured."""
-    return whitened(first_innovations(rows, mean, model, MODALITIES), sigmas)
+    """Return the whitened residuals of all measurements, (m, n), zero where not measured."""
+    return whitened(first_innovations(rows, mean, model, rows_of(model)), sigmas)
 
 
 @kernel
@@ -131,15 +176,15 @@ def whitened_partials(
     poses = poses_of(rows, model)
     sight = sight_of(mean, poses, model)
     fill_partials(H.transpose(1, 0, 2), sight, mean, poses, model)
-    z = rows[:, VALUES : VALUES + count].T
+    z = values_of(rows, count)
     H *= np.where(np.isnan(z), 0.0, 1.0 / sigmas[:count])
     return H.reshape(mean.size, count * n)
 
 
 @kernel
 def row_partials(rows: Matrix, mean: Vector, sigmas: Matrix, model: RangingModel) -> Matrix:
-    """Return the whitened partials of all measurements, (3 n, k), modality by modality."""
-    return np.ascontiguousarray(whitened_partials(rows, mean, sigmas, model, MODALITIES).T)
+    """Return the whitened partials of all measurements, (m n, k), modality by modality."""
+    return np.ascontiguousarray(whitened_partials(rows, mean, sigmas, model, rows_of(model)).T)
 
 
 @kernel
@@ -153,15 +198,18 @@ def clipped(u: Matrix, thresholds: Matrix) -> Matrix:
 
 
 @kernel
-def apply_weights(terms: Matrix, model: RangingModel) -> None:
-    """Multiply the terms of all measurements, (2 or 3, n), by their shares, in place."""
+def apply_weights(terms: Matrix, rows: Matrix, model: RangingModel) -> None:
+    """Multiply the terms of all measurements, (m, n), by their weights, in place."""
     if model.range_share != 1.0 or model.direction_share != 1.0:
-        terms[0] *= model.range_share
-        terms[1:] *= model.direction_share
+        terms[RANGE] *= model.range_share
+        terms[BEARING:POWER] *= model.direction_share
+    if terms.shape[0] > POWER:
+        terms[POWER] *= rows[:, POWER_WEIGHT]
 
 
 @kernel
 def map_cost(
+    rows: Matrix,
     y: Matrix,
     mean: Vector,
     sigmas: Matrix,
@@ -174,7 +222,7 @@ def map_cost(
     u = whitened(y, sigmas)
     psi = clipped(u, thresholds)
     losses = psi * (u - 0.5 * psi)
-    apply_weights(losses, model)
+    apply_weights(losses, rows, model)
     prior = 0.5 * np.dot(mean, np.dot(information, mean)) - np.dot(pull, mean)
     return float(np.sum(losses) + prior)
 
@@ -185,15 +233,17 @@ def normaliser(rows: Matrix, sigmas: Matrix, model: RangingModel) -> float:
 
     It makes the costs of different positions comparable: a density widened by the vehicle's
     position error is lower; with noise inflated by c, -c log p = loss + c log sigma. `sigmas` are
-    (3, n).
+    (m, n).
     """
     total = 0.0
-    if has_any(rows, 1):
-        wider = np.log(sigmas[1] / rows[:, 7])
-        total += model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 4]), 0.0, wider))
-    if model.antenna == COSINES:
-        wider = np.log(sigmas[2] / rows[:, 8])
-        total += model.bearing_inflation * np.sum(np.where(np.isnan(rows[:, 5]), 0.0, wider))
+    for row in range(BEARING, POWER):
+        if row == BEARING and not has_any(rows, BEARING):
+            continue
+        if row == ELEVATION and model.antenna != COSINES:
+            continue
+        wider = np.log(sigmas[row] / rows[:, SIGMAS + row])
+        is_missing = np.isnan(rows[:, VALUES + row])
+        total += model.bearing_inflation * np.sum(np.where(is_missing, 0.0, wider))
     return float(model.direction_share * total)
 
 
@@ -219,9 +269,9 @@ def normal_equations(
     clear = (u == psi) * 1.0  # multiplying by it takes half the time of np.where when compiled
     weight = (psi * (1.0 - clear) + clear) / (u * (1.0 - clear) + clear)
     losses = psi * (u - 0.5 * psi)
-    apply_weights(weight, model)
-    apply_weights(losses, model)
-    apply_weights(psi, model)
+    apply_weights(weight, rows, model)
+    apply_weights(losses, rows, model)
+    apply_weights(psi, rows, model)
     A = np.dot(weight.reshape(-1) * H, H.T) + information
     known = np.dot(information, mean)
     cost = np.sum(losses) + 0.5 * np.dot(mean, known) - np.dot(pull, mean)
@@ -276,7 +326,7 @@ def map_step(
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
         after = first_innovations(rows, moved, model, y.shape[0])
-        lower = map_cost(after, moved, sigmas, thresholds, information, pull, model)
+        lower = map_cost(rows, after, moved, sigmas, thresholds, information, pull, model)
         if lower < cost:
             return moved, after, max(damping / 4.0, 1e-9), cost - lower, tries
         damping *= 8.0
@@ -299,7 +349,7 @@ def map_descent(
 
     Returns the state (k,), the damping to continue with, the number of passes over the
     measurements, and True at the minimum. The Gaussian prior has the `information` L (k, k) and the
-    `pull` e (k,), L times its mean. `thresholds` (3, 2) are long and short of each modality,
+    `pull` e (k,), L times its mean. `thresholds` (m, 2) are long and short of each modality,
     `bounds` (2, k).
     """
     mean = np.minimum(np.maximum(mean, bounds[0]), bounds[1])

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.estimation.measurement_model import RangingModel
+from companion.estimation.measurement_model import POWER, RangingModel
 from companion.estimation.window.map_kernels import (
+    POWER_WEIGHT,
     clipped,
     row_partials,
     row_residuals,
@@ -55,6 +56,10 @@ class OlderEvidence:
         u = row_residuals(rows, at, sigmas, model)
         psi = clipped(u, thresholds)
         H = row_partials(rows, at, sigmas, model)
+        if len(u) > POWER:  # H and influence with the square root of the weight each
+            roots = np.sqrt(rows[:, POWER_WEIGHT])
+            H[POWER * len(rows) :] *= roots[:, None]
+            psi[POWER], u[POWER] = roots * psi[POWER], roots * u[POWER]
         influence = psi.reshape(-1)
         A = H.T @ ((u == psi).reshape(-1, 1) * H)
         B = H.T @ ((influence**2)[:, None] * H)

@@ -16,25 +16,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.estimation.belief import as_evidence
-from companion.estimation.filters.target_filter import FilterParams, FilterState, Inflation
+from companion.estimation.filters.target_filter import (
+    POWER_LENGTH_M,
+    POWER_PLACE_SIGMA_DB,
+    POWER_SIGMA_DB,
+    FilterParams,
+    FilterState,
+    Inflation,
+)
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
-from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE
+from companion.estimation.measurement_model import BEARING, POWER, RANGE
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.antenna_check import rows_as
 from companion.estimation.window.map_kernels import (
-    ARRAY_COLUMNS,
     COLUMNS,
+    POWER_VALUE,
+    POWER_WEIGHT,
     SEQUENCE,
     VALUES,
     Row,
+    columns_of,
+    has_any,
     row_vector,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
+from companion.estimation.window.place_noise import CELL_SHARE, cells_of
 from companion.estimation.window.rivals import Optimum, weigh_optima
 from companion.estimation.window.sandwich import (
-    ALL_WHITE,
     Observability,
+    is_all_white,
     mirrored,
     observability_of,
 )
@@ -125,6 +136,28 @@ def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
     return kept[:count]
 
 
+def shadow_weights(rows: Matrix) -> Vector:
+    """Return the weight of each row's power, (n,), that the shadows it shares with others leave.
+
+    N measurements of one place have the information of one with the variance of the shadow plus
+    that of fading over N, so that each has the weight (f^2 + s^2) / (f^2 + N s^2); N counts every
+    other measurement as far as its shadow is correlated.
+    """
+    has_power = ~np.isnan(rows[:, POWER_VALUE])
+    weights = np.ones(len(rows))
+    if not has_power.any():
+        return weights
+    places = rows[has_power, :2]
+    cell, ways_m = cells_of(places, CELL_SHARE * POWER_LENGTH_M)
+    count = np.bincount(cell, minlength=len(ways_m)).astype(float)
+    centres = np.stack([np.bincount(cell, axis, len(ways_m)) for axis in places.T]) / count
+    apart_m = np.hypot(*(centres[:, :, None] - centres[:, None, :]))
+    neighbours = np.exp(-apart_m / POWER_LENGTH_M) @ count
+    fading2, shadow2 = POWER_SIGMA_DB**2, POWER_PLACE_SIGMA_DB**2
+    weights[has_power] = ((fading2 + shadow2) / (fading2 + shadow2 * neighbours))[cell]
+    return weights
+
+
 MAX_STARTS_KEPT = 4
 """Hypotheses that start a solution of the window."""
 UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
@@ -135,6 +168,8 @@ EARLY_SHARE = 0.1
 """Growth of the window at which it is solved early on."""
 VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
 """Least covariance of a hypothesis while the window has no acceptable optimum."""
+NEAREST_START_M = 4.0
+"""Distance of the nearest fresh start without a range."""
 SHARED_PASSES = 8
 """Passes over the measurements, as measured, for the effect of shared errors."""
 CONTRADICTING_SHARE = 0.5
@@ -144,16 +179,29 @@ CONTRADICTED_DISTANCE2 = 16.0
 rejected."""
 
 
+def strongest(rows: Matrix) -> NDArray[np.intp]:
+    """Return the indices of the tenth of the rows with the strongest signals, at least one."""
+    powers = np.nan_to_num(rows[:, POWER_VALUE], nan=-math.inf)
+    return np.argsort(-powers, kind="stable")[: max(1, len(rows) // 10)]
+
+
 def start_around(rows: Matrix, direction_rad: float, spread: int, params: FilterParams) -> Vector:
-    """Return a start off the middle of the path, at the median range or by `spread`."""
+    """Return a start off the middle of the path, at the median range or by `spread`.
+
+    With power alone it is off the place where the signal was strongest.
+    """
     east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
     ranges = rows[:, VALUES + RANGE]
     ranges = ranges[~np.isnan(ranges)]
     if ranges.size:
         rise_m = up - params.target_height_m
         distance_m = math.sqrt(max(float(np.median(ranges)) ** 2 - rise_m**2, 1.0))
+    elif params.model.power_index >= 0 and has_any(rows, POWER):
+        strong = strongest(rows)
+        east, north = rows[strong, 0].mean(), rows[strong, 1].mean()
+        distance_m = NEAREST_START_M * 3.0 ** (spread % 3)
     else:
-        distance_m = 4.0 * 3.0 ** (spread % 3)
+        distance_m = NEAREST_START_M * 3.0 ** (spread % 3)
     start = np.array(params.prior[0])
     start[0] = east + distance_m * math.cos(direction_rad)
     start[1] = north + distance_m * math.sin(direction_rad)
@@ -189,7 +237,7 @@ class WindowOptimizer:
 
     def _begin(self, due_at: int) -> None:
         """Start an empty window, to be solved after this number of measurements."""
-        columns = COLUMNS if self.storage_params.model.antenna == AZIMUTH else ARRAY_COLUMNS
+        columns = columns_of(self.storage_params.model)
         self.window = MeasurementWindow(self._params.size, columns)
         self.noise: Inflation | None = None
         """Inflation over thermal noise of each modality at the best optimum; None: not solved
@@ -277,6 +325,8 @@ class WindowOptimizer:
             return hypotheses
         if fresh_starts is None:
             fresh_starts = self._fresh_starts(len(hypotheses), accepted)
+        if self._filter_params.model.power_index >= 0:
+            self.window.rows[:, POWER_WEIGHT] = shadow_weights(self.window.rows)
         self.map.set_bearing_inflation(inflation)
         kept, starts = min(len(hypotheses), MAX_STARTS_KEPT), self._starts(hypotheses, fresh_starts)
         minima = yield from self.map.minima.steps(self.rows, starts, self._older)
@@ -293,7 +343,7 @@ class WindowOptimizer:
         for log_weight, optimum in weigh_optima(optima, self.map.spatial_noise):
             state = FilterState.of(hypotheses[0].state.time_s, optimum.mean, optimum.covariance)
             # with correlated residuals the filter must not shrink below the window's covariance
-            is_free = is_white and self.map.spatial_noise == ALL_WHITE
+            is_free = is_white and is_all_white(self.map.spatial_noise)
             least = None if is_free else np.array(optimum.covariance[:2, :2])
             following.append(Hypothesis(log_weight, state, least))
         return tuple(following)

@@ -24,6 +24,7 @@ from companion.estimation.window.sandwich import (
     ALL_WHITE,
     CRITICAL_RATIO,
     SpatialNoises,
+    is_all_white,
     long_run_variance,
 )
 from companion.kernel import Matrix, Vector
@@ -43,7 +44,7 @@ class Optimum:
     inflation: float
     """Variance of the measurements over white thermal noise."""
     psi: Matrix
-    """(3, n) influences of the measurements."""
+    """(m, n) influences of the measurements."""
     noise: Inflation
     """The same inflation of one range, bearing or elevation at its mean weight, uncorrelated."""
 
@@ -69,7 +70,7 @@ def log_ratio(rival: Optimum, best: Optimum, spatial_noise: SpatialNoises = ALL_
 
 
 def log_ratio_of(cost: float, psi: Matrix, best: Optimum, spatial_noise: SpatialNoises) -> float:
-    """Return the log odds of a rival of which only cost and influences (3, n) are known."""
+    """Return the log odds of a rival of which only cost and influences (m, n) are known."""
     by_noise = (cost - best.cost) / best.inflation
     scatter = scatter_of(psi, best.psi, spatial_noise)
     if scatter <= 0.0:
@@ -82,14 +83,14 @@ def log_ratio_of(cost: float, psi: Matrix, best: Optimum, spatial_noise: Spatial
 def scatter_of(rival: Matrix, best: Matrix, spatial_noise: SpatialNoises) -> float:
     """Return the variance of the difference of two costs by the noise.
 
-    It follows from the influences (3, n) of the rival and of the best; spatially correlated errors
+    It follows from the influences (m, n) of the rival and of the best; spatially correlated errors
     contribute by the covariance of their `spatial_noise`.
     """
-    if spatial_noise == ALL_WHITE:
+    if is_all_white(spatial_noise):
         sensitivity = np.sum((rival - best) * best, axis=0)
         return float(CRITICAL_RATIO**2 * long_run_variance(sensitivity[:, None])[0, 0])
     scatter = 0.0
-    for index, field in enumerate(spatial_noise):
+    for index, field in enumerate(spatial_noise[: len(best)]):
         away = (rival[index] - best[index])[:, None]
         if field is None:
             scatter += float(np.sum((away[:, 0] * best[index]) ** 2))

@@ -26,21 +26,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from companion.estimation.measurement_model import MODALITIES, POWER
 from companion.estimation.stepwise import Steps
 from companion.estimation.window.place_noise import SpatialNoise
 from companion.kernel import Matrix, Vector
 
 SpatialNoises = tuple[SpatialNoise | None, ...]
-"""Spatial noise of each modality, (3,); None: its errors are white."""
-ALL_WHITE: SpatialNoises = (None, None, None)
+"""Spatial noise of each modality; None: its errors are white."""
+ALL_WHITE: SpatialNoises = (None,) * MODALITIES
 """No spatial correlation in any modality."""
 Shares = tuple[float, ...]
-"""Weight of a measurement of each modality, (3,), as a share of an independent one."""
+"""Weight of a measurement of each modality, as a share of an independent one."""
+ALL_WHOLE: Shares = (1.0,) * (MODALITIES + 1)
+"""Full weight of every modality."""
+
+
+def is_all_white(spatial_noise: SpatialNoises) -> bool:
+    """Return True if no modality has spatially correlated errors."""
+    return all(field is None for field in spatial_noise)
+
 
 BANDWIDTH = 0.2
 """Bandwidth of the Bartlett weights, as a share of the window."""
@@ -67,25 +76,48 @@ class Scores:
     """Linearised problem at an estimate, modality by modality."""
 
     u: Matrix
-    """(3, n) whitened residuals."""
+    """(m, n) whitened residuals of the model's modalities."""
     psi: Matrix
-    """(3, n) their influences."""
+    """(m, n) their influences."""
     H: Matrix
-    """(3 n, k) whitened partials, zero rows where nothing was measured."""
+    """(m n, k) whitened partials, zero rows where nothing was measured."""
     is_measured: Matrix
-    """(3, n) booleans."""
-    thermal: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """(m, n) booleans."""
+    thermal: tuple[float, ...] = (1.0,) * (MODALITIES + 1)
     """Second moment of each modality's influence under thermal noise alone."""
+    root_weights: Vector | None = None
+    """(n,) square roots of the weights of received powers, by which their partials are multiplied;
+    None: there are none."""
+
+    def weighed(self, weights: Vector) -> Scores:
+        """Return the same problem with weights (n,) of received powers.
+
+        They account for shadows that neighbours share, so that a weighted measurement is as good as
+        an independent one: A and B contain the same weight.
+        """
+        n, roots = self.u.shape[1], np.sqrt(weights)
+        H = self.H.copy()
+        H[POWER * n :] *= roots[:, None]
+        return replace(self, H=H, root_weights=roots)
+
+    @cached_property
+    def scored(self) -> Matrix:
+        """(m, n) influences as they enter the score with H, weights included."""
+        if self.root_weights is None:
+            return self.psi
+        scored = self.psi.copy()
+        scored[POWER] *= self.root_weights
+        return scored
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
-        """Number of measurements of each modality, (3,)."""
+        """Number of measurements of each modality, (m,)."""
         counts: list[int] = np.count_nonzero(self.is_measured, axis=1).tolist()
         return tuple(counts)
 
     @cached_property
     def slopes(self) -> tuple[float, ...]:
-        """Share of each modality's measurements on the quadratic part, (3,)."""
+        """Share of each modality's measurements on the quadratic part, (m,)."""
         quadratic = np.count_nonzero((self.u == self.psi) & self.is_measured, axis=1).tolist()
         return tuple(
             max(part / n, MIN_SLOPE) if n else 1.0
@@ -169,12 +201,13 @@ class Scores:
 
     @cached_property
     def correlations(self) -> tuple[float, ...]:
-        """Lag-1 `correlation` of each modality, (3,)."""
-        return tuple(self.correlation(modality) for modality in range(3))
+        """Lag-1 `correlation` of each modality, (m,)."""
+        weighed = POWER if self.root_weights is not None else None
+        return tuple(0.0 if m == weighed else self.correlation(m) for m in range(len(self.u)))
 
     @cached_property
     def repetition(self) -> Vector:
-        """Factor (1 + rho) / (1 - rho) of each modality, (3,), for a first-order process."""
+        """Factor (1 + rho) / (1 - rho) of each modality, (m,), for a first-order process."""
         rho = np.array(self.correlations)
         return np.asarray((1.0 + rho) / (1.0 - rho))
 
@@ -191,7 +224,7 @@ def thermal_moment(k_long: float, k_short: float) -> float:
     )
 
 
-def curvature(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
+def curvature(scores: Scores, shares: Shares = ALL_WHOLE) -> Matrix:
     """Return A = sum psi' H H^T with pooled slopes, (k, k), each modality times its share."""
     k = scores.H.shape[1]
     A: Matrix = np.zeros((k, k))
@@ -202,7 +235,7 @@ def curvature(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
 
 
 def pooled_variability(scores: Scores, A_inverse: Matrix, repetition: Vector) -> Matrix:
-    """Return B with pooled second moments, (k, k), each modality times its `repetition` (3,)."""
+    """Return B with pooled second moments, (k, k), each modality times its `repetition` (m,)."""
     k = scores.H.shape[1]
     B = np.zeros((k, k))
     for m in scores.measured:
@@ -233,15 +266,15 @@ def spatial_variability(scores: Scores, spatial_noise: SpatialNoises, A_inverse:
 
 
 def shares_of(spatial_noise: SpatialNoises) -> Shares:
-    """Return the weight of a measurement of each modality that its spatial noise leaves, (3,)."""
+    """Return the weight of a measurement of each modality that its spatial noise leaves, (m,)."""
     return tuple(1.0 if field is None else 1.0 / field.repetition for field in spatial_noise)
 
 
-def correlated_variability(scores: Scores, shares: Shares = (1.0, 1.0, 1.0)) -> Matrix:
+def correlated_variability(scores: Scores, shares: Shares = ALL_WHOLE) -> Matrix:
     """Return B as the long-run variance of the scores, (k, k), critical value included."""
     steps = np.zeros((scores.u.shape[1], scores.H.shape[1]))
     for m in scores.measured:
-        steps += shares[m] * scores.part(m) * scores.psi[m][:, None]
+        steps += shares[m] * scores.part(m) * scores.scored[m][:, None]
     return CRITICAL_RATIO**2 * long_run_variance(steps)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from companion.domain import DEFAULT_ACCURACY, GNSS_ACCURACY_FACTOR, PositionAccuracy
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.measurement_model import AZIMUTH, EAST, NORTH, RangingModel
+from companion.estimation.measurement_model import AZIMUTH, EAST, NORTH, POWER, RangingModel
 from companion.estimation.window.map_kernels import row_residuals, row_sigmas
 from companion.estimation.window.sandwich import (
     Scores,
@@ -146,7 +146,7 @@ def shared_errors(
     model: RangingModel,
     sigmas: SharedSigmas,
 ) -> SharedErrors:
-    """Return the effect of shared errors on rows (n, 10 or 16) at `times_s` (n,).
+    """Return the effect of shared errors on rows (n, 10 to 18) at `times_s` (n,).
 
     The rows are linearised at `mean` (k,) as `scores`; `prior` is the information of the state
     besides them, (k, k). Raises `LinAlgError` if the position is unobservable.
@@ -157,7 +157,7 @@ def shared_errors(
     if model.height_index < 0 and sigmas.height_m > 0.0:
         considered.append(sigmas.height_m * _height_partials(rows, mean, scores, model))
     if sigmas.lag_s > 0.0:
-        velocity = np.tile(_velocities(rows, times_s), (3, 1))
+        velocity = np.tile(_velocities(rows, times_s), (len(scores.u), 1))
         considered.append(sigmas.lag_s * np.sum(place * velocity, axis=1))
     lasting = np.zeros((2, 2))
     if considered:
@@ -170,7 +170,7 @@ def shared_errors(
 
 
 def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matrix) -> Matrix:
-    """Return the effect of parameters with whitened partials (3 n, j), each in units of its sigma.
+    """Return the effect of parameters with whitened partials (m n, j), each in units of its sigma.
 
     One Newton step estimates them, and the sandwich of both gives its covariance: as far as the
     residuals determine a parameter, its estimate replaces its prior sigma.
@@ -188,13 +188,13 @@ def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matr
     B = max(white, correlated_variability(both), key=lambda each: np.trace(alone @ each @ alone.T))
     weight = remaining @ np.linalg.inv(alone @ B @ alone.T + fixed + VARIANCE_FLOOR * np.eye(j))
     V = np.linalg.inv(weight @ remaining + np.eye(j))
-    found = V @ weight @ (partials.T @ scores.psi.reshape(-1))
+    found = V @ weight @ (partials.T @ scores.scored.reshape(-1))
     counted: Matrix = shift[:2] @ (V + np.outer(found, found)) @ shift[:2].T
     return counted
 
 
 def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingModel) -> Vector:
-    """Return the whitened partials by the target's height, (3 n,), 0 where not measured."""
+    """Return the whitened partials by the target's height, (m n,), 0 where not measured."""
     at = np.array(mean)  # as in `WindowMap.scores`
     sigmas = row_sigmas(rows, at, model)
     low, high = (
@@ -202,6 +202,8 @@ def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingM
         for step in (-HEIGHT_STEP_M, HEIGHT_STEP_M)
     )
     partials = np.where(scores.is_measured, (low - high) / (2.0 * HEIGHT_STEP_M), 0.0)
+    if scores.root_weights is not None:
+        partials[POWER] *= scores.root_weights
     return partials.reshape(-1)
 
 
@@ -228,10 +230,10 @@ def _wander(times_s: Vector, A_inverse: Matrix, scores: Scores, place: Matrix) -
     kept = np.exp(-middles_s / TIME_CONSTANT_S)
     apart = np.exp(-np.abs(middles_s[:, None] - middles_s[None]) / TIME_CONSTANT_S)
     C = apart - kept[:, None] - kept[None] + 1.0
-    shift = np.repeat(scores.slopes, n)[:, None] * (scores.H @ A_inverse.T)  # (3 n, 2)
+    shift = np.repeat(scores.slopes, n)[:, None] * (scores.H @ A_inverse.T)  # (m n, 2)
     total = np.zeros((2, 2))
     for axis in range(2):
-        each = (shift * place[:, axis : axis + 1]).reshape(3, n, 2).sum(axis=0)
+        each = (shift * place[:, axis : axis + 1]).reshape(-1, n, 2).sum(axis=0)
         G = np.stack([np.bincount(which, each[:, row], BINS) for row in range(2)], axis=1)
         total += G.T @ C @ G
     return total

@@ -40,7 +40,8 @@ from companion.estimation.measurement_model import (
     BEARING_OFFSET,
     COSINES,
     ELEVATION,
-    MODALITIES,
+    POSSIBLE_SIDE,
+    POWER,
     RANGE,
     RANGE_OFFSET,
     RangingModel,
@@ -51,8 +52,8 @@ from companion.estimation.stepwise import Steps, Stepwise, passes
 from companion.estimation.window.map_kernels import (
     DAMPING_START,
     MAX_ITERATIONS,
+    POWER_WEIGHT,
     SIGMAS,
-    VALUES,
     clipped,
     map_cost,
     map_descent,
@@ -62,17 +63,19 @@ from companion.estimation.window.map_kernels import (
     row_partials,
     row_residuals,
     row_sigmas,
+    values_of,
+    without_values,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.place_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
 from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO, Optimum, log_ratio_of
 from companion.estimation.window.sandwich import (
-    ALL_WHITE,
     Scores,
     SpatialNoises,
     correlated_variability,
     covariance_of,
     curvature,
+    is_all_white,
     pooled_variability,
     shares_of,
     spatial_variability,
@@ -150,7 +153,7 @@ class WindowMap:
         """Cached reception path of the latest rows."""
         self._linearised: tuple[Matrix, Vector, RangingModel, Scores] | None = None
         """Rows, mean and model of the latest scores without a spread, and the scores."""
-        self.spatial_noise: SpatialNoises = ALL_WHITE
+        self.spatial_noise: SpatialNoises = (None,) * len(self._thresholds)
         """Spatially correlated errors found by the latest solution."""
 
     def set_bearing_inflation(self, inflation: Inflation) -> None:
@@ -173,9 +176,11 @@ class WindowMap:
     def _spatial_noise_of(self, rows: Matrix, mean: Vector) -> SpatialNoises:
         """Return the spatial noise by the residuals at `mean` and the radio's parameters."""
         p = self._p
-        found: list[SpatialNoise | None] = [None, None, None]
+        found: list[SpatialNoise | None] = [None] * len(self._thresholds)
         scores = self.scores(rows, mean)
         for m in scores.measured:
+            if m == POWER:
+                continue  # its shadows are in the weights
             sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
             ratio = p.place_sigmas[min(m, BEARING)] / sigma
             if ratio == 0.0 and scores.correlations[m] == 0.0:
@@ -190,9 +195,10 @@ class WindowMap:
             # what looks like spatial noise may be a target that moved: keep the full weight
             found[m] = noise if ratio > 0.0 else replace(noise, repetition=1.0)
         # two components are one direction with one weight
-        worst = max((f.repetition for f in found[BEARING:] if f is not None), default=1.0)
-        directions = (None if f is None else replace(f, repetition=worst) for f in found[BEARING:])
-        return (found[RANGE], *directions)
+        angles = found[BEARING:POWER]
+        worst = max((f.repetition for f in angles if f is not None), default=1.0)
+        directions = (None if f is None else replace(f, repetition=worst) for f in angles)
+        return (found[RANGE], *directions, *found[POWER:])
 
     @Stepwise
     def optima(
@@ -223,7 +229,8 @@ class WindowMap:
             best = optima[0] if optima else None
             if (
                 best
-                and log_ratio_of(cost, scores.psi, best, self.spatial_noise) <= IMPROBABLE_LOG_RATIO
+                and log_ratio_of(cost, scores.scored, best, self.spatial_noise)
+                <= IMPROBABLE_LOG_RATIO
             ):
                 continue
             optimum = yield from self._optimum.steps(rows, mean, cost, scores, older, is_white)
@@ -290,8 +297,10 @@ class WindowMap:
                     sigmas[row] = np.sqrt(sigmas[row] ** 2 + added)
             u = row_residuals(rows, at, sigmas, self._model)
             H = row_partials(rows, at, sigmas, self._model)
-            is_measured = ~np.isnan(rows[:, VALUES : VALUES + 3].T)
+            is_measured = ~np.isnan(values_of(rows, len(u)))
         scores = Scores(u, clipped(u, self._thresholds), H, is_measured, self._thermal)
+        if len(u) > POWER:
+            scores = scores.weighed(rows[:, POWER_WEIGHT])
         if spread_m2 == 0.0:
             self._linearised = rows, mean, self._model, scores
         return scores
@@ -303,19 +312,20 @@ class WindowMap:
         """
         scores = self.scores(rows, mean)
         u = scores.u
-        is_short = u[RANGE] < -GROSS_SIGMAS
+        impossible = {
+            row: side * u[row] < -GROSS_SIGMAS
+            for row, side in POSSIBLE_SIDE.items()
+            if row < len(u)
+        }
         is_off = np.zeros(len(rows), dtype=bool)
         for row in self._directions:
             noise = min(max(1.0, scores.inflation(row, len(mean))), MAX_BEARING_NOISE)
             is_off |= np.abs(u[row]) > GROSS_SIGMAS * math.sqrt(noise)
-        count = int(np.sum(is_short | is_off))
+        count = int(np.sum(np.any([*impossible.values(), is_off], axis=0)))
         if not 0 < count <= len(rows) // 2:
             return None
-        kept = np.array(rows)
-        kept[is_short, VALUES + RANGE] = np.nan
-        for row in self._directions:
-            kept[is_off, VALUES + row] = np.nan
-        return kept
+        gross = impossible | dict.fromkeys(self._directions, is_off)
+        return without_values(rows, gross)
 
     def _profiled_cost(
         self, rows: Matrix, optimum: Vector, at: Vector, older: OlderEvidence | None
@@ -342,7 +352,7 @@ class WindowMap:
             sigmas = row_sigmas(rows, mean, self._model)
             innovations = measured_innovations(rows, mean, self._model)
             cost = map_cost(
-                innovations, mean, sigmas, self._thresholds, information, pull, self._model
+                rows, innovations, mean, sigmas, self._thresholds, information, pull, self._model
             )
             return float(cost) + normaliser(rows, sigmas, self._model)
 
@@ -399,7 +409,7 @@ class WindowMap:
         except np.linalg.LinAlgError:
             return None
         cost_at, profiled = partial(self._cost, rows, older=older), None
-        if self.spatial_noise != ALL_WHITE:
+        if not is_all_white(self.spatial_noise):
             profiled = partial(self._profiled_cost, rows, mean, older=older)
         yield passes(BEND_PASSES, len(rows))
         covariance = yield from stretch_covariance(
@@ -407,10 +417,8 @@ class WindowMap:
         )
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
-        noise = tuple(max(1.0, scores.inflation(m, len(mean))) for m in range(MODALITIES))
-        return Optimum(
-            mean, cost, covariance, inflation, scores.psi, (noise[0], noise[1], noise[2])
-        )
+        noise = [max(1.0, scores.inflation(m, len(mean))) for m in range(len(scores.u))]
+        return Optimum(mean, cost, covariance, inflation, scores.scored, tuple(noise))
 
     def widths(
         self, rows: Matrix, mean: Vector, older: OlderEvidence | None, *, is_white: bool
@@ -423,7 +431,7 @@ class WindowMap:
         A = curvature(scores) + self.prior_with(rows, older)[0]
         A_inverse = np.asarray(np.linalg.inv(A))
         fixed = self.prior_with(rows, None)[0] + (0.0 if older is None else older.variability)
-        white = pooled_variability(scores, A_inverse, np.ones(MODALITIES)) + fixed
+        white = pooled_variability(scores, A_inverse, np.ones(len(scores.u))) + fixed
         widths = [
             ("thermal noise", np.linalg.inv(A[:2, :2])),
             ("offsets that are estimated", A_inverse[:2, :2]),
@@ -444,7 +452,7 @@ class WindowMap:
         A_inverse = np.asarray(np.linalg.inv(A))
         shares, repetition = shares_of(self.spatial_noise), scores.repetition
         variabilities = []
-        if self.spatial_noise != ALL_WHITE:
+        if not is_all_white(self.spatial_noise):
             variabilities.append(spatial_variability(scores, self.spatial_noise, A_inverse) + fixed)
         if not (self._has_spatial_errors and variabilities):
             counted = repetition * np.square(shares)

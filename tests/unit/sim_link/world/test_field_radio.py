@@ -80,6 +80,20 @@ def lag_correlation(values: Sequence[float], lag: int) -> float:
     return float(np.corrcoef(values[:-lag], values[lag:])[0, 1])
 
 
+def test_received_power_is_the_sensitivity_plus_the_margin_in_whole_steps() -> None:
+    loss = LossParams(sensitivity_dbm=-97.0, shadow_sigma_db=0.0, fading_sigma_db=0.0)
+    params = FieldChannelParams(p_nlos=0.0, loss=loss)
+    radio = FieldRadio(params, np.random.default_rng(1), measures="power")
+    emitter = Emitter(EmitterParams(position_enu_m=(0.0, 0.0)))
+    radio.prepare(emitter)
+    powers = [radio.hear(emitter, (0.0, east_m, 0.0), 0.0) for east_m in (15.0, 150.0 / 4.0)]
+    assert [None if m is None else (m.range_m, m.power_dbm) for m in powers] == [
+        (None, -77.0),
+        (None, -85.0),
+    ]
+    assert radio.hear(emitter, (0.0, 151.0, 0.0), 0.0) is None
+
+
 def test_by_default_it_is_the_papers_channel_to_the_last_bit() -> None:
     plain = RadioChannel(ChannelParams(), np.random.default_rng(3), Environment([BLOCK]))
     field = radio(ChannelParams(), obstacles=[BLOCK])

@@ -59,7 +59,8 @@ class Problem:
 
     def cost(self, mean: Vector) -> float:
         prior = (self.information, self.pull, self.model)
-        return float(map_cost(self.offs(mean), mean, self.sigmas(mean), self.thresholds, *prior))
+        sigmas = self.sigmas(mean)
+        return float(map_cost(self.rows, self.offs(mean), mean, sigmas, self.thresholds, *prior))
 
     def system(self, mean: Vector) -> tuple[Matrix, Vector]:
         prior = (self.information, self.pull, self.model)

@@ -106,7 +106,7 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
         curvature,
         mean,
         lambda x: float(
-            map_cost(measured_innovations(rows, x, p.model), x, sigmas, p.thresholds, *prior)
+            map_cost(rows, measured_innovations(rows, x, p.model), x, sigmas, p.thresholds, *prior)
         ),
     )
     assert wider[1, 1] > 1.3**2 * covariance[1, 1]

@@ -69,7 +69,7 @@ def test_solution_is_a_minimum_of_the_objective() -> None:
 
     def objective(x: Vector) -> float:
         sigmas, offs = row_sigmas(rows, x, p.model), measured_innovations(rows, x, p.model)
-        return float(map_cost(offs, x, sigmas, p.thresholds, priors, np.zeros(4), p.model))
+        return float(map_cost(rows, offs, x, sigmas, p.thresholds, priors, np.zeros(4), p.model))
 
     assert cost == pytest.approx(objective(mean))
     for direction in np.concatenate([np.eye(4), -np.eye(4)]):
