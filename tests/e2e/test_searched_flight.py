@@ -31,7 +31,6 @@ limits: {fence_enu_m: [[0, 0], [60, 0], [60, 60], [0, 60]], autopilot_fence: ign
 planner: {search: lawnmower, pattern: {spacing_m: 25.0}}
 search:
   detection: {reach_m: 30.0, reach_sigma_db: 3.0}
-  cell_m: 5.0
   stop_sweeps: 1
 """
 FILES = ["searched_area." + end for end in ("geojson", "gpx", "json", "kml", "png", "txt")]
