@@ -230,18 +230,30 @@ def innovations(z: Matrix, mean: Vector, pose: Matrix, model: RangingModel) -> M
 
 
 @kernel
+def range_partials(sight: Sight, factor: float) -> tuple[Any, Any]:
+    """Return the partials of a range by east and north; its factor is 1 + scale."""
+    by_slant = factor / root(larger(sight.slant2_m2, NEAREST2_M2))
+    return sight.east_m * by_slant, sight.north_m * by_slant
+
+
+@kernel
+def azimuth_partials(sight: Sight) -> tuple[Any, Any]:
+    """Return the partials of an azimuth by east and north, radians per metre."""
+    ground2 = larger(sight.ground2_m2, NEAREST2_M2)
+    return -sight.north_m / ground2, sight.east_m / ground2
+
+
+@kernel
 def fill_partials(H: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: RangingModel) -> None:
     """Fill the partials by the state, (m, k) or (m, k, n), which are zero before."""
     de, dn, du = sight.east_m, sight.north_m, sight.up_m
-    slant = root(larger(sight.slant2_m2, NEAREST2_M2))
-    by_slant = range_factor(mean, model) / slant
-    H[RANGE, EAST] = de * by_slant
-    H[RANGE, NORTH] = dn * by_slant
+    H[RANGE, EAST], H[RANGE, NORTH] = range_partials(sight, range_factor(mean, model))
     H[RANGE, RANGE_OFFSET] = 1.0
     if model.scale_index >= 0:
         H[RANGE, model.scale_index] = root(sight.slant2_m2)
     if model.height_index >= 0:
-        H[RANGE, model.height_index] = du * by_slant
+        slant = root(larger(sight.slant2_m2, NEAREST2_M2))
+        H[RANGE, model.height_index] = du * (range_factor(mean, model) / slant)
     if H.shape[0] > POWER:
         fill_power_partials(H, sight, mean, model)
     if H.shape[0] == 1:
@@ -249,11 +261,10 @@ def fill_partials(H: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: Ra
     if model.antenna != AZIMUTH:
         fill_array_partials(H, sight, mean, pose, model)
         return
-    ground2 = larger(sight.ground2_m2, NEAREST2_M2)
-    H[BEARING, EAST] = -dn / ground2
-    H[BEARING, NORTH] = de / ground2
+    H[BEARING, EAST], H[BEARING, NORTH] = azimuth_partials(sight)
     H[BEARING, BEARING_OFFSET] = 1.0
     if H.shape[0] > ELEVATION:
+        ground2 = larger(sight.ground2_m2, NEAREST2_M2)
         ground, slant2 = root(ground2), ground2 + du * du
         down = -du / (slant2 * ground)
         H[ELEVATION, EAST] = de * down
@@ -312,6 +323,19 @@ def fill_array_partials(
 
 
 @kernel
+def range_bend_m2(space_m2: float, sight: Sight) -> Any:
+    """Return the variance of a range by the model's second-order part, see `add_second_order`."""
+    return space_m2 * space_m2 / (4.0 * larger(sight.slant2_m2, NEAREST2_M2))
+
+
+@kernel
+def azimuth_bend_rad2(ground_m2: float, sight: Sight) -> Any:
+    """Return the variance of an azimuth by the model's second-order part."""
+    bend = ground_m2 / larger(sight.ground2_m2, NEAREST2_M2)
+    return bend * bend
+
+
+@kernel
 def fill_noise(
     R: Matrix, sigma: Matrix, sight: Sight, mean: Vector, pose: Matrix, model: RangingModel
 ) -> None:
@@ -364,7 +388,7 @@ def add_second_order(
     position's covariance, `space_m2` that with the height's variance.
     """
     slant2 = larger(sight.slant2_m2, NEAREST2_M2)
-    R[RANGE] += space_m2 * space_m2 / (4.0 * slant2)
+    R[RANGE] += range_bend_m2(space_m2, sight)
     if R.shape[0] > POWER:
         # ln(slant) bends by +-1 / slant^2 along and across: 1/2 tr (H P)^2 at most
         bend = DB_PER_NEPER * float(mean[model.power_index + 1]) * space_m2 / slant2
@@ -372,10 +396,9 @@ def add_second_order(
     if R.shape[0] == 1:
         return
     if model.antenna == AZIMUTH:
-        ground2 = larger(sight.ground2_m2, NEAREST2_M2)
-        bend = ground_m2 / ground2
-        R[BEARING] += bend * bend
+        R[BEARING] += azimuth_bend_rad2(ground_m2, sight)
         if R.shape[0] > ELEVATION:
+            ground2 = larger(sight.ground2_m2, NEAREST2_M2)
             rise_m = larger(sight.up_m, -sight.up_m)
             bend = space_m2 / slant2 * (1.0 + 0.5 * rise_m / root(ground2))
             R[ELEVATION] += bend * bend

@@ -38,10 +38,16 @@ from companion.estimation.measurement_model import (
     ELEVATION,
     MODALITIES,
     PLANAR,
+    RANGE,
     RangingModel,
+    Sight,
+    azimuth_bend_rad2,
+    azimuth_partials,
     cosines,
     fill_partials,
     fill_variances,
+    range_bend_m2,
+    range_partials,
     sight_of,
 )
 from companion.estimation.number_or_array import root
@@ -103,36 +109,69 @@ def product(h: Matrix, g: tuple[Any, Any, Any, Any]) -> Any:
 
 
 @kernel
+def larger_eigenvalue(ee: Any, en: Any, nn: Any) -> Any:
+    """Return the larger eigenvalue of [[ee, en], [en, nn]]."""
+    half = 0.5 * (ee - nn)
+    return 0.5 * (ee + nn) + root(half * half + en * en)
+
+
+@kernel
+def azimuth_worst_variance_m2(
+    P: Matrix, sight: Sight, noise_m2: float, noise_rad2: float, spread_m2: float
+) -> Any:
+    """Return `worst_variance_m2` of a range and an azimuth, of one line of sight or of n, (n,).
+
+    In closed form, with the partials (ue, un, 1, 0) and (ve, vn, 0, 1), because a decision compares
+    many. `noise_m2` and `noise_rad2` are of the radio, `spread_m2` is the trace of the position's
+    covariance for the second-order terms, or 0.
+    """
+    ue, un = range_partials(sight, 1.0)
+    ge = P[0, 0] * ue + P[0, 1] * un + P[0, 2]
+    gn = P[1, 0] * ue + P[1, 1] * un + P[1, 2]
+    go = P[2, 0] * ue + P[2, 1] * un + P[2, 2]
+    gb = P[3, 0] * ue + P[3, 1] * un + P[3, 2]
+    by_range = 1.0 / (ue * ge + un * gn + go + noise_m2 + range_bend_m2(spread_m2, sight))
+    ve, vn = azimuth_partials(sight)
+    share = (ve * ge + vn * gn + gb) * by_range
+    ke = P[0, 0] * ve + P[0, 1] * vn + P[0, 3] - share * ge
+    kn = P[1, 0] * ve + P[1, 1] * vn + P[1, 3] - share * gn
+    kb = P[3, 0] * ve + P[3, 1] * vn + P[3, 3] - share * gb
+    by_bearing = 1.0 / (ve * ke + vn * kn + kb + noise_rad2 + azimuth_bend_rad2(spread_m2, sight))
+    return larger_eigenvalue(
+        P[0, 0] - ge * ge * by_range - ke * ke * by_bearing,
+        P[0, 1] - ge * gn * by_range - ke * kn * by_bearing,
+        P[1, 1] - gn * gn * by_range - kn * kn * by_bearing,
+    )
+
+
+@kernel
 def worst_variance_m2(P: Matrix, H: Matrix, R: Matrix) -> Any:
     """Return the largest eigenvalue of the position covariance after one expected measurement.
 
     Its inverse is the smallest eigenvalue of the marginal information. P is (4, 4), of [east,
-    north, range offset, bearing offset]; H is (2 or 3, 4), or (2 or 3, 4, n) for n measurements,
-    with the variances R (2 or 3,) or (2 or 3, n); infinite: not measured.
+    north, range offset, bearing offset]; H is (3, 4, n) for n measurements, with the variances R
+    (3, n); infinite: not measured.
     """
     g = projected(P, H[0])
     S = product(H[0], g) + R[0]
-    ee = P[0, 0] - g[0] * g[0] / S
-    en = P[0, 1] - g[0] * g[1] / S
-    nn = P[1, 1] - g[1] * g[1] / S
     k = projected(P, H[1])
     share = product(H[1], g) / S
     k = (k[0] - share * g[0], k[1] - share * g[1], k[2] - share * g[2], k[3] - share * g[3])
     T = product(H[1], k) + R[1]
-    ee, en, nn = ee - k[0] * k[0] / T, en - k[0] * k[1] / T, nn - k[1] * k[1] / T
-    if H.shape[0] > ELEVATION:
-        first, second = product(H[2], g) / S, product(H[2], k) / T
-        last = projected(P, H[2])
-        last = (
-            last[0] - first * g[0] - second * k[0],
-            last[1] - first * g[1] - second * k[1],
-            last[2] - first * g[2] - second * k[2],
-            last[3] - first * g[3] - second * k[3],
-        )
-        U = product(H[2], last) + R[2]
-        ee, en, nn = ee - last[0] * last[0] / U, en - last[0] * last[1] / U, nn - last[1] ** 2 / U
-    half = 0.5 * (ee - nn)
-    return 0.5 * (ee + nn) + root(half * half + en * en)
+    first, second = product(H[2], g) / S, product(H[2], k) / T
+    last = projected(P, H[2])
+    last = (
+        last[0] - first * g[0] - second * k[0],
+        last[1] - first * g[1] - second * k[1],
+        last[2] - first * g[2] - second * k[2],
+        last[3] - first * g[3] - second * k[3],
+    )
+    U = product(H[2], last) + R[2]
+    return larger_eigenvalue(
+        P[0, 0] - g[0] * g[0] / S - k[0] * k[0] / T - last[0] * last[0] / U,
+        P[0, 1] - g[0] * g[1] / S - k[0] * k[1] / T - last[0] * last[1] / U,
+        P[1, 1] - g[1] * g[1] / S - k[1] * k[1] / T - last[1] * last[1] / U,
+    )
 
 
 @kernel
@@ -141,28 +180,30 @@ def worst_variances_m2(
 ) -> Vector:
     """Return `worst_variance_m2` of a measurement at each of the poses (3 or 9, n), (n,).
 
-    The mean is (4,), `sigma` (3,) the noise of range and directions; infinite: not measured.
+    The mean is (4,), `sigma` (3,) the noise of range and directions; infinite: not measured. The
+    model is one of `model_of`, without the vehicle position's error.
     """
     n = poses.shape[1]
-    if model.antenna == AZIMUTH and IS_COMPILED:  # needs no array but these
-        H, R, worst = np.zeros((2, 4)), np.empty(2), np.empty(n)
-        for index in range(n):
-            pose = poses[:, index]
-            sight = sight_of(mean, pose, model)
-            fill_partials(H, sight, mean, pose, model)
-            fill_variances(R, P, sight, mean, pose, sigma, model)
-            worst[index] = worst_variance_m2(P, H, R)
+    if model.antenna == AZIMUTH:
+        worst, noise_m2, noise_rad2 = np.empty(n), sigma[RANGE] ** 2, sigma[BEARING] ** 2
+        spread_m2 = P[0, 0] + P[1, 1] if model.near_target_terms else 0.0
+        if IS_COMPILED:
+            for index in range(n):
+                sight = sight_of(mean, poses[:, index], model)
+                worst[index] = azimuth_worst_variance_m2(P, sight, noise_m2, noise_rad2, spread_m2)
+        else:
+            sights = sight_of(mean, poses, model)
+            worst[:] = azimuth_worst_variance_m2(P, sights, noise_m2, noise_rad2, spread_m2)
         return worst
-    count = 2 if model.antenna == AZIMUTH else MODALITIES
-    all_H, all_R = np.zeros((count, 4, n)), np.empty((count, n))
-    sights = sight_of(mean, poses, model)
-    fill_partials(all_H, sights, mean, poses, model)
-    fill_variances(all_R, P, sights, mean, poses, sigma, model)
+    H, R = np.zeros((MODALITIES, 4, n)), np.empty((MODALITIES, n))
+    lines = sight_of(mean, poses, model)
+    fill_partials(H, lines, mean, poses, model)
+    fill_variances(R, P, lines, mean, poses, sigma, model)
     if view.least_cosine > -1.0:
         is_hidden = ~is_in_view(mean, poses, view, model)
-        for row in range(BEARING, count):
-            all_R[row][is_hidden] = math.inf
-    return np.asarray(worst_variance_m2(P, all_H, all_R))
+        R[BEARING][is_hidden] = math.inf
+        R[ELEVATION][is_hidden] = math.inf
+    return np.asarray(worst_variance_m2(P, H, R))
 
 
 @kernel
