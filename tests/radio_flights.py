@@ -12,7 +12,7 @@ from companion.config.schema import CompanionConfig, load_config
 from sim_link.autopilot.scenario import Scenario
 from sim_link.emulators.wifi import ANDROID_HEADER
 from sim_link.fleet.vehicles import load_scenario
-from tests.radio_formats import Format
+from tests.radio_formats import POWERS, Format
 
 ROOT = Path(__file__).resolve().parents[1]
 FIELD, FIELD_CONFIG = "configs/scenarios/field", "configs/companion/field"
@@ -23,6 +23,7 @@ PLACES = {
     "two_axis": (f"{FIELD}/uwb_two_axis.yaml", f"{FIELD_CONFIG}/uwb_two_axis.yaml"),
     "planar": (f"{FIELD}/beacon_planar.yaml", f"{FIELD_CONFIG}/beacon_planar.yaml"),
     "bearings": (f"{FIELD}/uwb_two_axis.yaml", f"{FIELD_CONFIG}/uwb_two_axis.yaml"),
+    "power": (f"{FIELD}/rssi_only.yaml", f"{FIELD_CONFIG}/rssi_only.yaml"),
     "lte": (f"{FIELD}/phone_cellular.yaml", "configs/radios/srsran_4g.yaml"),
     "nr": (f"{FIELD}/phone_cellular.yaml", "configs/radios/srsran.yaml"),
     "oai": (f"{FIELD}/phone_cellular.yaml", "configs/radios/oai.yaml"),
@@ -76,6 +77,8 @@ def place_name(format_: Format) -> str:
     """By what the radio tells."""
     if format_.name in OWN:
         return OWN[format_.name]
+    if format_ in POWERS:
+        return "power"
     return format_.kind.antenna if format_.azimuth_deg is not None else "ranges"
 
 

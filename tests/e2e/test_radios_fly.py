@@ -30,7 +30,7 @@ import yaml
 from companion.domain import Params
 from tests.ports import free_port
 from tests.radio_flights import as_flown, place_name, place_of, sigmas
-from tests.radio_formats import CELLS, FORMAT_OF, FORMATS, Format
+from tests.radio_formats import ALL, CELLS, FORMAT_OF, Format
 
 pytestmark = pytest.mark.slow
 
@@ -47,10 +47,10 @@ POLL_S = 0.03
 ONE_OF_EACH_LINE = ("ndjson", "fira_uci", "pdoa_js", "kraken", "lines", "iw_ftm", "android_rtt")
 BY_PAGE = ("kraken", "kraken_suite", "kraken_xml")
 BY_SOCKET = ("kraken_ws",)
-BY_UDP = ("ndjson", "nlink_iot", "makerfabs_at")
-BY_TCP = ("lines", "srsran", "pans")
+BY_UDP = ("ndjson", "nlink_iot", "makerfabs_at", "lora_forwarder", "uavrt")
+BY_TCP = ("lines", "srsran", "pans", "things_stack")
 BY_FILE = ("android_rtt", "oai")
-BY_PROGRAM = ("iw_ftm", "srsran_4g")
+BY_PROGRAM = ("iw_ftm", "srsran_4g", "wifi_scan", "ble_scan", "chirpstack")
 """All others are plugged into a serial port."""
 
 
@@ -111,7 +111,8 @@ class Rig:
     def __init__(self, directory: Path, format_: Format, to: str, at: str) -> None:
         self.directory, self.format, self.to, self.at = directory, format_, to, at
         self.started: list[Process] = []
-        self.speed = SPEED if format_.range_m is not None else SPEED_OF_BEARINGS
+        is_by_bearings = format_.range_m is None and format_.azimuth_deg is not None
+        self.speed = SPEED_OF_BEARINGS if is_by_bearings else SPEED
         self.place = place_of(place_name(format_))
         self.port, self.follow_port = free_port(), free_port()
         self.radio_words = (
@@ -230,7 +231,7 @@ def every_format() -> list[object]:
             id=each.name,
             marks=() if each.name in ONE_OF_EACH_LINE else pytest.mark.campaign,
         )
-        for each in FORMATS
+        for each in ALL
     ]
 
 

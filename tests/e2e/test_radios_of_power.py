@@ -10,16 +10,11 @@ import msgspec
 import pytest
 
 from sim_link.autopilot.scenario import Scenario
-from tests.e2e.test_radios_fly import BIN, Process, write
+from tests.e2e.test_radios_fly import BIN, BY_PROGRAM, BY_TCP, BY_UDP, Process, write
 from tests.ports import free_port
 from tests.radio_formats import POWERS, Format
 
 pytestmark = pytest.mark.slow
-
-BY_UDP = ("lora_forwarder", "uavrt")
-BY_SERIAL = ("esp32_sniffer",)
-BY_TCP = ("things_stack",)
-"""All others are the output of a program."""
 
 
 @pytest.fixture
@@ -37,9 +32,9 @@ def lines_of(directory: Path, name: str) -> tuple[str, str]:
         return f"udpout:127.0.0.1:{port}", f"udp:127.0.0.1:{port}"
     if name in BY_TCP:
         return f"tcpin:127.0.0.1:{port}", f"tcp:127.0.0.1:{port}"
-    if name in BY_SERIAL:
-        return f"pty:{directory}/uart", f"serial:{directory}/uart:115200"
-    return "stdout:", ""
+    if name in BY_PROGRAM:
+        return "stdout:", ""
+    return f"pty:{directory}/uart", f"serial:{directory}/uart:115200"
 
 
 @pytest.mark.parametrize("format_", POWERS, ids=lambda each: str(each.name))

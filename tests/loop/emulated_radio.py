@@ -100,6 +100,15 @@ def in_degrees_about_an_upright(heard: RangingMeasurement) -> RangingMeasurement
     return replace(heard, bearing_body_rad=across_rad, elevation_rad=elevation_rad)
 
 
+def of_a_gateway(heard: RangingMeasurement) -> RangingMeasurement:
+    """The signal's share of a LoRa channel's whole decibels; its noise is -117 dBm."""
+    assert heard.power_dbm is not None
+    channel_dbm = round(10.0 * math.log10(10.0 ** (0.1 * heard.power_dbm) + 10.0**-11.7))
+    snr_db = min(round(heard.power_dbm + 117.0, 1), 14.0)
+    power_dbm = channel_dbm - 10.0 * math.log10(1.0 + 10.0 ** (-0.1 * snr_db))
+    return replace(heard, power_dbm=power_dbm)
+
+
 def to_five_degrees(heard: RangingMeasurement) -> RangingMeasurement:
     """Angles in hundredths, with the standard deviation that the locator's emulator prints."""
     sigma_rad = math.radians(5.0)

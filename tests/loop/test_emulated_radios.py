@@ -28,12 +28,13 @@ from tests.loop.emulated_radio import (
     in_degrees_about_an_upright,
     in_steps,
     of_a_cell,
+    of_a_gateway,
     to_five_degrees,
     without_a_clock,
 )
 from tests.loop.loop_helpers import Loop
 from tests.radio_flights import as_flown, place_name, place_of, sigmas
-from tests.radio_formats import CELLS, FORMAT_OF, FORMATS, LTE_STEP_M, NR_STEP_M, Format
+from tests.radio_formats import ALL, CELLS, FORMAT_OF, LTE_STEP_M, NR_STEP_M, Format
 
 pytestmark = pytest.mark.slow
 
@@ -59,6 +60,7 @@ COARSE = {
     "fira_uci": in_steps(0.01, 1.0 / 128.0),
     "sr150": in_steps(0.01, 1.0 / 128.0),
     "qorvo_cli": in_steps(0.01, 0.01),
+    **dict.fromkeys(("lora_forwarder", "chirpstack", "things_stack"), of_a_gateway),
 }
 """What RADIO_RANGING is rounded to, where another flight comes of the steps.
 
@@ -126,7 +128,15 @@ def by_the_metrics(now_s: float) -> int:
     return 1000 * round(1000.0 * SRSRAN_S(now_s))
 
 
-STAMPS = {"uudf": by_the_board, "srsran": by_the_metrics}
+GATEWAY_S = make_emulator("lora_forwarder", SEED).device_s
+
+
+def by_the_gateway(now_s: float) -> int:
+    """On the gateway's microseconds; for the same reason."""
+    return round(1e6 * GATEWAY_S(now_s))
+
+
+STAMPS = {"uudf": by_the_board, "srsran": by_the_metrics, "lora_forwarder": by_the_gateway}
 """Where the last digit of a time makes another flight."""
 
 
@@ -137,7 +147,7 @@ def reference(place: str, coarsen: Coarsen, stamp: Stamp) -> tuple[float, float,
 
 
 @pytest.mark.parametrize(
-    "format_", [as_flown(each) for each in FORMATS], ids=lambda each: str(each.name)
+    "format_", [as_flown(each) for each in ALL], ids=lambda each: str(each.name)
 )
 def test_every_radio_finds_it_as_radio_ranging_does(format_: Format) -> None:
     place = place_name(format_)
