@@ -186,7 +186,7 @@ class InnovationNoise:
                 monitors.append(monitor.after(row.whitened_innovation, k_long, k_short))
         dof = sum(row is not None for row in report.modalities)
         return InnovationNoise(
-            tuple(monitors),
+            (*monitors, *self.monitors[len(monitors) :]),  # a report without power has fewer rows
             NIS_FORGETTING * self.dof + dof,
             NIS_FORGETTING * self.nis_sum + report.nis,
         )

@@ -44,6 +44,12 @@ def test_at_first_the_configured_inflation_is_believed() -> None:
     assert noise.nis is None
 
 
+def test_a_modality_that_a_report_lacks_keeps_its_noise() -> None:
+    noise = InnovationNoise.starting(4.0, rows=4).after(_report(1.0), THRESHOLDS)
+    assert len(noise.inflation((1.0, 2.0, 2.0, 3.0))) == 4
+    assert noise.monitors[3] == InnovationNoise.starting(4.0).monitors[0]
+
+
 def test_every_modality_learns_from_its_own_innovations() -> None:
     rng = np.random.default_rng(1)
     noise = _after([_report(float(u), 3.0 * float(v)) for u, v in rng.normal(size=(600, 2))])
