@@ -109,7 +109,7 @@ def record_flights() -> None:
 
 
 def configurations() -> Iterator[Any]:
-    """Yield the defaults, and those with every filter, planner and antenna."""
+    """Yield the defaults, and those with every filter, planner and antenna, and with power."""
     from companion.config.schema import CompanionConfig, CrossingKind
     from companion.estimation.antenna import AntennaKind
     from companion.estimation.filters.kalman import FilterKind
@@ -124,6 +124,8 @@ def configurations() -> Iterator[Any]:
         yield replace(
             default, estimation=replace(estimation, filter=replace(used, antenna=antenna))
         )
+    with_power = replace(estimation, filter=replace(used, power_at_1m_dbm=0.0))
+    yield replace(default, estimation=with_power)
     for planner_kind in get_args(CrossingKind):
         yield replace(default, planner=replace(default.planner, kind=planner_kind))
 
