@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
@@ -92,6 +92,8 @@ class ReportResult:
     emitter_id: int | None = None
     origin: LocalOrigin | None = None
     """Zero of the estimate's frame."""
+    budget_m: Mapping[str, float] = field(default_factory=dict)
+    """R95 in metres after each term that widens it, by the term's name."""
 
 
 @dataclass(frozen=True, slots=True)

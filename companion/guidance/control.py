@@ -7,6 +7,7 @@ because the battery is low.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from companion.domain import (
     FlightMode,
@@ -79,7 +80,7 @@ class Reporting:
             if head is SETTLED:
                 text = f"stop radius out of reach: relative R95 settled at {flown.r95_m:.2g} m"
                 context.announce(Severity.NOTICE, text)
-            self._report(context.emitters.current, flown, head)
+            self._report(context.emitters.current, flown, head, now_s)
             if context.emitters.report_current():
                 self._stop_rule.reset()
                 self._settled_rule.reset()
@@ -173,20 +174,24 @@ class Reporting:
         estimates = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]
         known = [(tracker, estimate) for tracker, estimate in estimates if estimate is not None]
         for tracker, estimate in known:
-            self._report(tracker, estimate, ENDED_EARLY)
+            self._report(tracker, estimate, ENDED_EARLY, now_s)
         emitters.reported.update(t.emitter_id for t, _ in known if t.emitter_id is not None)
         if not known:
             self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} no emitter found")
             self.is_search_over = self._context.searching.contact_s is None
             self._announce_searched(now_s)
 
-    def _report(self, tracker: TargetTracker, estimate: TargetEstimate, head: str) -> None:
+    def _report(
+        self, tracker: TargetTracker, estimate: TargetEstimate, head: str, now_s: float
+    ) -> None:
         context = self._context
+        # those of many emitters at once, at an early end, would delay a setpoint
+        budget_m = {} if head is ENDED_EARLY else tracker.budget(now_s)
         if not context.emitters.is_single:
             head = f"{head} emitter {tracker.emitter_id}:"
         height_m, origin = tracker.target_height_m, context.vehicle.origin
         result, text = result_of(estimate, origin, height_m, tracker.emitter_id, head)
-        context.report(result)
+        context.report(replace(result, budget_m=budget_m))
         context.searching.learn(tracker.emitter_id, estimate.position_enu_m, context.vehicle)
         for each in (text, *radius_texts(estimate)):
             context.announce(Severity.NOTICE, each)

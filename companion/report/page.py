@@ -174,6 +174,7 @@ def report_page(
         page,
         "flight.html.j2",
         searched=searched,
+        budgets=[budget_of(line) for line in summary.results if line.get("r95_budget_m")],
         guard=summary.guard.most_common(),
         link_rows=_rows(summary.links[-1]) if summary.links else [],
         radios=[(str(line.get("name")), _rows(line)) for line in summary.radios.values()],
@@ -365,6 +366,14 @@ def is_quick(flight: Path) -> bool:
         return (flight / EVENTS).stat().st_size <= QUICK_BYTES
     except OSError:
         return False
+
+
+def budget_of(result: Line) -> tuple[str, list[tuple[str, str]]]:
+    """Return heading and rows of a result's R95 after each term that widens it."""
+    emitter_id, terms = result.get("emitter_id"), result.get("r95_budget_m")
+    of = "" if emitter_id is None else f" of emitter {emitter_id}"
+    rows = terms.items() if isinstance(terms, Mapping) else ()
+    return f"Budget of R95{of}", [(str(term), _value_text(radius_m)) for term, radius_m in rows]
 
 
 def _rows(line: Line) -> list[tuple[str, str]]:

@@ -62,3 +62,11 @@ def test_landing_as_asked_is_no_loss_of_control(flavour: FlavourName, action: st
     loop.run_until(lambda: loop.said("flight over"), 180.0)
     assert loop.said("as asked: autopilot is landing") or loop.said("as asked: on the ground")
     assert not loop.said("control lost")
+
+
+def test_the_result_has_the_budget_of_its_radius() -> None:
+    _, result = reported().notes.results[-1]
+    radii_m = list(result.budget_m.values())
+    assert next(iter(result.budget_m)) == "thermal noise"
+    assert radii_m[-2] == pytest.approx(result.estimate.r95_m, rel=0.05)
+    assert radii_m[-1] == pytest.approx(result.estimate.absolute_r95_m, rel=0.05)

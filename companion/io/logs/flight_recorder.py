@@ -136,6 +136,7 @@ class FlightJournal(BlackBox):
             **radius_fields(estimate),
             "east_m": estimate.position_enu_m[0],
             "north_m": estimate.position_enu_m[1],
+            "r95_budget_m": report.budget_m,
             "covariance_m2": estimate.covariance_m2,
             "range_offset_m": estimate.range_offset_m,
             "bearing_offset_rad": estimate.bearing_offset_rad,

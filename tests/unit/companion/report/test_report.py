@@ -148,6 +148,15 @@ def test_both_radii_are_told_where_the_log_has_both(is_told: bool, words: str) -
     assert '<circle class="absolute"' not in page_of(FLIGHT)
 
 
+def test_the_budget_of_r95_stands_beside_each_result() -> None:
+    budget = {"thermal noise": 0.031, "rival places": 0.4}
+    page = page_of([*FLIGHT[:-1], {**RESULT, "emitter_id": 7, "r95_budget_m": budget}])
+    assert "Budget of R95 of emitter 7" in page
+    assert '<td>thermal noise</td><td class="number">0.031</td>' in page
+    assert "Budget of R95" not in page_of(FLIGHT)
+    assert "Budget of R95" not in page_of([*FLIGHT[:-1], {**RESULT, "r95_budget_m": {}}])
+
+
 ORIGIN: Line = {
     "t_s": 0.0,
     "kind": "origin",
