@@ -55,7 +55,7 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
             height_m=HEIGHT_M,
             altitude_offset_m=0.0,
             yaw_enu_rad=0.0,
-            sigmas=tracker.array_sigmas,
+            sigmas=tracker.latest_sigmas,
             joint_covariance=tracker.hypotheses[0].state.covariance[:4, :4],
         )
         memory = planner.plan(request, memory).memory

@@ -47,7 +47,7 @@ from companion.estimation.hypotheses import (
 )
 from companion.estimation.integrity.target_motion import MotionWatch
 from companion.estimation.integrity.track_integrity import TrackIntegrity
-from companion.estimation.measurement_model import AZIMUTH, BEARING, RANGE, rows_of, target_height_m
+from companion.estimation.measurement_model import AZIMUTH, rows_of, target_height_m
 from companion.estimation.noise.innovations import InnovationNoise, TrackerHealth
 from companion.estimation.screening.measurement_screen import (
     AcceptanceParams,
@@ -471,24 +471,11 @@ class TargetTracker:
         return self._noise.inflation(self._optimizer.noise) if is_adapted else NO_INFLATION
 
     @property
-    def array_sigmas(self) -> tuple[float, float] | None:
-        """Standard deviations of a range, m (infinite: none lately), and of a direction cosine.
-
-        With the measured inflation, and the position error in the range. None: no measurement yet.
-        """
+    def latest_sigmas(self) -> tuple[float, float, float] | None:
+        """`WindowOptimizer.latest_sigmas`, with the measured inflation; None: nothing measured."""
         if not self._optimizer.latest or not self.hypotheses:
             return None
-        params, inflation = self._filter.params, self._filter_inflation
-        sigmas = [math.inf, math.radians(params.bearing_sigma_deg)]
-        missing = {RANGE, BEARING}
-        for _, values, noise in reversed(self._optimizer.latest):
-            for row in [row for row in missing if not math.isnan(values[row])]:
-                sigmas[row] = float(noise[row])
-                missing.discard(row)
-            if not missing:
-                break
-        range_m, cosine_rad = (math.sqrt(f) * s for f, s in zip(inflation, sigmas, strict=False))
-        return math.hypot(range_m, params.own_position_sigma_m), cosine_rad
+        return self._optimizer.latest_sigmas(self.hypotheses[0].state.mean, self._filter_inflation)
 
     @property
     def health(self) -> TrackerHealth:

@@ -9,14 +9,14 @@ Each new crossing turns by the golden angle, so that any number of crossings cov
 evenly, without planning and at O(1) cost. With an altitude swing the crossings are flown
 alternately above and below the search altitude, so that elevations differ, too; it takes longer.
 
-With an antenna array, or with ranges alone to a target of configured height, `views` gives the
-information of a leg, which decides three things. The overshoot has the greatest rate of
-information, though it is never shorter than the standard deviations above, because only views from
-both sides separate the bearing offset from the position. The turn begins where braking would, at
-most a quarter of the overshoot early. And with `descend` the altitude is the lowest of the altitude
-band, once the target is known to within the largest overshoot and if a pass there has at least half
-as much again of information per metre. An azimuth about the vertical is equally accurate at any
-height: it is the paper's, and crosses as above.
+With an antenna array, with received power, or with ranges alone to a target of configured height,
+`views` gives the information of a leg, which decides three things. The overshoot has the greatest
+rate of information, though it is never shorter than the standard deviations above, because only
+views from both sides separate the bearing offset, or P0, from the position. The turn begins where
+braking would, at most a quarter of the overshoot early. And with `descend` the altitude is the
+lowest of the altitude band, once the target is known to within the largest overshoot and if a pass
+there has at least half as much again of information per metre. An azimuth about the vertical is
+equally accurate at any height: it is the paper's, and crosses as above.
 
 On a straight approach from afar a range has no information across it, and an array's directions are
 limited by their offsets. With ranges and an array, the approach is a logarithmic spiral: always
@@ -184,7 +184,8 @@ class LatchedCrossing:
         if sensor is None or request.sigmas is None:
             return None
         is_array, has_directions = sensor.antenna.rows > 0, request.baseline_m == 0.0
-        is_oblique = sensor.is_height_configured or self.params.descend
+        has_power = math.isfinite(request.sigmas[2])
+        is_oblique = sensor.is_height_configured or self.params.descend or has_power
         return sensor if is_array or (is_oblique and not has_directions) else None
 
     def _reach_m(

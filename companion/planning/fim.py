@@ -317,7 +317,7 @@ class FimPlanner:
             ahead_rad = math.atan2(away_m[1], away_m[0]) if yaw_rad is None else yaw_rad
             axes, view = turned(self._antenna, ahead_rad)
             poses = np.vstack([poses, np.repeat(axes[:, None], poses.shape[1], axis=1)])
-            sigmas = request.sigmas or sigmas
+            sigmas = sigmas if request.sigmas is None else request.sigmas[:2]
         elif request.baseline_m > 0.0:
             sigmas = (sigmas[0], math.inf)
         across = math.inf if self._antenna is not None and self._antenna.rows == 1 else sigmas[1]

@@ -58,9 +58,9 @@ class PlanRequest:
     """Height of the vehicle above the search altitude; None: plans do not wait for heights."""
     yaw_enu_rad: float | None = None
     """Heading of the vehicle, counter-clockwise from east; None: unknown."""
-    sigmas: tuple[float, float] | None = None
-    """Standard deviations of a range, m, and of a direction cosine, as measured: infinite where
-    there are none. None: not needed, as there is no antenna array."""
+    sigmas: tuple[float, float, float] | None = None
+    """Standard deviations of a range, m, of a direction cosine, and of a power as a share of the
+    slant range, as measured: infinite where there are none. None: nothing was measured yet."""
     joint_covariance: Matrix | None = field(default=None, compare=False)
     """Covariance (4, 4) of [east, north, range offset, bearing offset]; metres and radians.
 

@@ -6,14 +6,17 @@ s^2 = d^2 + h^2 and theta = atan(d / h), the angle from the nadir, the informati
     of ranges      along the leg    d^2 / (s^2 sigma_r^2)
     of a cosine    across the leg   c^2 / (s^2 sigma_0^2)
                    along the leg    (a cos theta + b sin theta)^2 cos^4 theta / (h^2 sigma_0^2)
+    of a power     along the leg    d^2 / (s^4 sigma_s^2)
 
-for an axis of the antenna with components a ahead, c to the left and b upwards: the gradients of
+with sigma_s the noise of a power as a share of the slant range, sigma_p ln 10 / (10 n), and for an
+axis of the antenna with components a ahead, c to the left and b upwards: the gradients of
 slant and of axis . u, u being the unit vector to the target. A planar array's azimuth has c = 1 and
 nothing else, so that coming closer than the height gains nothing. From 0 to L these are
 
     (L - h theta) / sigma_r^2      theta c^2 / (h sigma_0^2)
     [a^2 (3/8 theta + 1/4 sin 2 theta + 1/32 sin 4 theta) + b^2 (theta / 8 - 1/32 sin 4 theta)
      - a b cos^4 theta / 2] / (h sigma_0^2)
+    (theta - sin theta cos theta) / (2 h sigma_s^2)
 
 and a field of view excludes the angles outside of it. Crossings come from all directions in turn,
 so that every axis gets its share of the sum. Divided by the path length plus the cost of turning, L
@@ -21,7 +24,9 @@ so that every axis gets its share of the sum. Divided by the path length plus th
 mean one.
 
 The offset of bearings is odd in d and the position across is even, that of ranges the reverse: legs
-over the target, and only those, separate them, so that neither offset changes the sum.
+over the target, and only those, separate them, so that neither offset changes the sum. The power at
+1 m and the path-loss exponent are even in d and the position along the leg is odd, so that the same
+holds for them.
 
 Deviations: legs go straight over the estimate, which is only approximately true after a turn by the
 golden angle; the vehicle is level; a planar array is assumed level; path loss is left out.
@@ -69,6 +74,9 @@ class LegView(NamedTuple):
     """Information of a range, 1 / sigma_r^2; 0: there are no ranges."""
     per_cosine: float
     """Information of a cosine, 1 / sigma_0^2, rad^-2; 0: there are no directions."""
+    per_power: float
+    """Information of a power about the logarithm of the slant range, 1 / sigma_s^2; 0: there are no
+    powers."""
     across2: float
     """Sum over the axes of c^2."""
     ahead2: float
@@ -85,13 +93,14 @@ class LegView(NamedTuple):
 def leg_over(
     height_m: float,
     turn_m: float,
-    sigmas: tuple[float, float],
+    sigmas: tuple[float, float, float],
     antenna: Antenna,
     yaw_rad: float,
 ) -> LegView:
     """Return the leg of a vehicle whose heading is `yaw_rad` counter-clockwise of the leg's.
 
-    `sigmas` are those of a range, m, and of a direction cosine, rad; infinite: not measured.
+    `sigmas` are those of a range, m, of a direction cosine, rad, and of a power as a share of the
+    slant range; infinite: not measured.
     """
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     range_m, cosine_rad = max(sigmas[0], 1e-6), max(sigmas[1], 1e-6)
@@ -123,6 +132,7 @@ def leg_over(
         turn_m,
         1.0 / (range_m * range_m),
         1.0 / (cosine_rad * cosine_rad) if antenna.rows > 0 else 0.0,
+        1.0 / (sigmas[2] * sigmas[2]),
         across2,
         ahead2,
         ahead_up,
@@ -148,6 +158,7 @@ def information(reach_m: float, leg: LegView) -> float:
     """Return the information of a leg of `reach_m` to either side of the target, m / m^2."""
     most = math.atan2(reach_m, leg.height_m)
     total = 2.0 * leg.per_range_m2 * (reach_m - leg.height_m * most)
+    total += leg.per_power / leg.height_m * (most - math.sin(most) * math.cos(most))
     if leg.per_cosine > 0.0:
         for turn in range(-1, 2):
             middle = leg.middle_rad + math.pi * turn
@@ -164,6 +175,7 @@ def marginal(reach_m: float, leg: LegView) -> float:
     angle, slant_m = math.atan2(reach_m, leg.height_m), math.hypot(reach_m, leg.height_m)
     s, c = reach_m / slant_m, leg.height_m / slant_m
     total = 2.0 * leg.per_range_m2 * s * s
+    total += 2.0 * leg.per_power * s * s / (slant_m * slant_m)
     for side in (-1.0, 1.0):
         off = (side * angle - leg.middle_rad) % math.pi
         if leg.per_cosine > 0.0 and min(off, math.pi - off) <= leg.half_rad:

@@ -170,7 +170,7 @@ class Ground:
             height_m=20.0,
             altitude_offset_m=0.0,
             yaw_enu_rad=0.3,
-            sigmas=(0.5, 0.05),
+            sigmas=(0.5, 0.05, math.inf),
         )
 
 

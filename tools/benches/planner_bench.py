@@ -194,9 +194,9 @@ def sighted(decisions: int, antenna: Antenna, rule: LatchRule) -> float:
     """Return the overshoots of the next legs by the antenna's geometry, height included."""
     total_m = 0.0
     for index in range(decisions):
-        high = leg_over(20.0, 10.0, (0.5, 0.05), antenna, 0.1 * index)
+        high = leg_over(20.0, 10.0, (0.5, 0.05, math.inf), antenna, 0.1 * index)
         over_m = best_reach_m(high, rule.overshoot_min_m, rule.overshoot_max_m)
-        low = leg_over(6.0, 10.0, (0.5, 0.05), antenna, 0.1 * index)
+        low = leg_over(6.0, 10.0, (0.5, 0.05, math.inf), antenna, 0.1 * index)
         if rate(over_m, low) > rate(over_m, high):
             over_m = best_reach_m(low, rule.overshoot_min_m, rule.overshoot_max_m)
         latch = latched_step(NO_LATCH, (-30.0, 0.0), (0.0, 0.0), over_m, True, rule)

@@ -26,7 +26,7 @@ from companion.estimation.filters.target_filter import (
 )
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
-from companion.estimation.measurement_model import BEARING, POWER, RANGE
+from companion.estimation.measurement_model import BEARING, DB_PER_NEPER, POWER, RANGE
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.antenna_check import rows_as
 from companion.estimation.window.map_kernels import (
@@ -372,6 +372,31 @@ class WindowOptimizer:
             return self.map.widths(self.rows, mean, self._older, is_white=is_white)
         except np.linalg.LinAlgError:
             return []
+
+    def latest_sigmas(self, mean: Vector, inflation: Inflation) -> tuple[float, float, float]:
+        """Return sigmas of a range, m, a direction cosine, and a power as a share of the range.
+
+        Those of range and power are infinite if there was none lately; the range's has the position
+        error. `mean` (k,) has the path-loss exponent, by which a power is a logarithm of the range.
+        """
+        params = self._filter_params
+        index, missing = params.model.power_index, {RANGE, BEARING}
+        sigmas = {RANGE: math.inf, BEARING: math.radians(params.bearing_sigma_deg)}
+        if index >= 0:
+            missing.add(POWER)
+            sigmas[POWER] = math.inf
+        for _, values, noise in reversed(self.latest):
+            for row in [row for row in missing if not math.isnan(values[row])]:
+                sigmas[row] = float(noise[row])
+                missing.discard(row)
+            if not missing:
+                break
+        inflated = {row: math.sqrt(inflation[row]) * sigma for row, sigma in sigmas.items()}
+        range_m = math.hypot(inflated[RANGE], params.own_position_sigma_m)
+        share = math.inf
+        if index >= 0:
+            share = inflated[POWER] / (DB_PER_NEPER * float(mean[index + 1]))
+        return range_m, inflated[BEARING], share
 
     def observability(self, mean: Vector) -> Observability | None:
         """Return the observability of a target at `mean`; None before the first measurement."""

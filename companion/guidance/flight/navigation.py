@@ -146,7 +146,7 @@ class FlightPlan:
             time_s=now_s,
             contact_s=tracker.last_accepted_s,
             height_m=place_enu_m[2] - (height_m if estimate is None else estimate.height_m),
-            sigmas=tracker.array_sigmas,
+            sigmas=tracker.latest_sigmas,
             joint_covariance=hypotheses[0].state.covariance[:4, :4] if hypotheses else None,
         )
 

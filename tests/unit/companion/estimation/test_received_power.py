@@ -10,7 +10,12 @@ import pytest
 
 from companion.domain import PositionAccuracy, PositionEnu, RangingMeasurement
 from companion.estimation.filters.kalman import filter_of
-from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.estimation.filters.target_filter import (
+    EXPONENT,
+    POWER_TOTAL_SIGMA_DB,
+    FilterParams,
+    FilterState,
+)
 from companion.estimation.measurement_model import POWER, jacobian, predicted
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import TargetTracker, TrackerParams
@@ -110,6 +115,15 @@ def test_power_alone_locates_to_tens_of_metres_and_says_so(p0_dbm: float | None)
     assert np.median(errors_m) < 25.0
     assert np.median(radii_m) < 80.0
     assert sum(error > radius for error, radius in zip(errors_m, radii_m, strict=True)) <= 1
+
+
+def test_planners_know_a_power_as_a_share_of_the_slant_range() -> None:
+    tracker = TargetTracker(TrackerParams(filter=PARAMS, adapt_inflation=False))
+    tracker.fuse(heard(-80.0), (0.0, 0.0, HIGH_M), 0.0, OWN)
+    assert tracker.latest_sigmas is not None
+    range_m, _, share = tracker.latest_sigmas
+    assert math.isinf(range_m)
+    assert share == pytest.approx(POWER_TOTAL_SIGMA_DB * math.log(10.0) / (10.0 * EXPONENT))
 
 
 def test_a_power_that_is_not_configured_changes_nothing_beside_ranges() -> None:

@@ -384,11 +384,15 @@ def test_the_base_line_is_as_long_as_the_height_above_the_target() -> None:
 def test_planners_are_told_the_noise_of_what_is_measured() -> None:
     params = FilterParams(range_sigma_m=1.2, own_position_sigma_m=0.5, bearing_sigma_deg=3.0)
     tracker = TargetTracker(TrackerParams(filter=params, adapt_inflation=False))
-    assert tracker.array_sigmas is None
+    assert tracker.latest_sigmas is None
     tracker.fuse(measured(0.0, None, 0.3), (0.0, 0.0, HEIGHT_M), 0.0)
-    assert tracker.array_sigmas == (math.inf, pytest.approx(math.radians(3.0)))
+    assert tracker.latest_sigmas == (math.inf, pytest.approx(math.radians(3.0)), math.inf)
     tracker.fuse(measured(1.0, 40.0, None), (1.0, 0.0, HEIGHT_M), 1.0)
-    assert tracker.array_sigmas == (pytest.approx(1.3), pytest.approx(math.radians(3.0)))
+    assert tracker.latest_sigmas == (
+        pytest.approx(1.3),
+        pytest.approx(math.radians(3.0)),
+        math.inf,
+    )
 
 
 def test_what_the_track_can_tell_is_a_live_value() -> None:

@@ -259,5 +259,5 @@ def test_an_array_is_planned_by_its_own_model() -> None:
     request = PlanRequest((0.0, 0.0), _target((0.0, 40.0)), height_m=20.0)
     waypoint = planner.plan(request, None).waypoint
     assert waypoint.reason is WaypointReason.INFORMATION
-    turned = planner.plan(replace(request, yaw_enu_rad=2.0, sigmas=(0.5, 0.05)), None)
+    turned = planner.plan(replace(request, yaw_enu_rad=2.0, sigmas=(0.5, 0.05, math.inf)), None)
     assert turned.waypoint.reason is WaypointReason.INFORMATION

@@ -304,7 +304,7 @@ def _seen(**changes: Any) -> PlanRequest:
         _target(covariance_m2=SURE),
         height_m=20.0,
         altitude_offset_m=0.0,
-        sigmas=(math.inf, 0.05),
+        sigmas=(math.inf, 0.05, math.inf),
     )
     return replace(request, **changes)
 
@@ -312,9 +312,22 @@ def _seen(**changes: Any) -> PlanRequest:
 def test_an_array_is_crossed_as_wide_as_its_height_wants() -> None:
     wide = _latch(_sighted().plan(_seen(), None)).overshoot_m
     low = _latch(_sighted().plan(_seen(height_m=6.0), None)).overshoot_m
-    leg = leg_over(20.0, 10.0, (math.inf, 0.05), LEVEL, 0.0)
+    leg = leg_over(20.0, 10.0, (math.inf, 0.05, math.inf), LEVEL, 0.0)
     assert wide == pytest.approx(best_reach_m(leg, 2.0, 20.0))
     assert 2.0 < low < wide <= 20.0
+
+
+def test_a_power_is_crossed_as_wide_as_its_height_wants() -> None:
+    """Of any height configured, as the power is always that of the slant range."""
+    planner = LatchedCrossing(
+        LatchedCrossingParams(overshoot_max_m=80.0),
+        SensorGeometry(NONE, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_configured=False),
+    )
+    seen = _seen(sigmas=(math.inf, 0.05, 0.6), baseline_m=20.0)
+    leg = leg_over(20.0, 10.0, (math.inf, 0.05, 0.6), NONE, 0.0)
+    overshoot_m = _latch(planner.plan(seen, None)).overshoot_m
+    assert overshoot_m == pytest.approx(best_reach_m(leg, 2.0, 80.0))
+    assert 40.0 < overshoot_m < 60.0
 
 
 def test_an_overshoot_is_never_shorter_than_what_both_sides_need() -> None:
@@ -339,7 +352,7 @@ def test_without_array_or_told_height_it_is_the_planner_of_the_paper(
 
 
 def test_ranges_alone_to_a_told_height_are_crossed_widely_and_turned_in_another_direction() -> None:
-    planner, ranges = _sighted(NONE), _seen(baseline_m=20.0, sigmas=(1.0, math.inf))
+    planner, ranges = _sighted(NONE), _seen(baseline_m=20.0, sigmas=(1.0, math.inf, math.inf))
     first = planner.plan(ranges, None)
     assert _latch(first).overshoot_m == pytest.approx(20.0)
     there = replace(ranges, vehicle_enu_m=first.waypoint.position_enu_m)
@@ -391,7 +404,7 @@ def test_a_lower_pass_is_given_up_when_the_target_is_lost_again() -> None:
 
 
 FAR: dict[str, Any] = {"vehicle_enu_m": (-60.0, 0.0), "estimate": _target()}
-RANGED = (0.3, 0.05)
+RANGED = (0.3, 0.05, math.inf)
 
 
 def test_a_far_target_is_approached_in_a_spiral_that_turns_the_line_of_sight() -> None:
@@ -414,7 +427,7 @@ def test_a_far_target_is_approached_in_a_spiral_that_turns_the_line_of_sight() -
     [
         {"vehicle_enu_m": (-12.0, 0.0)},  # near: it is crossed
         {"estimate": _target(covariance_m2=SURE)},
-        {"sigmas": (math.inf, 0.05)},  # directions alone
+        {"sigmas": (math.inf, 0.05, math.inf)},  # directions alone
         {"fence_enu_m": ((-70.0, -4.0), (70.0, -4.0), (70.0, 4.0), (-70.0, 4.0))},  # no room
     ],
 )
@@ -432,7 +445,7 @@ def test_a_spiral_keeps_the_target_in_view() -> None:
 
 
 def test_after_the_first_crossing_nothing_is_bent() -> None:
-    flown = _latch(_sighted().plan(_seen(**FAR | {"sigmas": (math.inf, 0.05)}), None))
+    flown = _latch(_sighted().plan(_seen(**FAR | {"sigmas": (math.inf, 0.05, math.inf)}), None))
     request = _seen(**FAR, sigmas=RANGED)
     assert _sighted().plan(request, flown._replace(crossings=1)).memory is not None
     assert _sighted().plan(request, flown).memory is None

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from companion.config.schema import CompanionConfig
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.measurement_model import jacobian
+from companion.estimation.measurement_model import DB_PER_NEPER, POWER, jacobian
 from companion.estimation.tracker import TrackerParams
 from companion.flight_setup import build_planner
 from companion.kernel import Vector
@@ -61,8 +61,9 @@ def _leg(
     cosine_rad: float = 0.05,
     yaw_rad: float = 0.0,
     turn_m: float = 10.0,
+    share: float = math.inf,
 ) -> LegView:
-    return leg_over(height_m, turn_m, (range_m, cosine_rad), antenna, yaw_rad)
+    return leg_over(height_m, turn_m, (range_m, cosine_rad, share), antenna, yaw_rad)
 
 
 def _turned(axis: Mount, yaw_rad: float) -> Vector:
@@ -104,6 +105,40 @@ def test_the_closed_form_is_the_integral_of_what_the_filters_model_tells(
     assert information(reach_m, leg) == pytest.approx(summed, rel=2e-3)
 
 
+@pytest.mark.parametrize(("height_m", "reach_m"), [(20.0, 50.0), (8.0, 3.0)])
+def test_the_closed_form_of_powers_is_the_integral_of_the_filters_model(
+    height_m: float, reach_m: float
+) -> None:
+    sigma_db, exponent, steps = 7.6, 2.75, 2000
+    model = FilterParams(power_at_1m_dbm=-40.0).model
+    mean = np.array([0.0, 0.0, 0.0, 0.0, -40.0, exponent])
+    width_m = 2.0 * reach_m / steps
+    summed = 0.0
+    for d_m in ((np.arange(steps) + 0.5) * width_m - reach_m).tolist():
+        row = jacobian(mean, np.array([-d_m, 0.0, height_m]), model)[POWER, :2]
+        summed += float(row @ row) / sigma_db**2 * width_m
+    share = sigma_db / (DB_PER_NEPER * exponent)
+    leg = _leg(_antenna("azimuth"), height_m, math.inf, share=share)
+    assert information(reach_m, leg) == pytest.approx(summed, rel=1e-4)
+    c, theta = 10.0 * exponent / math.log(10.0), math.atan(reach_m / height_m)
+    closed = c**2 / (2.0 * height_m * sigma_db**2) * (theta - math.sin(theta) * math.cos(theta))
+    assert summed == pytest.approx(2.0 * closed, rel=1e-4)
+
+
+def test_powers_alone_are_crossed_at_the_same_width_whatever_their_noise() -> None:
+    """With t = L / h and k = turn / h its root is atan t - t / (1 + t^2) = 2 t^2 (t + k) / (1 +
+    t^2)^2."""
+    reaches_m = [
+        best_reach_m(_leg(_antenna("azimuth"), 20.0, math.inf, share=share), 2.0, 80.0)
+        for share in (0.1, 0.6)
+    ]
+    assert reaches_m[0] == pytest.approx(reaches_m[1])
+    t = reaches_m[0] / 20.0
+    wanted = 2.0 * t * t * (t + 0.5) / (1.0 + t * t) ** 2
+    assert math.atan(t) - t / (1.0 + t * t) == pytest.approx(wanted, rel=0.02)
+    assert 40.0 < reaches_m[0] < 60.0
+
+
 legs = st.builds(
     _leg,
     st.sampled_from([_antenna(*each) for each in MOUNTS]),
@@ -112,6 +147,7 @@ legs = st.builds(
     st.floats(0.01, 0.2),
     st.floats(-math.pi, math.pi),
     st.floats(1.0, 20.0),
+    st.one_of(st.just(math.inf), st.floats(0.02, 2.0)),
 )
 
 
