@@ -152,6 +152,11 @@ POOR, GOOD = np.array((213.0, 94.0, 0.0)), np.array((0.0, 114.0, 178.0))
 OPACITY = 150
 
 
+def pod_colours() -> list[str]:
+    """Return the colours of a POD of 0 and of 1 as CSS has them, `#rrggbbaa`."""
+    return [f"#{bytes((*colour.astype(np.uint8), OPACITY)).hex()}" for colour in (POOR, GOOD)]
+
+
 def png_of(state: SearchState) -> bytes:
     """Return the map of POD, north up: from vermilion, not searched, to blue, searched."""
     pod = state.grid.on_map(state.pod)

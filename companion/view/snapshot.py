@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from companion.area_handoff import pod_colours
 from companion.config.schema import CompanionConfig
 from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint
 from companion.estimation.antenna import ABOUT_VERTICAL, antenna_axes_enu
@@ -117,10 +118,11 @@ ESTIMATE_WORDS = {
 
 def scene_of(config: CompanionConfig) -> Json:
     """Return the values that do not change during a flight."""
-    mission = config.mission
+    mission, has_search = config.mission, config.search.detection is not None
     return {
         "stop_radius_m": mission.stop_radius_m,
         "has_antenna": config.estimation.filter.antenna.kind not in ABOUT_VERTICAL,
+        "pod_colours": pod_colours() if has_search else None,
         "old_after_s": {"autopilot": 1.0, "position": 0.5, "ranging": mission.ranging_timeout_s},
     }
 
@@ -154,6 +156,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "distance_m": status.distance_m,
         "estimate": None if status.estimate is None else _estimate(status.estimate),
         "emitters": [_emitter(emitter) for emitter in status.emitters],
+        "searched": searched_words(session, now_s),
         "radios": radio_words(endpoint, now_s),
         "waypoint": None if waypoint is None else _waypoint(waypoint),
         "setpoint": status.setpoint_enu_m,

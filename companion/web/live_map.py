@@ -9,8 +9,8 @@ before the flight, so that a taken port is an error at once, and kept, so that b
 next child.
 
 The collector receives the events of the flight log, so no value is measured twice; its lists are
-bounded. Track and curves are not in the pictures, of which any may be lost: the collector has them
-all, and a picture carries the part that the page lacks.
+bounded. Track, curves and searched area are not in every picture, of which any may be lost: the
+collector has them all, and a picture carries the part that the page lacks.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from companion.io.files import json_line
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
 from companion.view.history import CurveHistory, FlightTrack, History, HistoryPart, HistoryReader
+from companion.view.searched_map import SearchedHistory
 from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
 from companion.web.settings import LEFT, VIEWED, WebSettings
 
@@ -60,6 +61,7 @@ class Collector(FlightView):
         """(time_s, severity, text)"""
         self.marks: deque[Sample] = deque(maxlen=MARKS)
         self._track, self._curve = FlightTrack(), CurveHistory()
+        self._searched = SearchedHistory()
         self._origin_deg: tuple[object, object] | None = None
         self._starts = 0
         self._readers: dict[str, HistoryReader] = {}
@@ -88,11 +90,15 @@ class Collector(FlightView):
         self.texts.append((now_s, severity.name.lower(), text))
 
     def next_parts(self, starts: int) -> dict[str, HistoryPart[Any]]:
-        """Return the parts of track and curves that the page lacks: all after a restart."""
+        """Return the parts of the histories that the page lacks: all after a restart."""
+        histories: dict[str, History[Any]] = {
+            "track": self._track,
+            "curve": self._curve,
+            "searched_area": self._searched,
+        }
         if starts != self._starts:
             self._starts = starts
-            self._readers = {"track": HistoryReader(), "curve": HistoryReader()}
-        histories: dict[str, History[Any]] = {"track": self._track, "curve": self._curve}
+            self._readers = {name: HistoryReader() for name in histories}
         return {name: self._readers[name].next_part(each) for name, each in histories.items()}
 
 
@@ -364,6 +370,7 @@ class WebView(Collector):
         self.process.close()
 
     def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
+        self._searched.look(endpoint.session, now_s)
         return {
             **picture_of(endpoint, now_s),
             "unix_s": self._unix_s(now_s),

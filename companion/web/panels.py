@@ -87,7 +87,8 @@ class Numbers:
         *("vehicle", "battery", "next", "fence"),
     )
 
-    def __init__(self) -> None:
+    def __init__(self, scene: Json) -> None:
+        has_search = scene.get("pod_colours") is not None
         with _panel("Estimate").props("id=estimate-panel"):
             with ui.row().classes("items-baseline gap-x-3 gap-y-0 beside-copy"):
                 self._r95 = ui.label("R95 -").classes("text-3xl numbers").props("id=r95")
@@ -98,7 +99,7 @@ class Numbers:
                 self._copy.set_visibility(False)
             self._values: dict[str, ui.label] = {}
             with ui.element("div").classes("figures numbers"):
-                for name in self.NAMES:
+                for name in ("searched", *self.NAMES) if has_search else self.NAMES:
                     ui.label(name).classes("muted")
                     self._values[name] = ui.label("-").props(f"id=value-{name.replace(' ', '-')}")
             self._guard = ui.label("").props("id=guard").style("color: var(--warning)")
@@ -106,6 +107,7 @@ class Numbers:
     def show(self, picture: Json) -> None:
         """Show a moment."""
         values = {**_of_estimate(picture), **_of_vehicle(picture), **_of_plan(picture)}
+        values["searched"] = picture["searched"] or "-"
         self._copy.set_visibility("position" in values)
         for name, label in self._values.items():
             label.set_text(values.get(name, "-"))

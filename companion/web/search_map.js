@@ -7,12 +7,12 @@ const METRES_PER_DEGREE = 111319.49;
 const ON_LIGHT = {
   vehicle: "#1d4ed8", estimate: "#c81e4a", second: "#7e22ce", waypoint: "#a16207",
   fence: "#15803d", keepOut: "#991b1b", near: "#15803d", far: "#c2570c", truth: "#111827",
-  reported: "#1d4ed8", grid: "#94a3b8",
+  reported: "#1d4ed8", grid: "#94a3b8", gap: "#7c2d12",
 };
 const ON_DARK = {
   vehicle: "#60a5fa", estimate: "#fb7185", second: "#c084fc", waypoint: "#facc15",
   fence: "#4ade80", keepOut: "#f87171", near: "#4ade80", far: "#fb923c", truth: "#f8fafc",
-  reported: "#60a5fa", grid: "#64748b",
+  reported: "#60a5fa", grid: "#64748b", gap: "#fdba74",
 };
 const RING_S = 6; // older rings are gone
 const MOST_OPAQUE = 0.65;
@@ -46,6 +46,10 @@ export default {
       this.tiles = L.tileLayer(address, { maxZoom: 23, minNativeZoom, maxNativeZoom });
       this.$el.classList.add("on-tiles");
     }
+    this.map.createPane("searched").style.zIndex = 350; // between tiles and lines
+    this.map.createPane("gap-labels").style.zIndex = 360;
+    this.searched = L.layerGroup().addTo(this.map);
+    this.searchedVersion = 0;
     this.grid = L.layerGroup().addTo(this.map);
     this.still = L.layerGroup().addTo(this.map);
     this.moving = L.layerGroup().addTo(this.map);
@@ -85,6 +89,7 @@ export default {
         this.useColours();
         this.drawStill();
         this.drawGrid();
+        this.drawSearched();
         this.draw();
       });
     },
@@ -108,6 +113,11 @@ export default {
       this.followButton = add("Follow", "Keep vehicle and estimate in view",
         () => this.follow(true));
       add("Whole", "Show everything inside the fence", () => this.fitAll());
+      if (this.scene.pod_colours) {
+        this.searchedButton = add("Searched", "Show the searched area and its gaps",
+          () => this.switchSearched(!this.isSearchedOn));
+        this.searchedButton.id = "button-searched";
+      }
       L.DomEvent.disableClickPropagation(bar);
       const control = L.control({ position: "topright" });
       control.onAdd = () => bar;
@@ -140,6 +150,12 @@ export default {
         L.DomUtil.create("span", "", row).textContent = text;
       };
       add("dot", "vehicle", "vehicle and its track");
+      if (this.scene.pod_colours) {
+        add("scale", "gap", "POD, 0 to 100 %");
+        const [low, high] = this.scene.pod_colours;
+        box.lastChild.firstChild.style.background = `linear-gradient(90deg, ${low}, ${high})`;
+        add("dashed-box", "gap", "gap: POD below 50 %");
+      }
       if (this.scene.has_antenna) add("dotted", "vehicle", "what its antenna sees on the ground");
       add("area", "estimate", "estimate, 95 % ellipse");
       add("dotted", "estimate", "R95, relative");
@@ -251,14 +267,60 @@ export default {
         if (isFree && height > 300) this.label([w, y], "beside", `${Math.abs(y)} m ${y < 0 ? "S" : "N"}`);
       }
     },
-    label(point, where, text) {
+    label(point, where, text, layer = this.grid, pane = "markerPane") {
       const icon = L.divIcon({ className: `grid-label ${where}`, html: text, iconSize: null });
-      this.grid.addLayer(L.marker(this.at(point), { icon, interactive: false, keyboard: false }));
+      layer.addLayer(L.marker(this.at(point), { icon, pane, interactive: false, keyboard: false }));
     },
     show(picture, points, isWhole) {
       this.track = isWhole ? points : [...(this.track || []), ...points];
       this.picture = picture;
       this.draw();
+      this.showSearched(picture);
+    },
+    showSearched(picture) {
+      if (!this.isReady || !this.searchedButton) return;
+      const isSearching = picture.searched !== null; // at contact the estimate needs the map
+      if (isSearching !== this.isSearching) this.switchSearched(isSearching);
+      this.isSearching = isSearching;
+      if (this.isSearchedOn) this.loadSearched(picture.searched_version);
+    },
+    switchSearched(isOn) {
+      this.isSearchedOn = isOn;
+      this.searchedButton.classList.toggle("is-on", isOn);
+      this.searchedButton.setAttribute("aria-pressed", isOn);
+      this.drawSearched();
+    },
+    async loadSearched(version) {
+      if (version === this.searchedVersion || this.isLoading) return;
+      this.isLoading = true;
+      try {
+        const path = `${window.path_prefix}/searched.json${window.location.search}`;
+        const answer = await (await fetch(path)).json();
+        this.searchedVersion = answer.version;
+        this.searchedArea = answer.area;
+        this.drawSearched();
+      } catch (error) {
+        console.warn("searched area:", error.message); // the next picture asks again
+      } finally {
+        this.isLoading = false;
+      }
+    },
+    drawSearched() {
+      if (!this.map) return;
+      this.searched.clearLayers();
+      if (!this.isSearchedOn || !this.searchedArea) return;
+      const { image, corners, gaps } = this.searchedArea;
+      this.searched.addLayer(L.imageOverlay(image, corners.map(this.at),
+        { pane: "searched", className: "pod" }));
+      for (const gap of gaps) {
+        for (const { outside_enu_m: outside, holes_enu_m: holes } of gap.outlines) {
+          const rings = [outside, ...holes].map((ring) => ring.map(this.at));
+          this.searched.addLayer(L.polygon(rings, { pane: "searched", interactive: false,
+            smoothFactor: 0, color: this.colours.gap, weight: 2, dashArray: "6 3", fill: false,
+            className: "gap" }));
+        }
+        this.label(gap.label, "gap-label", gap.text, this.searched, "gap-labels");
+      }
     },
     draw() {
       const { picture } = this;
@@ -270,6 +332,7 @@ export default {
         || (this.hasTiles && isElsewhere)) {
         this.fence = picture.fence;
         this.drawStill();
+        this.drawSearched();
         if (this.isFollowing) this.fit(this.fence.polygon || SITE);
       }
       if (this.isFollowing) this.keepInView(picture);

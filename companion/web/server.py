@@ -30,7 +30,9 @@ from fastapi.responses import PlainTextResponse, Response
 from nicegui import Client, ui
 from nicegui.element import Element
 
+from companion.io.files import json_line
 from companion.view.history import History, HistoryPart, HistoryReader
+from companion.view.searched_map import PackedState, drawn
 from companion.web.command_buttons import CommandButtons, HandoffButton, Press
 from companion.web.panels import (
     AgeBars,
@@ -45,7 +47,7 @@ from companion.web.settings import LEFT, VIEWED, Access, WebSettings, tile, zoom
 
 
 class PictureFeed:
-    """Latest picture and history, read by the pages."""
+    """Latest picture, history and searched area, read by the pages."""
 
     def __init__(self, scene: Mapping[str, Any]) -> None:
         self.scene = scene
@@ -53,13 +55,24 @@ class PictureFeed:
         self.version = 0
         self.track: History[list[float]] = History()
         self.curve: History[dict[str, Any]] = History()
+        self.searched: History[dict[str, Any]] = History()
+        self._drawn = (-1, b"")
 
     def take(self, picture: dict[str, Any]) -> None:
         """Set the picture, and append its parts of track and curves."""
         self.track.take(HistoryPart(*picture.pop("track", ((), False))))
         self.curve.take(HistoryPart(*picture.pop("curve", ((), False))))
-        self.picture = picture
+        self.searched.take(HistoryPart(*picture.pop("searched_area", ((), False))))
+        self.picture = {**picture, "searched_version": self.searched.version}
         self.version += 1
+
+    def searched_json(self) -> bytes:
+        """Return the map of the searched area, drawn once for all pages that ask for it."""
+        version, items = self.searched.version, self.searched.items
+        if self._drawn[0] != version:
+            area = drawn(PackedState(**items[0])) if items else None
+            self._drawn = (version, json_line({"version": version, "area": area}))
+        return self._drawn[1]
 
 
 LEAFLET = Path(nicegui.__file__).parent / "elements" / "leaflet" / "dist"
@@ -108,7 +121,7 @@ class Page:
                     self._handoff = HandoffButton()
                     self._commands = None if press is None else CommandButtons(press)
             with ui.column().classes("gap-2 side"):
-                self._numbers = Numbers()
+                self._numbers = Numbers(hub.scene)
                 self._ages = AgeBars(hub.scene)
                 self._emitters = EmitterList()
                 self._radios = RadioList()
@@ -267,10 +280,26 @@ def build_app(
     def nothing(_request: Request, _error: Exception) -> PlainTextResponse:
         return PlainTextResponse("nothing is here", 404)  # NiceGUI would make a page for each
 
+    _add_searched(app, access, hub)
     if tiles is not None:
         _add_tiles(app, access, tiles)
     ui.run_with(app, title="Companion", show_welcome_message=False, reconnect_timeout=10.0)
     return app
+
+
+def _may_view(access: Access, request: Request, token: str | None) -> bool:
+    return access.may_view("" if request.client is None else request.client.host, token)
+
+
+def _add_searched(app: FastAPI, access: Access, hub: PictureFeed) -> None:
+    """Serve the map of the searched area, which a page asks for when its version changes."""
+
+    @app.get("/searched.json")
+    def searched(request: Request, token: str | None = None) -> Response:
+        if not _may_view(access, request, token):
+            return PlainTextResponse(REFUSED, 403)
+        headers = {"cache-control": "no-store"}
+        return Response(hub.searched_json(), media_type="application/json", headers=headers)
 
 
 def _add_tiles(app: FastAPI, access: Access, folder: Path) -> None:
@@ -278,8 +307,7 @@ def _add_tiles(app: FastAPI, access: Access, folder: Path) -> None:
 
     @app.get("/tiles/{zoom}/{x}/{y}.png")
     def one(request: Request, zoom: int, x: int, y: int, token: str | None = None) -> Response:
-        client = "" if request.client is None else request.client.host
-        if not access.may_view(client, token):
+        if not _may_view(access, request, token):
             return PlainTextResponse(REFUSED, 403)
         return Response(tile(folder, zoom, x, y), media_type="image/png")
 

@@ -81,6 +81,11 @@ class Searching:
         return self.listened_s >= WORTH_TELLING_S
 
     @property
+    def frame(self) -> LocalOrigin | None:
+        """Origin of the frame of the grid."""
+        return self._origin
+
+    @property
     def is_over(self) -> bool:
         """True if nothing is counted any more, and all work on the cells is done."""
         has_work = self._area is not None and self._area.has_work
