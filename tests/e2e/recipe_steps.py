@@ -50,15 +50,8 @@ FILTER: Steps = {
     1: (
         Edit(
             "companion/estimation/filters/kalman.py",
-            "from companion.estimation.measurement_model import RangingModel, jacobian\n"
-            "from companion.estimation.measurement_model import variances\n",
+            "from companion.estimation.measurement_model import RangingModel, linearised\n",
             r"^\)\n(?=from companion.kernel)",
-        ),
-        Edit(
-            "companion/estimation/filters/kalman.py",
-            "from companion.estimation.filters.robust_update import innovations, robust_update\n",
-            r"^from companion.estimation.filters.robust_update import .*\n",
-            is_instead=True,
         ),
         Edit(
             "companion/estimation/filters/kalman.py",
@@ -84,11 +77,9 @@ def gated_update(
     gate: float,
 ) -> tuple[Vector, Matrix, Matrix, bool]:
     """The robust update with a deviation beyond the gate shortened to it, in sigma."""
-    y = innovations(z, mean, sensor_enu_m, model)
-    R = variances(P, mean, sensor_enu_m, sigma, model)
-    H = jacobian(mean, sensor_enu_m, model)
+    y, H, R = linearised(z, P, mean, sensor_enu_m, sigma, model)
     kept = z.copy()
-    for row in range(3):
+    for row in range(y.size):
         if not math.isnan(y[row]):
             S = R[row] + np.dot(H[row], np.dot(P, H[row]))
             excess = abs(y[row]) - gate * math.sqrt(S)

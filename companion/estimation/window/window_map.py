@@ -23,6 +23,7 @@ side, and a thousand from one position add little to a hundred.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterable
 from dataclasses import replace
@@ -425,8 +426,17 @@ class WindowMap:
     ) -> list[tuple[str, Matrix]]:
         """Return the terms that widen the position at `mean` (k,), with covariances (2, 2) so far.
 
+        The rows may be more than those of the latest solution, whose weights stay as they are.
+
         Raises `LinAlgError` if the position is unobservable.
         """
+        fitted = copy.copy(self)
+        fitted._update_weights(fitted._spatial_noise_of(rows, mean))
+        return fitted._widths(rows, mean, older, is_white)
+
+    def _widths(
+        self, rows: Matrix, mean: Vector, older: OlderEvidence | None, is_white: bool
+    ) -> list[tuple[str, Matrix]]:
         scores = self.scores(rows, mean)
         A = curvature(scores) + self.prior_with(rows, older)[0]
         A_inverse = np.asarray(np.linalg.inv(A))

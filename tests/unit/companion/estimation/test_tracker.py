@@ -469,3 +469,19 @@ def test_ranges_that_no_place_and_no_offset_explains_in_metres_are_not_used() ->
         tracker.fuse(short, place, float(step))
     assert tracker.objection(240.0) is Objection.RANGE_UNIT
     assert tracker.rejected[RejectReason.WRONG_UNIT] > 100
+
+
+def test_the_terms_of_r95_are_known_after_every_measurement() -> None:
+    """Also between two solutions, when the window has rows that the latest one did not see."""
+    tracker = TargetTracker(TrackerParams(filter=FilterParams(place_range_sigma_m=1.5)))
+    target, rng = (30.0, 20.0), np.random.default_rng(6)
+    known = 0
+    for step, place in enumerate(corner_walk()):
+        before = known_by(tracker)
+        seen = measured(float(step), range_to(place, target) + float(rng.normal(0.0, 1.5)))
+        tracker.fuse(seen, place, float(step))
+        after = known_by(tracker)
+        budget = tracker.budget(float(step))
+        known += len(budget) > 5
+        assert known_by(tracker) == after != before
+    assert known > 50
