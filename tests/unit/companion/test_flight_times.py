@@ -6,11 +6,13 @@ import json
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from companion import run
 from companion.config.schema import CompanionConfig, LogConfig, ProcessConfig
+from companion.flight_setup import build_planner
 from companion.io.files import EVENTS, FLIGHT, MCAP, TLOG
 from companion.io.links.transports import FlightLink, UdpBind
 from companion.io.logs.log_files import read_tlog
@@ -50,9 +52,14 @@ class Watching(run.FlightView):
             endpoint.request_stop(now_s)
 
 
+def late_planner(*arguments: Any) -> Any:
+    time.sleep(SLOW_START_S)
+    return build_planner(*arguments)
+
+
 def test_a_slow_start_does_not_shift_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reader = pytest.importorskip("mcap.reader")
-    monkeypatch.setattr(run, "prepare", lambda _: time.sleep(SLOW_START_S))
+    monkeypatch.setattr(run, "build_planner", late_planner)
     config = CompanionConfig(
         vehicle=VehicleParams(system_id=1),
         log=LogConfig(directory=str(tmp_path / "logs"), mcap=True),
