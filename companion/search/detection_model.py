@@ -166,8 +166,9 @@ def _normal_weights(sigmas: Floats) -> Floats:
 
 
 _HALF = round(MOST_SIGMAS / NODE_SIGMAS)
-NODE_WEIGHTS = _normal_weights(NODE_SIGMAS * np.arange(-_HALF, _HALF + 1, dtype=float))
-"""Weights of the offsets of a cell, in its own standard deviations; the same for all models."""
+NODES: Floats = NODE_SIGMAS * np.arange(-_HALF, _HALF + 1, dtype=float)
+"""Offsets of a cell, in its own standard deviations; the same for all models."""
+NODE_WEIGHTS = _normal_weights(NODES)
 MARGIN_STEPS = 16
 """Steps of the table's margin to a step of the quadrature."""
 FADING_DB = 25.0

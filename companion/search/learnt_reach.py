@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.domain import PositionEnu
 from companion.geometry.polygons import Point
-from companion.search.detection_model import NODE_SIGMAS, NODE_WEIGHTS, DetectionModel
+from companion.search.detection_model import NODE_WEIGHTS, NODES, DetectionModel
 from companion.search.searched_area import SearchedArea
 
 
@@ -52,8 +52,7 @@ def learnt_reach(
     if not posterior.sum() > 0.0:
         return None
     posterior = posterior / posterior.sum()
-    half = (len(NODE_WEIGHTS) - 1) / 2.0
-    offsets_db = NODE_SIGMAS * model.cell_sigma_db * (np.arange(len(NODE_WEIGHTS)) - half)
+    offsets_db = model.cell_sigma_db * NODES
     mean_db = float(posterior @ offsets_db)
     variance = float(posterior @ (offsets_db - mean_db) ** 2)
     share = (model.reach_sigma_db / model.cell_sigma_db) ** 2

@@ -27,8 +27,8 @@ from companion.geometry.polygons import Point
 from companion.search.detection_model import (
     LEAST_LOG,
     MOST_SIGMAS,
-    NODE_SIGMAS,
     NODE_WEIGHTS,
+    NODES,
     DetectionModel,
     received_share,
 )
@@ -50,13 +50,12 @@ Floats32 = NDArray[np.float32]
 
 def _groups() -> tuple[NDArray[np.float32], Floats]:
     """Return the matrix (nodes, groups) that sums nodes, and the groups' offsets in sigmas."""
-    nodes = len(NODE_WEIGHTS)
-    sigmas = NODE_SIGMAS * (np.arange(nodes) - (nodes - 1) / 2.0)
+    nodes = len(NODES)
     group = np.arange(nodes) * GROUPS // nodes
     matrix = np.zeros((nodes, GROUPS), dtype=np.float32)
     matrix[np.arange(nodes), group] = NODE_WEIGHTS
     weights = matrix.sum(axis=0)
-    return matrix, (matrix.T.astype(float) @ sigmas) / weights
+    return matrix, (matrix.T.astype(float) @ NODES) / weights
 
 
 GROUP_MATRIX, GROUP_SIGMAS = _groups()
@@ -116,8 +115,7 @@ def _place_log_miss(model: DetectionModel, answers: float) -> Floats:
     received = received_share(LEVELS_DB, model.propagation.rice_k_db)
     missed = (1.0 - model.duty_cycle * received) ** answers
     mean = np.zeros(len(LEVELS_DB))
-    sigmas = NODE_SIGMAS * (np.arange(len(NODE_WEIGHTS)) - (len(NODE_WEIGHTS) - 1) / 2.0)
-    for sigma, weight in zip(sigmas, NODE_WEIGHTS, strict=True):
+    for sigma, weight in zip(NODES, NODE_WEIGHTS, strict=True):
         mean += weight * np.interp(LEVELS_DB + sigma * model.path_sigma_db, LEVELS_DB, missed)
     logs: Floats = np.log(np.maximum(mean, math.exp(LEAST_LOG)))
     return logs
