@@ -11,10 +11,11 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -178,6 +179,21 @@ def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path
     say(f"{out}: flights.csv, flights.json, results.csv, results.md, report.html")
 
 
+Flown = TypeVar("Flown")
+
+
+def all_flown(
+    arguments: argparse.Namespace, fly: Callable[..., Flown], flights: int
+) -> list[Flown]:
+    """Return what `fly(number, seed=...)` returns for each flight, in order, and show progress."""
+    runs, flown = arguments.runs or flights, {}
+    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
+        for number, found in pool.results(partial(fly, seed=arguments.seed), range(runs)):
+            flown[number] = found
+            on_done(1.0)
+    return [flown[number] for number in sorted(flown)]
+
+
 SEARCH, SEARCH_FLIGHTS = "search", 100
 
 
@@ -185,14 +201,9 @@ def run_search(arguments: argparse.Namespace, out: Path) -> int:
     """Fly searches by several planners in the same worlds."""
     from tools.study.search_planners import SearchTimes, fly_planners, table_of
 
-    runs = arguments.runs or SEARCH_FLIGHTS
-    flown: dict[int, list[SearchTimes]] = {}
-    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
-        for number, times in pool.results(partial(fly_planners, seed=arguments.seed), range(runs)):
-            flown[number] = times
-            on_done(1.0)
+    flown: list[list[SearchTimes]] = all_flown(arguments, fly_planners, SEARCH_FLIGHTS)
     make_folder(out)
-    table, is_met = table_of([each for number in sorted(flown) for each in flown[number]])
+    table, is_met = table_of([each for times in flown for each in times])
     write_text_atomic(out / "planners.txt", table)
     print(table, end="")
     if not is_met:
@@ -206,15 +217,9 @@ PRIOR, PRIOR_FLIGHTS = "prior", 300
 
 def run_prior(arguments: argparse.Namespace, out: Path) -> int:
     """Fly searches to their first fix, with and without what was searched in vain."""
-    runs = arguments.runs or PRIOR_FLIGHTS
-    flown: dict[int, FixPair] = {}
-    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
-        for number, pair in pool.results(partial(fly_pair, seed=arguments.seed), range(runs)):
-            if pair is not None:
-                flown[number] = pair
-            on_done(1.0)
+    flown: list[FixPair | None] = all_flown(arguments, fly_pair, PRIOR_FLIGHTS)
     make_folder(out)
-    table, is_met = table_of_pairs([flown[number] for number in sorted(flown)])
+    table, is_met = table_of_pairs([pair for pair in flown if pair is not None])
     write_text_atomic(out / "prior.txt", table)
     print(table, end="")
     if not is_met:
@@ -227,15 +232,9 @@ AREA, AREA_FLIGHTS = "area", 2000
 
 def run_area(arguments: argparse.Namespace, out: Path) -> int:
     """Fly searches to check stated probabilities of detection."""
-    runs = arguments.runs or AREA_FLIGHTS
-    flown: dict[int, list[Trial]] = {}
-    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
-        fly = partial(fly_search, seed=arguments.seed)
-        for number, trials in pool.results(fly, range(runs)):
-            flown[number] = trials
-            on_done(1.0)
+    flown: list[list[Trial]] = all_flown(arguments, fly_search, AREA_FLIGHTS)
     make_folder(out)
-    is_met = write_area_report(out, [trial for number in sorted(flown) for trial in flown[number]])
+    is_met = write_area_report(out, [trial for trials in flown for trial in trials])
     say(f"{out}: reliability.csv, reliability.png")
     if not is_met:
         print("run_study: a stated probability is off by more than 3 %", file=sys.stderr)
