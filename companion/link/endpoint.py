@@ -95,9 +95,7 @@ class CompanionEndpoint:
         self._journal = journal
         self._recorder = recorder
         self._params = params
-        self._intakes = [
-            self._make_intake(number, link) for number, link in enumerate(params.links)
-        ]
+        self._intakes = [self._make_intake(*each) for each in enumerate(params.links)]
         links = list(zip((link.role for link in params.links), self._intakes, strict=True))
         (vehicle,) = (intake for role, intake in links if role is LinkRole.VEHICLE)
         self._alarms = LinkAlarms(self.binding, self._intakes)
@@ -120,18 +118,12 @@ class CompanionEndpoint:
         self._presence = Presence(session, self.outlet, has_icon=params.link.gcs_icon)
         clock = self.executor.inbound.clock
         self._vehicle_ranging = MavlinkRanging(SourceContext(vehicle.codec, clock))
-        self._sources = {
-            number: self._make_source(number, link)
-            for number, link in enumerate(params.links)
-            if link.role is LinkRole.RANGING
-        }
-        self.radios = tuple(
-            RadioWatch(source)
-            for source in self._sources.values()
-            if isinstance(source, RadioStage)
-        )
+        ranging = [each for each in enumerate(params.links) if each[1].role is LinkRole.RANGING]
+        self._sources = {number: self._make_source(number, link) for number, link in ranging}
+        sources = self._sources.values()
+        self.radios = tuple(RadioWatch(each) for each in sources if isinstance(each, RadioStage))
         """Radios in the order of their links."""
-        others = [each for each in self._sources.values() if isinstance(each, MavlinkRanging)]
+        others = [each for each in sources if isinstance(each, MavlinkRanging)]
         self._mavlink_ranging = (self._vehicle_ranging, *others)
         self._binds = 0
         self._problem: str | None = None
