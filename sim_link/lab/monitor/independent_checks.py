@@ -157,6 +157,8 @@ class Proof:
 FOLLOWED = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 SILENCE_S = 3.0
 """Silence of one address after which the other one may be accepted, s."""
+TICK_S = 0.05
+"""Control period of the companion, which looks for a silence at its ticks, s."""
 EARLY_S, LATE_S = 3.0, 10.0
 """A stamp that is ahead of the vehicle's clock by more, or behind it, is of another clock."""
 SAME_CLOCK_S = 1.0
@@ -262,11 +264,19 @@ class SenderTrust:
         """Time of the companion's last control tick; None: not known."""
         self._hardware: dict[bool, int] = {}
         """Hardware id that the vehicle (True) and strangers (False) answered last."""
+        self.is_unclear = False
+        """True if the vehicle sends again with its own clock, but not from where the stranger that
+        was followed reported to be, or within a tick of the silence: the companion may follow
+        either."""
 
     @property
     def follows_unknown_peer(self) -> bool:
         """Return True if a sender other than the vehicle is followed."""
         return self._followed is not None and not self._followed.is_genuine
+
+    def has_silent_vehicle(self, now_s: float) -> bool:
+        """Return True if the followed sender was not heard for `SILENCE_S`."""
+        return self._followed is not None and now_s - self._followed.heard_s >= SILENCE_S
 
     def is_beside_unknown_peer(self, frame: Frame) -> bool:
         """Return True if a frame's ids are of a payload of the unknown peer that is followed."""
@@ -311,9 +321,14 @@ class SenderTrust:
             self._hardware[frame.is_genuine] = message.uid
         if frame.is_genuine is not followed.is_genuine:
             until_s = frame.time_s if self.ticked_s is None else self.ticked_s
-            is_silent = until_s - followed.heard_s >= SILENCE_S
+            silent_s = until_s - followed.heard_s
+            is_silent = silent_s >= SILENCE_S
             if not is_silent or not self._is_possible(followed, frame):
+                is_stamped = isinstance(message, STAMPED) and followed.has_clock_of(frame)
+                is_back = frame.is_genuine and silent_s >= SILENCE_S - TICK_S
+                self.is_unclear = is_back and (self.is_unclear or is_stamped)
                 return False
+        self.is_unclear = False
         self._followed = followed.with_frame(frame)
         return True
 

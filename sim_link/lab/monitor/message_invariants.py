@@ -329,14 +329,16 @@ class HonestCovariance(Invariant):
 
 BARRED = ("standby", "waiting")
 """Phases before and after control that was not given yet is barred."""
+ENDED = "yield"
+"""Phase after control ended."""
 
 
 class OnlyProvedFrames(Invariant):
     """Damaged, foreign or, with a key, unsigned frames change nothing.
 
     Without a key a frame with the vehicle's ids and address is none of these, whichever vehicle
-    sends it. One with its ids from elsewhere may bar control that was not given yet, as of two
-    vehicles with the same ids none is flown.
+    sends it. One with its ids from elsewhere may bar control that was not given yet, and while the
+    vehicle is silent end control, as of two vehicles with the same ids none is flown.
     """
 
     name = "I10"
@@ -363,7 +365,9 @@ class OnlyProvedFrames(Invariant):
             return
         after = self._snapshot()
         is_rival = not self.scene.is_signed and self.scene.is_of_autopilot(frame)
-        is_barred = is_rival and frame.is_readable and (before[0], after[0]) == BARRED
+        is_ended = self.scene.has_silent_vehicle and after[0] == ENDED
+        is_step = (before[0], after[0]) == BARRED or is_ended
+        is_barred = is_rival and frame.is_readable and is_step
         if after != before and not (is_barred and after[1] == before[1]):
             self.report("an unproved frame changed the state", number=float(frame.number))
 

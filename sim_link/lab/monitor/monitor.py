@@ -159,7 +159,10 @@ class FrameMonitor(Observer):
         is_here = frame.peer == VEHICLE_PEER and frame.is_readable and not scene.is_signed
         scene.is_indistinct = is_here and not frame.is_genuine and scene.is_of_autopilot(frame)
         is_judged = frame.is_readable and not scene.is_indistinct
+        scene.has_silent_vehicle = self._whose.has_silent_vehicle(frame.time_s)
         scene.must_accept = is_judged and self._must_accept(frame)
+        if is_judged and not scene.must_accept and not scene.is_signed:
+            scene.is_indistinct = frame.is_genuine and self._whose.is_unclear
         scene.is_lied_to = not scene.is_signed and self._whose.follows_unknown_peer
         if scene.must_accept:
             scene.observe(frame)

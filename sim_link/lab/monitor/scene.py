@@ -173,7 +173,10 @@ class ObservedScene:
     must_accept: bool = True
     """True if the last frame had to be accepted."""
     is_indistinct: bool = False
-    """True if it was of another vehicle with our ids and address, and without a signature."""
+    """True if it was of another vehicle with our ids and address, and without a signature, or of
+    ours after a stranger that was followed: the companion may accept it or not."""
+    has_silent_vehicle: bool = False
+    """True if the vehicle was silent for seconds before the last frame."""
     is_signed: bool = False
     """Frames without a signature of our key are refused."""
     is_lied_to: bool = False
