@@ -1,16 +1,19 @@
-"""The searched area for ground teams: GeoJSON, KML with an image, PNG, GPX and one sentence.
+"""The searched area for ground teams: GeoJSON, KML with an image, PNG, GPX, GeoTIFF, a sentence.
 
 GeoJSON (RFC 7946) has the outlines of 50, 80 and 95 % probability of detection, gaps and the track;
 CalTopo and ATAK read it. The KML 2.2 document lays `searched_area.png` on the ground
 (GroundOverlay, OGC 07-147r2, 11.2), for Google Earth. GPX 1.1 has the track for handheld receivers.
+GeoTIFF (OGC 19-008r4) has the values of POD for QGIS, where tifffile is installed.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -18,15 +21,17 @@ import msgspec
 import numpy as np
 
 from companion.geometry.coordinates import LocalOrigin
-from companion.geometry.polygons import Corners
+from companion.geometry.polygons import Corners, Point
 from companion.handoff import NAMESPACE, utc_text
 from companion.search.detection_model import DetectionModel
 from companion.search.outlines import gaps_of, outlines
+from companion.search.search_grid import SearchGrid
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import GOOD_POD, SearchedFlight, reach_source, statement
 
 RECORD, GEOJSON, KML = "searched_area.json", "searched_area.geojson", "searched_area.kml"
 PNG, GPX, TEXT = "searched_area.png", "searched_area.gpx", "searched_area.txt"
+GEOTIFF = "searched_area.tif"
 LEVELS = (0.5, 0.8, 0.95)
 DECIMALS = 7
 
@@ -44,6 +49,9 @@ def area_files(flight: SearchedFlight, state: SearchState | None) -> dict[str, b
         files[GPX] = gpx_of(flight).encode()
         if state is not None:
             files[KML] = kml_of(flight, state, flight.origin).encode()
+            geotiff = geotiff_of(state, flight.origin)
+            if geotiff is not None:
+                files[GEOTIFF] = geotiff
     return files
 
 
@@ -130,9 +138,19 @@ def grid_shapes(state: SearchState, level: float, origin: LocalOrigin) -> list[A
 def _shape(outside: Corners, holes: Sequence[Corners], origin: LocalOrigin) -> list[Any]:
     rings = []
     for ring in (outside, *holes):
-        places = [origin.geodetic_from_enu((*corner, 0.0)) for corner in (*ring, ring[0])]
-        rings.append([[round(lon, DECIMALS), round(lat, DECIMALS)] for lat, lon, _ in places])
+        places = [_lon_lat(corner, origin) for corner in (*ring, ring[0])]
+        rings.append([[round(lon, DECIMALS), round(lat, DECIMALS)] for lon, lat in places])
     return rings
+
+
+def _lon_lat(place: Point, origin: LocalOrigin) -> Point:
+    """Return degrees; longitudes beyond the antimeridian go on, so that shapes stay whole."""
+    latitude, longitude, _ = origin.geodetic_from_enu((*place, 0.0))
+    return origin.longitude_deg + _wrapped(longitude - origin.longitude_deg), latitude
+
+
+def _wrapped(longitude_deg: float) -> float:
+    return (longitude_deg + 180.0) % 360.0 - 180.0
 
 
 def _polygons(shapes: list[Any], about: Mapping[str, object]) -> dict[str, object]:
@@ -191,20 +209,13 @@ def kml_of(flight: SearchedFlight, state: SearchState, origin: LocalOrigin) -> s
     overlay = ET.SubElement(document, "GroundOverlay")
     _text(overlay, "name", "Probability of detection")
     _text(ET.SubElement(overlay, "Icon"), "href", PNG)
-    grid = state.grid
-    rows, columns = grid.inside.shape
-    corners = [
-        origin.geodetic_from_enu((grid.west_m + x * grid.cell_m, grid.south_m + y * grid.cell_m, 0))
-        for x, y in ((0, 0), (columns, 0), (columns, rows), (0, rows))
-    ]
-    latitudes, longitudes = [c[0] for c in corners], [c[1] for c in corners]
+    west, south, east, north = _box_deg(state.grid, origin)
     box = ET.SubElement(overlay, "LatLonBox")
-    # Middles of the sides: over 2 km local axes turn against the meridian by less than a cell.
     for name, value in (
-        ("north", 0.5 * (latitudes[2] + latitudes[3])),
-        ("south", 0.5 * (latitudes[0] + latitudes[1])),
-        ("east", 0.5 * (longitudes[1] + longitudes[2])),
-        ("west", 0.5 * (longitudes[0] + longitudes[3])),
+        ("north", north),
+        ("south", south),
+        ("east", _wrapped(east)),
+        ("west", _wrapped(west)),
     ):
         _text(box, name, f"{value:.7f}")
     placemark = ET.SubElement(document, "Placemark")
@@ -214,6 +225,49 @@ def kml_of(flight: SearchedFlight, state: SearchState, origin: LocalOrigin) -> s
     _text(line, "coordinates", places)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _box_deg(grid: SearchGrid, origin: LocalOrigin) -> tuple[float, float, float, float]:
+    """Return the map's west, south, east and north, degrees.
+
+    They are the middles of its sides: over 2 km local axes turn against the meridian by less than
+    a cell.
+    """
+    rows, columns = grid.inside.shape
+    east_m = grid.west_m + columns * grid.cell_m
+    north_m = grid.south_m + rows * grid.cell_m
+    middle_m = 0.5 * (grid.west_m + east_m), 0.5 * (grid.south_m + north_m)
+    west, east = (_lon_lat((x, middle_m[1]), origin)[0] for x in (grid.west_m, east_m))
+    south, north = (_lon_lat((middle_m[0], y), origin)[1] for y in (grid.south_m, north_m))
+    return west, south, east, north
+
+
+def geotiff_of(state: SearchState, origin: LocalOrigin) -> bytes | None:
+    """Return POD as 32-bit floats in degrees of WGS84, NaN outside; None: tifffile is missing."""
+    try:
+        import tifffile
+    except ImportError:
+        return None
+    west, south, east, north = _box_deg(state.grid, origin)
+    rows, columns = state.grid.inside.shape
+    scale = ((east - west) / columns, (north - south) / rows, 0.0)
+    keys = (1, 1, 0, 3, *GEOGRAPHIC, *PIXEL_IS_AREA, *EPSG_4326)
+    tags = [
+        (33550, "d", 3, scale, True),  # ModelPixelScale
+        (33922, "d", 6, (0.0, 0.0, 0.0, west, north, 0.0), True),  # ModelTiepoint
+        (34735, "H", len(keys), keys, True),  # GeoKeyDirectory
+        (42113, "s", 4, "nan", True),  # GDAL_NODATA
+    ]
+    image = state.grid.on_map(state.pod, math.nan)[::-1].astype(np.float32)
+    file = BytesIO()
+    tifffile.imwrite(
+        file, image, photometric="minisblack", compression="zlib", metadata=None, extratags=tags
+    )
+    return file.getvalue()
+
+
+GEOGRAPHIC, PIXEL_IS_AREA, EPSG_4326 = (1024, 0, 1, 2), (1025, 0, 1, 1), (2048, 0, 1, 4326)
+"""GTModelType, GTRasterType and GeodeticCRS: key, location, count and value."""
 
 
 def _text(parent: ET.Element, tag: str, text: str) -> None:

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from companion import __version__
-from companion.config.area_files import read_search_site
 from companion.config.radios import RadioConfig, radio_setups
 from companion.config.schema import CompanionConfig
+from companion.config.search_files import read_search_site
 from companion.config.tunables import Tunables
 from companion.config.versions import renew
 from companion.errors import ConfigError

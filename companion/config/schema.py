@@ -14,9 +14,10 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
-from companion.config.area_files import read_fence, read_search_site
+from companion.config.area_files import read_fence
 from companion.config.loader import load_yaml
 from companion.config.radios import RadioConfig, flown_radios, is_uncalibrated
+from companion.config.search_files import read_search_site
 from companion.config.versions import SCHEMA_VERSION, renew
 from companion.domain import Distance, NonNegative, Params, Positive
 from companion.errors import ConfigError

@@ -32,11 +32,12 @@ class SiteArea:
 
 @dataclass(frozen=True, slots=True)
 class SiteRaster:
-    """Weights on a grid in degrees."""
+    """Weights on a grid in degrees; over the antimeridian, east exceeds 180."""
 
     west_deg: float
     south_deg: float
-    step_deg: float
+    east_deg: float
+    north_deg: float
     weights: Floats
     """(rows, columns) from the south-west; NaN: outside of the area."""
 
@@ -78,11 +79,7 @@ def _check_distance(corners: Corners) -> None:
 def _of_raster(site: SiteRaster, origin: LocalOrigin, cell_m: float) -> SearchGrid:
     """Cells of the local frame with the weights of the raster cells that hold their centres."""
     rows, columns = site.weights.shape
-    east_deg, north_deg = (
-        site.west_deg + columns * site.step_deg,
-        site.south_deg + rows * site.step_deg,
-    )
-    box = _local(((site.south_deg, site.west_deg), (north_deg, east_deg)), origin)
+    box = _local(((site.south_deg, site.west_deg), (site.north_deg, site.east_deg)), origin)
     (west_m, south_m), (east_m, north_m) = box
     whole = ((west_m, south_m), (east_m, south_m), (east_m, north_m), (west_m, north_m))
     shape = grid_over([WeightedArea(whole)], cell_m)

@@ -29,7 +29,7 @@ class SearchAreaParams(Params, frozen=True):
     """Null: the radio's range is unknown, and no probability is stated."""
     area_file: str | None = None
     """Possible locations of the emitter, relative to this file: GeoJSON or KML polygons, or an
-    ASCII grid, in degrees; null: anywhere in the fence."""
+    ASCII grid or GeoTIFF, in degrees; null: anywhere in the fence."""
     cell_m: ClassVar[float] = 20.0
     """Side of a cell."""
     stop_pos: Probability | None = None

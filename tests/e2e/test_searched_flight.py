@@ -13,11 +13,18 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from xml.etree import ElementTree
+from typing import Any
 
+import gpxpy
+import numpy as np
 import pytest
+import rasterio
 import shapely
 import shapely.geometry
+from fastkml import KML
+from fastkml.overlays import GroundOverlay
+from fastkml.utils import find
+from fastkml.validator import validate
 
 from tests.e2e.simulator_process import PATIENCE_S, PATIENT
 from tests.ports import free_port
@@ -33,8 +40,7 @@ search:
   detection: {reach_m: 30.0, reach_sigma_db: 3.0}
   stop_sweeps: 1
 """
-FILES = ["searched_area." + end for end in ("geojson", "gpx", "json", "kml", "png", "txt")]
-KML, GPX = "{http://www.opengis.net/kml/2.2}", "{http://www.topografix.com/GPX/1/1}"
+FILES = ["searched_area." + end for end in ("geojson", "gpx", "json", "kml", "png", "tif", "txt")]
 
 
 @contextmanager
@@ -78,18 +84,29 @@ def check_files(flight: Path) -> dict[str, object]:
     assert set(by_level) == {0.5, 0.8, 0.95}
     assert by_level[0.5].covers(by_level[0.8])
     (track,) = [shape for about, shape in shapes if about["kind"] == "track"]
-    overlay = ElementTree.parse(flight / "searched_area.kml").find(f".//{KML}GroundOverlay")
-    assert overlay is not None
-    assert overlay.findtext(f"{KML}Icon/{KML}href") == "searched_area.png"
-    sides = {name: float(overlay.findtext(f"{KML}LatLonBox/{KML}{name}") or "nan") for name in
-             ("north", "south", "east", "west")}  # fmt: skip
-    box = shapely.box(sides["west"], sides["south"], sides["east"], sides["north"])
+    assert validate(file_to_validate=flight / "searched_area.kml")
+    overlay: Any = find(KML.parse(flight / "searched_area.kml"), of_type=GroundOverlay)
+    assert overlay.icon.href == "searched_area.png"
+    sides = overlay.lat_lon_box
+    box = shapely.box(sides.west, sides.south, sides.east, sides.north)
     assert box.buffer(1e-6).covers(by_level[0.5])
     assert box.buffer(1e-4).covers(track)
-    points = ElementTree.parse(flight / "searched_area.gpx").findall(f".//{GPX}trkpt")
+    (gpx,) = gpxpy.parse((flight / "searched_area.gpx").read_text()).tracks
+    points = gpx.segments[0].points
     assert len(points) == len(track.coords) == len(result["track"])
+    check_geotiff(flight / "searched_area.tif", by_level[0.8])
     check_png((flight / "searched_area.png").read_bytes())
     return dict(result)
+
+
+def check_geotiff(path: Path, searched: shapely.Geometry) -> None:
+    """Compare the cells of 80 % POD with their outlines."""
+    with rasterio.open(path) as image:
+        assert image.crs.to_epsg() == 4326
+        pod = image.read(1)
+        rows, columns = np.indices(pod.shape)
+        east, north = rasterio.transform.xy(image.transform, rows.ravel(), columns.ravel())
+    assert list(shapely.contains_xy(searched, east, north)) == list(pod.ravel() >= 0.8)
 
 
 def check_png(data: bytes) -> None:

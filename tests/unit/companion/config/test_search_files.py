@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import json
+import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 
-from companion.config.area_files import read_search_site
 from companion.config.schema import load_config
+from companion.config.search_files import read_search_site
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin
 from companion.search.search_site import SiteRaster, grid_of_site
@@ -102,10 +106,112 @@ NODATA_value -1
     assert np.median(grid.poa[south_east]) == pytest.approx(3.0 * np.median(grid.poa[north_west]))
 
 
+RASTER = np.array([[1.0, -1.0, 4.0], [2.0, 3.0, 0.0]])
+ASCII = """xllcorner 8.0
+yllcorner 47.0
+cellsize 0.001
+"""
+ROWS = "1 -1 4\n2 3 0\n"
+
+
+def written_tiff(path: Path, values: np.ndarray[Any, Any] = RASTER, **changed: object) -> Path:
+    """The raster, as GDAL writes it."""
+    about: dict[str, Any] = {"crs": "EPSG:4326", "dtype": "float32", "nodata": -1.0} | changed
+    transform = rasterio.Affine(0.001, 0.0, 8.0, 0.0, -0.001, 47.002)
+    rows, columns = values.shape
+    size = {"height": rows, "width": columns, "count": 1}
+    with rasterio.open(path, "w", "GTiff", transform=transform, **size, **about) as file:
+        file.write(values.astype(about["dtype"]), 1)
+    return path
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {},
+        {"compress": "deflate"},
+        {"dtype": "int16"},
+        {"tiled": True, "blockxsize": 16, "blockysize": 16},
+        {"crs": "EPSG:4258"},
+    ],
+)
+def test_geotiff_is_the_same_raster_as_ascii(changed: dict[str, Any], tmp_path: Path) -> None:
+    header = f"ncols 3\nnrows 2\n{ASCII}NODATA_value -1\n"
+    expected = read_search_site(written(tmp_path / "poa.asc", header + ROWS))
+    found = read_search_site(written_tiff(tmp_path / "poa.tif", **changed))
+    assert_same(found, expected)
+
+
+def assert_same(found: object, expected: object) -> None:
+    assert isinstance(found, SiteRaster)
+    assert isinstance(expected, SiteRaster)
+    for name in ("west_deg", "south_deg", "east_deg", "north_deg", "weights"):
+        values = getattr(found, name), getattr(expected, name)
+        assert np.allclose(*values, atol=1e-9, equal_nan=True), name
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "NCOLS 3\nNROWS 2\nXLLCENTER 8.0005\nYLLCENTER 47.0005\nCELLSIZE 0.001\nnodata_value -1\n",
+        "ncols 3\nnrows 2\nxllcorner 8\nyllcorner 47\ndx 0.001\ndy 0.001\nNODATA_value -1\n",
+        "\ufeffncols 3\r\nnrows 2\r\nxllcorner 8\r\nyllcorner 47\r\ncellsize 1e-3\r\n"
+        "NODATA_value nan\r\n",
+    ],
+)
+def test_headers_of_other_programs_are_the_same_raster(header: str, tmp_path: Path) -> None:
+    rows = ROWS.replace("-1", "nan") if "nan" in header else ROWS
+    expected = read_search_site(written_tiff(tmp_path / "poa.tif"))
+    assert_same(read_search_site(written(tmp_path / "poa.asc", header + rows)), expected)
+
+
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({"crs": "EPSG:32632"}, "not in degrees of WGS84; save it as EPSG:4326"),
+        ({"crs": None}, "not in degrees of WGS84; save it as EPSG:4326"),
+        ({"nodata": None}, "weights must be 0 or above"),
+        ({"values": np.zeros((2, 2))}, "one of them above 0"),
+        ({"values": np.full((2, 2), np.inf)}, "finite"),
+        ({"values": np.ones((2500, 4000)), "compress": "deflate"}, "10000000 cells; at most"),
+    ],
+)
+def test_a_geotiff_that_is_no_search_area_is_one_clear_line(
+    changed: dict[str, Any], problem: str, tmp_path: Path
+) -> None:
+    path = written_tiff(tmp_path / "poa.tif", **changed)
+    with pytest.raises(ConfigError, match=problem) as found:
+        read_search_site(path)
+    assert "\n" not in str(found.value)
+
+
+def test_a_damaged_geotiff_is_one_clear_line(tmp_path: Path) -> None:
+    path = written_tiff(tmp_path / "poa.tif", compress="deflate")
+    whole, rng = path.read_bytes(), np.random.default_rng(1)
+    for length in range(0, len(whole), 7):
+        damaged = bytearray(whole[:length] or b"\0")
+        damaged[rng.integers(len(damaged))] ^= 0xFF
+        path.write_bytes(damaged)
+        with suppress(ConfigError):
+            read_search_site(path)
+
+
+def test_without_tifffile_the_line_names_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "tifffile", None)
+    with pytest.raises(ConfigError, match=r"GeoTIFF needs tifffile: .* install tifffile"):
+        read_search_site(written_tiff(tmp_path / "poa.tif"))
+
+
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
-        ("poa.kmz", "", "a search area is a .geojson, .kml or .asc file, in degrees"),
+        (
+            "poa.kmz",
+            "",
+            ".geojson, .kml, .asc or .tif file, in degrees; unpack it, there is a .kml",
+        ),
         ("poa.geojson", "{", "not JSON"),
         ("poa.geojson", "[]", "not a GeoJSON object"),
         ("poa.geojson", geojson(), "there is no polygon in it"),

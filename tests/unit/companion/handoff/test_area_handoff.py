@@ -1,13 +1,24 @@
 from __future__ import annotations
 
 import json
+import sys
+from datetime import UTC, datetime
 from io import BytesIO
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
+import gpxpy
 import matplotlib.image
 import msgspec
 import numpy as np
+import pytest
+import rasterio
 import shapely.geometry
+from fastkml import KML
+from fastkml.overlays import GroundOverlay
+from fastkml.utils import find
+from fastkml.validator import validate
 
 from companion.area_handoff import area_files, result_fields
 from companion.geometry.coordinates import LocalOrigin
@@ -60,11 +71,57 @@ def test_the_image_is_north_up_and_clear_outside() -> None:
     assert south[2] > south[0]
 
 
-def test_the_track_has_times() -> None:
-    root = ElementTree.fromstring(area_files(FLIGHT, None)["searched_area.gpx"])
-    points = [element for element in root.iter() if element.tag.endswith("trkpt")]
-    assert [round(float(point.attrib["lat"]), 3) for point in points] == [-33.9, -33.9]
-    assert points[1][0].text == "2027-01-15T08:00:30Z"
+def test_gpxpy_reads_the_track_with_its_times() -> None:
+    (track,) = gpxpy.parse(area_files(FLIGHT, None)["searched_area.gpx"].decode()).tracks
+    (segment,) = track.segments
+    assert [round(point.latitude, 3) for point in segment.points] == [-33.9, -33.9]
+    assert segment.points[1].time == datetime(2027, 1, 15, 8, 0, 30, tzinfo=UTC)
+
+
+def test_the_kml_obeys_the_schema_and_lays_the_image_where_it_belongs(tmp_path: Path) -> None:
+    path = tmp_path / "searched_area.kml"
+    path.write_bytes(area_files(FLIGHT, state())["searched_area.kml"])
+    assert validate(file_to_validate=path)
+    overlay: Any = find(KML.parse(path), of_type=GroundOverlay)
+    box = overlay.lat_lon_box
+    for place, corner in (
+        ((0.0, 0.0), (box.south, box.west)),
+        ((200.0, 200.0), (box.north, box.east)),
+    ):
+        latitude, longitude, _ = ORIGIN.geodetic_from_enu((*place, 0.0))
+        assert corner == pytest.approx((latitude, longitude), abs=1e-6)
+    assert overlay.icon.href == "searched_area.png"
+
+
+def test_gdal_reads_the_probability_at_every_position() -> None:
+    with rasterio.MemoryFile(area_files(FLIGHT, state())["searched_area.tif"]) as file:
+        image = file.open()
+        assert image.crs.to_epsg() == 4326
+        assert np.isnan(image.nodata)
+        found = []
+        for place in ((10.0, 30.0), (190.0, 90.0), (10.0, 110.0), (190.0, 190.0)):
+            latitude, longitude, _ = ORIGIN.geodetic_from_enu((*place, 0.0))
+            (value,) = image.sample([(longitude, latitude)])
+            found.append(float(value[0]))
+    assert found == pytest.approx([0.97, 0.97, 0.1, 0.1])
+
+
+def test_over_the_antimeridian_shapes_stay_whole() -> None:
+    fiji = LocalOrigin(-16.8, 179.9995, 10.0)
+    files = area_files(msgspec.structs.replace(FLIGHT, origin=fiji), state())
+    features = json.loads(files["searched_area.geojson"])["features"]
+    west, _, east, _ = shapely.geometry.shape(features[0]["geometry"]).bounds
+    assert 0.0 < east - west < 0.003
+    with rasterio.MemoryFile(files["searched_area.tif"]) as file:
+        assert file.open().bounds.right - file.open().bounds.left == pytest.approx(0.0019, abs=1e-4)
+    root = ElementTree.fromstring(files["searched_area.kml"])
+    sides = [float(e.text or "") for e in root.iter() if e.tag.endswith(("}east", "}west"))]
+    assert sides == pytest.approx([-179.9986, 179.9995], abs=1e-4)  # KML: west exceeds east
+
+
+def test_without_tifffile_there_is_no_geotiff(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tifffile", None)
+    assert "searched_area.tif" not in area_files(FLIGHT, state())
 
 
 def test_without_an_origin_there_is_nothing_on_the_earth() -> None:
