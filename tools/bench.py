@@ -114,7 +114,7 @@ def area_line(cost: AreaCost) -> str:
     verdict = "met" if cost.is_met else "NOT MET"
     return (
         f"{cost.cells} cells: update {cost.update_ms:.2f} ms, 99 % {cost.update_p99_ms:.2f} ms; "
-        f"state {cost.state_ms:.2f} ms; {cost.memory_mb:.1f} MB; "
+        f"renewal {cost.renewal_ms:.2f} ms; {cost.memory_mb:.1f} MB; "
         f"limit {AREA_LIMIT_MS:g} ms, {LIMIT_MB:g} MB: {verdict}"
     )
 

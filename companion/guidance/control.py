@@ -105,14 +105,14 @@ class Reporting:
         if not context.vehicle.mode_watch.may_request_mode(now_s):
             return
         mode = FlightMode(context.params.on_localised)
-        why = searching.end(now_s, context.flight_plan.sweeps)
+        why = searching.end(context.flight_plan.sweeps)
         if why is None and self._is_charge_spent():
             why, mode = "remaining charge is for the way home", self._low_battery_mode
         if why is None:
             return
         self.is_search_over = True
         context.announce(Severity.NOTICE, f"SEARCH OVER, nothing heard: {why}")
-        self._announce_searched(now_s)
+        self._announce_searched()
         self._finish(mode, now_s)
 
     def _is_charge_spent(self) -> bool:
@@ -125,9 +125,9 @@ class Reporting:
         away_m = math.dist(motion.position_enu_m[:2], motion.home_enu_m[:2])
         return away_m >= reserve.reach_m(motion.battery_pct)
 
-    def _announce_searched(self, now_s: float) -> None:
+    def _announce_searched(self) -> None:
         """Announce the searched area in the sentence for the radio."""
-        text = self._context.searching.statement(now_s)
+        text = self._context.searching.statement()
         if text is not None:
             self._context.announce(Severity.NOTICE, text)
 
@@ -179,7 +179,7 @@ class Reporting:
         if not known:
             self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} no emitter found")
             self.is_search_over = self._context.searching.contact_s is None
-            self._announce_searched(now_s)
+            self._announce_searched()
 
     def _report(
         self, tracker: TargetTracker, estimate: TargetEstimate, head: str, now_s: float

@@ -2,8 +2,9 @@
 
 Theory of operation. A candidate is a row of straight legs: what is left of the present track, the
 pattern over the whole area, lanes over the cells that hang together above a level of the density
-that is left, along and across, and an expanding square about the densest of them. The value of a
-candidate is the greatest rate of success per second of its beginnings, way to it included:
+that is left, along and across, an expanding square about the densest of them, and a sector search
+about the only one. The value of a candidate is the greatest rate of success per second of its
+beginnings, way to it included:
 
     rate = max over k of (POS of the first k legs) / (time of the first k legs)
 
@@ -29,7 +30,13 @@ from companion.geometry.obstacles import between
 from companion.geometry.polygons import Point
 from companion.planning.planner import Plan, PlanRequest, hold_position, way_finder
 from companion.planning.search import SearchMemory, SearchParams, SearchPlanner
-from companion.planning.search_tracks import Leg, Track, expanding_square, lanes_over
+from companion.planning.search_tracks import (
+    Leg,
+    Track,
+    expanding_square,
+    lanes_over,
+    sector_search,
+)
 from companion.search.outlines import pieces_of, place_name
 from companion.search.outlook import LegTable, Outlook
 from companion.search.search_grid import Bools, Floats
@@ -48,11 +55,11 @@ MOST_REGIONS = 3
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Neighbouring cells, for lanes along the axes of their spread, or a square about them."""
+    """Neighbouring cells, for lanes along the axes of their spread, or a pattern about them."""
 
     cells: Bools = field(compare=False)
     turn: int
-    """0: lanes along the longer axis, 1: across it, 2: an expanding square."""
+    """0: lanes along the longer axis, 1: across it, 2: an expanding square, 3: a sector search."""
 
 
 Source = Track | Region | float
@@ -243,6 +250,9 @@ class ProbabilityPlanner(SearchPlanner):
             far_m = float(np.abs(centres - middle).max())
             radius_m = max(spacing_m, min(far_m, 3.0 * spacing_m))
             return expanding_square(middle, spacing_m, radius_m, along_rad, spaces)
+        if region.turn == 3:
+            radius_m = max(spacing_m, float(np.hypot(*(centres - middle).T).max()))
+            return sector_search(middle, radius_m, along_rad, spaces)
         heading_rad = along_rad + 0.5 * math.pi * region.turn
         return lanes_over(centres, grid.cell_m, spacing_m, heading_rad, spaces, place)
 
@@ -327,7 +337,8 @@ def _regions(outlook: Outlook, level: float) -> tuple[Region, ...]:
     density = outlook.density
     found = list(pieces_of(outlook.grid, density >= level))
     found.sort(key=lambda cells: -float(density[cells].sum()))
-    return tuple(Region(cells, turn) for cells in found[:MOST_REGIONS] for turn in (0, 1, 2))
+    turns = (0, 1, 2, 3) if len(found) == 1 else (0, 1, 2)  # a sector search is about one peak
+    return tuple(Region(cells, turn) for cells in found[:MOST_REGIONS] for turn in turns)
 
 
 def _gaining(before: Outlook, after: Outlook) -> Bools:

@@ -293,14 +293,12 @@ class SearchKeeper(WriterThread[Snapshot]):
         self._session = session
         self._journal = journal
         self._next_s: float | None = None
-        self._written: tuple[float, float | None, bool] | None = None
-        """Seconds listened, time of contact, and True with a learnt reach, as written last."""
-        self._now_s = 0.0
+        self._written: tuple[float, bool, bool] | None = None
+        """Seconds listened, and True if that is all and with a learnt reach, as written last."""
         super().__init__("write searched area", MAX_QUEUED)
 
     def run(self, now_s: float) -> None:
         """Write what was searched, if that is due."""
-        self._now_s = now_s
         searching = self._session.searching
         if not searching.is_worth_reporting:
             return
@@ -315,8 +313,8 @@ class SearchKeeper(WriterThread[Snapshot]):
         flight = searching.flight(self._journal.started_unix_s)
         if flight is None:
             return None
-        snapshot = (flight, searching.shown_state(self._now_s))
-        present = (searching.listened_s, searching.contact_s, flight.learnt is not None)
+        snapshot = (flight, searching.state)
+        present = (searching.listened_s, searching.is_over, flight.learnt is not None)
         if present != self._written:
             self._written = present
             self.append(snapshot)

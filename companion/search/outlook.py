@@ -33,12 +33,10 @@ from companion.search.detection_model import (
     received_share,
 )
 from companion.search.search_grid import Bools, Floats, SearchGrid
-from companion.search.searched_area import SearchedArea, Square
+from companion.search.searched_area import GROUP_SIGMAS, GROUPS, SearchedArea, Square
 
 MOST_CELLS = 2500
 """A forecast has no more cells: 50 by 50, each far smaller than what a leg changes."""
-GROUPS = 5
-"""Groups of the offsets of a cell: a quadrature of five points."""
 UPFADE_DB = 10.0
 """Rayleigh fading exceeds its median by so much in 0.1 % of all answers."""
 LEVELS_DB = np.arange(-80.0, 81.0)
@@ -46,19 +44,6 @@ LEVELS_DB = np.arange(-80.0, 81.0)
 STEPS = 160
 """Lateral distances of the table."""
 Floats32 = NDArray[np.float32]
-
-
-def _groups() -> tuple[NDArray[np.float32], Floats]:
-    """Return the matrix (nodes, groups) that sums nodes, and the groups' offsets in sigmas."""
-    nodes = len(NODES)
-    group = np.arange(nodes) * GROUPS // nodes
-    matrix = np.zeros((nodes, GROUPS), dtype=np.float32)
-    matrix[np.arange(nodes), group] = NODE_WEIGHTS
-    weights = matrix.sum(axis=0)
-    return matrix, (matrix.T.astype(float) @ NODES) / weights
-
-
-GROUP_MATRIX, GROUP_SIGMAS = _groups()
 
 
 class LegTable:
@@ -190,9 +175,8 @@ def _new_pieces(
 
 
 def outlook_of(area: SearchedArea) -> Outlook:
-    """Return what a search has left so far; costs about as much as the state of the search."""
-    missed = np.exp(area.log_missed()) @ GROUP_MATRIX
-    chance = missed * area.grid.poa[:, None].astype(np.float32)
+    """Return what a search has left, as of the last renewal of its probabilities."""
+    chance = area.missed * area.grid.poa[:, None].astype(np.float32)
     grid, chance = _coarse(area.grid, chance)
     return Outlook(grid, chance, frozenset(area.squares))
 

@@ -65,10 +65,10 @@ class SearchedHistory(History[PackedState]):
         super().__init__()
         self._shown: tuple[SearchState | None, LocalOrigin | None] = (None, None)
 
-    def look(self, session: GuidanceSession, now_s: float) -> None:
-        """Take the session's state for views, which is renewed every few seconds."""
+    def look(self, session: GuidanceSession) -> None:
+        """Take the session's state, which is renewed every few seconds."""
         searching, frame = session.searching, session.vehicle.frame
-        state = searching.shown_state(now_s) if searching.is_worth_reporting else None
+        state = searching.state if searching.is_worth_reporting else None
         if state is self._shown[0] and frame == self._shown[1]:
             return
         self._shown = (state, frame)

@@ -156,7 +156,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "distance_m": status.distance_m,
         "estimate": None if status.estimate is None else _estimate(status.estimate),
         "emitters": [_emitter(emitter) for emitter in status.emitters],
-        "searched": searched_words(session, now_s),
+        "searched": searched_words(session),
         "radios": radio_words(endpoint, now_s),
         "waypoint": None if waypoint is None else _waypoint(waypoint),
         "setpoint": status.setpoint_enu_m,
@@ -310,12 +310,12 @@ class FlightSnapshot:
     """Searched area until now; None: there was contact, or nothing is stated."""
 
 
-def searched_words(session: GuidanceSession, now_s: float) -> str | None:
+def searched_words(session: GuidanceSession) -> str | None:
     """Return how much of the area is searched, in a few words, until there is contact."""
     searching = session.searching
     if searching.contact_s is not None or not searching.is_worth_reporting:
         return None
-    state = searching.shown_state(now_s)
+    state = searching.state
     if state is None:
         return None
     good = 100.0 * state.share_at(GOOD_POD)
@@ -336,7 +336,7 @@ def flight_snapshot(
         time_to_go_s=time_to_go_s,
         radios=radio_words(endpoint, now_s),
         next_step=next_step(endpoint, status),
-        searched=searched_words(endpoint.session, now_s),
+        searched=searched_words(endpoint.session),
     )
 
 

@@ -370,7 +370,7 @@ class WebView(Collector):
         self.process.close()
 
     def _picture(self, endpoint: CompanionEndpoint, now_s: float) -> Json:
-        self._searched.look(endpoint.session, now_s)
+        self._searched.look(endpoint.session)
         return {
             **picture_of(endpoint, now_s),
             "unix_s": self._unix_s(now_s),

@@ -55,7 +55,7 @@ def test_a_search_ends_when_its_area_is_done_without_any_reach() -> None:
     loop = flown(SearchAreaParams(stop_sweeps=1))
     loop.run_until(lambda: loop.companion.session.is_search_over, 200.0)
     assert loop.said("SEARCH OVER, nothing heard: the area is done")
-    assert loop.companion.session.searching.state(1e9) is None
+    assert loop.companion.session.searching.state is None
 
 
 def test_a_search_ends_where_the_charge_is_for_the_way_home() -> None:
@@ -109,7 +109,7 @@ def test_a_replayed_record_states_the_same() -> None:
     loop.run_until(lambda: loop.companion.session.is_search_over, 120.0)
     searching = loop.companion.session.searching
     searching.finish()
-    flight, state = searching.flight(0.0), searching.state(1e9)
+    flight, state = searching.flight(0.0), searching.state
     assert flight is not None
     assert state is not None
     read = msgspec.json.decode(msgspec.json.encode(flight), type=SearchedFlight)
@@ -126,7 +126,7 @@ def test_a_view_shows_how_much_is_searched_and_changes_nothing_in_the_flight() -
     for loop in (watched, alone):
         for _ in range(300):
             if loop is watched:
-                shown.add(searched_words(loop.companion.session, loop.now_s))
+                shown.add(searched_words(loop.companion.session))
             loop.run(0.2)
     assert None in shown  # on the ground
     assert any(text is not None and text.startswith("POS ") for text in shown)

@@ -9,10 +9,11 @@ from time import process_time
 
 from companion.search.detection_model import DetectionModel
 from companion.search.search_grid import WeightedArea, grid_over
-from companion.search.searched_area import SearchedArea, state_of
+from companion.search.searched_area import SearchedArea
 
 SIDE_M, CELL_M = 2000.0, 20.0
 LIMIT_MS, LIMIT_MB = 10.0, 30.0
+RENEWALS = 21
 STEP_M = 5.0
 """Flown in a second."""
 
@@ -25,13 +26,15 @@ class AreaCost:
     update_ms: float
     """Median of the pieces of work, of which a control tick does one."""
     update_p99_ms: float
-    state_ms: float
+    renewal_ms: float
+    """Median renewal of the probabilities of a block; a control tick does one at most."""
     memory_mb: float
 
     @property
     def is_met(self) -> bool:
         """Return True within the limits of time and memory."""
-        return self.update_ms <= LIMIT_MS and self.memory_mb <= LIMIT_MB
+        slowest_ms = max(self.update_ms, self.renewal_ms)
+        return slowest_ms <= LIMIT_MS and self.memory_mb <= LIMIT_MB
 
 
 def searched_area_cost(seconds: int) -> AreaCost:
@@ -52,9 +55,12 @@ def searched_area_cost(seconds: int) -> AreaCost:
         while area.advance():
             times_ms.append(1e3 * (process_time() - began))
             began = process_time()
-    began = process_time()
-    state_of(area)
-    state_ms = 1e3 * (process_time() - began)
+    renewals_ms: list[float] = []
+    for _ in range(RENEWALS):
+        began = process_time()
+        area.renew()
+        renewals_ms.append(1e3 * (process_time() - began))
+    renewal_ms = statistics.median(renewals_ms)
     times_ms.sort()
     p99_ms = times_ms[int(0.99 * (len(times_ms) - 1))]
-    return AreaCost(len(grid.poa), statistics.median(times_ms), p99_ms, state_ms, memory_mb)
+    return AreaCost(len(grid.poa), statistics.median(times_ms), p99_ms, renewal_ms, memory_mb)

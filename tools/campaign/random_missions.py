@@ -16,6 +16,8 @@ from companion.config import schema
 from companion.domain import FlightMode
 from companion.guidance.session_params import SessionParams
 from companion.link.interface import VehicleParams
+from companion.search.detection_model import DetectionModel
+from companion.search.searched_flight import SearchAreaParams
 from sim_link.autopilot.incidents import FaultRecord, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule
@@ -98,6 +100,8 @@ PLANNERS: tuple[schema.CrossingKind | schema.PatternKind, ...] = (
 )
 SIGNED_SHARE = 0.3
 OPERATED_SHARE = 0.4
+REACH_M = 25.0
+"""Of the radio in searches by probability: from most start positions the emitter is not heard."""
 ALTITUDE_M = 15.0
 FLIGHT_S = 50.0
 """Flight time from the beginning of the schedule."""
@@ -138,6 +142,9 @@ def mission_case(seed: int) -> MissionCase:
     scenario = _scenario(dice, place, emitter_of(place, rng), flavour)
     is_operated = dice.happens(OPERATED_SHARE)
     config = _config(dice, place, is_operated=is_operated)
+    if config.search.detection is not None:
+        payload = msgspec.structs.replace(scenario.payload, max_range_m=REACH_M)
+        scenario = msgspec.structs.replace(scenario, payload=payload)
     is_signed = dice.happens(SIGNED_SHARE)
     faults = [random_fault(rng) for _ in range(1 + int(rng.integers(MOST_FAULTS)))]
     latency_s = dice.number(0.0, LATENCY_S)
@@ -190,9 +197,15 @@ def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionC
     kind = dice.one(PLANNERS)
     planner = _planner(kind)
     vehicle = VehicleParams(setpoint=dice.one(("local_ned", "global_int")))
-    if planner.kind != "survey" and dice.happens(0.3):
-        planner = msgspec.structs.replace(planner, search="expanding_square")
-    return schema.CompanionConfig(mission=mission, limits=limits, planner=planner, vehicle=vehicle)
+    search = SearchAreaParams()
+    if planner.kind != "survey" and dice.happens(0.5):
+        pattern = dice.one(("expanding_square", "probability"))
+        planner = msgspec.structs.replace(planner, search=pattern)
+        if pattern == "probability":
+            search = SearchAreaParams(detection=DetectionModel(reach_m=REACH_M))
+    return schema.CompanionConfig(
+        mission=mission, limits=limits, planner=planner, vehicle=vehicle, search=search
+    )
 
 
 SAID = 400

@@ -70,6 +70,7 @@ class Planned:
         """Return the waypoint."""
         self._age_s += STEP_S
         if self._uses_map and self._age_s >= MAP_EVERY_S:
+            area.renew()
             self._outlook, self._age_s = outlook_of(area), 0.0
         request = PlanRequest(place, None, FENCE, MARGIN_M, home_enu_m=HOME, outlook=self._outlook)
         for _ in range(PLANS_A_STEP):
@@ -105,6 +106,7 @@ class StoneSoup:
         goal = self._place(self._movable.position)
         if math.dist(place, goal) > 1e-6:
             return goal
+        area.renew()
         self._outlook = outlook_of(area)
         time = self._movable.state.timestamp + timedelta(seconds=1.0)
         ((chosen),) = [self._manager.choose_actions(set(), time)]

@@ -128,7 +128,7 @@ class FlightPlan:
     ) -> Outlook | None:
         if not self.is_search_due(estimate, now_s):
             return None
-        return self._searching.outlook(now_s, vehicle)
+        return self._searching.outlook(vehicle)
 
     def _request(
         self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None

@@ -18,7 +18,7 @@ from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.search_prior import SearchPrior
 from companion.search.search_site import SearchSite, grid_of_site
-from companion.search.searched_area import SearchedArea, SearchState, state_of
+from companion.search.searched_area import SearchedArea, SearchState
 from companion.search.searched_flight import (
     SearchAreaParams,
     SearchedFlight,
@@ -32,10 +32,7 @@ TRACK_STEP_M = 5.0
 WORTH_TELLING_S = 10.0
 """Contact sooner than this is no search."""
 STATE_EVERY_S = 2.0
-"""Time between two updates of the state, for the end of the search and for its planner."""
-
-SHOWN_EVERY_S = 5.0
-"""The same for views and files; a view asks every second."""
+"""Time between two renewals of the probabilities."""
 
 
 class Searching:
@@ -58,10 +55,14 @@ class Searching:
         self._ticked_s = -math.inf
         self._began_s: float | None = None
         self._track: list[tuple[float, float, float, float]] = []
-        self._state: tuple[float, SearchState] | None = None
-        self._shown: tuple[float, SearchState] | None = None
-        self._outlook: tuple[float, Outlook] | None = None
-        self._prior: tuple[float, SearchPrior] | None = None
+        self._stored_grid: StoredGrid | None = None
+        self.state: SearchState | None = None
+        """State of the search, some seconds old at most, by control ticks alone, so that a replay
+        has the same; None: there is no grid."""
+        self._renewed_s = -math.inf
+        self._is_final = False
+        """True if the state contains everything until contact."""
+        self._outlook: Outlook | None = None
         self.listened_s = 0.0
         """Time in the air that counts."""
         self.ended_s = 0.0
@@ -88,8 +89,7 @@ class Searching:
     @property
     def is_over(self) -> bool:
         """True if nothing is counted any more, and all work on the cells is done."""
-        has_work = self._area is not None and self._area.has_work
-        return self.contact_s is not None and not has_work
+        return self.contact_s is not None and (self._area is None or self._is_final)
 
     def tick(
         self,
@@ -103,7 +103,7 @@ class Searching:
         """Count the time since the last control tick; return a problem with the area, once."""
         passed_s, self._ticked_s = now_s - self._ticked_s, now_s
         if self._area is not None:
-            self._area.advance()
+            self._work(self._area, now_s)
         if is_heard:
             if self.contact_s is None:
                 self.contact_s, self.contact_id = now_s, heard_id
@@ -122,6 +122,15 @@ class Searching:
         if self._area is None and self._problem is None:
             return self._begin(fence_enu_m)
         return None
+
+    def _work(self, area: SearchedArea, now_s: float) -> None:
+        """Do one piece of the work on the cells."""
+        if now_s - self._renewed_s < STATE_EVERY_S:
+            area.advance()
+        elif area.renew():
+            self._renewed_s = now_s
+            self._is_final = self.contact_s is not None and not area.has_work
+            self.state, self._outlook = area.state, None
 
     def _note_contact(self, vehicle: VehicleView) -> None:
         place, height_m = vehicle.position_enu_m, vehicle.height_m
@@ -164,7 +173,8 @@ class Searching:
             self._problem = str(error)
             return self._problem
         if grid is not None:
-            self._area = SearchedArea(grid, detection)
+            self._area, self._stored_grid = SearchedArea(grid, detection), StoredGrid.of(grid)
+            self.state = self._area.state
         return None
 
     def _grid(self, fence_enu_m: Corners | None) -> SearchGrid | None:
@@ -176,26 +186,7 @@ class Searching:
             return None
         return grid_over([WeightedArea(tuple(fence_enu_m))], self.params.cell_m)
 
-    def state(self, now_s: float) -> SearchState | None:
-        """Return the state of the search, at most seconds old; None: there is no grid."""
-        if self._area is None:
-            return None
-        if self._state is None or now_s - self._state[0] >= STATE_EVERY_S:
-            self._state = (now_s, state_of(self._area))
-        return self._state[1]
-
-    def shown_state(self, now_s: float) -> SearchState | None:
-        """Return the state for views and files, at most seconds old; None: there is no grid.
-
-        It is kept apart from `state`: the flight, and so its replay, does not depend on its views.
-        """
-        if self._area is None:
-            return None
-        if self._shown is None or now_s - self._shown[0] >= SHOWN_EVERY_S:
-            self._shown = (now_s, state_of(self._area))
-        return self._shown[1]
-
-    def outlook(self, now_s: float, vehicle: VehicleView) -> Outlook | None:
+    def outlook(self, vehicle: VehicleView) -> Outlook | None:
         """Return what is left to search, at most seconds old; None: unknown.
 
         After contact nothing is counted, and a frame that moved is not that of the grid.
@@ -204,28 +195,23 @@ class Searching:
             return None
         if vehicle.frame != self._origin:
             return None
-        if self._outlook is None or now_s - self._outlook[0] >= STATE_EVERY_S:
-            self._outlook = (now_s, outlook_of(self._area))
-        return self._outlook[1]
+        if self._outlook is None:
+            self._outlook = outlook_of(self._area)
+        return self._outlook
 
     def prior(self, frame: LocalOrigin | None) -> SearchPrior | None:
-        """Return where the emitter may be, at first contact; None: nothing is known in this frame.
-
-        It is at most seconds old, by control ticks alone, so that a replay has the same.
-        """
-        if self._area is None or not self.is_worth_reporting or frame != self._origin:
+        """Return where the emitter may be, at contact; None: nothing is known in this frame."""
+        if self.state is None or not self.is_worth_reporting or frame != self._origin:
             return None
-        if self._prior is None or self._ticked_s - self._prior[0] >= STATE_EVERY_S:
-            self._prior = (self._ticked_s, SearchPrior.of(state_of(self._area)))
-        return self._prior[1]
+        return SearchPrior.of(self.state)
 
     def finish(self) -> None:
         """Complete all work on the cells, at the end of the flight."""
         if self._area is not None:
             self._area.finish()
-            self._state = self._shown = None
+            self.state = self._area.state
 
-    def end(self, now_s: float, sweeps: int) -> str | None:
+    def end(self, sweeps: int) -> str | None:
         """Return the reason to end a search without contact, in words; None: it goes on."""
         params = self.params
         if self.contact_s is not None or not self.is_worth_reporting:
@@ -234,15 +220,14 @@ class Searching:
             return "the area is done"
         if params.stop_pos is None:
             return None
-        state = self.state(now_s)
-        if state is None or state.pos < params.stop_pos:
+        if self.state is None or self.state.pos < params.stop_pos:
             return None
-        return f"POS {100.0 * state.pos:.0f} % reached"
+        return f"POS {100.0 * self.state.pos:.0f} % reached"
 
-    def statement(self, now_s: float) -> str | None:
+    def statement(self) -> str | None:
         """Return the searched area in the sentence for the radio, or None without a state."""
-        flight, state = self.flight(0.0), self.state(now_s)
-        return None if flight is None or state is None else statement(flight, state)
+        flight = self.flight(0.0)
+        return None if flight is None or self.state is None else statement(flight, self.state)
 
     def flight(self, zero_unix_s: float) -> SearchedFlight | None:
         """Return the record of this flight, or None if there was no search worth reporting."""
@@ -258,7 +243,7 @@ class Searching:
             origin=self._origin,
             detection=self.params.detection,
             learnt=self._learnt,
-            grid=None if self._area is None else StoredGrid.of(self._area.grid),
+            grid=self._stored_grid,
             looks=[(*_rounded(look.place_m), round(look.answers, 3)) for look in looks],
             track=list(self._track),
         )

@@ -15,7 +15,7 @@ from companion.geometry.obstacles import FreeSpace
 from companion.geometry.polygons import Point, Polygon
 from companion.planning.planner import PlanRequest
 from companion.planning.search import LawnmowerParams, SearchPlanner
-from companion.planning.search_probability import ProbabilityMemory, ProbabilityPlanner
+from companion.planning.search_probability import ProbabilityMemory, ProbabilityPlanner, _regions
 from companion.search.detection_model import DetectionModel
 from companion.search.outlook import LegTable, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
@@ -55,6 +55,7 @@ class Flight:
 
     def run(self, seconds: int, planner: SearchPlanner = PLANNER) -> Iterator[Point]:
         for _ in range(seconds):
+            self.area.renew()
             request = replace(self.request, outlook=outlook_of(self.area))
             for _ in range(5):
                 plan = planner.plan(request, self.memory)
@@ -182,3 +183,12 @@ def test_a_sweep_is_the_effort_of_one_pattern(sweeps: int) -> None:
     while flight.memory is None or flight.memory.sweep < sweeps:
         list(flight.run(10))
     assert flight.memory.flown_m == pytest.approx(sweeps * length_m, abs=SIDE_M)
+
+
+def test_a_sector_search_is_weighed_about_a_single_peak() -> None:
+    """Of two peaks none is the datum."""
+    spots = [box(180.0, 180.0, 240.0, 240.0), box(20.0, 20.0, 80.0, 80.0)]
+    for count, expected in ((1, {0, 1, 2, 3}), (2, {0, 1, 2})):
+        areas = [WeightedArea(FENCE, 0.2), *(WeightedArea(spot, 5.0) for spot in spots[:count])]
+        area = SearchedArea(grid_over(areas, 20.0), MODEL)
+        assert {region.turn for region in _regions(outlook_of(area), 0.7)} == expected

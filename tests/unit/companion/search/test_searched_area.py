@@ -8,7 +8,7 @@ from scipy import stats
 
 from companion.search.detection_model import DetectionModel, Wall, received_share
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
-from companion.search.searched_area import SearchedArea, SearchState, state_of
+from companion.search.searched_area import BLOCK, SearchedArea, SearchState, state_of
 
 SQUARE = ((0.0, 0.0), (200.0, 0.0), (200.0, 200.0), (0.0, 200.0))
 MODEL = DetectionModel(reach_m=60.0, reach_sigma_db=3.0, duty_cycle=0.5)
@@ -128,3 +128,20 @@ def test_what_follows_from_pod() -> None:
     assert state.poa.sum() == pytest.approx(1.0)
     assert state.poa[50:].sum() == pytest.approx(50.0 / 55.0)
     assert SearchState(grid, np.ones(100)).poa.sum() == pytest.approx(1.0)
+
+
+def test_a_large_area_is_renewed_in_blocks_and_shown_when_all_are_done() -> None:
+    side_m = 3000.0
+    corners = ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
+    area = SearchedArea(grid_over([WeightedArea(corners)], 20.0), MODEL)
+    area.listen((1500.0, 100.0, 20.0), 5.0)
+    area.listen((1500.0, 1500.0, 20.0), 5.0)
+    while area.advance():
+        pass
+    calls = 1
+    while not area.renew():
+        assert area.state.pos == pytest.approx(0.0, abs=1e-6)
+        calls += 1
+    assert calls == math.ceil(len(area.grid.poa) / BLOCK) > 1
+    np.testing.assert_allclose(area.state.pod, state_of(area).pod, atol=1e-5)
+    assert area.state.pos > 0.001

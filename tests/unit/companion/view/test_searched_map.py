@@ -55,20 +55,18 @@ def test_the_map_has_the_image_of_the_hand_off_and_its_gaps_in_metres() -> None:
 
 
 def session(state: SearchState | None, frame: LocalOrigin | None = HOME) -> Any:
-    searching = SimpleNamespace(
-        is_worth_reporting=True, frame=HOME, shown_state=lambda _now_s: state
-    )
+    searching = SimpleNamespace(is_worth_reporting=True, frame=HOME, state=state)
     return SimpleNamespace(searching=searching, vehicle=SimpleNamespace(frame=frame))
 
 
 def test_only_a_change_is_sent() -> None:
     history = SearchedHistory()
-    history.look(session(None), 0.0)
+    history.look(session(None))
     assert (history.items, history.version) == ([], 0)
     versions = []
     for state in (searched_west(), searched_west(), SearchState(GRID, np.zeros(len(GRID.poa)))):
         for _picture in range(2):
-            history.look(session(state), 0.0)
+            history.look(session(state))
             versions.append(history.version)
     assert versions == [1, 1, 1, 1, 2, 2]
 
@@ -78,7 +76,7 @@ def test_the_map_stays_on_the_ground_when_the_origin_moves() -> None:
     history = SearchedHistory()
     state = searched_west()
     for frame in (HOME, moved):
-        history.look(session(state, frame), 0.0)
+        history.look(session(state, frame))
     assert history.items[0].south_m == pytest.approx(-100.0, abs=1.0)
     assert history.items[0].west_m == pytest.approx(0.0, abs=0.1)
 

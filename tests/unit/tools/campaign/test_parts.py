@@ -57,6 +57,8 @@ def test_random_missions_meet_every_fault_autopilot_and_planner() -> None:
     assert kinds == set(KINDS) - NOT_DRAWN
     assert {case.scenario.autopilot.flavour for case in cases} == {"px4", "ardupilot"}
     assert len({case.config.planner.flown for case in cases}) == 5
+    searches = {case.config.planner.search for case in cases}
+    assert searches == {None, "lawnmower", "expanding_square", "sector", "probability"}
     assert {len(case.schedule.faults) - 2 for case in cases} == set(range(1, MOST_FAULTS + 1))
     assert max(case.config.limits.speed_mps for case in cases) == 10.0
     assert 0.2 < sum(case.is_signed for case in cases) / len(cases) < 0.4
