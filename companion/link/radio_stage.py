@@ -46,6 +46,8 @@ MOST_EMITTERS = 256
 LAST_ID = 65_535
 MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
 """A whole turn; more is most likely another unit."""
+MOST_FIRST, MOST_HEX = 80, 24
+"""Bytes that are shown of a stream in which nothing is understood, as text or in hexadecimal."""
 REACH_M = 101_000.0
 """Longest range of any radio: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). A longer
 one is an overflow or in another unit."""
@@ -215,6 +217,14 @@ def _printable(emitter: str | int | None) -> str:
     return "".join(c if c.isprintable() else "?" for c in str(emitter)[:40])
 
 
+def _shown(data: bytes) -> str:
+    """Return the first line if the bytes are text, else the first bytes in hexadecimal."""
+    line = (data.splitlines() or [b""])[0]
+    if data.isascii() and line.decode().isprintable():
+        return line.decode()
+    return data[:MOST_HEX].hex(" ")
+
+
 class RadioStage:
     """Stage from one radio's bytes to measurements, a `RangingSource` of `ranging_sources`.
 
@@ -229,6 +239,8 @@ class RadioStage:
         self.clock = DeviceClock(settings.clock_wrap_s or setup.kind.clock_wrap_s)
         self.received = 0
         """Bytes so far."""
+        self._first = b""
+        """The first of them."""
         self.received_s: float | None = None
         """Arrival of the latest ones."""
         self.lost = 0
@@ -257,6 +269,7 @@ class RadioStage:
             self.lost += 1
             return []
         self.received += len(data)
+        self._first += data[: MOST_FIRST - len(self._first)]
         self.received_s = now_s
         try:
             readings = self.decoder.feed(data, now_s)
@@ -299,9 +312,12 @@ class RadioStage:
             lines = "line" if counts.unrecognised == 1 else "lines"
             first = counts.first_unrecognised
             return f"{counts.unrecognised} {lines} not recognised; first: {first}"
-        if self.received and not counts.frames and not self.all_refused:
-            return f"no line or frame in {self.received} bytes"
-        return ""
+        if not self.received or counts.readings or self.all_refused:
+            return ""
+        if counts.frames:
+            lines = "line or frame" if counts.frames == 1 else "lines or frames"
+            return f"{counts.frames} {lines} understood, no measurement"
+        return f"no line or frame in {self.received} bytes; first: {_shown(self._first)}"
 
     def _refuse(self, reason: str) -> None:
         self.refused[reason] += 1

@@ -198,16 +198,21 @@ class RadioKind:
 class LineDecoder(RadioDecoder):
     """Decoder of text that cuts the stream into lines.
 
-    A line ends with LF, CRLF or CR LF in any cut; one beyond `longest_line` is dropped whole and
-    counted. Bytes that are no text are replaced, so that a line is always a `str`.
+    A line ends with LF, CR or CRLF in any cut; one beyond `longest_line` is dropped whole and
+    counted. Bytes that are no text are replaced, so that a line is always a `str`, and colours and
+    cursor movements of a terminal are removed.
     """
 
     longest_line = 4096
+    _LINE_END = re.compile(rb"\r\n?|\n")
+    _ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x01\x02]")
+    """ANSI sequences, and readline's marks about them."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
         self._rest = b""
         self._is_overlong = False
+        self._is_after_cr = False
 
     @abstractmethod
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
@@ -216,14 +221,18 @@ class LineDecoder(RadioDecoder):
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
         """Cut into lines, and read each."""
         readings: list[RadioReading] = []
-        *lines, rest = (self._rest + data).split(b"\n")
+        if self._is_after_cr and data.startswith(b"\n"):
+            data, self._is_after_cr = data[1:], False
+        if data:
+            self._is_after_cr = data.endswith(b"\r")
+        *lines, rest = self._LINE_END.split(self._rest + data)
         for line in lines:
             if self._is_overlong or len(line) > self.longest_line:
                 self._drop(len(line))
                 self._is_overlong = False
                 continue
-            text = line.rstrip(b"\r").decode("utf-8", errors="replace")
-            readings += self.read_line(text, received_s)
+            text = line.decode("utf-8", errors="replace")
+            readings += self.read_line(self._ESCAPES.sub("", text), received_s)
         if self._is_overlong or len(rest) > self.longest_line + 1:
             self._drop(len(rest))
             self._is_overlong = True
@@ -235,7 +244,7 @@ class LineDecoder(RadioDecoder):
     def reset(self) -> None:
         """Forget a partial line."""
         self._rest = b""
-        self._is_overlong = False
+        self._is_overlong = self._is_after_cr = False
 
     def _drop(self, count: int) -> None:
         self.counts.resync_bytes += count

@@ -90,11 +90,19 @@ _UNIT_WORDS = {
     **{word: word for word in ("dbm", "db", "dbfs", "dbw", "dbuv", "mw", "uw", "nw")},
 }
 """Words for a unit behind a number, and the unit as names of the vocabulary end, if any does."""
-_UNIT_BEHIND = re.compile(r"\s?([A-Za-z]++|\N{DEGREE SIGN})(?!\s*[=:])|(['\"])(?=\s|$)")
-"""A mark of feet or inches, or a word that is not itself the name of what follows."""
-_SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])-$")
+_MICRO = "\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}"
+_MICRO_AS_U = dict.fromkeys(map(ord, _MICRO), "u")
+_UNIT_BEHIND = re.compile(
+    rf"[ \t]{{0,3}}[\[(]?([A-Za-z{_MICRO}]++|\N{{DEGREE SIGN}})(?!\s*[=:])|(['\"])(?=\s|$)"
+)
+"""A mark of feet or inches, or a word, perhaps in brackets, that is not itself the name of what
+follows."""
+_SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])[-\N{MINUS SIGN}\N{EN DASH}]$")
 _NUMBER_BEFORE = re.compile(r"[0-9][.,]?$")
 _NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]")
+_COMMA_BEHIND = re.compile(r",[0-9]")
+_WORD_BEFORE, _WORD_BEHIND = re.compile(r"\w$"), re.compile(r"\w")
+"""What must not touch hexadecimal digits."""
 
 _SIGMAS = frozenset(field.name for field in fields(RadioReading) if "_sigma_" in field.name)
 _ANGLE_NAMES = ("azimuth_rad", "elevation_rad")
@@ -182,18 +190,21 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
     """
     line = found.string
     for name, text in found.groupdict().items():
-        unit = NUMBERS.get(name)
-        if unit is None or not text or not text.strip():
+        plain, is_hex = name.removesuffix(HEX), name.endswith(HEX)
+        if plain not in NUMBERS or not text or not text.strip():
             continue
         start, end = found.span(name)
         if _SIGN_BEFORE.search(line[:start]) and text[0] not in "+-":
             return f"{name} leaves out the sign before it"
-        is_cut = start == found.start() and _NUMBER_BEFORE.search(line[:start]) is not None
-        if is_cut or (end == found.end() and _NUMBER_BEHIND.match(line, end)):
+        before = _WORD_BEFORE if is_hex else _NUMBER_BEFORE
+        behind = _WORD_BEHIND if is_hex else _NUMBER_BEHIND
+        is_cut = start == found.start() and before.search(line[:start]) is not None
+        if is_cut or (end == found.end() and behind.match(line, end)):
             return f"{name} is part of a longer number"
-        behind = _UNIT_BEHIND.match(line, end)
-        word = _unit_of(behind)
-        if word is not None and "_" in name and word != name.rpartition("_")[2]:
+        if end == found.end() and "." not in text and _COMMA_BEHIND.match(line, end):
+            return f"{name} ends at a comma: if it separates, end the expression with it"
+        word = _unit_of(_UNIT_BEHIND.match(line, end))
+        if word is not None and "_" in plain and word != plain.rpartition("_")[2]:
             return f"{name} is followed by `{word}`"
     return None
 
@@ -201,7 +212,7 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
 def _unit_of(behind: re.Match[str] | None) -> str | None:
     if behind is None:
         return None
-    return behind[2] or _UNIT_WORDS.get(behind[1].lower())
+    return behind[2] or _UNIT_WORDS.get(behind[1].lower().translate(_MICRO_AS_U))
 
 
 class FieldDecoder(LineDecoder):

@@ -232,7 +232,7 @@ class DopplerDecoder(FormDecoder):
 
     forms = (
         form(r"^Bearing: .*(?:\[no signal\]|NO SIG)", "no signal"),
-        form(r'"bearing":.*"signal_present":false', "no signal"),
+        form(r'"signal_present": ?false', "no signal"),
         form(r"^[0-9]{4}-[0-9]{2}-[^,]*Z?(?:,[^,]*){6},false,", "no signal"),
         form(
             r'"bearing":(?P<azimuth_deg>-?[0-9.]+),"raw":[^,]*,"confidence":(?P<quality>[0-9.]+),'

@@ -87,7 +87,7 @@ class LoraGatewayDecoder(FrameDecoder):
             return []
         signals = [each for each in _objects(packet.get("rsig")) if _finite(each.get("rssic"))]
         best = max(signals, key=lambda each: float(each["rssic"]), default=packet)
-        power_dbm = _first(best, "rssis")
+        power_dbm = signal_dbm(_first(best, "rssis"), None)
         if power_dbm is None:
             power_dbm = signal_dbm(_first(best, "rssi", "rssic"), _first(best, "lsnr"))
         stamp = _first(packet, "tmst")
@@ -126,9 +126,9 @@ class LoraGatewayDecoder(FrameDecoder):
 def signal_dbm(rssi_dbm: float | None, snr_db: float | None) -> float | None:
     """Return the power of the signal in a channel's whole power; None: not measured.
 
-    0 is the protocols' default, and means none.
+    0 is the protocols' default, and means none; no gateway receives more.
     """
-    if rssi_dbm is None or rssi_dbm == 0.0:
+    if rssi_dbm is None or rssi_dbm >= 0.0:
         return None
     if snr_db is None:
         return rssi_dbm

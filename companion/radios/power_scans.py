@@ -45,9 +45,10 @@ class PowerScanDecoder(FormDecoder):
     forms = (
         form(rf"^(?:BSS|Station|Connected to) {_BLOCK}"),
         form(rf"\bCell [0-9]+ - Address: {_BLOCK}"),
-        form(rf"^\s*(?:(?:LE|BR/EDR) )?Address: {_BLOCK}(?!.*\brssi\b)"),
+        form(rf"^\s*(?:(?:LE|BR/EDR) )?Address: {_BLOCK}(?!.*\b(?:rssi|RSSI)\b)"),
         form(rf"^Device {_BLOCK}(?: \((?:public|random)\))?\s*$"),
         form(r"^(?P<end>[<>@=] |Discovered a peripheral)"),
+        form(r"^\[[^\]]{1,64}\][#>]\s*$"),
         form(r"^\s*inactive time:\s+(?P<idle_ms>[0-9]{1,9}) ms"),
         form(r"^\s*signal avg:|TX power: "),
         form(rf"^\s*signal:\s+(?P<signal>{_NUMBER}) (?:\[[-0-9, ]+\] )?dBm"),
@@ -70,7 +71,6 @@ class PowerScanDecoder(FormDecoder):
         form(rf"^\[\w+\] RSSI:\s+{_DBM} dBm$"),
         form(rf"\bRSSI,{_DBM}dBm\b"),
     )
-    _ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x01\x02]|^.*\r")
     _LEVEL = re.compile(
         r"\b(?<!tx[ _])(?<!noise )(?<!measured )(?:rssi|rss|signal|power|level)"
         rf"(?:[_ ]?(?:dbm|strength|level))?\b[\"']?\s?[:=,]?\s?{_DBM}(?![%/])"
@@ -98,7 +98,6 @@ class PowerScanDecoder(FormDecoder):
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the readings of a line, and of the one before if that waited for its age."""
-        line = self._ESCAPES.sub("", line)
         held, self._held = self._held, None
         age = self._AGE.search(line)
         if age is not None:

@@ -23,7 +23,7 @@ MOST_ANGLE_DEG = 90.0
 
 RECORD = "SESSION_INFO_NTF:"
 ANY_RECORD = "SESSION_"
-CONTINUED = (" ", "\t", "\r", "[")
+CONTINUED = (" ", "\t", "[")
 """First characters of a line that continues a record."""
 MEASUREMENT = re.compile(r"\[mac_address=((?:[^\[\]]|\[\w*\])*)\]")
 """Measurement from its opening bracket to its closing one; names of values have units in brackets
@@ -82,6 +82,8 @@ class QorvoCliDecoder(FieldDecoder):
         if found := BLOCK.search(line):
             return self._block(line[found.start() :])
         readings: list[RadioReading] = []
+        if self._record and not line.strip():
+            return readings
         is_new = ANY_RECORD in line
         if self._record and (is_new or not line.startswith(CONTINUED)):
             readings = self._ended()
@@ -145,6 +147,9 @@ class QorvoCliDecoder(FieldDecoder):
         distance_cm, azimuth_deg, elevation_deg = map(there.get, MEASURED_KEYS)
         if None in there.values() or not there:
             self.counts.refuse("torn measurement" if there else "nothing measured")
+            return None
+        if distance_cm is None and any(key.startswith("distance") for key in values):
+            self.counts.refuse("distance is not in cm")
             return None
         if is_overflow(distance_cm or 0.0):
             self.counts.refuse("distance with all bits set: nothing measured")

@@ -283,14 +283,24 @@ class LinesDecoder(FieldDecoder):
         return _ended(self.options.request)
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return the reading of the first match; a group that took no part is not measured."""
-        found = self._pattern.search(line)
-        if found is None:
+        """Return the readings of all matches, which must name different emitters.
+
+        A group that took no part is not measured.
+        """
+        matches = [match for match in self._pattern.finditer(line) if match[0]]
+        if not matches:
             return self.passed_over(line)
-        problem = complain_of_spans(found)
+        problem = next(filter(None, map(complain_of_spans, matches)), None)
+        emitters = {match.groupdict().get("emitter") for match in matches}
+        if problem is None and len(emitters) < len(matches):
+            problem = "several matches of one emitter in a line: make the expression longer"
         if problem is not None:
             return self.refused(problem)
-        return self.read_fields(found.groupdict(), self._frame)
+        return [
+            reading
+            for match in matches
+            for reading in self.read_fields(match.groupdict(), self._frame)
+        ]
 
 
 def _ended(text: str) -> bytes:

@@ -36,6 +36,8 @@ from companion.radios.fields import (
 from companion.radios.wifi_ftm import BY_SHARE, LEAST_SHARE, MAC, complain_of_unsigned
 
 LENGTHS = ("mm", "cm", "m", "km", "ft")
+SUCCESSES = ("", "0", "success", "status_success", "ok")
+"""A status as Android numbers it, as its constant is called, and as apps print it."""
 DATES = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 """Digits of a time since 1970 in this century to its unit; a time since boot has fewer."""
 
@@ -294,8 +296,10 @@ class AndroidRttDecoder(FieldDecoder):
         _, *results = self._RESULT.split(line)
         if results:
             return [reading for text in results for reading in self._printed(text)]
-        if not line.strip() or self._is_header(line):
+        if not line.strip():
             return []
+        if self._is_header(line):
+            return self.no_reading()
         header = self._header
         if header is None:
             return self.refused("row without a header that has a distance")
@@ -334,6 +338,8 @@ class AndroidRttDecoder(FieldDecoder):
     def _is_header(self, line: str) -> bool:
         delimiter = max(",;\t", key=line.count)
         cells = columns(line, delimiter)
+        if any(number(cell) is not None or MAC.fullmatch(cell) for cell in cells):
+            return False  # a row, in which a network may be called `range`
         options = self.options
         header = header_of(cells, unit=options.unit, is_single=options.single_emitter)
         if header is None:
@@ -346,7 +352,7 @@ class AndroidRttDecoder(FieldDecoder):
         status = row.get("status", "").lower()
         if status == "2":
             return "one-sided: the access point has no 802.11mc"
-        if status not in ("", "0", "success"):
+        if status not in SUCCESSES:
             return "status is a failure"
         if row.get("two_sided", "").lower() in ("0", "false", "no"):
             return "one-sided: the access point has no 802.11mc"
@@ -373,6 +379,8 @@ class AndroidRttDecoder(FieldDecoder):
                 own = {"emitter": column.of} if column.of else {}
                 found = {**texts, **own, f"{quantity}_{column.unit}": cells[place]}
                 readings += self.read_fields(found)
+        if not any(cells[place] for place, _ in header.ranges):
+            return self.refused("row without a distance")
         return readings
 
     def _time_unit(self, unit: str, text: str) -> str:

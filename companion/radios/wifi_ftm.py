@@ -41,10 +41,9 @@ class Esp32FtmOptions(Params, frozen=True):
 
 
 class Esp32FtmDecoder(FieldDecoder):
-    """Decoder of the console of ESP-IDF's and Arduino's FTM examples, colours and boot text too."""
+    """Decoder of the console of ESP-IDF's and Arduino's FTM examples, boot text too."""
 
     Options = Esp32FtmOptions
-    _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
     _IDF = re.compile(
         r"(?:I \(([0-9]{1,10})\) )?[\w.-]{1,40}: Estimated RTT - [0-9]{1,10} nSec, "
         r"Estimated Distance - ([0-9]{1,9}\.[0-9]{2}) meters"
@@ -84,7 +83,6 @@ class Esp32FtmDecoder(FieldDecoder):
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the reading of a result; other lines describe the session of the next result."""
-        line = self._COLOURS.sub("", line)
         if found := self._IDF.search(line):
             return self._result(found[2], None if found[1] is None else float(found[1]) / 1000.0)
         if found := self._ARDUINO.search(line):

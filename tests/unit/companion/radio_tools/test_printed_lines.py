@@ -10,39 +10,9 @@ import math
 import pytest
 
 from companion.config.radios import flown_radios, radio_setups
-from companion.domain import RangingMeasurement
 from companion.errors import ConfigError
 from companion.flight_setup import radio_links
-from companion.link.quality import RadioWatch
-from companion.mav.endpoint import Chunk
-from companion.radio_tools.radio_commands import WatchingEndpoint
-
-
-class Typed:
-    """`companion radio watch RADIO` with what the radio prints."""
-
-    def __init__(self, radio: str, printed: str) -> None:
-        setups = radio_setups(flown_radios((), [radio]))
-        shown: list[list[str]] = []
-        endpoint = WatchingEndpoint(setups, [radio], shown.append, 1.0)
-        endpoint.receive(Chunk(0, printed.encode(), is_datagram=False), 0.5)
-        endpoint.handle_timer(1.0)
-        self.stage = endpoint.stages[0]
-        self.lines = shown[-1]
-        self.words = RadioWatch(self.stage).status(1.0).words
-
-    @property
-    def newest(self) -> dict[int, RangingMeasurement]:
-        return self.stage.newest
-
-    @property
-    def ranges_m(self) -> list[float]:
-        return [m.range_m for _, m in sorted(self.newest.items()) if m.range_m is not None]
-
-    @property
-    def head(self) -> str:
-        return next(line for line in self.lines if "Hz" in line)
-
+from tests.typed_radio import Typed
 
 NO_DELAY = "RACH:  tti=9241, preamble=31, offset=11, temp_crnti=0x4a\n"
 OAI = (
@@ -60,7 +30,7 @@ GNB_OLD = OAI.splitlines(keepends=True)[0]
         ("srsran_4g:offset_steps=11@file:enb.log", NO_DELAY, [39.04]),
         ("oai@file:gnb.log", OAI, [390.35]),
         ("oai:offset_steps=4@file:gnb.log", OAI, [78.07]),
-        ("oai:numerology=1@file:gnb.log", GNB_OLD, [5.5 * 39.0355]),
+        ("oai:numerology=1@file:gnb.log", GNB_OLD + GNB_OLD, [5.5 * 39.0355]),
         (
             "android_rtt@file:rtt.csv",
             "Timestamp,AP MAC Address,Distance (mm),Std Dev (mm),RSSI\n"
@@ -392,7 +362,7 @@ def test_lines_in_no_format_are_counted_and_the_first_is_shown(radio: str) -> No
 
     words = "2 lines not recognised; first: dist tag 7 -> 3.2 m"
     if radio == "nlink":
-        words = "no line or frame in 40 bytes"
+        words = "no line or frame in 40 bytes; first: dist tag 7 -> 3.2 m"
     assert typed.head.endswith(words)
     assert typed.words.endswith(words)
 
