@@ -227,6 +227,7 @@ class OaiDecoder(_Cell):
 
     Since 2024 a gNB prints the distance with the answer to the preamble, rounded to the nearest
     step; then the preamble's own line, which came before it, is the same attach and is not used.
+    The first preamble waits for its answer, which may contradict the configured numerology.
     """
 
     Options = NrOptions
@@ -238,36 +239,50 @@ class OaiDecoder(_Cell):
     _ANSWER = re.compile(
         r"timing_offset = ([0-9]{1,6}) \(estimated distance ([0-9]{1,7}\.?[0-9]*) \[m\]\)"
     )
+    _ANSWERS = "Generating RA-Msg2 DCI"
     AGREEMENT = 0.05
     """Tolerance in steps: the log's own value of it is 0.1 % off, and steps of numerologies differ
     by 2."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
-        self._numerology = self.options.numerology
-        self._has_answers = False
+        self._forget()
 
     def reset(self) -> None:
         """Forget the format of the log, because another run may follow."""
         super().reset()
-        self._numerology, self._has_answers = self.options.numerology, False
+        self._forget()
+
+    def _forget(self) -> None:
+        self._numerology = self.options.numerology
+        self._has_distances: bool | None = None
+        """True if answers have the distance; None: there was none yet."""
+        self._first_steps: int | None = None
+        """Delay of a first preamble that has no answer yet."""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the range of an attach; only a gNB's line names a start symbol."""
         if found := self._ANSWER.search(line):
-            self._has_answers = True
+            self._has_distances = True
             return self._answer(int(found[1]), float(found[2]))
+        if self._ANSWERS in line and self._has_distances is None and self._first_steps is not None:
+            self._has_distances = False
+            return self.of_steps(self._first_steps, step_m(self._numerology or 0))
         found = self._RAPROC.search(line)
         if not found:
             return self.passed_over(line)
-        if self._has_answers:
-            self.counts.frames += 1
-            return []
+        if self._has_distances:
+            return self.no_reading()
         if not found[2]:
             return self.of_steps(int(found[1]), step_m())
         if self._numerology is None:
             return self.refused("numerology is unknown: set it, 0 for 15 kHz, 1 for 30 kHz")
-        return self.of_steps(int(found[1]), step_m(self._numerology))
+        steps = int(found[1])
+        if self._has_distances is None and self._first_steps is None and steps <= MOST_STEPS:
+            self._first_steps = steps
+            return self.refused("first attach waits for its answer")
+        self._has_distances = False
+        return self.of_steps(steps, step_m(self._numerology))
 
     def _answer(self, steps: int, distance_m: float) -> list[RadioReading]:
         if steps > MOST_STEPS:

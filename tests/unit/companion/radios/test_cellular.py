@@ -26,6 +26,10 @@ GNB = (
     "[NR_MAC] [RAPROC] 341.19 Initiating RA procedure with preamble 12, energy 43.2 dB "
     "(I0 20, thres 120), delay 3 start symbol 0 freq index 0\n"
 )
+GNB_ANSWER = (
+    "[NR_MAC] UE 4f1c: 342.7 Generating RA-Msg2 DCI, RA RNTI 0x10b, state 1, CoreSetType 0\n"
+)
+DISTANCE = "RAPID 12, timing_offset = 3 (estimated distance 234.4 [m])\n"
 ENB = (
     "[PHY] [RAPROC] Frame 341, Initiating RA procedure with preamble 12, energy 43.2 dB, delay 3\n"
 )
@@ -130,7 +134,12 @@ def test_documents_that_are_none_are_counted_and_give_nothing(line: str) -> None
 
 @pytest.mark.parametrize(
     ("line", "numerology", "range_m"),
-    [(GNB, 1, 3.5 * 39.04), (GNB, 0, 3.5 * 78.07), (ENB, 1, 273.2)],
+    [
+        (GNB + GNB_ANSWER, 1, 3.5 * 39.04),
+        (GNB + GNB_ANSWER, 0, 3.5 * 78.07),
+        (GNB + GNB, 1, 3.5 * 39.04),
+        (ENB, 1, 273.2),
+    ],
 )
 def test_openairinterface_tells_steps_of_its_numerology(
     line: str, numerology: int, range_m: float
@@ -139,6 +148,16 @@ def test_openairinterface_tells_steps_of_its_numerology(
 
     assert reading.range_m == pytest.approx(range_m, abs=0.1)
     assert reading.emitter is None
+
+
+def test_a_numerology_that_the_log_contradicts_gives_no_reading_before_it_does() -> None:
+    decoder = OaiDecoder(NrOptions(numerology=1))
+
+    assert decoder.feed((GNB + GNB_ANSWER.rstrip() + f", {DISTANCE}").encode(), 0.0) == []
+    assert decoder.counts.refused == {
+        "first attach waits for its answer": 1,
+        "the log is of numerology 0: set it": 1,
+    }
 
 
 def test_an_advance_beyond_the_standard_s_largest_is_refused() -> None:
