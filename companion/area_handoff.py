@@ -56,7 +56,7 @@ def area_files(flight: SearchedFlight, state: SearchState | None) -> dict[str, b
 
 
 def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str, object]:
-    """Return `result.json` of a flight that has reported no emitter."""
+    """Return `result.json` of a flight without a report; with one it is `searched` in there."""
     gaps = [] if state is None else gaps_of(state)
     return {
         "state": "not_found" if flight.contact_unix_s is None else "heard",
@@ -71,6 +71,9 @@ def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str
         "began": utc_text(flight.began_unix_s),
         "ended": utc_text(flight.ended_unix_s),
         "contact": None if flight.contact_unix_s is None else utc_text(flight.contact_unix_s),
+        "reported": flight.reported,
+        "heard": flight.heard,
+        "sought": flight.sought,
         "listened_s": flight.listened_s,
         "is_radio_heard": flight.is_radio_heard,
         "assumptions": None if flight.detection is None else _assumptions(flight.detection),

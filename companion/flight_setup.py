@@ -123,7 +123,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
     """Return the guidance of one flight."""
     return GuidanceSession(
         config.mission,
-        EmitterQueue(config.tracking, config.emitters),
+        EmitterQueue(config.tracking, config.emitters, searches_on=config.mission.searches_on),
         build_planner(config),
         Guard(config.limits.guard_limits()),
         needs_origin=config.vehicle.setpoint == "global_int",

@@ -371,6 +371,10 @@ def inconsistency(config: CompanionConfig) -> str | None:
         return twice
     if config.planner.search == "probability" and config.search.detection is None:
         return "$.planner.search: probability flies by the map of $.search.detection; describe it"
+    if mission.searches_on and config.emitters.order == "first":
+        return "$.mission.continue: set $.emitters.order for several emitters: nearest, for example"
+    if mission.searches_on and config.planner.search is None:
+        return "$.mission.continue: set $.planner.search to the pattern that is flown then"
     if not _has_lanes(config):
         return "$.planner.pattern.area_enu_m: nothing of it is left by $.limits"
     own_r95_m = 2.45 * config.estimation.filter.own_position_sigma_m

@@ -1,21 +1,12 @@
-"""The control tick (tasks due, phase and setpoint), and the end of the mission.
-
-A target counts as found once the stop rule is met. Targets are reported as they are found, or
-because the battery is low.
-"""
+"""The control tick: tasks due, phase and setpoint."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from companion.domain import (
-    FlightMode,
-    PositionEnu,
     PositionSetpoint,
-    TargetEstimate,
 )
-from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import GuardReason
 from companion.guidance.authority.control_authority import is_silence_due
 from companion.guidance.authority.launch import LaunchView
@@ -24,196 +15,15 @@ from companion.guidance.context import SessionContext
 from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.handover import Handover, LaunchPermit, WaitingReason
-from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.health.watches import Watches
 from companion.guidance.measurements import EmitterScheduler
 from companion.guidance.messages import (
     FenceMessages,
     GuardMessages,
     TrackMessages,
-    radius_texts,
-    result_of,
 )
 from companion.guidance.phases import FLYING, IN_CONTROL, Phase, Trigger
-from companion.guidance.stop_rules import SettledRule, StopRule
-
-SAME_LEG_M = 1.0
-"""A waypoint that moves by less is the same one, refined."""
-REACHED_M = 3.0
-FINAL_AGAIN_S = 5.0
-"""Longer than a request with all its repetitions takes."""
-ENDED_EARLY = "SEARCH ENDED, battery low:"
-LOCALISED, SETTLED = "LOCALISED", "SETTLED"
-
-
-class Reporting:
-    """Reports each emitter once, and requests the following mode after the last one."""
-
-    def __init__(
-        self, context: SessionContext, battery: BatteryWatch, scheduler: EmitterScheduler
-    ) -> None:
-        self._context = context
-        self._battery = battery
-        self._scheduler = scheduler
-        self._stop_rule = StopRule()
-        self._settled_rule = SettledRule()
-        self._leg: tuple[float, PositionEnu | None] | None = None
-        """Time at which the battery was found low, and the waypoint of that leg."""
-        self._final: tuple[FlightMode, float] | None = None
-        """Mode after the last report, and the time of its request; None: no request is pending."""
-        self.has_finished = False
-        """The mode after the last report, or after a search without contact, was requested."""
-        self.is_search_over = False
-        """The search ended without contact."""
-
-    def tick(self, now_s: float) -> None:
-        """Report an emitter if a report is due."""
-        if self._final is not None:
-            self._ask_again(*self._final, now_s)
-        context, params = self._context, self._context.params
-        heard_s = context.emitters.current.last_accepted_s
-        is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
-        is_reportable = is_fresh and context.emitters.current.params.is_range_calibrated
-        flown = context.estimate if context.authority.phase in FLYING and is_reportable else None
-        head = self._head(flown, heard_s, now_s)
-        if head is not None and flown is not None:
-            if head is SETTLED:
-                text = f"stop radius out of reach: relative R95 settled at {flown.r95_m:.2g} m"
-                context.announce(Severity.NOTICE, text)
-            self._report(context.emitters.current, flown, head, now_s)
-            if context.emitters.report_current():
-                self._stop_rule.reset()
-                self._settled_rule.reset()
-                self._scheduler.follow(now_s)
-            else:
-                self._finish(FlightMode(params.on_localised), now_s)
-        elif self._is_battery_end(now_s):
-            self._battery.note_mission_end()
-            self._report_rest(now_s)
-            self._finish(self._low_battery_mode, now_s)
-        elif context.authority.phase in FLYING and context.searching.contact_s is None:
-            self._end_search(now_s)
-
-    @property
-    def _low_battery_mode(self) -> FlightMode:
-        is_landing = self._context.params.on_localised == "land"
-        return FlightMode.LAND if is_landing else FlightMode.RETURN
-
-    def _end_search(self, now_s: float) -> None:
-        """End a search without contact that is complete, or has no charge left to search with."""
-        context, searching = self._context, self._context.searching
-        if not context.vehicle.mode_watch.may_request_mode(now_s):
-            return
-        mode = FlightMode(context.params.on_localised)
-        why = searching.end(context.flight_plan.sweeps)
-        if why is None and self._is_charge_spent():
-            why, mode = "remaining charge is for the way home", self._low_battery_mode
-        if why is None:
-            return
-        self.is_search_over = True
-        context.announce(Severity.NOTICE, f"SEARCH OVER, nothing heard: {why}")
-        self._announce_searched()
-        self._finish(mode, now_s)
-
-    def _is_charge_spent(self) -> bool:
-        """Return True if the vehicle is as far from home as the charge above the reserve lasts."""
-        reserve, motion = self._context.guard.limits.reserve, self._context.vehicle.motion
-        if reserve is None or motion is None or motion.battery_pct is None:
-            return False
-        if not self._context.searching.is_worth_reporting:
-            return False
-        away_m = math.dist(motion.position_enu_m[:2], motion.home_enu_m[:2])
-        return away_m >= reserve.reach_m(motion.battery_pct)
-
-    def _announce_searched(self) -> None:
-        """Announce the searched area in the sentence for the radio."""
-        text = self._context.searching.statement()
-        if text is not None:
-            self._context.announce(Severity.NOTICE, text)
-
-    def _head(
-        self, flown: TargetEstimate | None, heard_s: float | None, now_s: float
-    ) -> str | None:
-        """Return the head of the report that is due now, or None."""
-        params = self._context.params
-        confirm_s, settle_s = params.stop_confirm_s, params.settle_s
-        is_reached = self._stop_rule.is_met(flown, now_s, params.stop_radius_m, confirm_s)
-        if settle_s is None:
-            return LOCALISED if is_reached else None
-        is_settled = self._settled_rule.is_met(flown, heard_s, max(settle_s, confirm_s))
-        return LOCALISED if is_reached else SETTLED if is_settled else None
-
-    def _is_battery_end(self, now_s: float) -> bool:
-        """Return True if the battery is low and the current leg is finished."""
-        context = self._context
-        if context.authority.phase not in IN_CONTROL or not self._battery.ends_mission:
-            self._leg = None
-            return False
-        if not context.vehicle.mode_watch.may_request_mode(now_s):
-            return False  # a pilot may have control, and the return mode would take it
-        waypoint, vehicle = context.flight_plan.waypoint, context.vehicle.position_enu_m
-        goal = None if waypoint is None else (*waypoint.position_enu_m, 0.0)
-        if self._leg is None:
-            self._leg = (now_s, goal)
-        began_s, begun = self._leg
-        if (
-            context.authority.phase not in FLYING
-            or goal is None
-            or begun is None
-            or vehicle is None
-        ):
-            return True
-        is_next = math.dist(goal, begun) > SAME_LEG_M
-        is_there = math.dist(goal[:2], vehicle[:2]) <= REACHED_M
-        return is_next or is_there or now_s - began_s > LEG_S
-
-    def _report_rest(self, now_s: float) -> None:
-        """Report the estimates of all emitters not reported yet, the current emitter last."""
-        emitters = self._context.emitters
-        waiting = [emitters.tracker_of(n) for n in reversed(emitters.waiting)]
-        estimates = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]
-        known = [(tracker, estimate) for tracker, estimate in estimates if estimate is not None]
-        for tracker, estimate in known:
-            self._report(tracker, estimate, ENDED_EARLY, now_s)
-        emitters.reported.update(t.emitter_id for t, _ in known if t.emitter_id is not None)
-        if not known:
-            self._context.announce(Severity.NOTICE, f"{ENDED_EARLY} no emitter found")
-            self.is_search_over = self._context.searching.contact_s is None
-            self._announce_searched()
-
-    def _report(
-        self, tracker: TargetTracker, estimate: TargetEstimate, head: str, now_s: float
-    ) -> None:
-        context = self._context
-        # those of many emitters at once, at an early end, would delay a setpoint
-        budget_m = {} if head is ENDED_EARLY else tracker.budget(now_s)
-        if not context.emitters.is_single:
-            head = f"{head} emitter {tracker.emitter_id}:"
-        height_m, origin = tracker.target_height_m, context.vehicle.origin
-        result, text = result_of(estimate, origin, height_m, tracker.emitter_id, head)
-        context.report(replace(result, budget_m=budget_m))
-        context.searching.learn(tracker.emitter_id, estimate.position_enu_m, context.vehicle)
-        for each in (text, *radius_texts(estimate)):
-            context.announce(Severity.NOTICE, each)
-
-    def _finish(self, mode: FlightMode, now_s: float) -> None:
-        self._context.enter(Trigger.LOCALISED, now_s)
-        self.has_finished, self._final = True, (mode, now_s)
-        self._context.ask_mode(mode)
-
-    def _ask_again(self, mode: FlightMode, asked_s: float, now_s: float) -> None:
-        """Request the mode after the report until it, or another mode, is shown.
-
-        An answer may be lost, and a stall of the computer withdraws earlier requests.
-        """
-        context, vehicle = self._context, self._context.vehicle
-        is_left = vehicle.mode_watch.is_known(now_s) and not vehicle.is_ours
-        if context.authority.phase is not Phase.FINISHED or is_left:
-            self._final = None
-        elif now_s - asked_s >= FINAL_AGAIN_S and vehicle.mode_watch.may_request_mode(now_s):
-            self._final = (mode, now_s)
-            context.ask_mode(mode)
-
+from companion.guidance.reporting import Reporting
 
 TICK_S = 0.05
 """Setpoint rate of 20 Hz: PX4 needs more than 2 Hz, and a lossy link still delivers enough of
@@ -296,19 +106,13 @@ class ControlTick:
             self._context.record("fence", **fence)
 
     def _search(self, now_s: float) -> None:
-        """Count the time in which the radio listens, until there is contact."""
+        """Count the time in which the radio listens, while there is an emitter to be heard."""
         context, fence = self._context, self._context.guard.limits.fence
-        is_heard = context.estimate is not None or context.emitters.accepted > 0
-        if is_heard and context.searching.is_over:
-            return
+        if context.searching.is_over or context.authority.phase is Phase.FINISHED:
+            return  # measurements are ignored from then on
         area = None if fence is None else tuple(fence.polygon_enu_m)
-        problem = context.searching.tick(
-            now_s,
-            context.vehicle,
-            area,
-            is_heard=is_heard,
-            heard_id=context.tracker.emitter_id,
-        )
+        progress = context.emitters.progress
+        problem = context.searching.tick(now_s, context.vehicle, area, progress)
         if problem is not None:
             context.warn(f"no searched area: {problem}")
 

@@ -141,7 +141,7 @@ class EmitterScheduler:
         self._followed = tracker
         context.set_estimate(tracker.estimate(now_s))
         context.states.begin(context.estimate)
-        context.flight_plan.forget()
+        context.flight_plan.change_target()
         self._inputs.note_switch(tracker.integrity.contact.agreeing_since_gap(now_s))
         if context.authority.phase in FLYING:
             context.plan_now(now_s)
@@ -156,6 +156,9 @@ class EmitterScheduler:
         self._announced = current
         waiting = emitters.waiting
         context.record("turn", emitter_id=current, waiting=waiting)
+        if current is None:
+            context.announce(Severity.NOTICE, "searching for further emitters")
+            return
         then = f", then {', '.join(str(each) for each in waiting)}" if waiting else ""
         context.announce(Severity.NOTICE, f"searching for emitter {current}{then}")
 

@@ -107,7 +107,7 @@ class Recollection:
         for report in reports:
             context.report(report)
         ids = [report.emitter_id for report in reports if report.emitter_id is not None]
-        context.emitters.reported.update(ids)
+        context.emitters.mark_reported(ids)
         one, radii = context.emitters.is_single, radii_of(reports[-1].estimate)
         who = "the target was" if one else f"emitters {', '.join(map(str, ids))} were"
         context.announce(Severity.NOTICE, f"{who} reported already, {radii}")

@@ -238,7 +238,7 @@ class GuidanceSession:
 
     @property
     def is_search_over(self) -> bool:
-        """True if the search ended without contact, and the flight with it."""
+        """True if the search ended before all emitters were heard, and the flight with it."""
         return self._control.reporting.is_search_over
 
     @property

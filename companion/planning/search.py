@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Generic, Literal, TypeVar
+from typing import Annotated, ClassVar, Generic, Literal, Self, TypeVar
 
 import msgspec
 
@@ -87,6 +87,10 @@ class SearchMemory:
         """Leg being flown, or flown to."""
         return self.track[self.index]
 
+    def interrupted(self) -> Self:
+        """Return the memory after something else was flown: the leg resumes where it was left."""
+        return replace(self, is_on_leg=False, is_left=True) if self.is_on_leg else self
+
 
 class SearchPlanner:
     """Planner that repeats a pattern, whatever the estimate."""
@@ -112,12 +116,6 @@ class SearchPlanner:
             memory = self._at_next_leg(request, memory)
         return Plan(hold_position(request, f"{self.pattern.name}: no way to any leg"), memory)
 
-    def interrupted(self, memory: SearchMemory | None) -> SearchMemory | None:
-        """Return the memory after something else was flown: the leg resumes where it was left."""
-        if memory is None or not memory.is_on_leg:
-            return memory
-        return replace(memory, is_on_leg=False, is_left=True)
-
     def _advanced(self, request: PlanRequest, memory: SearchMemory) -> SearchMemory:
         """Return the memory with the progress of the vehicle."""
         vehicle = request.vehicle_enu_m
@@ -130,8 +128,7 @@ class SearchPlanner:
                 continue
             here = nearest_on_segment(leg.start_enu_m, leg.end_enu_m, vehicle)
             if math.dist(here, vehicle) > max(0.5 * self.pattern.spacing_m, self._arrival_m):
-                left = self.interrupted(memory)
-                return memory if left is None else left
+                return memory.interrupted()
             if math.dist(here, leg.end_enu_m) > self._arrival_m:
                 so_far_m = max(memory.so_far_m, math.dist(leg.start_enu_m, here))
                 return replace(memory, so_far_m=so_far_m)
@@ -292,6 +289,11 @@ class SearchThenCrossMemory(Generic[Crossing]):
     crossing: Crossing | None = None
     is_crossing: bool = False
 
+    def without_target(self) -> Self:
+        """Return the memory of the search alone, which resumes where it was left."""
+        search = self.search.interrupted() if self.search and self.is_crossing else self.search
+        return replace(self, search=search, crossing=None, is_crossing=False)
+
 
 class SearchThenCross(Generic[Crossing]):
     """Pair of planners: one crosses during contact, one searches `lost_after_s` after it."""
@@ -313,8 +315,9 @@ class SearchThenCross(Generic[Crossing]):
             crossed = self._crossing.plan(request, memory.crossing)
             following = SearchThenCrossMemory(memory.search, crossed.memory, is_crossing=True)
             return Plan(crossed.waypoint, following)
-        search = self._search.interrupted(memory.search) if memory.is_crossing else memory.search
-        searched = self._search.plan(request, search)
+        if memory.is_crossing:
+            memory = memory.without_target()
+        searched = self._search.plan(request, memory.search)
         return Plan(searched.waypoint, SearchThenCrossMemory(searched.memory))
 
     def _has_contact(self, request: PlanRequest, memory: SearchThenCrossMemory[Crossing]) -> bool:

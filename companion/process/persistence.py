@@ -19,8 +19,8 @@ thread of their own.
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -37,8 +37,9 @@ from companion.guidance.commands import Severity
 from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExitFound
 from companion.guidance.flight.fencing import FencePolicy
 from companion.guidance.session import GuidanceSession
+from companion.guidance.tracking.emitters import Progress
 from companion.io.background_files import BackgroundReplacer
-from companion.io.files import plain, write_bytes_atomic
+from companion.io.files import write_bytes_atomic
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.state.checkpoints import (
     Checkpoint,
@@ -282,6 +283,8 @@ class ParameterKeeper:
 PERIOD_S = 30.0
 FIRST_S = 5.0
 """Wait for the first one, from the moment when the search is worth reporting."""
+BUSY_SHARE = 0.1
+"""Largest share of the time that the writer works: with a learnt reach it repeats the search."""
 MAX_QUEUED = 4
 Snapshot = tuple[SearchedFlight, SearchState | None]
 
@@ -293,8 +296,11 @@ class SearchKeeper(WriterThread[Snapshot]):
         self._session = session
         self._journal = journal
         self._next_s: float | None = None
-        self._written: tuple[float, bool, bool] | None = None
-        """Seconds listened, and True if that is all and with a learnt reach, as written last."""
+        self._written: tuple[float, bool, Progress, bool] | None = None
+        """Seconds listened, True if that is all, emitters found, and True with a learnt reach, as
+        written last."""
+        self._busy_s = 0.0
+        """Time that the last write took."""
         super().__init__("write searched area", MAX_QUEUED)
 
     def run(self, now_s: float) -> None:
@@ -305,7 +311,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         if self._next_s is None:
             self._next_s = now_s + FIRST_S
         if now_s >= self._next_s:
-            self._next_s = now_s + PERIOD_S
+            self._next_s = now_s + max(PERIOD_S, self._busy_s / BUSY_SHARE)
             self._write()
 
     def _write(self) -> Snapshot | None:
@@ -314,7 +320,8 @@ class SearchKeeper(WriterThread[Snapshot]):
         if flight is None:
             return None
         snapshot = (flight, searching.state)
-        present = (searching.listened_s, searching.is_over, flight.learnt is not None)
+        found = searching.progress
+        present = (searching.listened_s, searching.is_over, found, flight.learnt is not None)
         if present != self._written:
             self._written = present
             self.append(snapshot)
@@ -330,11 +337,11 @@ class SearchKeeper(WriterThread[Snapshot]):
 
     def write_batch(self, batch: list[Snapshot]) -> None:
         """Write the newest."""
+        began_s = time.monotonic()
         flight, state = batch[-1]
         if flight.learnt is not None:  # on this thread: it takes seconds
             state = searched_again([flight])
-        text = json.dumps(plain(result_fields(flight, state)), allow_nan=False, indent=2)
-        self._journal.result_of_search(text.encode() + b"\n")
+        self._journal.result_of_search(result_fields(flight, state))
         for name, content in area_files(flight, state).items():
             try:
                 write_bytes_atomic(self._journal.directory / name, content)
@@ -342,3 +349,4 @@ class SearchKeeper(WriterThread[Snapshot]):
                 self.failed += 1
                 if self.failed == 1:
                     log.warning("%s", error)
+        self._busy_s = time.monotonic() - began_s

@@ -73,11 +73,14 @@ def _merge(arguments: argparse.Namespace) -> int:
         raise ConfigError(
             f"{arguments.flights[0]}: has no reach or no origin, so nothing can be combined with it"
         )
+    reported = tuple(sorted({n for each in flights for n in each.reported}))
     together = msgspec.structs.replace(
         first,
         listened_s=sum(each.listened_s for each in flights),
         ended_unix_s=max(each.ended_unix_s for each in flights),
         is_radio_heard=all(each.is_radio_heard for each in flights),
+        reported=reported,
+        heard=tuple(sorted({n for each in flights for n in each.heard} - set(reported))),
     )
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)

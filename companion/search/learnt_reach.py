@@ -48,7 +48,9 @@ def learnt_reach(
         return None
     margin = model.margin_db(np.array([emitter_enu_m]), contact_m)
     missed_one = np.exp(table.rows[table.index_of(margin)[0]]) @ table.spread_matrix()
-    posterior = NODE_WEIGHTS * np.exp(area.log_missed()[cell]) * (1.0 - missed_one)
+    before = area.missed_before_contact
+    log_missed = area.log_missed() if before is None else before
+    posterior = NODE_WEIGHTS * np.exp(log_missed[cell]) * (1.0 - missed_one)
     if not posterior.sum() > 0.0:
         return None
     posterior = posterior / posterior.sum()

@@ -108,6 +108,8 @@ class _Piece:
     place_m: PositionEnu | None = None
     answers: float = 0.0
     is_return: bool = False
+    is_contact: bool = False
+    """True: keep the state as that of the first contact."""
 
 
 class SearchedArea:
@@ -136,6 +138,8 @@ class SearchedArea:
         self._pending_s = 0.0
         self._work: deque[_Piece] = deque()
         self._spacing_m = look_spacing_m(model)
+        self.missed_before_contact: Floats32 | None = None
+        """`log_missed` at the first contact, once the work until then is done."""
 
     def listen(self, place_m: PositionEnu, seconds: float) -> None:
         """Note that nothing was heard for a time at a position; up is above the ground."""
@@ -152,6 +156,12 @@ class SearchedArea:
         else:
             pending.add(place_m, answers)
             self._pending_s += seconds
+
+    def note_contact(self) -> None:
+        """Keep the state until now as that of the first contact; counting may go on."""
+        self._commit_pending()
+        if self._square is not None:
+            self._work.append(_Piece(self._square, is_contact=True))
 
     def take(self, looks: Iterable[Look]) -> None:
         """Process looks of an earlier flight, and do all the work."""
@@ -181,7 +191,9 @@ class SearchedArea:
             return False
         piece = self._work.popleft()
         self._here_square = piece.square
-        if piece.place_m is not None:
+        if piece.is_contact:
+            self.missed_before_contact = self.log_missed()
+        elif piece.place_m is not None:
             index = self.table.index_of(self.model.margin_db(self._centres, piece.place_m))
             self._here += np.float32(piece.answers) * self.table.rows[index]
             np.maximum(self._here, np.float32(LEAST_LOG), out=self._here)
@@ -196,9 +208,7 @@ class SearchedArea:
 
     def finish(self) -> None:
         """Do all the work that waits, count in what was listened for until now, and renew."""
-        if self._pending is not None:
-            self._commit(self._pending, self._pending_key)
-            self._pending = None
+        self._commit_pending()
         while self.advance():
             pass
         self._renewed_cells = 0
@@ -220,6 +230,11 @@ class SearchedArea:
     def state(self) -> SearchState:
         """State of the search, as of the last renewal."""
         return _state(self.grid, self.missed.sum(axis=1, dtype=float))
+
+    def _commit_pending(self) -> None:
+        if self._pending is not None:
+            self._commit(self._pending, self._pending_key)
+            self._pending = None
 
     def _commit(self, look: Look, key: tuple[int, int, int]) -> None:
         """Queue the work of a look, and of the change of places that it means."""

@@ -73,9 +73,15 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     began_unix_s: float
     ended_unix_s: float
     listened_s: float
-    """Time in the air with a position, without contact."""
+    """Time in the air with a position, while an emitter was sought."""
     contact_unix_s: float | None = None
-    """First measurement that was accepted; nothing is counted from then on."""
+    """First measurement that was accepted."""
+    reported: tuple[int, ...] = ()
+    """Emitters with a report, by id."""
+    heard: tuple[int, ...] = ()
+    """Emitters that were heard and have no report."""
+    sought: tuple[int, ...] | None = None
+    """Emitters for which counting went on, by id; empty: any other; None: it ended at contact."""
     is_radio_heard: bool
     """True if the radio sent anything in this flight; if not, perhaps it never listened."""
     origin: LocalOrigin | None
@@ -126,7 +132,7 @@ def _shift_m(origin: LocalOrigin | None, base: LocalOrigin | None) -> PositionEn
 
 def statement(flight: SearchedFlight, state: SearchState | None) -> str:
     """Return the sentences for the radio, one or two."""
-    heard = "Nothing heard." if flight.contact_unix_s is None else "Searched before contact:"
+    heard = _heard(flight)
     if not flight.is_radio_heard:
         heard += " The radio sent nothing at all: check that it listened."
     if state is None:
@@ -138,6 +144,25 @@ def statement(flight: SearchedFlight, state: SearchState | None) -> str:
         f"{heard} {_percent(state.share_at(GOOD_POD))} of the planned area searched at 80 % or "
         f"more; POS {_percent(state.pos)}; gaps: {named}.{_reach(flight)}"
     )
+
+
+def _heard(flight: SearchedFlight) -> str:
+    """Return what was heard, and of which emitters nothing was."""
+    if flight.contact_unix_s is None and not flight.reported:
+        return "Nothing heard."
+    if flight.sought is None:
+        return "Searched before contact:"
+    found = [
+        f"{len(ids)} {word} ({_named(ids)})"
+        for ids, word in ((flight.reported, "reported"), (flight.heard, "heard"))
+        if ids
+    ]
+    rest = _named(flight.sought) if flight.sought else "others"
+    return f"{', '.join(found)}; nothing heard of {rest}."
+
+
+def _named(ids: Sequence[int]) -> str:
+    return f"{'emitter' if len(ids) == 1 else 'emitters'} {', '.join(map(str, ids))}"
 
 
 def _reach(flight: SearchedFlight) -> str:

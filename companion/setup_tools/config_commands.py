@@ -129,8 +129,10 @@ def _is_in(raw: object, path: str) -> bool:
 
 def _leaves(record: object, path: str) -> Iterator[tuple[str, object]]:
     """Yield the values of a record that are not records themselves, with their paths."""
-    for name in getattr(record, "__struct_fields__", ()):
-        value, place = getattr(record, name), f"{path}{name}"
+    names = getattr(record, "__struct_fields__", ())
+    keys = getattr(record, "__struct_encode_fields__", ())
+    for name, key in zip(names, keys, strict=True):
+        value, place = getattr(record, name), f"{path}{key}"
         if isinstance(value, msgspec.Struct):
             yield from _leaves(value, f"{place}.")
         else:

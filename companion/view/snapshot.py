@@ -307,13 +307,13 @@ class FlightSnapshot:
     next_step: str = ""
     """The operator's next step."""
     searched: str | None = None
-    """Searched area until now; None: there was contact, or nothing is stated."""
+    """Searched area until now; None: no emitter is sought any more, or nothing is stated."""
 
 
 def searched_words(session: GuidanceSession) -> str | None:
-    """Return how much of the area is searched, in a few words, until there is contact."""
+    """Return how much of the area is searched, in a few words, while an emitter is sought."""
     searching = session.searching
-    if searching.contact_s is not None or not searching.is_worth_reporting:
+    if not searching.is_counting or not searching.is_worth_reporting:
         return None
     state = searching.state
     if state is None:

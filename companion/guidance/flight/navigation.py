@@ -20,7 +20,7 @@ from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner, PlanRequest
-from companion.planning.search import SearchMemory
+from companion.planning.search import SearchMemory, SearchThenCrossMemory
 from companion.search.outlook import Outlook
 
 PLAN_PERIOD_S = 0.2
@@ -56,6 +56,15 @@ class FlightPlan:
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
         self._memory: Any = None
+
+    def change_target(self) -> None:
+        """Start the next plan for another target; the search resumes where it was left."""
+        memory = self._memory
+        self.forget()
+        if isinstance(memory, SearchThenCrossMemory):
+            self._memory = memory.without_target()
+        elif isinstance(memory, SearchMemory):
+            self._memory = memory
 
     def use(self, planner: Planner[Any], altitude_m: float) -> None:
         """Continue with another planner of the same kind and the memory of the one before."""

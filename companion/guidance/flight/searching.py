@@ -1,4 +1,8 @@
-"""Area searched by the radio since take-off, until the first measurement is accepted.
+"""Area searched by the radio since take-off, for emitters that are sought and were not heard.
+
+All of them share one map: until an emitter is heard, its map is the same as that of the others, and
+afterwards its position is known better. So counting ends once none is sought any more: in a search
+for one emitter at the first accepted measurement.
 
 Time counts under the pilot's control as well: the radio listens then, too. It counts while the
 vehicle is in the air with a current, trusted position. Positions are kept in the frame of the first
@@ -13,6 +17,7 @@ from companion.domain import LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners, Point
 from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.tracking.emitters import Progress
 from companion.search.learnt_reach import LearntReach, learnt_reach
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
@@ -61,7 +66,7 @@ class Searching:
         has the same; None: there is no grid."""
         self._renewed_s = -math.inf
         self._is_final = False
-        """True if the state contains everything until contact."""
+        """True if the state contains everything that counts."""
         self._outlook: Outlook | None = None
         self.listened_s = 0.0
         """Time in the air that counts."""
@@ -75,6 +80,9 @@ class Searching:
         """Time of the first accepted measurement."""
         self.is_radio_heard = False
         """True if the radio has sent anything at all."""
+        self.is_counting = True
+        """False once no emitter is sought that was not heard."""
+        self.progress = Progress((), (), ())
 
     @property
     def is_worth_reporting(self) -> bool:
@@ -89,30 +97,28 @@ class Searching:
     @property
     def is_over(self) -> bool:
         """True if nothing is counted any more, and all work on the cells is done."""
-        return self.contact_s is not None and (self._area is None or self._is_final)
+        return not self.is_counting and (self._area is None or self._is_final)
 
     def tick(
         self,
         now_s: float,
         vehicle: VehicleView,
         fence_enu_m: Corners | None,
-        *,
-        is_heard: bool,
-        heard_id: int | None = None,
+        progress: Progress,
     ) -> str | None:
         """Count the time since the last control tick; return a problem with the area, once."""
         passed_s, self._ticked_s = now_s - self._ticked_s, now_s
+        self.progress = progress
         if self._area is not None:
             self._work(self._area, now_s)
-        if is_heard:
-            if self.contact_s is None:
-                self.contact_s, self.contact_id = now_s, heard_id
-                self._note_contact(vehicle)
-            return None
+        if progress.heard and self.contact_s is None:
+            self.contact_s, self.contact_id = now_s, progress.heard[0]
+            self._note_contact(vehicle)
+        self.is_counting = self.is_counting and progress.sought is not None
         place, height_m = vehicle.position_enu_m, vehicle.height_m
         is_airborne = vehicle.is_armed and vehicle.landed is LandedState.IN_AIR
         is_placed = vehicle.is_position_fresh(now_s) and vehicle.track.is_trusted_at(now_s)
-        if self.contact_s is not None or not (is_airborne and is_placed):
+        if not (self.is_counting and is_airborne and is_placed):
             return None
         if place is None or height_m is None or passed_s > LONGEST_GAP_S:
             return None
@@ -129,13 +135,14 @@ class Searching:
             area.advance()
         elif area.renew():
             self._renewed_s = now_s
-            self._is_final = self.contact_s is not None and not area.has_work
+            self._is_final = not self.is_counting and not area.has_work
             self.state, self._outlook = area.state, None
 
     def _note_contact(self, vehicle: VehicleView) -> None:
         place, height_m = vehicle.position_enu_m, vehicle.height_m
         if place is not None and height_m is not None and self._area is not None:
             self._contact_m = (*self._in_first_frame(place, vehicle)[:2], height_m)
+            self._area.note_contact()
 
     def learn(self, emitter_id: int | None, emitter_enu_m: Point, vehicle: VehicleView) -> None:
         """Learn the reach from the position of the emitter that was heard first, once reported."""
@@ -189,9 +196,9 @@ class Searching:
     def outlook(self, vehicle: VehicleView) -> Outlook | None:
         """Return what is left to search, at most seconds old; None: unknown.
 
-        After contact nothing is counted, and a frame that moved is not that of the grid.
+        While none is sought nothing is counted, and a frame that moved is not that of the grid.
         """
-        if self._area is None or not self._is_planned or self.contact_s is not None:
+        if self._area is None or not self._is_planned or not self.is_counting:
             return None
         if vehicle.frame != self._origin:
             return None
@@ -212,9 +219,9 @@ class Searching:
             self.state = self._area.state
 
     def end(self, sweeps: int) -> str | None:
-        """Return the reason to end a search without contact, in words; None: it goes on."""
+        """Return the reason to end a search by pattern, in words; None: it goes on."""
         params = self.params
-        if self.contact_s is not None or not self.is_worth_reporting:
+        if not self.is_counting or not self.is_worth_reporting:
             return None
         if params.stop_sweeps is not None and sweeps >= params.stop_sweeps:
             return "the area is done"
@@ -239,6 +246,9 @@ class Searching:
             ended_unix_s=zero_unix_s + self.ended_s,
             listened_s=round(self.listened_s, 2),
             contact_unix_s=None if self.contact_s is None else zero_unix_s + self.contact_s,
+            reported=self.progress.reported,
+            heard=self.progress.heard,
+            sought=self.progress.sought if self.is_counting else None,
             is_radio_heard=self.is_radio_heard,
             origin=self._origin,
             detection=self.params.detection,

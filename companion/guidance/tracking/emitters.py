@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Callable, Iterable
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import msgspec
 
@@ -56,14 +56,33 @@ class QueueParams(Params, frozen=True):
             raise ValueError("an id is listed twice")
 
 
+class Progress(NamedTuple):
+    """Emitters that were found, and those that are still sought."""
+
+    reported: tuple[int, ...]
+    heard: tuple[int, ...]
+    """Heard and not reported."""
+    sought: tuple[int, ...] | None
+    """Ids that are sought and were not heard; empty: any further emitter; None: none is sought."""
+
+
 class EmitterQueue:
     """The filters of all emitters, and the current one.
 
-    Where the order is `first`, only the listed one counts, or the first one heard.
+    Where the order is `first`, only the listed one counts, or the first one heard. With
+    `searches_on` a filter without an id becomes the current one after the last report: it waits for
+    a further emitter, while those that were reported have no turn again.
     """
 
-    def __init__(self, trackers: TrackerParams, params: QueueParams | None = None) -> None:
+    def __init__(
+        self,
+        trackers: TrackerParams,
+        params: QueueParams | None = None,
+        *,
+        searches_on: bool = False,
+    ) -> None:
         self.params = QueueParams() if params is None else params
+        self._searches_on = searches_on
         self.is_single = self.params.order == "first"
         """True if only one emitter counts."""
         self._tracker_params = trackers
@@ -119,7 +138,7 @@ class EmitterQueue:
 
     def is_current(self, emitter_id: int) -> bool:
         """Return True if this emitter is the current one."""
-        return self.current.emitter_id in (None, emitter_id)
+        return self.current.emitter_id in ((None, emitter_id) if self.is_single else (emitter_id,))
 
     def tracker_of(self, emitter_id: int) -> TargetTracker:
         """Return the filter of an emitter that was heard."""
@@ -127,8 +146,24 @@ class EmitterQueue:
 
     @property
     def are_all_reported(self) -> bool:
-        """True if every emitter heard or listed is reported, where there may be several."""
-        return self.reported.issuperset(self._trackers)
+        """True if every emitter sought, heard or listed is reported, where there may be several."""
+        return not self._is_open and self.reported.issuperset(self._trackers)
+
+    @property
+    def progress(self) -> Progress:
+        """Emitters found so far, and those that are sought."""
+        heard = [t.emitter_id for t in self.trackers if t.accepted or t.hypotheses]
+        rest = tuple(n for n in heard if n is not None and n not in self.reported)
+        sought: tuple[int, ...] | None = None if heard and not self._is_open else ()
+        if self.params.listed:
+            found = self.reported.union(rest)
+            sought = tuple(n for n in self.params.listed if n not in found) or None
+        return Progress(tuple(sorted(self.reported)), rest, sought)
+
+    @property
+    def _is_open(self) -> bool:
+        """True if further emitters are searched for, whatever was reported."""
+        return self._searches_on and not self._is_full
 
     @property
     def waiting(self) -> list[int]:
@@ -189,15 +224,24 @@ class EmitterQueue:
         """Mark the current emitter as reported, go to the next; return False if none is left."""
         if self.is_single or self.current.emitter_id is None:
             return False
-        self.reported.add(self.current.emitter_id)
+        return self.mark_reported([self.current.emitter_id])
+
+    def mark_reported(self, ids: Iterable[int]) -> bool:
+        """Mark emitters as reported, and leave the current one if it is; False if none is left."""
+        self.reported.update(ids)
+        if self.current.emitter_id not in self.reported:
+            return True
         following = self.waiting
-        if not following:
+        if following:
+            self.current = self._trackers[following[0]]
+        elif self._is_open:
+            self.current = TargetTracker(self._tracker_params)
+        else:
             return False
-        self.current = self._trackers[following[0]]
         return True
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
-        """Restore the estimate of one emitter, which becomes the current one.
+        """Restore the estimate of one emitter, which becomes the current one unless it is reported.
 
         Returns why that is impossible, in words; everything is as before then.
         """
@@ -211,7 +255,8 @@ class EmitterQueue:
             if self._is_full:
                 return "another emitter"
             tracker = self._begin(emitter_id)
-        self.current = tracker
+        if not (self._is_open and emitter_id in self.reported):
+            self.current = tracker
         return tracker.resume(belief, age_s, now_s)
 
     @property
@@ -219,9 +264,9 @@ class EmitterQueue:
         return bool(self.params.listed) or len(self._trackers) >= self.params.most
 
     def _begin(self, emitter_id: int) -> TargetTracker:
-        """Return a filter for another emitter; the first one takes over earlier counts."""
-        is_first = not self._trackers
-        tracker = self.current if is_first else TargetTracker(self._tracker_params)
+        """Return a filter for another emitter: the current one if that waits for it."""
+        is_awaited = self.current.emitter_id is None and emitter_id not in self.reported
+        tracker = self.current if is_awaited else TargetTracker(self._tracker_params)
         tracker.emitter_id = emitter_id
         self._trackers[emitter_id] = tracker
         return tracker

@@ -104,7 +104,9 @@ class FlightJournal(BlackBox):
         self._results = BackgroundReplacer("write result.json")
         self._handoff = HandoffFiles()
         self._lock = threading.Lock()
-        self._is_reported = False
+        self._reports: dict[int | None, Mapping[str, object]] = {}
+        """Latest report of each emitter, the newest last."""
+        self._searched: Mapping[str, object] | None = None
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Record a raw frame."""
@@ -145,18 +147,31 @@ class FlightJournal(BlackBox):
             "unix_s": self.started_unix_s + now_s,
         }
         self.record("result", value, now_s)
-        text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
         with self._lock:
-            self._is_reported = True
-            self._results.replace(self.directory / RESULT, text.encode())
+            self._reports.pop(report.emitter_id, None)
+            self._reports[report.emitter_id] = value
+            self._write_result()
         for name, content in self._handoff.files(report, self.started_unix_s + now_s).items():
             self._results.replace(self.directory / name, content.encode())
 
-    def result_of_search(self, content: bytes) -> None:
-        """Write `result.json` of a flight without a report; one that was made stays. Any thread."""
+    def result_of_search(self, searched: Mapping[str, object]) -> None:
+        """Write `result.json` with the searched area; reports that were made stay. Any thread."""
         with self._lock:
-            if not self._is_reported:
-                self._results.replace(self.directory / RESULT, content)
+            self._searched = searched
+            self._write_result()
+
+    def _write_result(self) -> None:
+        """Write the newest report with all of them and the searched area, or that alone.
+
+        Beside reports it has no track, which would take a control tick long to write.
+        """
+        reports, searched = list(self._reports.values()), dict(self._searched or {})
+        value: dict[str, object] = searched
+        if reports:
+            searched.pop("track", None)
+            value = {**reports[-1], "reports": reports, "searched": searched or None}
+        text = json.dumps(plain(value), allow_nan=False, indent=2) + "\n"
+        self._results.replace(self.directory / RESULT, text.encode())
 
     @property
     def health(self) -> WriterHealth:

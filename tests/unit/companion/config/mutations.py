@@ -82,8 +82,8 @@ def _leaves(record: object, path: tuple[str, ...] = ()) -> list[tuple[tuple[str,
     if not isinstance(record, msgspec.Struct):
         return [(path, record)]
     found = []
-    for name in record.__struct_fields__:
-        found += _leaves(getattr(record, name), (*path, name))
+    for name, key in zip(record.__struct_fields__, record.__struct_encode_fields__, strict=True):
+        found += _leaves(getattr(record, name), (*path, key))
     return found
 
 

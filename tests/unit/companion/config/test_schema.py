@@ -36,7 +36,7 @@ def test_default_preset_spells_out_the_defaults() -> None:
 def test_default_preset_names_every_key() -> None:
     text = (ROOT / "configs/companion/default.yaml").read_text()
     for record in _records(CompanionConfig()):
-        for name in record.__struct_fields__:
+        for name in record.__struct_encode_fields__:
             assert f"{name}:" in text, f"{type(record).__name__}.{name} is not in default.yaml"
 
 
@@ -168,6 +168,8 @@ def test_wrong_value_is_named_by_its_path(text: str, problem: str) -> None:
             "planner: {search: lawnmower, pattern: {area_enu_m: [[200, 0], [300, 0], [300, 9]]}}",
             "$.planner.pattern.area_enu_m",
         ),
+        ("{mission: {continue: true}, planner: {search: sector}}", "$.mission.continue"),
+        ("{mission: {continue: true}, emitters: {order: nearest}}", "$.mission.continue"),
     ],
 )
 def test_contradiction_between_sections_is_named(text: str, path: str, tmp_path: Path) -> None:

@@ -80,7 +80,8 @@ def test_after_an_interruption_it_goes_on_where_it_was_left() -> None:
     while flight.place[0] < 40.0:
         flight.step()
     left = flight.place
-    flight.memory = PLANNER.interrupted(flight.memory)
+    assert flight.memory is not None
+    flight.memory = flight.memory.interrupted()
     flight.place = (90.0, 10.0)  # farther along the very lane
     flight.until("back to where it was left on lawnmower, leg 1 of 3")
     flight.until("lawnmower, leg 1 of 3")
@@ -103,9 +104,9 @@ def test_blown_off_its_lane_it_comes_back_to_it() -> None:
 
 
 def test_interrupted_on_the_way_to_a_leg_there_is_nothing_to_come_back_to() -> None:
-    assert PLANNER.interrupted(None) is None
     memory = PLANNER.plan(PlanRequest((-50.0, 0.0)), None).memory
-    assert PLANNER.interrupted(memory) is memory
+    assert memory is not None
+    assert memory.interrupted() is memory
 
 
 def test_a_leg_without_a_way_to_it_is_passed_over() -> None:

@@ -147,7 +147,7 @@ def test_an_interrupted_leg_goes_on_where_it_was_left() -> None:
     assert isinstance(memory, ProbabilityMemory)
     assert memory.is_on_leg
     left_at = flight.request.vehicle_enu_m
-    flight.memory = PLANNER.interrupted(memory)
+    flight.memory = memory.interrupted()
     flight.request = replace(flight.request, vehicle_enu_m=(left_at[0], left_at[1] - 60.0))
     list(flight.run(1))
     assert flight.waypoint is not None

@@ -35,6 +35,18 @@ def test_a_contact_from_afar_lengthens_the_reach_and_a_late_one_shortens_it() ->
     assert max(far.reach_sigma_db, late.reach_sigma_db) < MODEL.reach_sigma_db
 
 
+def test_what_is_searched_after_the_contact_for_others_does_not_change_it() -> None:
+    area = SearchedArea(grid_over([WeightedArea(SQUARE)], 20.0), MODEL)
+    for east in np.arange(0.0, 100.0, 5.0):
+        area.listen((float(east), 210.0, HEIGHT_M), 1.0)
+    area.note_contact()
+    for east in np.arange(100.0, 300.0, 5.0):
+        area.listen((float(east), 210.0, HEIGHT_M), 1.0)
+    area.finish()
+    learnt = learnt_reach(area, (100.0, 210.0, HEIGHT_M), EMITTER)
+    assert learnt == after_lane(210.0, until_m=100.0)
+
+
 def test_a_reach_that_is_known_is_hardly_changed() -> None:
     known = DetectionModel(reach_m=80.0, reach_sigma_db=0.5, environment="rubble")
     learnt = after_lane(210.0, until_m=10.0, model=known)

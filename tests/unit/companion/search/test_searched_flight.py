@@ -97,3 +97,23 @@ def test_the_sentence_for_the_radio() -> None:
     late = msgspec.structs.replace(flight(0.0), contact_unix_s=50.0)
     assert statement(late, state).startswith("Searched before contact:")
     assert "the radio's reach is unknown" in statement(flight(0.0), None)
+
+
+@pytest.mark.parametrize(
+    ("reported", "heard", "sought", "expected"),
+    [
+        ((), (), None, "Nothing heard. "),
+        ((7,), (), (), "1 reported (emitter 7); nothing heard of others. "),
+        ((3, 7), (9,), (), "2 reported (emitters 3, 7), 1 heard (emitter 9); nothing heard of "),
+        ((), (7,), (3, 4), "1 heard (emitter 7); nothing heard of emitters 3, 4. "),
+        ((7,), (), None, "Searched before contact: "),
+    ],
+)
+def test_the_sentence_says_of_which_emitters_nothing_was_heard(
+    reported: tuple[int, ...], heard: tuple[int, ...], sought: tuple[int, ...] | None, expected: str
+) -> None:
+    contact = 10.0 if reported or heard else None
+    it = msgspec.structs.replace(
+        flight(100.0), reported=reported, heard=heard, sought=sought, contact_unix_s=contact
+    )
+    assert statement(it, searched_again([it])).startswith(expected)

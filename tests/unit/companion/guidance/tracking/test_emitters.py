@@ -11,7 +11,13 @@ from companion.domain import RangingMeasurement
 from companion.estimation.screening.measurement_screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
 from companion.geometry.polygons import Point
-from companion.guidance.tracking.emitters import LOST_S, EmitterQueue, Order, QueueParams
+from companion.guidance.tracking.emitters import (
+    LOST_S,
+    EmitterQueue,
+    Order,
+    Progress,
+    QueueParams,
+)
 
 PLACES: dict[int, Point] = {1: (80.0, 0.0), 2: (30.0, 0.0), 3: (0.0, 50.0)}
 HERE = (0.0, 0.0, 20.0)
@@ -20,8 +26,12 @@ HERE = (0.0, 0.0, 20.0)
 class Heard:
     """A queue, and a radio that hears what it is told to."""
 
-    def __init__(self, order: Order, listed: tuple[int, ...] = ()) -> None:
-        self.queue = EmitterQueue(TrackerParams(), QueueParams(order=order, listed=listed))
+    def __init__(
+        self, order: Order, listed: tuple[int, ...] = (), *, searches_on: bool = False
+    ) -> None:
+        self.queue = EmitterQueue(
+            TrackerParams(), QueueParams(order=order, listed=listed), searches_on=searches_on
+        )
         self.now_s = 0.0
 
     def hear(
@@ -190,3 +200,58 @@ def test_a_moved_frame_is_forgotten_by_all() -> None:
 def test_orders_that_make_no_sense_are_refused(fields: dict[str, object], complaint: str) -> None:
     with pytest.raises(msgspec.ValidationError, match=complaint):
         msgspec.convert(fields, QueueParams)
+
+
+def test_a_search_that_goes_on_waits_for_another_and_masks_those_reported() -> None:
+    heard = Heard("nearest", searches_on=True)
+    heard.hear(2, times=10)
+    assert heard.queue.report_current()
+    assert heard.current is None
+    assert heard.queue.progress == Progress((2,), (), ())
+    heard.hear(2, times=10, is_flying=True)
+    assert heard.current is None
+    assert not heard.queue.is_current(2)
+    heard.hear(2, times=10)
+    assert heard.current is None
+    heard.hear(1, times=10, is_flying=True)
+    assert heard.current == 1
+    assert heard.queue.progress == Progress((2,), (1,), ())
+    assert heard.queue.report_current()
+    assert not heard.queue.are_all_reported
+
+
+def test_a_search_that_goes_on_ends_where_no_filter_is_left_for_another() -> None:
+    heard = Heard("nearest", searches_on=True)
+    for number in range(QueueParams.most):
+        heard.queue.fuse(ranging(number), HERE, heard.now_s)
+    turns = [heard.queue.report_current() for _ in range(QueueParams.most)]
+    assert turns == [True] * (QueueParams.most - 1) + [False]
+    assert heard.queue.progress.sought is None
+    assert heard.queue.are_all_reported
+
+
+def test_a_report_of_before_is_masked_though_it_was_heard_again_first() -> None:
+    heard = Heard("nearest", searches_on=True)
+    heard.hear(2, times=10)
+    belief = heard.queue.current.belief
+    assert belief is not None
+    heard.queue.mark_reported([2])
+    assert heard.current is None
+    assert heard.queue.resume(belief, 5.0, heard.now_s) is None
+    assert heard.current is None
+
+
+def test_listed_ids_are_sought_until_each_is_heard() -> None:
+    heard = Heard("listed", (3, 1))
+    assert heard.queue.progress.sought == (3, 1)
+    heard.hear(1, times=2)
+    assert heard.queue.progress == Progress((), (1,), (3,))
+    heard.hear(3)
+    assert heard.queue.progress.sought is None
+
+
+def test_one_emitter_is_sought_until_it_is_heard() -> None:
+    heard = Heard("first")
+    assert heard.queue.progress.sought == ()
+    heard.hear(3)
+    assert heard.queue.progress == Progress((), (3,), None)

@@ -52,6 +52,19 @@ def test_frames_events_texts_and_the_result_are_kept(tmp_path: Path) -> None:
     assert journal.health.dropped == 0
 
 
+def test_the_result_keeps_every_report_and_the_searched_area(tmp_path: Path) -> None:
+    journal = FlightJournal(tmp_path, 1000.0)
+    journal.result_of_search({"state": "not_found", "pos": 0.5, "track": [[8.5, 47.0, 0.0]]})
+    for emitter_id, at_s in ((7, 60.0), (3, 90.0)):
+        journal.result(ReportResult(FOUND, 47.0, 8.0, emitter_id), at_s)
+    journal.result_of_search({"state": "heard", "pos": 0.8, "track": [[8.5, 47.0, 0.0]]})
+    journal.close(PATIENCE_S)
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert (result["emitter_id"], result["state"]) == (3, FOUND.state.value)
+    assert [each["emitter_id"] for each in result["reports"]] == [7, 3]
+    assert result["searched"] == {"state": "heard", "pos": 0.8}
+
+
 def test_a_flight_stays_within_its_cap(tmp_path: Path) -> None:
     journal = FlightJournal(tmp_path, 0.0, max_bytes=20_000)
     for number in range(3000):
