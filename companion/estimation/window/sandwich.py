@@ -321,15 +321,19 @@ def stretch_covariance(
 ) -> Steps[Matrix]:
     """Return the covariance, stretched along its longest axis where the cost is too flat.
 
-    `profiled` is the cost with the other states solved again; it is evaluated only where `cost`,
-    which is never less, rises enough. A step is `worth` so many measurements.
+    `profiled` is the cost with the other states solved again, which rises by the profiled curvature
+    1 / v^T A^-1 v in direction v; it is evaluated only where `cost`, which is never less, rises
+    enough. A step is `worth` so many measurements.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
     if sigma_m == 0.0:
         return covariance
     axis: Vector = covariance[:, :2] @ vectors[:, 1] / sigma_m
-    promised = 0.5 * EDGE_SIGMAS**2 * float(axis @ A @ axis)
+    curvature = float(axis @ A @ axis)
+    if profiled is not None:
+        curvature = float(values[1] / (vectors[:, 1] @ np.linalg.inv(A)[:2, :2] @ vectors[:, 1]))
+    promised = 0.5 * EDGE_SIGMAS**2 * curvature
     wanted = MIN_RISE_SHARE * promised + cost(mean)
     stretch = 1.0
     for side in (-1.0, 1.0):

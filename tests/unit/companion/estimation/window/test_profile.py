@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.estimation.stepwise import finish
+from companion.estimation.stepwise import Steps, finish
 from companion.estimation.window.map_kernels import (
     map_cost,
     map_descent,
@@ -111,3 +111,20 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     )
     assert wider[1, 1] > 1.3**2 * covariance[1, 1]
     assert wider[0, 0] < 1.3**2 * covariance[0, 0]
+
+
+def test_a_profiled_cost_is_held_to_the_profiled_curvature() -> None:
+    """Correlated errors tilt the covariance against the curvature: no flat valley."""
+    curvature = np.array(A)
+    curvature[0, 2] = curvature[2, 0] = 0.6
+    tilted = np.array(COVARIANCE)
+    tilted[0, 2] = tilted[2, 0] = 1.2
+
+    def cost(x: Vector) -> float:
+        return 0.5 * float((x - MEAN) @ curvature @ (x - MEAN))
+
+    def profiled(x: Vector) -> Steps[float]:
+        yield 0
+        return 0.5 * float(x[0] - MEAN[0]) ** 2 / float(np.linalg.inv(curvature)[0, 0])
+
+    assert finish(stretch_covariance(tilted, curvature, MEAN, cost, profiled)) is tilted
