@@ -1,27 +1,36 @@
-"""Prints the best possible accuracy of a field radio along the flown ways.
+"""Prints errors of the field radios along their flights beside the best possible accuracy.
 
 It is the Cramer-Rao bound of the scenario's own model: thermal noise, Gauss-Markov errors of the
-vehicle's position and height about their present value, offset, height and compass as the study
-draws them. Without reflections no estimator beats it. With them, as spatially correlated errors of
-the same variance, it is the least error of a linear estimator. Every measurement arrives, and all
-these parameters are known.
+vehicle's position and height about their present value, and the priors of offset, height and
+bearing offset with which the estimator is configured. Without reflections no estimator beats it.
+With them, as spatially correlated errors of the same variance, it is the least error of a linear
+estimator. Every measurement arrives, and the noise is known. Received power has no bound here.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.domain import FlightMode
 from companion.entry import ignore_broken_pipe
+from companion.errors import CompanionError
+from companion.estimation.filters.target_filter import FilterParams
+from companion.io.files import check_writable
 from companion.kernel import Matrix, Vector
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
+from sim_link.lab.pool import open_pool
 from sim_link.world.antenna import AntennaModelParams, direction_enu, seen_by_antenna
 from sim_link.world.environment import in_the_field
 from sim_link.world.point_mass import EulerAngles
-from tools.console import OneLineParser
+from tools.console import OneLineParser, non_negative, positive, shown
 from tools.run_study import STUDIES
 from tools.study.field_flights import FieldFlight, flights_of
 from tools.study.reporting.study_tables import studies_of
@@ -31,24 +40,49 @@ COMPASS, OFFSET, PARAMETERS = 3, 4, 5
 NORMALS = np.random.default_rng(0).standard_normal((4000, 2))
 
 
-def flown(task: FieldFlight) -> tuple[Matrix, float]:
-    """Return the true way, (n, 7): time, position, attitude at each measurement; and the error."""
+SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Shares of a flight after which error and bound are compared."""
+
+
+class Priors(NamedTuple):
+    """Standard deviations of what is not known before a flight."""
+
+    height_m: float
+    """Of the target's height."""
+    turn_rad: float
+    """Of the offset of bearings."""
+    offset_m: float
+    """Of the offset of ranges."""
+
+    @classmethod
+    def of(cls, configured: FilterParams) -> Priors:
+        """Return the priors that an estimator is configured with."""
+        turn_rad = math.radians(configured.bearing_offset_sigma_deg)
+        return cls(configured.target_height_sigma_m, turn_rad, configured.range_offset_sigma_m)
+
+
+def flown(task: FieldFlight) -> tuple[Matrix, Vector]:
+    """Return the true way, (n, 7): time, position, attitude at each measurement; and errors (n,).
+
+    An error is that of the estimate at the time, in the vehicle's frame; NaN: there is none yet.
+    """
     notes = MemoryJournal()
     flight = Flight(task.config, task.scenario, task.seed, notes)
-    body, rows, due_s, engaged_s = flight.sim.vehicle.body, [], 0.0, math.inf
+    vehicle, rows, errors_m = flight.sim.vehicle, [], []
+    due_s, engaged_s, truth = 0.0, math.inf, task.scenario.emitter.position_enu_m
     while not notes.results and flight.now_s < engaged_s + task.cut_s:
         flight.step()
         if flight.mode is FlightMode.OFFBOARD:
             engaged_s = min(engaged_s, flight.now_s)
             if flight.now_s >= due_s:
                 due_s = flight.now_s + 1.0 / task.scenario.payload.rate_hz
+                body = vehicle.body
                 rows.append((flight.now_s, *body.position_enu_m, *body.attitude))
-    estimate, bias = flight.companion.session.estimate, flight.sim.vehicle.estimator.bias_enu_m
-    if estimate is None:
-        return np.array(rows), math.nan
-    truth = task.scenario.emitter.position_enu_m
-    shown = (truth[0] + bias[0], truth[1] + bias[1])
-    return np.array(rows), math.dist(estimate.position_enu_m, shown)
+                estimate, bias = flight.companion.session.estimate, vehicle.estimator.bias_enu_m
+                shown_m = (truth[0] + bias[0], truth[1] + bias[1])
+                place = None if estimate is None else estimate.position_enu_m
+                errors_m.append(math.nan if place is None else math.dist(place, shown_m))
+    return np.array(rows), np.array(errors_m)
 
 
 def directions(u: tuple[float, float, float], antenna: AntennaModelParams) -> list[float]:
@@ -101,8 +135,11 @@ def _step_sigma_m(scenario: Scenario) -> float:
     return in_the_field(scenario.channel).range_step_m / math.sqrt(12.0)
 
 
-def bound_m2(way: Matrix, scenario: Scenario, height_spread_m: float, *, reflects: bool) -> Matrix:
-    """Return the bound on the final position, in the vehicle's frame, (2, 2)."""
+def bound_m2(way: Matrix, scenario: Scenario, priors: Priors, *, reflects: bool) -> Matrix:
+    """Return the bound on the position at the end of a way, in the vehicle's frame, (2, 2).
+
+    Raises `LinAlgError` if the way does not determine the position.
+    """
     partials, sigmas, about = linearised(way, scenario)
     navigation, channel = scenario.navigation, in_the_field(scenario.channel)
     ago_s = about[:, 0] - about[:, 0].max()
@@ -127,11 +164,10 @@ def bound_m2(way: Matrix, scenario: Scenario, height_spread_m: float, *, reflect
         apart = np.linalg.norm(about[:, None, 1:4] - about[None, :, 1:4], axis=2)
         is_alike = about[:, None, 4] == about[None, :, 4]
         noise += is_alike * np.outer(size, size) * np.exp(-apart / max(channel.correlation_m, 1e-3))
-    height_m2 = navigation.height_sigma_m**2 + height_spread_m**2 / 3.0
-    turn_rad = math.radians(math.hypot(navigation.compass_error_deg, channel.bearing_offset_deg))
+    height_m2 = navigation.height_sigma_m**2 + priors.height_m**2
     prior = np.zeros(PARAMETERS)
-    prior[2], prior[COMPASS] = 1.0 / height_m2, 1.0 / max(turn_rad, 1e-3) ** 2
-    prior[OFFSET] = 3.0 / max(channel.range_offset_m, 1e-3) ** 2
+    prior[2], prior[COMPASS] = 1.0 / height_m2, 1.0 / max(priors.turn_rad, 1e-3) ** 2
+    prior[OFFSET] = 1.0 / max(priors.offset_m, 1e-3) ** 2
     information = partials.T @ np.linalg.solve(noise, partials) + np.diag(prior)
     return np.asarray(np.linalg.inv(information)[:2, :2])
 
@@ -141,27 +177,91 @@ def median_m(covariance_m2: Matrix) -> float:
     return float(np.median(np.hypot(*(NORMALS @ np.linalg.cholesky(covariance_m2).T).T)))
 
 
-def main() -> None:
-    """Print a row for each flight, and the medians."""
-    parser = OneLineParser(description=__doc__)
-    parser.add_argument("radio", help="a scenario of configs/scenarios/field")
-    parser.add_argument("--runs", type=int, default=12)
-    parser.add_argument("--seed", type=int, default=2)
-    arguments = parser.parse_args()
+def compared(task: FieldFlight) -> Matrix:
+    """Fly; return error and bounds without and with reflections after each share, (s, 3), m."""
+    way, errors_m = flown(task)
+    found, priors = np.full((len(SHARES), 3), math.nan), Priors.of(task.config.tracking.filter)
+    for index, share in enumerate(SHARES):
+        count = int(share * len(way))
+        if count:
+            found[index, 0] = errors_m[count - 1]
+        for column, reflects in ((1, False), (2, True)):
+            try:
+                covariance_m2 = bound_m2(way[:count], task.scenario, priors, reflects=reflects)
+                found[index, column] = median_m(covariance_m2)
+            except (np.linalg.LinAlgError, IndexError, ValueError):
+                continue  # nothing seen yet, or nothing that determines a position
+    return found
+
+
+def flights_to_compare(runs: int, seed: int, radios: Sequence[str]) -> list[FieldFlight]:
+    """Return configured latched crossings of these radios, or of all that measure no power."""
     grid = studies_of("field", STUDIES)[0].flights
     assert grid is not None
-    only = [arguments.radio, "configured", "latched_crossing"]
-    rows = []
-    print("median error, m: without reflections, linear with them; this flight's")
-    for task in flights_of(grid, STUDIES.parent, arguments.runs, arguments.seed, only):
-        way, error_m = flown(task)
-        free, reflected = (
-            median_m(bound_m2(way, task.scenario, grid.height_spread_m, reflects=reflects))
-            for reflects in (False, True)
-        )
-        rows.append((free, reflected, error_m))
-        print(f"{free:6.2f} {reflected:6.2f} {error_m:6.2f}", flush=True)
-    print("{:6.2f} {:6.2f} {:6.2f}  medians".format(*np.nanmedian(np.array(rows), axis=0)))
+    only = [*radios, "configured", "latched_crossing"]
+    flights = flights_of(grid, STUDIES.parent, runs, seed, only)
+    return [task for task in flights if task.scenario.payload.measures != "power"]
+
+
+def table(medians: dict[str, Matrix]) -> str:
+    """Return a Markdown table of each radio's medians (s, 3), and the error over the bounds."""
+    lines = [
+        "| radio | of flight | error, m | bound, m | with reflections, m | error over bounds |",
+        "|---|---|---|---|---|---|",
+    ]
+    for radio, found in medians.items():
+        for share, (error_m, free_m, bent_m) in zip(SHARES, found.tolist(), strict=True):
+            about = f"| {radio} | {share:.0%} | {error_m:.2f} | {free_m:.2f} | {bent_m:.2f} | "
+            lines.append(f"{about}{error_m / free_m:.2f}, {error_m / bent_m:.2f} |")
+    return "\n".join(lines)
+
+
+def plot(medians: dict[str, Matrix], path: Path) -> None:
+    """Draw the error over both bounds along the flight, a line for each radio."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, 2, sharex=True, sharey=True))
+    names = ("bound without reflections", "linear bound with reflections")
+    for column, (panel, name) in enumerate(zip(panels, names, strict=True), 1):
+        for radio, found in medians.items():
+            panel.semilogy(SHARES, found[:, 0] / found[:, column], "o-", label=radio)
+        panel.axhline(1.0, color="0.5", linewidth=1.0)
+        panel.set_title(name)
+        panel.set_xlabel("share of the flight")
+    panels[0].set_ylabel("median error over median bound")
+    panels[0].legend(frameon=False, fontsize="small")
+    figure.savefig(path, dpi=120)
+
+
+def main() -> None:
+    """Print a table of the medians over flights, and draw it."""
+    parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("radios", nargs="*", help="scenarios of configs/scenarios/field; all")
+    parser.add_argument("--runs", type=positive, default=12, help="flights of each radio")
+    parser.add_argument("--seed", type=non_negative, default=2)
+    parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--plot", type=Path, metavar="PNG", help="draw error over bound there")
+    arguments = parser.parse_args()
+    try:
+        if arguments.plot is not None:
+            check_writable(arguments.plot)
+        flights = flights_to_compare(arguments.runs, arguments.seed, arguments.radios)
+        found: dict[str, list[Matrix]] = {task.radio: [] for task in flights}
+        with (
+            open_pool(jobs=arguments.jobs) as pool,
+            shown(sum(task.cut_s for task in flights), sys.stderr) as on_done,
+        ):
+            for position, each in pool.results(compared, flights):
+                found[flights[position].radio].append(each)
+                on_done(flights[position].cut_s)
+    except CompanionError as error:
+        parser.error(str(error))
+    medians = {radio: np.nanmedian(np.stack(each), axis=0) for radio, each in found.items()}
+    print(f"medians of {arguments.runs} flights a radio, seed {arguments.seed}\n")
+    print(table(medians))
+    if arguments.plot is not None:
+        plot(medians, arguments.plot)
 
 
 if __name__ == "__main__":

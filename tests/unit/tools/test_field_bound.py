@@ -17,7 +17,7 @@ from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import EmitterParams, FieldChannelParams
-from tools.study.field_bound import bound_m2, median_m
+from tools.study.field_bound import Priors, bound_m2, median_m
 
 VIEWS, RADIUS_M, HEIGHT_M = 36, 30.0, 40.0
 SLANT_M = math.hypot(RADIUS_M, HEIGHT_M)
@@ -33,6 +33,8 @@ CHANNEL = FieldChannelParams(
 )
 RANGES, BEARINGS = 0.5, math.radians(3.0) * SLANT_M
 """What one view tells, of a place along or across its line; along the ground a range tells less."""
+
+PRIORS = Priors(height_m=2.0, turn_rad=math.radians(5.0), offset_m=1.0)
 
 
 def circle() -> Matrix:
@@ -59,7 +61,7 @@ def bound(
         payload=PayloadParams(measures=measures, antenna=AntennaModelParams(kind="planar")),
         navigation=NavigationParams(sigma_m=own_sigma_m, time_constant_s=tau_s),
     )
-    return bound_m2(circle(), scenario, 2.0, reflects=reflects)
+    return bound_m2(circle(), scenario, PRIORS, reflects=reflects)
 
 
 @pytest.mark.parametrize(("measures", "sigma_m"), [("range", RANGES / FLAT), ("bearing", BEARINGS)])
