@@ -198,7 +198,7 @@ DEFAULT_ACCURACY = PositionAccuracy()
 def radii_text(
     absolute_r95_m: float, r95_m: float, own: PositionAccuracy | None = None, *, decimals: int = 1
 ) -> str:
-    """Return both radii of an estimate in words: first the absolute one, which holds for everybody.
+    """Return both radii of an estimate in words: first the absolute one, for use on the Earth.
 
     `own` is the accuracy that makes the difference, if it is to be named.
     """
@@ -226,8 +226,8 @@ class TargetEstimate:
 
     There are two radii. The relative one, `r95_m`, is in the vehicle's own frame, for the return of
     this vehicle; the stop rule uses the part of it that measurements can improve. The absolute one
-    is on the Earth, for everybody else: it contains the error of the vehicle's own GNSS receiver as
-    well.
+    is on the Earth, for ground teams and other vehicles: it also contains the error of this
+    vehicle's GNSS receiver.
     """
 
     time_s: float

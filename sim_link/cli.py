@@ -277,7 +277,7 @@ def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], no
 
 
 def _link(text: str) -> tuple[Transport, LinkMode | None]:
-    """Return a link and, behind `#`, whom it is for."""
+    """Return a link and the kind of its peer, which may follow after `#`."""
     url, mark, name = text.partition("#")
     modes: dict[str, LinkMode] = {mode: mode for mode in get_args(LinkMode)}
     if mark and name not in modes:

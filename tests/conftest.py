@@ -25,6 +25,7 @@ from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+gc.disable()  # while tests are collected: a fifth of that time
 
 settings.register_profile(
     "busy machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
@@ -58,6 +59,7 @@ def pytest_collection_finish() -> None:
     """Thousands of tests are kept to the end: the collector need not look at them every time."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)

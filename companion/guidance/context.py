@@ -48,6 +48,7 @@ from companion.guidance.phases import (
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner
+from companion.search.search_prior import SearchPrior
 
 ERROR_HOLD_S = 1.0
 """Duration of the hold after an internal error."""
@@ -124,7 +125,7 @@ class SessionContext:
         self.guard = guard
         self.vehicle = VehicleView(needs_origin=needs_origin)
         self.searching = searching or Searching()
-        emitters.search_prior = lambda: self.searching.prior(self.vehicle.frame)
+        emitters.search_prior = self._search_prior
         self.flight_plan = FlightPlan(planner, guard, emitters, self.searching, params.altitude_m)
         self.fencing = fencing
         self.steering = Steering(guard, params.altitude_m)
@@ -147,6 +148,10 @@ class SessionContext:
         self._commands: list[Command] = []
         self._is_control_change = False
         """True if control began or ended since commands were taken last."""
+
+    def _search_prior(self) -> SearchPrior | None:
+        """Return what the searched area says about the emitter, in the present local frame."""
+        return self.searching.prior(self.vehicle.frame)
 
     @property
     def tracker(self) -> TargetTracker:

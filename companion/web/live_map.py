@@ -122,7 +122,7 @@ FAR_AWAY = ("192.0.2.1", 9)
 """Unassigned address (RFC 5737): the route to it leaves by the network's own address."""
 HINTS = {
     errno.EADDRINUSE: "is another program using the port?",
-    errno.EACCES: "ports below 1024 are not for everybody",
+    errno.EACCES: "ports below 1024 need root",
 }
 
 

@@ -186,17 +186,11 @@ class Services:
 
     def _handlers_by_type(self) -> dict[type[Message], Handler]:
         """Map message types to handlers, whose results are answered on the sender's channel."""
-        flavour, clocks = self._vehicle.flavour, self.clocks
-
-        def take_setpoint(message: TargetMessage, _partner: Partner, now_s: float) -> None:
-            """Pass a setpoint to the flavour."""
-            flavour.take_setpoint(message, now_s)
-
         return {
-            **dict.fromkeys((LocalTarget, GlobalTarget, AttitudeTarget), take_setpoint),
+            **dict.fromkeys((LocalTarget, GlobalTarget, AttitudeTarget), self._take_setpoint),
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
-            mavlink.MAVLink_timesync_message: clocks.timesync,
-            mavlink.MAVLink_ping_message: lambda message, partner, _: clocks.ping(message, partner),
+            mavlink.MAVLink_timesync_message: self.clocks.timesync,
+            mavlink.MAVLink_ping_message: self._take_ping,
             mavlink.MAVLink_manual_control_message: self._take_manual_control,
             mavlink.MAVLink_rc_channels_override_message: self._take_rc_override,
             mavlink.MAVLink_set_gps_global_origin_message: self._take_origin,
@@ -339,6 +333,12 @@ class Services:
         )
         result = self._vehicle.flavour.command(command, self._vehicle.time_s)
         return PlanResult.ACCEPTED if result == ACCEPTED else PlanResult.ERROR
+
+    def _take_setpoint(self, message: TargetMessage, _partner: Partner, now_s: float) -> None:
+        self._vehicle.flavour.take_setpoint(message, now_s)
+
+    def _take_ping(self, message: Message, partner: Partner, _now_s: float) -> Message | None:
+        return self.clocks.ping(message, partner)
 
     def _take_heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, partner: Partner, now_s: float

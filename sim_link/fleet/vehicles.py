@@ -155,7 +155,7 @@ class FleetOptions:
     listen: Address
     send_to: tuple[Address, ...]
     links: tuple[tuple[Transport, LinkMode | None], ...] = ()
-    """Beside the UDP links, and whom they are for; only for one vehicle if they are lines."""
+    """Links beside UDP, with the kind of their peers; serial lines only for a single vehicle."""
     shares_ports: bool = False
     """Several clients may share a UDP port of PX4."""
     parameters: Path | None = None

@@ -1,7 +1,7 @@
 """Many items through one function: in this process, in several of this machine, or on a cluster.
 
 The function is a module's own and needs nothing but its item, so that where it runs changes no
-result. Items are given out in order, no more at a time than keep everybody busy. A worker leaves
+result. Items are given out in order, no more at a time than keep all workers busy. A worker leaves
 Ctrl-C to its parent, and ends with it; a parent that stops listening ends the work: processes are
 interrupted and clean up, what has begun on a cluster runs to its end and is forgotten.
 """

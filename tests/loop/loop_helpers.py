@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import copy
+import copyreg
+import functools
 import math
+import struct
+import sys
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
 
 import msgspec
 
@@ -19,6 +26,7 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.endpoint import SimEndpoint
+from sim_link.autopilot.protocols.addressing import Newest
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
@@ -40,6 +48,7 @@ __all__ = [
     "MemoryJournal",
     "Radio",
     "Sent",
+    "flown_once",
     "horizontal",
     "outside",
 ]
@@ -154,6 +163,55 @@ class OwnRadio(Observer):
         if data is not None and self.is_up:
             self._flight.observers.notify("vehicle_sent", Frame(now_s, data, Lane.RANGING))
             self._flight.post(data, Lane.RANGING)
+
+
+P = ParamSpec("P")
+Flown = TypeVar("Flown")
+MOST_BEGINNINGS = 6
+
+
+def _newest(values: Newest[Any, Any]) -> tuple[Any, ...]:
+    return Newest, (values._most,), None, None, iter(values.items())
+
+
+copyreg.pickle(struct.Struct, lambda value: (struct.Struct, (value.format,)))
+copyreg.pickle(Newest, _newest)
+
+
+def _constants() -> dict[int, Any]:
+    """Return the constants of all modules by identity: a copy has the same, compared by `is`."""
+    kept: list[Any] = []
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in ("companion", "sim_link"):
+            values = [value for key, value in vars(module).items() if key.isupper()]
+            kept += values
+            for value in values:
+                kept += value.values() if isinstance(value, dict) else ()
+                kept += value if isinstance(value, tuple) else ()
+    return {id(value): value for value in kept}
+
+
+def flown_once(begin: Callable[P, Flown]) -> Callable[P, Flown]:
+    """Fly a beginning once for all tests that share its arguments; each continues a copy.
+
+    A copy takes some 20 ms, a take-off half a second. A flight that is copied while a fit is in
+    progress (a generator, which cannot be copied) is flown every time.
+    """
+    flown: OrderedDict[str, Flown] = OrderedDict()
+
+    @functools.wraps(begin)
+    def copied(*args: P.args, **kwargs: P.kwargs) -> Flown:
+        key = repr((args, sorted(kwargs.items())))
+        if key not in flown:
+            flown[key] = begin(*args, **kwargs)
+            if len(flown) > MOST_BEGINNINGS:
+                flown.popitem(last=False)
+        try:
+            return copy.deepcopy(flown[key], _constants())
+        except TypeError:
+            return flown.pop(key)
+
+    return copied
 
 
 def of_system(config: CompanionConfig, system_id: int) -> CompanionConfig:

@@ -10,11 +10,12 @@ from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import AutopilotStall, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from tests.loop.loop_helpers import AUTO, Loop
+from tests.loop.loop_helpers import AUTO, Loop, flown_once
 
 pytestmark = pytest.mark.slow
 
 
+@flown_once
 def reported(flavour: FlavourName = "ardupilot", config: CompanionConfig = AUTO) -> Loop:
     """At the tick of the report."""
     loop = Loop(config, Scenario(autopilot=AutopilotParams(flavour=flavour)))

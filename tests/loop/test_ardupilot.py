@@ -14,7 +14,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.control_inputs import LocalTarget
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from tests.loop.loop_helpers import AUTO, LinkFaults, Loop
+from tests.loop.loop_helpers import AUTO, LinkFaults, Loop, flown_once
 
 COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
 OPERATOR = CompanionConfig()
@@ -27,6 +27,7 @@ def copter(config: CompanionConfig = AUTO, seed: int = 1) -> Loop:
     return Loop(config, COPTER, seed)
 
 
+@flown_once
 def flying(seed: int = 1) -> Loop:
     """A flight in mid-search."""
     loop = copter(seed=seed)
@@ -35,6 +36,7 @@ def flying(seed: int = 1) -> Loop:
     return loop
 
 
+@flown_once
 def climbing(height_m: float = 20.0) -> Loop:
     """The operator has armed in GUIDED and commanded a take-off."""
     loop = copter(OPERATOR)

@@ -31,7 +31,7 @@ from sim_link.lab.faults.fault_models import LinkBlackout, ModeFlap, SecondSende
 from sim_link.lab.faults.faulty_link import Injector
 from sim_link.lab.lockstep.flight import VEHICLE_PEER
 from sim_link.lab.lockstep.observer import Frame, Observer
-from tests.loop.loop_helpers import LinkFaults, Loop
+from tests.loop.loop_helpers import LinkFaults, Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = get_args(FlavourName)
 TICK_S = 0.05
@@ -81,6 +81,7 @@ class Yielding(Observer):
             self.late.append((frame.time_s, message.get_type()))
 
 
+@flown_once
 def flying(
     flavour: FlavourName = "px4", faults: LinkFaults = CLEAN, seed: int = 1, after_s: float = 6.0
 ) -> Loop:

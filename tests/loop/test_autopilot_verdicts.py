@@ -14,7 +14,7 @@ from sim_link.autopilot.incidents import (
     RcLoss,
 )
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, GpsParams, RcParams, Scenario
-from tests.loop.loop_helpers import AUTO, Loop
+from tests.loop.loop_helpers import AUTO, Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 GOES_ON_WITHOUT_RC = {"px4": {"COM_RCL_EXCEPT": 4.0}, "ardupilot": {"FS_OPTIONS": 4.0}}
@@ -22,6 +22,7 @@ THROTTLE_LOW, STICKS_ASIDE = (0.0, 0.0, -1.0, 0.0), (0.6, -0.6, -1.0, 0.0)
 pytestmark = pytest.mark.parametrize("flavour", FLAVOURS)
 
 
+@flown_once
 def flying(flavour: FlavourName, receivers: int = 1, *, has_rc: bool = False) -> Loop:
     """A flight in mid-search."""
     parameters = GOES_ON_WITHOUT_RC[flavour] if has_rc else {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from functools import partial
 
 import pytest
 
@@ -16,6 +17,7 @@ from sim_link.lab.faults.fault_models import Fault, Schedule, StreamMute
 from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO, Loop
 
+SLOW = partial(pytest.param, marks=pytest.mark.slow)
 LASTS_S = 100.0
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 AT_2_HZ, AT_0_4_HZ = 0.25, 1.25
@@ -67,11 +69,11 @@ def crowded(texts: list[tuple[float, str]]) -> dict[str, int]:
     ("streams", "half_s", "missing", "flies"),
     [
         (POSITION, AT_2_HZ, HOME, False),
-        (POSITION, AT_0_4_HZ, HOME, False),
-        (POSITION, AT_0_4_HZ, (), False),
-        (POSITION, AT_0_4_HZ, (), True),
-        (("RADIO_RANGING",), 3.0, (), True),
-        (("GPS_RAW_INT",), AT_0_4_HZ, (), True),
+        SLOW(POSITION, AT_0_4_HZ, HOME, False),
+        SLOW(POSITION, AT_0_4_HZ, (), False),
+        SLOW(POSITION, AT_0_4_HZ, (), True),
+        SLOW(("RADIO_RANGING",), 3.0, (), True),
+        SLOW(("GPS_RAW_INT",), AT_0_4_HZ, (), True),
         (ALL, AT_0_4_HZ, (), True),
     ],
 )

@@ -11,7 +11,7 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.world.environment import EmitterParams
-from tests.loop.loop_helpers import AUTO, LinkFaults, Loop, outside
+from tests.loop.loop_helpers import AUTO, LinkFaults, Loop, flown_once, outside
 
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 REQUEST_MESSAGE = mavlink.MAV_CMD_REQUEST_MESSAGE
@@ -21,6 +21,7 @@ ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 HOLDS = Scenario(autopilot=AutopilotParams(offboard_loss_action="hold"))
 
 
+@flown_once
 def in_control(config: CompanionConfig = AUTO, scenario: Scenario | None = None) -> Loop:
     loop = Loop(config, scenario)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)

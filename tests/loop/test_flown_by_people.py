@@ -11,7 +11,7 @@ from companion.domain import FlightMode
 from companion.guidance.authority.control_authority import REGAIN_QUIET_S
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.mav.dialect import mavlink
-from tests.loop.loop_helpers import Loop
+from tests.loop.loop_helpers import Loop, flown_once
 
 OPERATOR = CompanionConfig()
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
@@ -21,6 +21,7 @@ ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
 
 
+@flown_once
 def flying(config: CompanionConfig | None = None, seed: int = 1) -> Loop:
     """A flight in mid-search."""
     loop = Loop(seed=seed) if config is None else Loop(config, seed=seed)

@@ -13,7 +13,7 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import BatteryCharge, EkfPoor, PilotSticks, VehicleFault
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from tests.loop.loop_helpers import Loop
+from tests.loop.loop_helpers import Loop, flown_once
 from tests.loop.test_authority import ENDLESS, SET_MODE, TICK_S, inject
 
 pytestmark = pytest.mark.slow
@@ -26,6 +26,7 @@ FRUGAL = CompanionConfig(
 """A charge that is a failsafe to the autopilot is nothing to the companion."""
 
 
+@flown_once
 def climbing(flavour: FlavourName, config: CompanionConfig = ENDLESS) -> Loop:
     """Launched by itself, and half way up."""
     loop = Loop(config, Scenario(autopilot=AutopilotParams(flavour=flavour)), 1)

@@ -9,7 +9,7 @@ from companion.guidance.flight.vehicle import MODE_UNKNOWN_AFTER_S
 from companion.guidance.phases import IN_CONTROL
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lab.faults.fault_models import StreamMute
-from tests.loop.test_other_vehicles import FLAVOURS, Sky
+from tests.loop.test_other_vehicles import FLAVOURS, in_control
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
@@ -17,7 +17,7 @@ from tests.loop.test_other_vehicles import FLAVOURS, Sky
 def test_heartbeats_lost_after_a_mode_switch_give_no_control_back(
     flavour: FlavourName, lost_s: float
 ) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     sky.injector.add(StreamMute(message="HEARTBEAT", duration_s=lost_s))
     sky.run(0.1)
     sky.choose(FlightMode.HOLD)

@@ -20,7 +20,7 @@ from sim_link.fleet.neighbours import Neighbour
 from sim_link.lab.faults.fault_models import LinkBlackout
 from sim_link.lab.faults.faulty_link import Injector
 from sim_link.lab.lockstep.observer import Frame, Observer
-from tests.loop.loop_helpers import Loop
+from tests.loop.loop_helpers import Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 SETPOINTS = (
@@ -118,13 +118,18 @@ class Sky(Loop):
 OURS_1_1 = OtherVehicle(system_id=1)
 
 
+@flown_once
+def in_control(flavour: FlavourName, uid: int | None = None) -> Sky:
+    return Sky(flavour, uid=uid).in_control()
+
+
 @pytest.mark.parametrize("flavour", FLAVOURS)
 @pytest.mark.parametrize("silent_s", [4.0, 7.0, 20.0])
 def test_a_neighbour_with_our_ids_at_another_address_is_not_flown_while_ours_is_silent(
     flavour: FlavourName, silent_s: float
 ) -> None:
     """qgroundcontrol#14812: 542 setpoints went to the neighbour."""
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     sky.add(OURS_1_1)
     sky.run(2.0)
     assert sky.phase in IN_CONTROL  # ours is heard: whoever else sends is ignored
@@ -162,7 +167,7 @@ def test_two_vehicles_with_our_ids_by_one_address_are_never_flown(
 def test_control_ends_within_a_moment_when_a_second_vehicle_appears_by_our_address(
     flavour: FlavourName,
 ) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     sky.add(msgspec.structs.replace(OURS_1_1, has_own_address=False))
     began_s = sky.now_s
     sky.run(4.0)
@@ -177,7 +182,7 @@ def test_control_ends_within_a_moment_when_a_second_vehicle_appears_by_our_addre
 def test_a_neighbour_in_place_of_ours_behind_one_address_is_not_flown(
     flavour: FlavourName, uptime_s: float
 ) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     sky.add(LinkBlackout(direction="to_companion"))
     sky.run(2.0)
     sky.add(msgspec.structs.replace(OURS_1_1, has_own_address=False, uptime_s=sky.now_s + uptime_s))
@@ -193,7 +198,7 @@ def test_a_neighbour_in_place_of_ours_behind_one_address_is_not_flown(
 def test_ours_is_flown_again_when_the_other_has_gone_and_the_mode_is_given(
     flavour: FlavourName,
 ) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     other = msgspec.structs.replace(OURS_1_1, has_own_address=False, duration_s=5.0)
     sky.add(other)
     sky.run(5.0)
@@ -244,10 +249,13 @@ REFUSED: dict[VehicleTypeName, str] = {
     "sub": "submarine",
     "generic": "vehicle without a frame class",
 }
-FLOWN: tuple[VehicleTypeName, ...] = (
-    *("hexarotor", "octorotor", "tricopter", "dodecarotor", "decarotor"),
-    *("coaxial", "helicopter"),
-)
+FLOWN = [
+    *("hexarotor", "coaxial", "helicopter"),
+    *(
+        pytest.param(name, marks=pytest.mark.slow)
+        for name in ("octorotor", "tricopter", "dodecarotor", "decarotor")
+    ),
+]
 
 
 def place(sky: Sky) -> PositionEnu:
@@ -280,7 +288,7 @@ def test_a_class_that_hovers_is_flown(flavour: FlavourName, vehicle_type: Vehicl
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_class_that_changes_in_flight_ends_control(flavour: FlavourName) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     scenario = sky.sim.vehicle.scenario
     autopilot = msgspec.structs.replace(scenario.autopilot, vehicle_type="plane")
     sky.sim.vehicle.scenario = msgspec.structs.replace(scenario, autopilot=autopilot)
@@ -303,7 +311,7 @@ def test_beside_mavros_the_companion_takes_another_id_and_flies(flavour: Flavour
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_in_control_the_id_stays_beside_mavros(flavour: FlavourName) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     sky.flight.apply_incident(OtherComponent(component="mavros"))
     sky.run(6.0)
     assert sky.companion.outlet.own_ids == (1, 191)
@@ -344,7 +352,7 @@ def twin_at_another_address(sky: Sky) -> OtherVehicle:
 def test_a_twin_with_our_clock_and_place_is_refused_by_its_hardware_id(
     flavour: FlavourName, silent_s: float
 ) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     sky.add(twin_at_another_address(sky))
     sky.add(LinkBlackout(duration_s=silent_s))
     sky.run(silent_s)
@@ -355,7 +363,7 @@ def test_a_twin_with_our_clock_and_place_is_refused_by_its_hardware_id(
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_the_hardware_id_of_ours_is_asked_for_and_known(flavour: FlavourName) -> None:
-    sky = Sky(flavour).in_control()
+    sky = in_control(flavour)
     assert sky.companion.binding.hardware.uid == f"{1:016x}"
 
 
@@ -366,7 +374,7 @@ def test_an_autopilot_without_a_hardware_id_is_flown_as_soon_as_any_other(
     """Nothing waits for the answer, and 0 stands for an unknown id."""
     began_s = {}
     for uid in (None, 0):
-        sky = Sky(flavour, uid=uid).in_control()
+        sky = in_control(flavour, uid)
         (began_s[uid], _), *_ = [each for each in sky.notes.texts if "in control" in each[1]]
         assert sky.companion.binding.hardware.uid == (None if uid == 0 else f"{1:016x}")
         assert sky.said_of_identity == []
@@ -374,12 +382,12 @@ def test_an_autopilot_without_a_hardware_id_is_flown_as_soon_as_any_other(
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
-@pytest.mark.parametrize("uid", [None, 0])
+@pytest.mark.parametrize("uid", [None, pytest.param(0, marks=pytest.mark.slow)])
 def test_a_nat_that_binds_another_port_every_ten_seconds_ends_nothing(
     flavour: FlavourName, uid: int | None
 ) -> None:
     """The search goes on before PX4 misses its setpoints for a second."""
-    sky = Sky(flavour, uid=uid).in_control()
+    sky = in_control(flavour, uid)
     for port in range(30_001, 30_005):
         sky.flight.vehicle_peer = ("127.0.0.1", port)
         sky.run(10.0)
@@ -394,7 +402,7 @@ def test_a_neighbour_that_was_switched_on_with_ours_is_not_flown_while_ours_is_s
     flavour: FlavourName, later_s: float
 ) -> None:
     """Ours has no hardware id, and their clocks are seconds apart."""
-    sky = Sky(flavour, uid=0).in_control()
+    sky = in_control(flavour, 0)
     twin = twin_at_another_address(sky)
     sky.add(msgspec.structs.replace(twin, uptime_s=twin.uptime_s + later_s))
     sky.add(LinkBlackout(duration_s=20.0))

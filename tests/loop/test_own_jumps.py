@@ -12,7 +12,7 @@ from companion.estimation.screening.measurement_screen import RejectReason
 from companion.guidance.phases import FLYING, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from tests.loop.loop_helpers import AUTO, Loop, outside
+from tests.loop.loop_helpers import AUTO, Loop, flown_once, outside
 from tools.campaign.flights import monitored_flight
 
 JUMPS: list[PositionEnu] = [
@@ -41,6 +41,7 @@ SMALL = CompanionConfig(
 """A search that does not end in a small fence."""
 
 
+@flown_once
 def flying(after_s: float = 8.0) -> Loop:
     """In control and flying the plan, with an estimate."""
     loop = Loop()
@@ -84,6 +85,7 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     assert outside(loop.true_positions, 150.0) == []
 
 
+@flown_once
 def searching(flavour: FlavourName = "px4") -> Loop:
     """In control and searching in the small fence."""
     loop = Loop(SMALL, Scenario(autopilot=AutopilotParams(flavour=flavour)))

@@ -23,7 +23,7 @@ from sim_link.lab.faults.fault_models import (
     RangingStale,
     RangingWrongUnit,
 )
-from tests.loop.loop_helpers import Loop, outside
+from tests.loop.loop_helpers import Loop, flown_once, outside
 
 pytestmark = pytest.mark.slow
 
@@ -31,11 +31,18 @@ FACTORS = (0.001, 0.01, 57.3, 100.0, 1000.0)
 TICK_S = 0.05
 
 
-def flying(fault: FaultRecord | None = None, after_s: float = 0.0, seed: int = 1) -> Loop:
-    """In control and flying the plan for a while, and then the fault begins."""
+@flown_once
+def in_control(after_s: float, seed: int) -> Loop:
+    """In control and flying the plan for a while."""
     loop = Loop(seed=seed)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     loop.run(after_s)
+    return loop
+
+
+def flying(fault: FaultRecord | None = None, after_s: float = 0.0, seed: int = 1) -> Loop:
+    """In control for a while, and then the fault begins."""
+    loop = in_control(after_s, seed)
     if fault is not None:
         loop.wire.add(fault, loop.now_s)
     return loop

@@ -140,9 +140,9 @@ def nothing_but_noise(message: Message, now_s: float) -> Message | None:
     return without_home(message, now_s)
 
 
-EVERY_DAY: tuple[Change, ...] = (without_home, position_flips, nothing_but_noise)
+EVERY_DAY: tuple[Change, ...] = (without_home, nothing_but_noise)
 SLOW: tuple[Change, ...] = (
-    *(position_stops, height_flips, origin_flips, fix_flips, landed_flips),
+    *(position_stops, position_flips, height_flips, origin_flips, fix_flips, landed_flips),
     *(mode_flips, armed_flips, clock_jumps),
 )
 STRANGE = [*EVERY_DAY, *(pytest.param(change, marks=pytest.mark.slow) for change in SLOW)]

@@ -13,7 +13,7 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import VehicleReboot
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from tests.loop.loop_helpers import AUTO, Loop
+from tests.loop.loop_helpers import AUTO, Loop, flown_once
 from tools.campaign.checkpointing import Checkpointing
 
 MANUAL = CompanionConfig()
@@ -23,6 +23,7 @@ SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 slow = pytest.mark.slow
 
 
+@flown_once
 def in_control(
     config: CompanionConfig = MANUAL, scenario: Scenario | None = None
 ) -> tuple[Loop, Checkpointing]:

@@ -14,7 +14,7 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import VehicleReboot
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.world.environment import EmitterParams
-from tests.loop.loop_helpers import Loop
+from tests.loop.loop_helpers import Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 FAR = EmitterParams(position_enu_m=(90.0, 60.0))
@@ -24,6 +24,7 @@ NEAR_M = 2.0
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 
 
+@flown_once
 def searching(flavour: FlavourName, *, bears_silence: bool = False) -> Loop:
     """In control, on the way, at its full speed."""
     autopilot = AutopilotParams(

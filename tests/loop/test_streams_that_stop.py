@@ -12,7 +12,7 @@ from companion.link.autopilot_queries import PATIENCE_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkBlackout, StreamMute
-from tests.loop.loop_helpers import AUTO, Loop
+from tests.loop.loop_helpers import AUTO, Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 AUTOPILOTS = {"px4": Autopilot.PX4, "ardupilot": Autopilot.ARDUPILOT}
@@ -38,6 +38,20 @@ def start(flavour: FlavourName, config: CompanionConfig) -> Loop:
     return Loop(config, Scenario(autopilot=AutopilotParams(flavour=flavour)), seed=3)
 
 
+@flown_once
+def standing_by(flavour: FlavourName) -> Loop:
+    loop = start(flavour, CompanionConfig())
+    loop.run_until(lambda: loop.phase is Phase.STANDBY, 30.0)
+    return loop
+
+
+@flown_once
+def searching(flavour: FlavourName) -> Loop:
+    loop = start(flavour, AUTO)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    return loop
+
+
 def take_away(loop: Loop, text: str, message: str) -> None:
     gone = LinkBlackout() if text == "the autopilot" else StreamMute(message=message)
     loop.wire.add(gone, loop.now_s)
@@ -60,8 +74,7 @@ def test_what_never_comes_keeps_it_from_being_ready(
 def test_what_stops_at_ready_is_named_and_a_mode_gives_no_control(
     flavour: FlavourName, text: str, message: str
 ) -> None:
-    loop = start(flavour, CompanionConfig())
-    loop.run_until(lambda: loop.phase is Phase.STANDBY, 30.0)
+    loop = standing_by(flavour)
     take_away(loop, text, message)
     loop.run(13.0)
     is_known_once = message == "HOME_POSITION"
@@ -73,8 +86,7 @@ def test_what_stops_at_ready_is_named_and_a_mode_gives_no_control(
 def test_what_stops_in_control_is_named_after_its_patience(
     flavour: FlavourName, name: str, word: str, patience_s: float
 ) -> None:
-    loop = start(flavour, AUTO)
-    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    loop = searching(flavour)
     loop.wire.add(StreamMute(message=name), loop.now_s)
     loop.run(0.5 * patience_s)
     assert not loop.said(f"no {word} any more")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal
 
 import msgspec
@@ -19,11 +20,12 @@ from sim_link.autopilot.incidents import StationFence
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import StreamMute
 from sim_link.world.environment import EmitterParams
-from tests.loop.loop_helpers import Loop
+from tests.loop.loop_helpers import Loop, flown_once
 from tools.campaign.checkpointing import Checkpointing
 
 Flavour = Literal["px4", "ardupilot"]
 FLAVOURS: tuple[Flavour, ...] = ("px4", "ardupilot")
+SLOW = partial(pytest.param, marks=pytest.mark.slow)
 FAR = EmitterParams(position_enu_m=(90.0, 60.0))
 MARGIN_M = 3.0
 REACTION_S = 12.0
@@ -36,6 +38,7 @@ def square(half_m: float, east_m: float = 0.0, north_m: float = 0.0) -> tuple[Po
     )
 
 
+@flown_once
 def started(
     flavour: Flavour,
     policy: Literal["compare", "use", "require"] = "use",
@@ -56,12 +59,24 @@ def started(
     return loop
 
 
+@flown_once
 def searching(flavour: Flavour, policy: Literal["compare", "use", "require"] = "use") -> Loop:
     loop = started(flavour, policy)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     return loop
 
 
+@flown_once
+def remembered(flavour: Flavour, policy: Literal["compare", "use"]) -> Loop:
+    """In control in a small fence, with checkpoints that a restart finds."""
+    loop = started(flavour, policy, half_m=45.0)
+    Checkpointing(loop.flight)
+    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
+    loop.run(3.0)
+    return loop
+
+
+@flown_once
 def hovering(flavour: Flavour, half_m: float = 150.0) -> Loop:
     """In the air, in the hands of the pilot, the companion in standby or waiting."""
     loop = started(flavour, half_m=half_m, engage="operator")
@@ -89,7 +104,7 @@ def farthest_out_m(loop: Loop, border: tuple[Point, ...], since: int) -> float:
     return max(-depth_m(border, place[:2]) for place in loop.true_positions[since:])
 
 
-@pytest.mark.parametrize("shares_line", [False, True], ids=["own line", "our line"])
+@pytest.mark.parametrize("shares_line", [False, SLOW(True)], ids=["own line", "our line"])
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_fence_that_shrinks_before_control_is_the_one_that_is_kept(
     flavour: Flavour, shares_line: bool
@@ -106,7 +121,7 @@ def test_a_fence_that_shrinks_before_control_is_the_one_that_is_kept(
     assert loop.phase in IN_CONTROL
 
 
-@pytest.mark.parametrize("policy", ["use", "compare"])
+@pytest.mark.parametrize("policy", ["use", SLOW("compare")])
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_fence_that_shrinks_in_control_is_kept_once_it_can_be_known(
     flavour: Flavour, policy: Literal["compare", "use"]
@@ -131,7 +146,7 @@ def test_a_fence_that_shrinks_behind_the_vehicle_leads_back_inside(flavour: Flav
     assert loop.phase not in IN_CONTROL or min(depths) > 0.0
 
 
-@pytest.mark.parametrize("policy", ["use", "compare", "require"])
+@pytest.mark.parametrize("policy", ["use", SLOW("compare"), SLOW("require")])
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_fence_that_widens_or_goes_in_flight_widens_nothing(
     flavour: Flavour, policy: Literal["compare", "use", "require"]
@@ -268,7 +283,7 @@ def test_a_fence_parameter_that_is_set_has_the_fence_read_again(
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
-@pytest.mark.parametrize("down_s", [1.0, 6.0])
+@pytest.mark.parametrize("down_s", [SLOW(1.0), 6.0])
 def test_the_fences_of_a_flight_outlive_a_restart_of_the_companion(
     flavour: Flavour, down_s: float
 ) -> None:
@@ -304,14 +319,11 @@ def reach_m(loop: Loop) -> float:
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
 @pytest.mark.parametrize("half_m", [25.0, 150.0, None], ids=["smaller", "wider", "none"])
-@pytest.mark.parametrize("policy", ["use", "compare"])
+@pytest.mark.parametrize("policy", ["use", SLOW("compare")])
 def test_a_fence_that_is_uploaded_while_the_companion_is_down_widens_nothing(
     flavour: Flavour, policy: Literal["compare", "use"], half_m: float | None
 ) -> None:
-    loop = started(flavour, policy, half_m=45.0)
-    Checkpointing(loop.flight)
-    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
-    loop.run(3.0)
+    loop = remembered(flavour, policy)
     before_m = reach_m(loop)
     loop.flight.kill_companion()
     loop.run(2.0)
@@ -331,10 +343,7 @@ def test_a_fence_that_is_uploaded_while_the_companion_is_down_widens_nothing(
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
 def test_another_mission_after_a_restart_in_flight_keeps_its_fences(flavour: Flavour) -> None:
-    loop = started(flavour, half_m=45.0)
-    Checkpointing(loop.flight)
-    loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
-    loop.run(3.0)
+    loop = remembered(flavour, "use")
     before_m = reach_m(loop)
     loop.flight.kill_companion()
     change(loop, StationFence(half_side_m=150.0))

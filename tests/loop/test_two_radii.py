@@ -32,7 +32,7 @@ def flown(navigation: NavigationParams, seed: int) -> tuple[TargetEstimate, floa
     return result.estimate, relative_m, math.dist(place, (east, north))
 
 
-@pytest.mark.parametrize("seed", [0, 2, 4])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 4))])
 def test_a_position_that_wanders_unreported_is_within_both_radii(seed: int) -> None:
     estimate, relative_m, absolute_m = flown(WANDERING, seed)
     assert not estimate.own.is_reported

@@ -49,7 +49,7 @@ def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> Fligh
     if setup.settings.poll_s is not None and not is_asked:
         asks = "`lines` has the option `request` for what to ask"
         if "tag" in setup.kind.decoder.Options.__struct_fields__:
-            asks = "the option `tag` says whom to ask"
+            asks = "the option `tag` is the tag to poll"
         raise ConfigError(f"radio {setup.kind.name}: poll_s: nothing is asked at {url}; {asks}")
 
     def greeted(index: int, received: Received) -> Link:

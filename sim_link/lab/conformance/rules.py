@@ -1,6 +1,6 @@
 """Rules, how they are run against a peer, and how the outcome is reported to people and tools.
 
-A rule is one sentence, where it is written, whom it binds, and a method of a probe that tries it.
+A rule is one sentence, its source, the side that it binds, and a method of a probe that tries it.
 The method returns when the rule holds, raises `Violation` when it does not, and `NotApplicable`
 when the peer gives no occasion to judge:
 

@@ -1,7 +1,7 @@
 """The language of conditions: `estimate.r95_m < 1 and vehicle.mode == hold`.
 
 Theory of operation. Python's own parser reads the text into a tree, so precedence, chained
-comparisons and parentheses are those that everybody knows; nothing is ever evaluated by Python. The
+comparisons and parentheses are Python's; nothing is ever evaluated by Python. The
 tree is translated, once and with types, into closures over a `FlightSituation`. What is not known
 is neither true nor false (Kleene's logic): `and` with something false is false, `or` with something
 true is true, everything else with an unknown is unknown, and an unknown condition does not hold.

@@ -1,4 +1,4 @@
-"""HEARTBEAT and routing: who a vehicle is, who is addressed, and what is passed on to whom."""
+"""HEARTBEAT and routing: identity, addressing and forwarding."""
 
 from __future__ import annotations
 
