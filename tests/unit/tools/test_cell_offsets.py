@@ -9,13 +9,16 @@ from tools.campaign.cell_offsets import preset_with, walk
 SEEDS = range(4)
 
 
-@pytest.mark.parametrize("offset", [0, 3, 13, 25])
+@pytest.mark.parametrize(
+    "offset", [0, 25, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 13))]
+)
 def test_a_constant_that_is_not_calibrated_is_never_localised(offset: int) -> None:
     config = preset_with(None)
 
     assert not any(walk(config, offset, seed).is_localised for seed in SEEDS)
 
 
+@pytest.mark.slow
 def test_a_calibrated_constant_changes_nothing() -> None:
     without = [walk(preset_with(0), 0, seed) for seed in SEEDS]
 

@@ -27,6 +27,7 @@ def trials() -> list[Trial]:
     return [trial for number in range(FLIGHTS) for trial in fly(number, SEED)]
 
 
+@pytest.mark.slow
 def test_stated_probabilities_are_right_over_varied_worlds(trials: list[Trial]) -> None:
     error, sigma = error_of(trials)
     assert sigma < 0.02
@@ -48,6 +49,7 @@ def test_the_study_sees_a_model_that_is_too_hopeful(monkeypatch: pytest.MonkeyPa
     assert error < -3.0 * sigma
 
 
+@pytest.mark.slow
 def test_tables_hold_what_was_flown(trials: list[Trial]) -> None:
     bins = reliability(trials)
     assert sum(each.trials for each in bins) == FLIGHTS * EMITTERS
