@@ -253,6 +253,8 @@ FEWEST = 5
 MOST_BESIDE_M = 20.0
 """Farther away a reflection may be in the median: that is a line test."""
 SIGMA_OF_MAD = 1.4826
+MOST_SHOWN = 8
+"""Emitters that are named to choose from."""
 
 
 class _Listener(OneShotEndpoint):
@@ -261,19 +263,46 @@ class _Listener(OneShotEndpoint):
     def __init__(self, setup: RadioSetup, end_s: float) -> None:
         super().__init__(end_s)
         self.stage = RadioStage(setup)
-        self.ranges_m: list[float] = []
+        self._ranges_m: dict[int, list[float]] = {}
+        """By emitter."""
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Decode received bytes."""
         super().receive(chunk, now_s)
-        found = self.stage.receive(chunk.data, now_s)
-        self.ranges_m += [m.range_m for m in found if m.range_m is not None]
+        for found in self.stage.receive(chunk.data, now_s):
+            if found.range_m is not None:
+                self._ranges_m.setdefault(found.emitter_id, []).append(found.range_m)
+
+    def ranges_of(self, emitter: str | None) -> list[float] | str:
+        """Return the ranges of an emitter, the only one if None; or why they are too few.
+
+        A cell names its one phone differently with each attach.
+        """
+        kind, stage = self.stage.setup.kind, self.stage
+        numbers = [number for number in self._ranges_m if emitter in (None, str(number))]
+        if len(numbers) > 1 and not kind.needs_offset:
+            shown = ", ".join(map(str, sorted(numbers)[:MOST_SHOWN]))
+            return f"ranges of emitters {shown}: which is beside the antenna? Add --emitter ID"
+        ranges_m = [range_m for number in numbers for range_m in self._ranges_m[number]]
+        if len(ranges_m) >= FEWEST:
+            return ranges_m
+        if not stage.received:
+            return "nothing heard: check power, cable and address"
+        if stage.measured and not self._ranges_m:
+            return f"{stage.measured} measurements of {kind.name} without a range: no offset"
+        refused = stage.all_refused.most_common(2)
+        reasons = ", ".join(f"{reason} {count}" for reason, count in refused) or "none refused"
+        recognised = stage.unrecognised or "all recognised"
+        return (
+            f"{len(ranges_m)} ranges, {FEWEST} are needed ({reasons}; {recognised}); "
+            "try --seconds 60"
+        )
 
 
 def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
     """Collect ranges and keep the offset.
 
-    Return the exit code, 1 for too few ranges, and the report.
+    Return the exit code, 1 for too few ranges or several emitters, and the report.
     """
     distance_m = arguments.beside
     if not 0.0 <= distance_m <= MOST_BESIDE_M:
@@ -290,14 +319,9 @@ def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
     every = msgspec.structs.replace(plain.settings, rate_max_hz=None)
     listener = _Listener(replace(plain, settings=every), arguments.seconds or LISTEN_S)
     Shell(listener, [link.transport], Clock()).run_blocking()
-    ranges_m = listener.ranges_m
-    if len(ranges_m) < FEWEST:
-        refused = listener.stage.all_refused.most_common(2)
-        reasons = ", ".join(f"{reason} {count}" for reason, count in refused)
-        return 1, (
-            f"{len(ranges_m)} ranges, {FEWEST} are needed ({reasons or 'none refused'}; "
-            f"{listener.stage.unrecognised or 'all recognised'}); try --seconds 60"
-        )
+    ranges_m = listener.ranges_of(arguments.emitter)
+    if isinstance(ranges_m, str):
+        return EXIT_REFUSED, ranges_m
     middle_m = statistics.median(ranges_m)
     scatter_m = SIGMA_OF_MAD * statistics.median(abs(each - middle_m) for each in ranges_m)
     offset = KeptOffset(

@@ -23,8 +23,9 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
-def calibrate(radio: str) -> int:
-    return main(["radio", "calibrate", "--beside", "1", "--seconds", "1", "--radio", radio])
+def calibrate(radio: str, *options: str) -> int:
+    words = ["radio", "calibrate", "--beside", "1", "--seconds", "1", "--radio", radio]
+    return main([*words, *options])
 
 
 def test_the_offset_of_a_cell_is_found_and_used_from_then_on(
@@ -65,6 +66,33 @@ def test_too_few_ranges_are_refused_with_what_was_seen(
 
     assert calibrate(BY_LINES.format(text)) == 1
     assert "not recognised; first: hello" in capsys.readouterr().err
+
+
+def test_of_several_emitters_one_must_be_chosen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = tmp_path / "text"
+    text.write_text("tag 1 d=3.5\ntag 2 d=9.5\n" * 6)
+    radio = f"lines:pattern='tag (?P<emitter>.) d=(?P<range_m>[0-9.]+)'@exec:cat {text}"
+
+    assert calibrate(radio) == 1
+    assert "ranges of emitters 1, 2: which is beside the antenna?" in capsys.readouterr().err
+    assert calibrate(radio, "--emitter", "2") == 0
+    assert "range offset +8.50 m" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("printed", "words"),
+    [("b=12\n" * 6, "measurements of lines without a range"), ("", "nothing heard")],
+)
+def test_a_radio_without_ranges_has_no_offset(
+    printed: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = tmp_path / "text"
+    text.write_text(printed)
+
+    assert calibrate(f"lines:pattern='b=(?P<azimuth_deg>[0-9]+)'@exec:cat {text}") == 1
+    assert words in capsys.readouterr().err
 
 
 def test_a_usb_radio_is_known_by_its_serial_number(tmp_path: Path) -> None:
