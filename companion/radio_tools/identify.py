@@ -103,11 +103,16 @@ class Listener:
 
     @property
     def found_by_power(self) -> _Candidate | None:
-        """Return the radio that reads most powers, once nothing else is to be expected; or None."""
+        """Return the radio that reads most powers, once nothing else is to be expected; or None.
+
+        Any log may mention a power now and then: most lines must be of that radio.
+        """
         fitting = [
             each
             for each in self.candidates
-            if each.powers >= FEWEST_POWERS and self._is_mostly_read(each)
+            if each.powers >= FEWEST_POWERS
+            and self._is_mostly_read(each)
+            and each.decoder.counts.unrecognised <= each.decoder.counts.frames
         ]
         return min(fitting, key=_left_over, default=None)
 

@@ -63,7 +63,7 @@ class FtmCsvDecoder(FieldDecoder):
     _MAC_FIRST = re.compile(
         rf"({MAC.pattern}) *, *(-?[0-9]{{1,9}}\.?[0-9]*) *m *, *[0-9.]+ *ns *, *([0-9]{{1,3}}) *"
     )
-    _BARS = re.compile(r"(-?[0-9.]{1,12})\|([0-9.]{1,12})\|(-?[0-9.]{1,6})")
+    _BARS = re.compile(r"(-?[0-9.]{1,12})\|([0-9.]{1,12})\|(-[0-9.]{1,6}|0)")
     FRAME_COLUMNS = 6
 
     def __init__(self, options: Params | None = None) -> None:

@@ -193,6 +193,29 @@ def test_a_link_that_opens_slowly_takes_its_time_from_the_others() -> None:
     assert LISTEN_S <= now_s <= LISTEN_S + 0.4 * ways
 
 
+NMEA = b"$GNGGA,120001.00,4723.86219,N,00832.73629,E,1,12,0.78,488.1,M,47.3,M,,*6A\r\n"
+HEARTBEAT = bytes.fromhex("fd09000007010100000000000000020c5104030f5e")
+MODEM = b'AT+CSQ\r\r\n+CSQ: 21,99\r\n\r\nOK\r\n+COPS: 0,0,"Operator",7\r\nERROR\r\n'
+KERNEL = (
+    b"[    0.000000] Booting Linux on physical CPU 0x0000000000 [0x410fd083]\n"
+    b"[    3.412043] usb 1-1.2: new full-speed USB device number 4 using xhci_hcd\n"
+    b"[   11.201187] wlan0: Limiting TX power to 20 (20 - 0) dBm as advertised\n"
+    b"[   12.300000] cfg80211: failed to load, device 3, range 12\n"
+    b"[   13.000000] hci0: link lost, last RSSI -67\n"
+)
+OTHERS = (NMEA, HEARTBEAT, MODEM, KERNEL, b"12|34|56\r\n82|82|56\r\n1234|82|56\r\n")
+"""What other devices send; the last one is three columns of an unknown program."""
+
+
+@pytest.mark.parametrize("said", OTHERS, ids=["nmea", "mavlink", "modem", "kernel", "columns"])
+def test_other_devices_are_no_radio(said: bytes) -> None:
+    listener = Listener()
+    listener.feed(said * 300, 0.0)
+
+    assert listener.found is None
+    assert listener.found_by_power is None
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_is_no_radio(seed: int) -> None:
     rng = np.random.default_rng(seed)
