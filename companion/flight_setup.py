@@ -69,7 +69,7 @@ def build_planner(config: CompanionConfig) -> Planner[Any]:
     if planner.search is None:
         return _crossing(config)
     pattern = planner.pattern.params(planner.search)
-    detection = config.search.detection
+    detection = config.detection
     search = SearchPlanner(pattern)
     if planner.search == "probability" and detection is not None:
         table = LegTable(detection, config.mission.altitude_m, config.limits.speed_mps)
@@ -130,6 +130,7 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
         fence_plan=config.limits.fence_plan(),
         searching=Searching(
             config.search,
+            config.detection,
             search_site(config),
             is_planned=config.planner.search == "probability",
         ),

@@ -42,6 +42,7 @@ from companion.planning.search import (
     SectorParams,
     Spacing,
 )
+from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams
 
 Speed = Annotated[float, msgspec.Meta(ge=0.1, le=20.0)]
@@ -282,6 +283,12 @@ class CompanionConfig(Params, frozen=True):
             return self.estimation.params()
         return msgspec.structs.replace(self.estimation.params(), is_range_calibrated=False)
 
+    @property
+    def detection(self) -> DetectionModel | None:
+        """`search.detection`, with the reach of the radio's preset where it has none."""
+        detection = self.search.detection
+        return None if detection is None else detection.model(self.estimation.filter.reach_m)
+
 
 def load_config(path: Path | None) -> CompanionConfig:
     """Return the configuration in a file, or the defaults; a `ConfigError` names file and place."""
@@ -369,14 +376,8 @@ def inconsistency(config: CompanionConfig) -> str | None:
         )
     if (twice := _mounted_twice(config)) is not None:
         return twice
-    if config.planner.search == "probability" and config.search.detection is None:
-        return "$.planner.search: probability flies by the map of $.search.detection; describe it"
-    if mission.searches_on and config.emitters.order == "first":
-        return "$.mission.continue: set $.emitters.order for several emitters: nearest, for example"
-    if mission.searches_on and config.planner.search is None:
-        return "$.mission.continue: set $.planner.search to the pattern that is flown then"
-    if not _has_lanes(config):
-        return "$.planner.pattern.area_enu_m: nothing of it is left by $.limits"
+    if (problem := _search_problem(config)) is not None:
+        return problem
     own_r95_m = 2.45 * config.estimation.filter.own_position_sigma_m
     if mission.stop_radius_m <= own_r95_m:
         return (
@@ -388,6 +389,24 @@ def inconsistency(config: CompanionConfig) -> str | None:
             f"$.mission.stop_radius_m: {mission.stop_radius_m:g} m must not exceed "
             f"$.estimation.localised_r95_m ({config.estimation.localised_r95_m:g} m)"
         )
+    return None
+
+
+def _search_problem(config: CompanionConfig) -> str | None:
+    """Return a contradiction between the search and other sections, or None."""
+    if config.search.detection is not None and config.detection is None:
+        return (
+            "$.search.detection.reach_m: configure it; there is no preset of the radio with "
+            "$.estimation.filter.reach_m"
+        )
+    if config.planner.search == "probability" and config.detection is None:
+        return "$.planner.search: probability flies by the map of $.search.detection; describe it"
+    if config.mission.searches_on and config.emitters.order == "first":
+        return "$.mission.continue: set $.emitters.order for several emitters: nearest, for example"
+    if config.mission.searches_on and config.planner.search is None:
+        return "$.mission.continue: set $.planner.search to the pattern that is flown then"
+    if not _has_lanes(config):
+        return "$.planner.pattern.area_enu_m: nothing of it is left by $.limits"
     return None
 
 

@@ -59,6 +59,10 @@ def _show(arguments: argparse.Namespace) -> int:
         print(json.dumps(plain(result_fields(flight, state)), indent=2))
         return 0
     print(statement(flight, state))
+    if flight.learnt is not None:
+        reach_m, sigma_db = flight.learnt.reach_m, flight.learnt.reach_sigma_db
+        shown = f"{{reach_m: {reach_m:g}, reach_sigma_db: {sigma_db:g}}}"
+        print(f"reach by the first contact, to paste: search: {{detection: {shown}}}")
     for gap in [] if state is None else gaps_of(state):
         print(f"gap: {gap.name}, {100.0 * gap.poa:.0f} % of the chance")
     return 0

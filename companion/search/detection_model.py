@@ -72,14 +72,24 @@ PROPAGATION: Mapping[Environment, Propagation] = {
 }
 
 
-class DetectionModel(Params, frozen=True):
-    """The radio link of the search, as it is assumed."""
+ReachSigmaDb = Annotated[float, msgspec.Meta(ge=0.5, le=20.0)]
+CONFIGURED_SIGMA_DB = 4.0
+"""Uncertainty of a reach that was measured with a similar emitter."""
+PRESET_SIGMA_DB = 6.0
+"""Uncertainty of a preset's reach, the spread of heard emitters about the path, one sigma per axis:
+half the radius of a disc, 6 dB below the reach at an exponent of 2; where reception falls off over
+7 dB of shadowing and fading, 1.7 times the reach, 6 dB above it at an exponent of 2.5."""
 
-    reach_m: Positive
-    """Slant range at which half of the answers are received, without shadowing."""
-    reach_sigma_db: Annotated[float, msgspec.Meta(ge=0.5, le=20.0)] = 4.0
-    """Standard deviation of that reach, as power; 4 dB are a factor of 1.4 in range at exponent
-    2.5."""
+
+class DetectionParams(Params, frozen=True):
+    """The radio link of the search, as it is configured."""
+
+    reach_m: Positive | None = None
+    """Slant range at which half of the answers are received, without shadowing; null: that of the
+    radio's preset (`estimation.filter.reach_m`)."""
+    reach_sigma_db: ReachSigmaDb | None = None
+    """Standard deviation of that reach, as power, 4 dB are a factor of 1.4 in range at exponent
+    2.5; null: 4 dB, of a preset's 6 dB."""
     environment: Environment = "unknown"
     """Surroundings of emitter and search, for path loss and shadowing; see `PROPAGATION`."""
     interval_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600.0)] = 1.0
@@ -93,6 +103,29 @@ class DetectionModel(Params, frozen=True):
         """Refuse more walls than an update has time for."""
         if sum(len(wall.corners_enu_m) for wall in self.walls) > MOST_WALL_EDGES:
             raise ValueError(f"walls have more than {MOST_WALL_EDGES} corners in all")
+
+    def model(self, preset_m: float | None) -> DetectionModel | None:
+        """Return the link with its reach, or with the preset's; None: neither is known."""
+        reach_m, sigma_db = self.reach_m, CONFIGURED_SIGMA_DB
+        if reach_m is None:
+            reach_m, sigma_db = preset_m, PRESET_SIGMA_DB
+        if reach_m is None:
+            return None
+        return DetectionModel(
+            reach_m=reach_m,
+            reach_sigma_db=sigma_db if self.reach_sigma_db is None else self.reach_sigma_db,
+            environment=self.environment,
+            interval_s=self.interval_s,
+            duty_cycle=self.duty_cycle,
+            walls=self.walls,
+        )
+
+
+class DetectionModel(DetectionParams, frozen=True):
+    """The radio link of the search, as it is assumed."""
+
+    reach_m: Positive
+    reach_sigma_db: ReachSigmaDb = CONFIGURED_SIGMA_DB
 
     @property
     def propagation(self) -> Propagation:

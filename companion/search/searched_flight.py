@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Annotated, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
 
 from companion.domain import Params, PositionEnu, Positive
 from companion.geometry.coordinates import LocalOrigin
-from companion.search.detection_model import DetectionModel
+from companion.search.detection_model import DetectionModel, DetectionParams
 from companion.search.learnt_reach import LearntReach
 from companion.search.outlines import gaps_of
 from companion.search.search_grid import SearchGrid
@@ -22,10 +22,19 @@ GOOD_POD = 0.8
 """An area counts as searched from here on."""
 
 
+ReachSource = Literal["configured", "preset"]
+"""Source of the reach before any contact: `search.detection.reach_m`, or the radio's preset,
+`estimation.filter.reach_m`."""
+REACH_WORDS: Mapping[ReachSource, tuple[str, str]] = {
+    "configured": ("as configured", "configured, search.detection.reach_m"),
+    "preset": ("from the radio's preset", "preset, estimation.filter.reach_m"),
+}
+
+
 class SearchAreaParams(Params, frozen=True):
     """The area, the radio's range, and the end of a search without contact."""
 
-    detection: DetectionModel | None = None
+    detection: DetectionParams | None = None
     """Null: the radio's range is unknown, and no probability is stated."""
     area_file: str | None = None
     """Possible locations of the emitter, relative to this file: GeoJSON or KML polygons, or an
@@ -87,7 +96,8 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     origin: LocalOrigin | None
     detection: DetectionModel | None = None
     learnt: LearntReach | None = None
-    """Reach as the first contact showed it; None: as configured."""
+    """Reach as the first contact showed it; None: as `reach_from` says."""
+    reach_from: ReachSource = "configured"
     grid: StoredGrid | None = None
     looks: list[tuple[float, float, float, float]] = []
     """East, north, height and number of answers."""
@@ -171,18 +181,19 @@ def _reach(flight: SearchedFlight) -> str:
         return ""
     if flight.learnt is not None:
         return f" Reach {flight.learnt.reach_m:.0f} m, by the first contact."
-    return f" Reach {flight.detection.reach_m:.0f} m, as configured."
+    return f" Reach {flight.detection.reach_m:.0f} m, {REACH_WORDS[flight.reach_from][0]}."
 
 
 def reach_source(flight: SearchedFlight) -> str | None:
     """Return where the reach is from, in words; None: it is unknown."""
     if flight.detection is None:
         return None
-    configured = f"{flight.detection.reach_m:g} m, {flight.detection.reach_sigma_db:g} dB"
+    figures = f"{flight.detection.reach_m:g} m, {flight.detection.reach_sigma_db:g} dB"
+    assumed = f"{REACH_WORDS[flight.reach_from][1]}: {figures}"
     if flight.learnt is None:
-        return f"configured, search.detection: {configured}"
+        return assumed
     learnt = f"{flight.learnt.reach_m:g} m, {flight.learnt.reach_sigma_db:g} dB"
-    return f"first contact of this flight: {learnt}; configured: {configured}"
+    return f"first contact of this flight: {learnt}; {assumed}"
 
 
 def _percent(share: float) -> str:

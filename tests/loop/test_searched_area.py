@@ -8,10 +8,12 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PatternConfig, PlannerConfig
 from companion.domain import FlightMode
+from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.tracker import EstimationConfig
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.run import is_handed_over
-from companion.search.detection_model import DetectionModel
+from companion.search.detection_model import DetectionModel, DetectionParams
 from companion.search.searched_flight import SearchAreaParams
 from companion.view.snapshot import searched_words
 from sim_link.autopilot.scenario import PayloadParams, Scenario
@@ -22,13 +24,19 @@ FENCE = ((-5.0, -5.0), (65.0, -5.0), (65.0, 65.0), (-5.0, 65.0))
 DETECTION = DetectionModel(reach_m=30.0, reach_sigma_db=3.0)
 
 
-def flown(search: SearchAreaParams, reach_m: float = 1.0, **limits: float) -> Loop:
+def flown(
+    search: SearchAreaParams,
+    reach_m: float = 1.0,
+    estimation: EstimationConfig = EstimationConfig(),  # noqa: B008
+    **limits: float,
+) -> Loop:
     """A search by one companion of a vehicle whose radio reaches so far."""
     config = CompanionConfig(
         mission=SessionParams(engage="auto", on_localised="land"),
         limits=LimitsConfig(fence_enu_m=FENCE, **limits),  # type: ignore[arg-type]
         planner=PlannerConfig(search="lawnmower", pattern=PatternConfig(spacing_m=25.0)),
         search=search,
+        estimation=estimation,
     )
     emitter = EmitterParams(position_enu_m=(50.0, 50.0))
     return Loop(config, Scenario(emitter=emitter, payload=PayloadParams(max_range_m=reach_m)))
@@ -49,6 +57,16 @@ def test_a_search_ends_at_its_pos_and_says_what_it_searched() -> None:
     assert flight is not None
     assert len(flight.track) > 3
     assert flight.looks
+
+
+def test_the_reach_of_the_preset_counts_and_is_named() -> None:
+    search = SearchAreaParams(detection=DetectionParams(), stop_pos=0.3)
+    loop = flown(search, estimation=EstimationConfig(filter=FilterParams(reach_m=30.0)))
+    loop.run_until(lambda: loop.companion.session.is_search_over, 120.0)
+    assert loop.said("Reach 30 m, from the radio's preset.")
+    flight = loop.companion.session.searching.flight(0.0)
+    assert flight is not None
+    assert flight.reach_from == "preset"
 
 
 def test_a_search_ends_when_its_area_is_done_without_any_reach() -> None:

@@ -18,6 +18,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners, Point
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.tracking.emitters import Progress
+from companion.search.detection_model import DetectionModel
 from companion.search.learnt_reach import LearntReach, learnt_reach
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
@@ -25,6 +26,7 @@ from companion.search.search_prior import SearchPrior
 from companion.search.search_site import SearchSite, grid_of_site
 from companion.search.searched_area import SearchedArea, SearchState
 from companion.search.searched_flight import (
+    ReachSource,
     SearchAreaParams,
     SearchedFlight,
     StoredGrid,
@@ -46,11 +48,14 @@ class Searching:
     def __init__(
         self,
         params: SearchAreaParams | None = None,
+        detection: DetectionModel | None = None,
         site: SearchSite | None = None,
         *,
         is_planned: bool = False,
     ) -> None:
         self.params = params or SearchAreaParams()
+        self._detection = detection
+        """`params.detection` with a reach."""
         self._is_planned = is_planned
         """True if the planner flies by what is left."""
         self._site = site
@@ -163,6 +168,11 @@ class Searching:
         if self._area is not None:
             self._area.listen(place_m, passed_s)
 
+    @property
+    def _reach_from(self) -> ReachSource:
+        detection = self.params.detection
+        return "preset" if detection is not None and detection.reach_m is None else "configured"
+
     def _in_first_frame(self, place: PositionEnu, vehicle: VehicleView) -> PositionEnu:
         frame, first = vehicle.frame, self._origin
         if frame is None or first is None or frame == first:
@@ -171,7 +181,7 @@ class Searching:
 
     def _begin(self, fence_enu_m: Corners | None) -> str | None:
         """Make the grid; return a text if that is impossible."""
-        detection = self.params.detection
+        detection = self._detection
         if detection is None:
             return None
         try:
@@ -251,7 +261,8 @@ class Searching:
             sought=self.progress.sought if self.is_counting else None,
             is_radio_heard=self.is_radio_heard,
             origin=self._origin,
-            detection=self.params.detection,
+            detection=self._detection,
+            reach_from=self._reach_from,
             learnt=self._learnt,
             grid=self._stored_grid,
             looks=[(*_rounded(look.place_m), round(look.answers, 3)) for look in looks],

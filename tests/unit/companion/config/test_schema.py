@@ -169,6 +169,7 @@ def test_wrong_value_is_named_by_its_path(text: str, problem: str) -> None:
             "$.planner.pattern.area_enu_m",
         ),
         ("{mission: {continue: true}, planner: {search: sector}}", "$.mission.continue"),
+        ("search: {detection: {}}", "$.search.detection.reach_m"),
         ("{mission: {continue: true}, emitters: {order: nearest}}", "$.mission.continue"),
     ],
 )
@@ -179,3 +180,17 @@ def test_contradiction_between_sections_is_named(text: str, path: str, tmp_path:
         load_config(file)
     assert path in str(refused.value)
     assert inconsistency(CompanionConfig()) is None
+
+
+@pytest.mark.parametrize(
+    ("search", "reach_m", "sigma_db"),
+    [("{}", 20.0, 6.0), ("{reach_m: 50}", 50.0, 4.0), ("{reach_sigma_db: 3}", 20.0, 3.0)],
+)
+def test_a_search_without_a_reach_takes_that_of_the_preset(
+    search: str, reach_m: float, sigma_db: float
+) -> None:
+    preset = (ROOT / "configs/companion/wifi_rtt.yaml").read_text()
+    config = parse_yaml(f"{preset}\nsearch: {{detection: {search}}}\n", CompanionConfig, "it")
+    assert config.detection is not None
+    assert (config.detection.reach_m, config.detection.reach_sigma_db) == (reach_m, sigma_db)
+    assert inconsistency(config) is None

@@ -9,12 +9,14 @@ import pytest
 
 from companion.area_handoff import area_files
 from companion.cli import main
+from companion.config.loader import parse_yaml
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import FlightFacts, write_facts
 from companion.geometry.coordinates import LocalOrigin
 from companion.io.files import EVENTS
 from companion.report.page import write_report
 from companion.search.detection_model import DetectionModel
+from companion.search.learnt_reach import LearntReach
 from companion.search.search_grid import WeightedArea, grid_over
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import SearchedFlight, StoredGrid
@@ -26,7 +28,9 @@ SENTENCE = (
 )
 
 
-def flight_in(folder: Path, *, detection: DetectionModel | None = None) -> Path:
+def flight_in(
+    folder: Path, *, detection: DetectionModel | None = None, learnt: LearntReach | None = None
+) -> Path:
     """A flight's folder with what it searched."""
     folder.mkdir()
     facts = FlightFacts(started_unix_s=1.8e9, links=1, config=CompanionConfig())
@@ -39,6 +43,7 @@ def flight_in(folder: Path, *, detection: DetectionModel | None = None) -> Path:
         is_radio_heard=True,
         origin=LocalOrigin(47.0, 8.0, 400.0),
         detection=detection,
+        learnt=learnt,
         grid=None if detection is None else StoredGrid.of(GRID),
         looks=[(20.0 * k, 50.0, 20.0, 5.0) for k in range(10)],
     )
@@ -61,6 +66,17 @@ def test_the_report_of_a_flight_without_a_reach_has_no_map(tmp_path: Path) -> No
     page = write_report(flight_in(tmp_path / "flight")).read_text()
     assert "reach is unknown" in page
     assert "data:image/png;base64," not in page
+
+
+def test_the_reach_that_a_contact_showed_is_printed_to_paste(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    learnt = LearntReach(41.0, 2.5)
+    folder = flight_in(tmp_path / "it", detection=DetectionModel(reach_m=40.0), learnt=learnt)
+    assert main(["area", "show", str(folder)]) == 0
+    (line,) = [each for each in capsys.readouterr().out.splitlines() if "to paste: " in each]
+    config = parse_yaml(line.partition("to paste: ")[2], CompanionConfig, "pasted")
+    assert config.detection == DetectionModel(reach_m=41.0, reach_sigma_db=2.5)
 
 
 def test_flights_are_shown_and_combined(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

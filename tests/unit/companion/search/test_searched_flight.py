@@ -6,11 +6,13 @@ import pytest
 
 from companion.geometry.coordinates import LocalOrigin
 from companion.search.detection_model import DetectionModel
+from companion.search.learnt_reach import LearntReach
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchedArea, SearchState, state_of
 from companion.search.searched_flight import (
     SearchedFlight,
     StoredGrid,
+    reach_source,
     searched_again,
     statement,
 )
@@ -117,3 +119,13 @@ def test_the_sentence_says_of_which_emitters_nothing_was_heard(
         flight(100.0), reported=reported, heard=heard, sought=sought, contact_unix_s=contact
     )
     assert statement(it, searched_again([it])).startswith(expected)
+
+
+def test_the_source_of_the_reach_is_named() -> None:
+    it = msgspec.structs.replace(flight(100.0), reach_from="preset")
+    assert statement(it, searched_again([it])).endswith(" Reach 50 m, from the radio's preset.")
+    assert reach_source(it) == "preset, estimation.filter.reach_m: 50 m, 4 dB"
+    learnt = msgspec.structs.replace(it, learnt=LearntReach(41.0, 2.5))
+    assert reach_source(learnt) == (
+        "first contact of this flight: 41 m, 2.5 dB; preset, estimation.filter.reach_m: 50 m, 4 dB"
+    )
