@@ -3,9 +3,12 @@
 Once a second a TARGET_ESTIMATE is sent for each emitter with an estimate, to an ArduPilot in a
 TUNNEL as well, because it forwards only messages that it knows; and for the current emitter
 NAMED_VALUE_FLOATs in metres, which Mission Planner and MAVProxy show and plot: degrees would be
-rounded to half a metre as floats. On links of their own, and only if configured, ground stations
-get an ADSB_VEHICLE as well, which they draw on their map. It never goes to the autopilot: one that
-avoids traffic would avoid the emitter. A change of phase without any text is announced here.
+rounded to half a metre as floats. While an emitter is sought that was not heard, two of these have
+the searched area: a TARGET_ESTIMATE would need a position, and be drawn as a target.
+
+On links of their own, and only if configured, ground stations get an ADSB_VEHICLE as well, which
+they draw on their map. It never goes to the autopilot: one that avoids traffic would avoid the
+emitter. A change of phase without any text is announced here.
 
 Source: MAVLink common, NAMED_VALUE_FLOAT and ADSB_VEHICLE; `companion/mav/radio_ranging.xml`.
 """
@@ -13,6 +16,7 @@ Source: MAVLink common, NAMED_VALUE_FLOAT and ADSB_VEHICLE; `companion/mav/radio
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TypeVar
 
 from companion.domain import Autopilot, EstimateState, TargetEstimate
@@ -31,6 +35,8 @@ from companion.mav.dialect import (
     mavlink,
 )
 from companion.mav.ranging import tunnelled
+from companion.search.searched_area import SearchState
+from companion.search.searched_flight import GOOD_POD
 
 PERIOD_S = 1.0
 ICAO_BASE = 0xF00000
@@ -70,6 +76,16 @@ class Presence:
             name, own_id = outbound.MARK, float(self._outlet.own_ids[1])
             mark = mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, own_id)
             self._outlet.broadcast(mark, now_s, is_droppable=True)
+        self._send_searched(now_s)
+        self._send_estimates(now_s)
+
+    def _send_searched(self, now_s: float) -> None:
+        searching = self._session.searching
+        if searching.is_counting and searching.is_worth_reporting and searching.state is not None:
+            for value in searched_values(searching.state, now_s):
+                self._outlet.broadcast(value, now_s, is_droppable=True)
+
+    def _send_estimates(self, now_s: float) -> None:
         origin = self._session.vehicle.origin
         for emitter in self._session.emitters(now_s):
             if emitter.estimate is None:
@@ -135,6 +151,16 @@ def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
     values = {b"TGT_EAST": east_m, b"TGT_NORTH": north_m, b"TGT_R95": estimate.r95_m}
     values[b"TGT_R95ABS"] = estimate.absolute_r95_m
     values |= {b"TGT_VAR_E": var_east, b"TGT_VAR_N": var_north, b"TGT_COV_EN": covariance}
+    return _floats(values, now_s)
+
+
+def searched_values(state: SearchState, now_s: float) -> list[Message]:
+    """Return NAMED_VALUE_FLOATs of a search: POS, and the share of the area that is searched."""
+    values = {b"SRCH_POS": state.pos, b"SRCH_SHARE": state.share_at(GOOD_POD)}
+    return _floats(values, now_s)
+
+
+def _floats(values: Mapping[bytes, float], now_s: float) -> list[Message]:
     return [
         _with_floats_that_fit(
             mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, value)

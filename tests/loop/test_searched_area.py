@@ -12,6 +12,8 @@ from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import EstimationConfig
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import MAVLink_target_estimate_message, mavlink
 from companion.run import is_handed_over
 from companion.search.detection_model import DetectionModel, DetectionParams
 from companion.search.searched_flight import SearchAreaParams
@@ -57,6 +59,25 @@ def test_a_search_ends_at_its_pos_and_says_what_it_searched() -> None:
     assert flight is not None
     assert len(flight.track) > 3
     assert flight.looks
+
+
+def test_ground_stations_have_the_searched_area_and_no_target() -> None:
+    loop = flown(SearchAreaParams(detection=DETECTION, stop_pos=0.85))
+    loop.run_until(lambda: loop.companion.session.is_search_over, 120.0)
+    loop.run(3.0)
+    values: dict[str, list[float]] = {}
+    for message in MavCodec(9, 9).decode(bytes(loop.companion_bytes)):
+        assert not isinstance(message, MAVLink_target_estimate_message)
+        if isinstance(message, mavlink.MAVLink_named_value_float_message):
+            values.setdefault(message.name, []).append(message.value)
+    assert set(values) == {"SRCH_POS", "SRCH_SHARE"}
+    pos, state = values["SRCH_POS"], loop.companion.session.searching.state
+    assert state is not None
+    assert pos == sorted(pos)
+    assert len(pos) > 6
+    assert pos[-1] == pytest.approx(state.pos, abs=1e-6)
+    assert pos[-1] >= 0.85 > 0.7 > pos[0]
+    assert values["SRCH_SHARE"][-1] == pytest.approx(state.share_at(0.8), abs=1e-6)
 
 
 def test_the_reach_of_the_preset_counts_and_is_named() -> None:
