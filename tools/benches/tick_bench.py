@@ -160,7 +160,9 @@ def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
         emitters=QueueParams() if emitters == 1 else QueueParams(order="listed", listed=ids),
     )
     if IS_COMPILED:
-        warm_up(config.tracking, build_planner(config))
+        # 1.0.0rc1 has the tracker's parameters there
+        tracking = getattr(config, "tracking", config.estimation)
+        warm_up(tracking, build_planner(config))
     wire = Spread(emitters) if phase == "spread" else None
     flight = Flight(
         config, scenario, SEED, SilentJournal(), wire=wire, makers=Makers(build_endpoint)
