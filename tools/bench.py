@@ -10,6 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from companion import kernel_cache
 from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
@@ -90,6 +91,8 @@ def parsed() -> argparse.Namespace:
 def tick_costs(arguments: argparse.Namespace) -> list[TickCost]:
     """Measure every case and print it as soon as it is over; then those of another checkout."""
     kinds = tuple(LIMIT_MS) if arguments.only is None else (arguments.only,)
+    if "compiled" in kinds and kernel_cache.kept() is None:
+        kernel_cache.compile_kernels()
     print("worst tick, 99 % of the ticks, longest wait of a setpoint; milliseconds of the thread")
     costs = []
     for case in tick_cases(kinds, arguments.emitters):

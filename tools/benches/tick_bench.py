@@ -6,9 +6,10 @@ the endpoint (a datagram, the control tick, estimation beside it) is timed by th
 so that other programs on the machine do not count. A setpoint can leave between two calls: the
 longest call is the longest that a due setpoint waits.
 
-Each case runs in a process of its own: `tools/benches/tick_bench.py EMITTERS PHASE PLACE SECONDS`
-prints its figures as JSON. It imports only modules of companion and simulator, so that the same
-file measures an earlier release in its own checkout (`--beside`).
+Each case runs in a process of its own, with kernels that `companion warm-up` compiled, as a flight
+does: `tools/benches/tick_bench.py EMITTERS PHASE PLACE SECONDS` prints its figures as JSON. It
+imports only modules of companion and simulator, so that the same file measures an earlier release
+in its own checkout (`--beside`).
 """
 
 from __future__ import annotations
@@ -42,6 +43,15 @@ from sim_link.lab.lockstep.observer import Lane
 from sim_link.world.environment import EmitterParams
 
 ROOT = Path(__file__).resolve().parents[2]
+AS_IN_FLIGHT = """
+import contextlib, runpy, sys
+with contextlib.suppress(ImportError):
+    from companion import kernel_cache
+    kernel_cache.forgoes_compiler = True
+del sys.argv[0]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+"""Runs this file with kernels that were compiled ahead; 1.0.0rc1 compiles them in the process."""
 EMITTERS = (1, 4, 8, 16)
 PHASES = ("in step", "spread")
 PLACES = ("flying", "ground")
@@ -203,7 +213,7 @@ class TickCase:
         environment = {**os.environ, "PYTHONPATH": str(root)}
         environment["NUMBA_DISABLE_JIT"] = "0" if self.kernels == "compiled" else "1"
         words = (str(self.emitters), self.phase, self.place, str(seconds))
-        command = [sys.executable, __file__, *words]
+        command = [sys.executable, "-P", "-c", AS_IN_FLIGHT, __file__, *words]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.returncode:
             raise SystemExit(f"bench: tick: {done.stderr.strip().splitlines()[-1]}")
