@@ -163,15 +163,17 @@ def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
     ids = tuple(each.emitter_id for each in several)
     payload = PayloadParams(rate_hz=RATE_HZ, min_altitude_m=3.0 if is_flying else 0.0)
     scenario = Scenario(payload=payload, emitters=several)
+    most = {"most": emitters} if "most" in QueueParams.__struct_fields__ else {}  # in 1.0.0rc1
+    queue = QueueParams(order="listed", listed=ids, **most) if ids else QueueParams()
     config = CompanionConfig(
         mission=SessionParams(
             engage="auto" if is_flying else "operator", stop_confirm_s=1000.0, settle_s=None
         ),
-        emitters=QueueParams() if emitters == 1 else QueueParams(order="listed", listed=ids),
+        emitters=queue,
     )
     if IS_COMPILED:
         # 1.0.0rc1 has the tracker's parameters there
-        tracking = getattr(config, "tracking", config.estimation)
+        tracking: Any = getattr(config, "tracking", config.estimation)
         warm_up(tracking, build_planner(config))
     wire = Spread(emitters) if phase == "spread" else None
     flight = Flight(
