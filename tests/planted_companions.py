@@ -69,7 +69,7 @@ class Planted(CompanionEndpoint):
     def take_output(self) -> list[Chunk]:
         """What the genuine one sends, spoilt."""
         return [
-            replace(chunk, data=data)
+            chunk._replace(data=data)
             for chunk in super().take_output()
             for data in self._frames(chunk.data)
         ]
@@ -164,7 +164,7 @@ class KeepsFlying(Planted):
         chunks = super().take_output()
         if self._last is None or self._is_flying:
             return chunks
-        again = [replace(c, data=self._last) for c in chunks if message_id(c.data) == HEARTBEAT]
+        again = [c._replace(data=self._last) for c in chunks if message_id(c.data) == HEARTBEAT]
         return chunks + again
 
 
@@ -194,7 +194,7 @@ class SendsToEverybody(Planted):
     def take_output(self) -> list[Chunk]:
         """Setpoints without an address."""
         return [
-            replace(chunk, peer=None) if message_id(chunk.data) == SETPOINT else chunk
+            chunk._replace(peer=None) if message_id(chunk.data) == SETPOINT else chunk
             for chunk in super().take_output()
         ]
 
@@ -291,7 +291,7 @@ class BelievesAnybody(Planted):
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """As if it came from the bound peer."""
-        super().receive(replace(chunk, peer=self.binding.peer or chunk.peer), now_s)
+        super().receive(chunk._replace(peer=self.binding.peer or chunk.peer), now_s)
 
 
 class FollowsTheNextPeer(Planted):

@@ -112,6 +112,12 @@ class AutopilotBinding:
     """Courses of the same ids at other addresses."""
     unproved: dict[Address | None, float] = field(default_factory=dict)
     """Addresses that may be the autopilot's now, and when they were asked for evidence."""
+    silence_s: float = field(init=False)
+    """Seconds that the autopilot must be silent before another address is accepted."""
+
+    def __post_init__(self) -> None:
+        """Set the silence by the evidence that every frame has."""
+        self.silence_s = SURE_SILENCE_S if self.is_keyed else PEER_SILENCE_S
 
     @property
     def is_bound(self) -> bool:
@@ -148,18 +154,15 @@ class AutopilotBinding:
             for (system, component), number in sorted(self.unfit.items())
         ]
 
-    @property
-    def silence_s(self) -> float:
-        """Seconds that the autopilot must be silent before another address is accepted."""
-        return SURE_SILENCE_S if self.is_keyed else PEER_SILENCE_S
-
     def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
         """Return True if a message is of the bound autopilot, and to be used; may bind to one."""
-        ids = (message.get_srcSystem(), message.get_srcComponent())
+        header = message.get_header()
+        ids = (header.srcSystem, header.srcComponent)
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._note_heartbeat(message, ids, peer, now_s)
         sign = sign_of(message)
-        self._bind_expected(sign, ids, peer, now_s)
+        if self._expected is not None:
+            self._bind_expected(sign, ids, peer, now_s)
         if self.bound is None or ids != self.bound.ids or is_of_component(message):
             return False
         if peer != self.peer:
@@ -167,28 +170,34 @@ class AutopilotBinding:
         if self._is_silent(now_s):
             self.hardware.ask_again()
         self.heard_s = now_s
-        uid = uid_of(message)
-        if uid is not None and self.hardware.differs(uid, now_s):
-            self._take_other_hardware(uid, now_s)
-        self._follow_sequence(message.get_seq(), now_s)
-        exchange = exchange_sign_of(message)
-        if isinstance(message, mavlink.MAVLink_heartbeat_message):
-            self._compare_kind(message, now_s)
-            is_given = not self.is_in_control and gives_control(message)
-            if self._course.is_out_of_sequence and is_given:
-                return False  # it may be another vehicle's: wait for the next one
-        elif exchange is not None:
-            self._take_exchange(exchange, now_s)
-        if sign is not None and not self._take_sign(sign, now_s):
-            return False
-        return not self.is_doubted
+        if self._course.note_sequence(header.seq, now_s):
+            self._suspect_replacement(now_s)
+        if sign is not None:
+            return self._take_sign(sign, now_s) and not self.is_doubted
+        return self._compare_vehicle(message, now_s) and not self.is_doubted
 
-    def _follow_sequence(self, sequence: int, now_s: float) -> None:
-        """Follow the sequence; where it breaks, another vehicle may have the same clock here."""
-        self._course.note_sequence(sequence, now_s)
+    def _compare_vehicle(self, message: Message, now_s: float) -> bool:
+        """Check the kind, hardware or clock in a message without a sign; False: do not use it."""
+        match message:
+            case mavlink.MAVLink_heartbeat_message():
+                self._compare_kind(message, now_s)
+                is_given = not self.is_in_control and gives_control(message)
+                # after a break it may be another vehicle's: wait for the next one
+                return not (self._course.is_out_of_sequence and is_given)
+            case mavlink.MAVLink_timesync_message():
+                exchange = exchange_sign_of(message)
+                if exchange is not None:
+                    self._take_exchange(exchange, now_s)
+            case mavlink.MAVLink_autopilot_version_message():
+                uid = uid_of(message)
+                if uid is not None and self.hardware.differs(uid, now_s):
+                    self._take_other_hardware(uid, now_s)
+        return True
+
+    def _suspect_replacement(self, now_s: float) -> None:
+        """Ask for the hardware again: another vehicle may have the same clock here."""
         is_known = self.hardware.uid is not None
-        is_old = is_known and now_s - self.hardware.heard_s > PEER_SILENCE_S
-        if self._course.is_out_of_sequence and is_old:
+        if is_known and now_s - self.hardware.heard_s > PEER_SILENCE_S:
             self.hardware.ask_again()
 
     def hear(self, ids: Ids, peer: Address | None, now_s: float, sequence: int) -> bool:
@@ -199,7 +208,8 @@ class AutopilotBinding:
             self.unknown_senders += not self._is_silent(now_s)
             return False
         self.heard_s = now_s
-        self._follow_sequence(sequence, now_s)
+        if self._course.note_sequence(sequence, now_s):
+            self._suspect_replacement(now_s)
         return True
 
     def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
@@ -221,6 +231,8 @@ class AutopilotBinding:
 
     def take_unproved(self, now_s: float) -> list[Address | None]:
         """Return the addresses to be asked now for evidence of their vehicle."""
+        if not self.unproved:
+            return []
         due = [at for at, asked_s in self.unproved.items() if now_s - asked_s >= PROOF_PERIOD_S]
         self.unproved.update(dict.fromkeys(due, now_s))
         return due
@@ -337,8 +349,11 @@ class AutopilotBinding:
         return self._listened_s(heard_s, now_s) > VANISHED_S
 
     def _is_silent(self, now_s: float, silence_s: float | None = None) -> bool:
+        if self.heard_s is None:
+            return True
         least_s = self.silence_s if silence_s is None else silence_s
-        return self.heard_s is None or self._listened_s(self.heard_s, now_s) >= least_s
+        until_s = now_s if self._ticked_s is None else self._ticked_s  # as in `_listened_s`
+        return until_s - self.heard_s >= least_s
 
     def _doubt(self, problem: str, now_s: float) -> None:
         self._doubted_s = now_s

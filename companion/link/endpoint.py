@@ -27,6 +27,7 @@ from companion.link.gcs_services import (
     CommandHandler,
     ParameterServer,
     ParamRequest,
+    StationRequest,
     TunableBook,
 )
 from companion.link.inbound import UNREAD
@@ -53,6 +54,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id, sender_of
+from companion.mav.signing import is_signed
 
 __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
 
@@ -106,6 +108,7 @@ class CompanionEndpoint:
             journal,
             params.link.downlink_bytes_s,
         )
+        self._vehicle_link = self._intakes.index(vehicle)
         self._queries = AutopilotQueries(
             self.binding, session.fencing, stops_unread=params.link.stop_unread_streams
         )
@@ -156,7 +159,8 @@ class CompanionEndpoint:
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Process bytes that arrived on a link."""
-        self.authenticity.advance(now_s)
+        if self.authenticity.is_on:
+            self.authenticity.advance(now_s)
         intake = self._intakes[chunk.link]
         for data in intake.take(chunk):
             if not intake.is_raw:
@@ -272,51 +276,58 @@ class CompanionEndpoint:
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
         if self._recorder is not None:
             self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
-        is_ours = sender_of(frame) == self.outlet.own_ids
-        if self.authenticity.is_proved(frame) and self.outlet.note_sender(
-            frame, now_s, self._may_move_aside
-        ):
+        number, sender, outlet = message_id(frame), sender_of(frame), self.outlet
+        is_proved = not self.authenticity.is_on or is_signed(frame)
+        is_ours = sender == outlet.own_ids
+        if is_proved and outlet.note_sender(frame, sender, number, now_s, self._may_move_aside):
             self.executor.handle(events.IdConflictHeard(now_s), now_s)
         if is_ours:
             return
-        match self._params.links[chunk.link].role:
-            case LinkRole.VEHICLE:
-                self._receive_on_vehicle_link(frame, chunk, now_s)
-            case LinkRole.RANGING:
-                self._journal.frame(frame, now_s)
-                self._receive_ranging(self._sources[chunk.link].receive(frame, now_s), now_s)
-            case LinkRole.GCS:
-                self._journal.frame(frame, now_s)
-                message = self._intakes[chunk.link].codec.decode_proved(frame)
-                self._serve_station(message, now_s, may_grant=False)
+        if chunk.link == self._vehicle_link:
+            self._receive_on_vehicle_link(frame, sender, number, chunk, now_s)
+            return
+        self._journal.frame(frame, now_s)
+        source = self._sources.get(chunk.link)
+        if source is not None:
+            self._receive_ranging(source.receive(frame, now_s), now_s)
+        else:
+            message = self._intakes[chunk.link].codec.decode_proved(frame)
+            self._serve_station(message, now_s, may_grant=False)
 
-    def _receive_on_vehicle_link(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
-        """Process a frame on the vehicle link; the log has no room for every unknown peer's."""
-        binding = self.binding
-        is_peer = chunk.peer == binding.peer
+    def _receive_on_vehicle_link(
+        self, frame: bytes, sender: tuple[int, int], number: int, chunk: Chunk, now_s: float
+    ) -> None:
+        """Process a frame on the vehicle link; the log has no room for every unknown peer's.
+
+        One without a signature, where there is a key, is no evidence about the autopilot.
+        """
+        binding, peer = self.binding, chunk.peer
+        is_proved = not self.authenticity.is_on or is_signed(frame)
+        is_peer = peer == binding.peer
         if is_peer or binding.is_keyed or binding.bound is None:
             self._journal.frame(frame, now_s)
-        if message_id(frame) in UNREAD:
-            if self.authenticity.is_proved(frame):
-                self.executor.note_unread(frame, chunk.peer, now_s)
+        if number in UNREAD:
+            if is_proved:
+                self.executor.note_unread(frame, sender, number, peer, now_s)
             return
         message = self._intakes[chunk.link].codec.decode_proved(frame)
-        if message is None or not self.authenticity.is_proved(frame):
+        if message is None or not is_proved:
             return
-        is_ours = binding.recognise(message, chunk.peer, now_s)
+        is_ours = binding.recognise(message, peer, now_s)
         self._note_binding(now_s)
         if is_ours:
             phase = self.session.authority.phase
             self.executor.receive(message, now_s)
             if self.session.authority.phase is not phase:
                 self._note_control(now_s)
-        is_peer = chunk.peer == binding.peer
-        if is_peer and isinstance(message, ParamRequest | AddressedCommand):
+        is_peer = peer == binding.peer
+        if number in RANGING_IDS:
+            is_here = sender[0] == binding.system_id and (binding.is_keyed or is_peer)
+            if is_here and isinstance(message, RangingMessage):
+                self._receive_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
+        elif is_peer and isinstance(message, StationRequest):
             self._serve_station(message, now_s, may_grant=True)
             self._note_other_command(message, now_s)
-        is_here = message.get_srcSystem() == binding.system_id
-        if is_here and (binding.is_keyed or is_peer) and isinstance(message, RangingMessage):
-            self._receive_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
 
     def _may_move_aside(self) -> bool:
         """True if the component id may change: it is not configured, and we have no vehicle."""

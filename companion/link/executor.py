@@ -18,18 +18,20 @@ from companion.guidance.session import GuidanceSession
 from companion.link import outbound
 from companion.link.autopilot_queries import AutopilotQueries
 from companion.link.binding import AutopilotBinding
-from companion.link.fence_download import FenceMessage
+from companion.link.fence_download import FENCE_IDS, FenceMessage
 from companion.link.inbound import VehicleInbound
 from companion.link.intake import RateLimit
 from companion.link.interface import Journal, VehicleParams
-from companion.link.outbound import RequestClient
+from companion.link.outbound import Ids, RequestClient
 from companion.link.outlet import Outlet
 from companion.link.quality import LinkHealth
 from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
-from companion.mav.framing import message_id, sender_of, sequence_of
+from companion.mav.framing import sequence_of
 
+OCCASIONAL = FENCE_IDS | {mavlink.MAVLINK_MSG_ID_COMMAND_ACK, mavlink.MAVLINK_MSG_ID_STATUSTEXT}
+"""Ids of messages that come as answers or on occasion."""
 TEXTS_PER_S, TEXT_BURST = 10, 30
 """Rate and burst of the autopilot's texts in the log."""
 
@@ -99,21 +101,29 @@ class SessionExecutor:
             text = "unknown autopilot: only PX4 and ArduPilot modes are understood"
             self.journal.text(commands.Severity.WARNING, text, now_s)
 
-    def note_unread(self, frame: bytes, peer: Address | None, now_s: float) -> None:
-        """Note that a frame came which is not decoded."""
+    def note_unread(
+        self, frame: bytes, sender: Ids, number: int, peer: Address | None, now_s: float
+    ) -> None:
+        """Note that a frame came which is not decoded; its header has `sender` and `number`."""
         sequence = sequence_of(frame)
-        if self.binding.hear(sender_of(frame), peer, now_s, sequence):
+        if self.binding.hear(sender, peer, now_s, sequence):
             if self._queries.stopper is not None:
-                self._queries.stopper.hear(message_id(frame), now_s)
+                self._queries.stopper.hear(number, now_s)
             self._health.sequence.take(sequence, now_s)
 
     def receive(self, message: Message, now_s: float) -> None:
         """Process a message of the autopilot."""
-        order = self._health.sequence.take(message.get_seq(), now_s)
+        header = message.get_header()
+        order = self._health.sequence.take(header.seq, now_s)
         for text in self._queries.receive(message, now_s):
             self.outlet.announce(text, now_s)
         for event in self.inbound.events(message, now_s, order):
             self.handle(event, now_s)
+        if header.msgId in OCCASIONAL:
+            self._receive_occasional(message, order, now_s)
+
+    def _receive_occasional(self, message: Message, order: int, now_s: float) -> None:
+        """Process a message about the fence, an acknowledgement, or a text."""
         if isinstance(message, FenceMessage):
             self._receive_fence(message, now_s)
         match message:

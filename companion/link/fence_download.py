@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 from companion.geometry.geofence import GeoArea, GeoFence, LatLon, NamedArea, fence_of
 from companion.guidance.events import AutopilotFenceRead
@@ -67,6 +68,7 @@ FenceMessage = (
     Answer | mavlink.MAVLink_mission_current_message | mavlink.MAVLink_param_value_message
 )
 """Messages that may be about the autopilot's fence, as items or as parameters."""
+FENCE_IDS = frozenset(kind.id for kind in get_args(FenceMessage))
 
 
 @dataclass(slots=True)

@@ -220,6 +220,7 @@ REQUEST_CAPABILITIES = 520
 VERSION_ID = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 
 AddressedCommand = mavlink.MAVLink_command_long_message | mavlink.MAVLink_command_int_message
+StationRequest = ParamRequest | AddressedCommand
 
 
 class CommandHandler:

@@ -189,13 +189,14 @@ class IdentityCourse:
         self._run, self.other_since_s = 0, 0.0
         """Signs of the other course since the last one of this one, and when they began."""
 
-    def note_sequence(self, sequence: int, now_s: float) -> None:
-        """Process the number of any frame, before its sign."""
+    def note_sequence(self, sequence: int, now_s: float) -> bool:
+        """Process the number of any frame, before its sign; return True if it is out of order."""
         before = sequence if self._sequence is None else self._sequence
         self.is_out_of_sequence = FAR_STEP < (sequence - before) % 256 < BACK_STEP
         if self.is_out_of_sequence:
             self._breaks.append(now_s)
         self._sequence = sequence
+        return self.is_out_of_sequence
 
     def take(self, sign: Sign, now_s: float, *, is_cautious: bool = False) -> SignVerdict:
         """Judge a sign, and follow it; if cautious, fewer returns prove two vehicles."""

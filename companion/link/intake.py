@@ -108,7 +108,8 @@ class FloodBudget:
 
     def renew(self) -> None:
         """Renew the budgets at a control tick."""
-        self._known = [0, 0, 0]
+        self.known = [0, 0, 0]
+        """Use by the autopilot's address, by resource."""
         self._unknown = [0, 0, 0]
         self._by_source: dict[Address | None, list[int]] = {}
         self._heartbeats = 0
@@ -137,11 +138,10 @@ class FloodBudget:
     ) -> bool:
         """Charge a source for a resource; return False if that exceeds its budget."""
         if is_known:
-            left = KNOWN[resource] - self._known[resource] - amount
-            if left < 0:
+            if self.known[resource] + amount > KNOWN[resource]:
                 self.dropped[resource] += 1
                 return False
-            self._known[resource] += amount
+            self.known[resource] += amount
             return True
         own = self._account_of(peer)
         if own is None:
@@ -154,6 +154,18 @@ class FloodBudget:
                 return False
         for used, _ in accounts:
             used[resource] += amount
+        return True
+
+    def spend_frames(self, frames: int) -> bool:
+        """Charge the autopilot's address for accepted frames; False, and nothing, if over budget.
+
+        Frames that need no verification are messages.
+        """
+        known = self.known
+        if known[1] + frames > KNOWN[1] or known[2] + frames > KNOWN[2]:
+            return False
+        known[1] += frames
+        known[2] += frames
         return True
 
     def _account_of(self, peer: Address | None) -> list[int] | None:
@@ -189,14 +201,21 @@ class Intake:
         if self.is_raw:
             return [chunk.data] if self.budget.spend_raw(len(chunk.data)) else []
         codec, spend, peer, binding = self.codec, self.budget.spend, chunk.peer, self._binding
-        is_known = not chunk.is_datagram or (
+        size, is_datagram = len(chunk.data), chunk.is_datagram
+        is_known = not is_datagram or (
             binding is not None and binding.bound is not None and peer == binding.peer
         )
-        is_free = is_known and _is_heartbeat(chunk) and self.budget.spend_heartbeat()
+        may_be_heartbeat = is_known and is_datagram and size <= LONGEST_HEARTBEAT
+        is_free = may_be_heartbeat and _is_heartbeat(chunk.data) and self.budget.spend_heartbeat()
+        if not (is_free or spend(Resource.BYTES, size, peer, is_known=is_known)):
+            return []
+        found = codec.splitter.split(chunk.data, is_datagram=is_datagram)
+        if codec.signing is None and (
+            is_free or (is_known and self.budget.spend_frames(len(found)))
+        ):
+            return found
         frames: list[bytes] = []
-        if not (is_free or spend(Resource.BYTES, len(chunk.data), peer, is_known=is_known)):
-            return frames
-        for frame in codec.splitter.split(chunk.data, is_datagram=chunk.is_datagram):
+        for frame in found:
             if not (is_free or spend(Resource.FRAMES, 1, peer, is_known=is_known)):
                 break
             if not codec.proves(frame):
@@ -207,11 +226,9 @@ class Intake:
         return frames
 
 
-def _is_heartbeat(chunk: Chunk) -> bool:
-    """Return True if a datagram is one HEARTBEAT by its header and size, both unverified."""
-    data = chunk.data
-    is_one = chunk.is_datagram and SHORTEST <= len(data) <= LONGEST_HEARTBEAT
-    return is_one and data[0] in HEADER_LENGTH and message_id(data) == HEARTBEAT
+def _is_heartbeat(data: bytes) -> bool:
+    """Return True if a short datagram is one HEARTBEAT by its header, which is unverified."""
+    return len(data) >= SHORTEST and data[0] in HEADER_LENGTH and message_id(data) == HEARTBEAT
 
 
 REPORT_PERIOD_S = CAUSE_PERIOD_S
@@ -236,14 +253,11 @@ class Authenticity:
 
     def __init__(self, signing: Signing | None = None, unix_minus_local_s: float = 0.0) -> None:
         self._signing = signing
+        self.is_on = signing is not None
+        """True if there is a key."""
         self._unix_minus_local_s = unix_minus_local_s
         self._announced: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
         self._next_report_s = -math.inf
-
-    @property
-    def is_on(self) -> bool:
-        """True if there is a key."""
-        return self._signing is not None
 
     def of_link(
         self, number: int, unsigned_ids: frozenset[int] = frozenset()

@@ -32,8 +32,6 @@ from companion.mav.framing import (
     CRC_LENGTH,
     HEADER_LENGTH,
     MAGIC_V2,
-    message_id,
-    sender_of,
 )
 
 KEPT = 1024
@@ -114,9 +112,7 @@ NEIGHBOUR_S = 10.0
 
 
 def is_marked(frame: bytes) -> bool:
-    """Return True if a frame is the mark of a companion of this kind."""
-    if message_id(frame) != mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT:
-        return False
+    """Return True if a NAMED_VALUE_FLOAT is the mark of a companion of this kind."""
     name_at = HEADER_LENGTH[frame[0]] + 8  # behind a time and a value of four bytes each
     return frame[name_at : name_at + len(outbound.MARK)] == outbound.MARK
 
@@ -210,15 +206,23 @@ class Outlet:
                 t for t in self._setpoint_times_s if t > now_s - RATE_WINDOW_S
             ]
 
-    def note_sender(self, frame: bytes, now_s: float, may_move: Callable[[], bool]) -> bool:
+    def note_sender(
+        self,
+        frame: bytes,
+        sender: tuple[int, int],
+        number: int,
+        now_s: float,
+        may_move: Callable[[], bool],
+    ) -> bool:
         """Note the sender of a verified frame; return True if it is a second companion.
 
         Otherwise, if our component id is taken, another one is chosen where it `may_move`.
+        `sender` and the message's `number` are those in the frame's header.
         """
-        sender = sender_of(frame)
         if sender[0] != self.own_ids[0]:
             return False
-        is_same, has_mark = sender == self.own_ids, is_marked(frame)
+        is_same = sender == self.own_ids
+        has_mark = number == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT and is_marked(frame)
         is_beside = sender[1] in ONBOARD_IDS
         if not is_same:
             self._heard_ids.add(sender)
@@ -229,7 +233,7 @@ class Outlet:
             self._neighbour_s = now_s
         if not self._binding.is_bound or not (is_same or has_mark):
             return False  # unbound: our system id is not known yet
-        self._is_rival |= (has_mark or message_id(frame) in RIVALS) and not is_echo
+        self._is_rival |= (has_mark or number in RIVALS) and not is_echo
         if not self.own_frames.record_received(frame, now_s):
             return False
         free = [each for each in SPARE_IDS if (sender[0], each) not in self._heard_ids]

@@ -39,6 +39,7 @@ from companion.mav.endpoint import Address
 
 MODULUS = 256
 HALF = MODULUS // 2
+_ALL_SEEN = (1 << HALF) - 1
 SILENCE_S = 0.3
 """Silence after which frames are lost rather than late."""
 WINDOW_S = 3.0
@@ -62,7 +63,7 @@ class SequenceMonitor:
         self._heard_s = 0.0
         self._seen = 0
         """Bit n is set if number `newest - n` came."""
-        self._buckets: deque[tuple[float, int, int]] = deque()
+        self._buckets: deque[list[float]] = deque()
         """Start, numbers that the count advanced, and frames received in each tenth of a second."""
 
     def take(self, sequence: int, now_s: float) -> int:
@@ -74,10 +75,15 @@ class SequenceMonitor:
             ahead -= MODULUS
         if ahead == 0 and now_s - self._heard_s > SILENCE_S:
             ahead = MODULUS
-        self._heard_s = max(now_s, self._heard_s)
+        if now_s > self._heard_s:
+            self._heard_s = now_s
         if ahead > 0:
-            self._advance(ahead, now_s)
-        elif self._seen >> -ahead & 1:
+            self._newest += ahead
+            self._seen = (self._seen << ahead | 1) & _ALL_SEEN
+            self.lost += ahead - 1
+            self._count(ahead, now_s)
+            return self._newest
+        if self._seen >> -ahead & 1:
             self.duplicates += 1
         else:
             self.late += 1
@@ -85,12 +91,12 @@ class SequenceMonitor:
             self.lost = max(0, self.lost - 1)
             self._seen |= 1 << -ahead
             self._count(0, now_s)
-        return self._newest + min(ahead, 0)
+        return self._newest + ahead
 
     def loss(self, now_s: float) -> float | None:
         """Return the share of recent frames that did not come, 0 to 1; None if too few were due."""
         since_s = now_s - WINDOW_S
-        expected = came = 0
+        expected = came = 0.0
         for began_s, numbers, frames in self._buckets:
             if began_s > since_s:
                 expected += numbers
@@ -115,21 +121,15 @@ class SequenceMonitor:
         self._count(1, now_s)
         return sequence
 
-    def _advance(self, ahead: int, now_s: float) -> None:
-        assert self._newest is not None
-        self._newest += ahead
-        self._seen = (self._seen << ahead | 1) & (1 << HALF) - 1
-        self.lost += ahead - 1
-        self._count(ahead, now_s)
-
     def _count(self, advanced: int, now_s: float) -> None:
         self.received += 1
         if not self._buckets or now_s - self._buckets[-1][0] >= BUCKET_S:
-            self._buckets.append((now_s, 0, 0))
+            self._buckets.append([now_s, 0, 0])
             while self._buckets[0][0] <= now_s - WINDOW_S:
                 self._buckets.popleft()
-        begin_s, numbers, frames = self._buckets[-1]
-        self._buckets[-1] = (begin_s, numbers + advanced, frames + 1)
+        newest = self._buckets[-1]
+        newest[1] += advanced
+        newest[2] += 1
 
 
 CALM_SHARE = 0.5

@@ -7,8 +7,7 @@ in memory without any.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 TICK_S = 0.05
 """Period of a control tick, seconds: setpoints are sent at 20 Hz."""
@@ -16,8 +15,7 @@ Address = tuple[str, int]
 """Host and port of a UDP peer."""
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(NamedTuple):
     """Bytes to or from a link."""
 
     link: int

@@ -28,6 +28,10 @@ HEADER_LENGTH = {MAGIC_V1: 6, MAGIC_V2: 10}
 CRC_LENGTH = 2
 SIGNATURE_LENGTH = 13
 INCOMPAT_SIGNED = 0x01
+HEADER_LENGTH_V2 = HEADER_LENGTH[MAGIC_V2]
+SHORTEST_V2 = HEADER_LENGTH_V2 + CRC_LENGTH
+_TAIL_BY_FLAGS = {0: CRC_LENGTH, INCOMPAT_SIGNED: CRC_LENGTH + SIGNATURE_LENGTH}
+"""Bytes behind the payload by incompatibility flags; other flags are unknown."""
 MAGIC = re.compile(bytes((ord("["), MAGIC_V2, MAGIC_V1, ord("]"))))
 
 
@@ -56,10 +60,22 @@ class FrameSplitter:
         self._unknown: list[bytes] = []
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
-        """Return the frames completed by `data`; an unfinished one at a datagram's end is junk."""
-        if is_datagram and not self._pending and self._is_one_frame(data):
-            self.counters.good += 1
-            return [data]
+        """Return the frames completed by `data`; an unfinished one at a datagram's end is junk.
+
+        Most datagrams are one good frame of MAVLink 2 without unknown flags: they are done first.
+        """
+        size = len(data)
+        if is_datagram and size >= SHORTEST_V2 and data[0] == MAGIC_V2 and not self._pending:
+            crc_extra = self._crc_extra_by_id.get(data[7] | data[8] << 8 | data[9] << 16)
+            at = HEADER_LENGTH_V2 + data[1]
+            if crc_extra is not None and size == at + _TAIL_BY_FLAGS.get(data[2], -1):
+                crc = crc16.mcrf4xx(data[1:at] + bytes((crc_extra,)))
+                if crc == data[at] | data[at + 1] << 8:
+                    self.counters.good += 1
+                    return [data]
+        return self._split(data, is_datagram=is_datagram)
+
+    def _split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
         buffer = self._pending + data
         frames: list[bytes] = []
         taken: list[tuple[int, int]] = []
@@ -93,19 +109,6 @@ class FrameSplitter:
         self._pending = buffer[start:]  # empty after a datagram
         self.counters.good += len(frames)
         return frames
-
-    def _is_one_frame(self, data: bytes) -> bool:
-        """Return True if a datagram is one good frame without unknown flags, as most are."""
-        if len(data) < HEADER_LENGTH[MAGIC_V2] or data[0] != MAGIC_V2:
-            return False
-        crc_extra = self._crc_extra_by_id.get(data[7] | data[8] << 8 | data[9] << 16)
-        if crc_extra is None or data[2] & ~INCOMPAT_SIGNED:
-            return False
-        at = HEADER_LENGTH[MAGIC_V2] + data[1]
-        end = at + CRC_LENGTH + (SIGNATURE_LENGTH if data[2] else 0)
-        if end != len(data):
-            return False
-        return crc16.mcrf4xx(data[1:at] + bytes((crc_extra,))) == data[at] | data[at + 1] << 8
 
     def take_unknown(self) -> list[bytes]:
         """Return unverified frames of unknown messages since the last call."""

@@ -268,7 +268,7 @@ def setup_from(
     return SigningSetup(SigningKey(secret), min(timestamp, MAX_HEARD))
 
 
-_SETUP_SIGNING = int(mavlink.MAVLINK_MSG_ID_SETUP_SIGNING).to_bytes(3, "little")
+SETUP_SIGNING = int(mavlink.MAVLINK_MSG_ID_SETUP_SIGNING).to_bytes(3, "little")
 
 
 def is_signed(frame: bytes) -> bool:
@@ -278,4 +278,4 @@ def is_signed(frame: bytes) -> bool:
 
 def is_secret(frame: bytes) -> bool:
     """Return True if a frame carries a key: never broadcast, forwarded or written to a log."""
-    return frame[7:10] == _SETUP_SIGNING and frame[0] == MAGIC_V2  # MAVLink 1 has no such id
+    return frame[7:10] == SETUP_SIGNING and frame[0] == MAGIC_V2  # MAVLink 1 has no such id

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -133,7 +132,7 @@ class SimEndpoint:
             return
         if self._links[chunk.link].has_one_peer and chunk.peer is not None:
             self._sole_peers.setdefault(chunk.link, chunk.peer)
-            chunk = replace(chunk, peer=None)
+            chunk = chunk._replace(peer=None)
         if not chunk.data and not chunk.is_datagram:
             self._forget(Channel(chunk.link, chunk.peer))
             return

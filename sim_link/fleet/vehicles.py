@@ -99,7 +99,7 @@ class Fleet:
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Give bytes to the vehicle whose link it is."""
         index, link = divmod(chunk.link, self._links_each)
-        self.endpoints[index].receive(replace(chunk, link=link), now_s)
+        self.endpoints[index].receive(chunk._replace(link=link), now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """Step every vehicle that is due."""

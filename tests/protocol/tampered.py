@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk, Endpoint
@@ -42,7 +41,7 @@ class Tampered:
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         for data in self._inbound(chunk.data):
-            self._endpoint.receive(replace(chunk, data=data), now_s)
+            self._endpoint.receive(chunk._replace(data=data), now_s)
 
     def handle_timer(self, now_s: float) -> None:
         self._endpoint.handle_timer(now_s)
@@ -52,7 +51,7 @@ class Tampered:
 
     def take_output(self) -> list[Chunk]:
         return [
-            replace(chunk, data=data)
+            chunk._replace(data=data)
             for chunk in self._endpoint.take_output()
             for data in self._outbound(chunk.data)
         ]

@@ -35,13 +35,15 @@ from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
 from companion.mav.framing import (
     HEADER_LENGTH,
+    INCOMPAT_SIGNED,
     MAGIC,
+    MAGIC_V2,
     frame_end,
     has_good_crc,
     message_id,
     without_signature,
 )
-from companion.mav.signing import is_secret, is_signed
+from companion.mav.signing import SETUP_SIGNING
 
 _STAMP = struct.Struct(">Q")
 
@@ -64,9 +66,11 @@ def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
 
 def frame_for_log(frame: bytes) -> bytes | None:
     """Return a whole frame without its signature; None if it holds a key, which no log may have."""
-    if is_secret(frame):
+    if frame[0] != MAGIC_V2:
+        return frame  # MAVLink 1 has neither
+    if frame[7:10] == SETUP_SIGNING:
         return None
-    if not is_signed(frame):
+    if not frame[2] & INCOMPAT_SIGNED:
         return frame
     return without_signature(frame, CRC_EXTRA_BY_ID.get(message_id(frame)))
 
