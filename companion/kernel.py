@@ -102,7 +102,13 @@ def _dispatcher(
 
     @functools.wraps(function)
     def dispatched(*arguments: Any) -> Any:
-        return compiled.get(tuple(map(kind_of, arguments)), function)(*arguments)
+        kinds = [
+            (each.dtype.char, each.ndim, each.flags.num & _FLAGS)
+            if type(each) is np.ndarray
+            else _KINDS.get(type(each)) or kind_of(each)
+            for each in arguments
+        ]
+        return compiled.get(tuple(kinds), function)(*arguments)
 
     return dispatched
 

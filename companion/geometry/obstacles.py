@@ -99,7 +99,9 @@ class FreeSpace:
         for fence in self._fences:
             if not contains(fence, point):
                 return False
-        return not any(contains(polygon, point) for polygon in self.keep_out_enu_m)
+        return not self.keep_out_enu_m or not any(
+            contains(polygon, point) for polygon in self.keep_out_enu_m
+        )
 
     def _near(self, start: Point, end: Point, reach_m: float) -> list[Segment]:
         """Return the edges whose bounding box is within reach of a leg's: in practice few."""

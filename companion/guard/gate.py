@@ -24,6 +24,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import chain
 
 from companion.geometry.obstacles import FreeSpace, limited_to_reach
 from companion.geometry.polygons import FARTHEST_M, Point
@@ -217,17 +218,17 @@ class Guard:
     # A vehicle that cannot fly to its setpoint
 
     def _obstacle(self, step: _Step, fence: Fence, ways: FreeSpace) -> GuardReason | None:
-        vehicle, limits = step.vehicle, self.limits
+        start, vehicle, limits = step.start, step.vehicle, self.limits
         if not ways.allows(vehicle):
             return GuardReason.OUTSIDE
-        if math.dist(step.start, vehicle) > JUMP_STEPS * limits.envelope.step_m:
+        if math.dist(start, vehicle) > JUMP_STEPS * limits.envelope.step_m:
             return GuardReason.JUMPED
-        if not ways.is_clear(vehicle, step.start):
+        if not ways.is_clear(vehicle, start):
             return GuardReason.CUT_OFF
         stop = limits.stopping.point(vehicle, step.motion.velocity_enu_mps[:2])
         if not ways.is_clear(vehicle, stop):
             return GuardReason.TOO_FAST
-        return None if fence.allows(step.start) else GuardReason.MARGIN
+        return None if fence.allows(start) else GuardReason.MARGIN
 
     def _restarted(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it.
@@ -302,28 +303,32 @@ class Guard:
     def _permitted(self, step: _Step, fence: Fence) -> Point:
         """Return the end of the straight line to the goal, as far as it may be flown."""
         limits, home, charge_pct = self.limits, step.motion.home_enu_m[:2], step.motion.battery_pct
-        east, north = (min(max(at, -FARTHEST_M), FARTHEST_M) for at in step.goal_enu_m[:2])
-        wanted = (east, north)
-        goal = limited_to_reach(step.start, wanted, home, limits.distance_home_m)
+        start, (east, north, _) = step.start, step.goal_enu_m
+        wanted = (
+            min(max(east, -FARTHEST_M), FARTHEST_M),
+            min(max(north, -FARTHEST_M), FARTHEST_M),
+        )
+        goal = limited_to_reach(start, wanted, home, limits.distance_home_m)
         if goal != wanted:
             step.reasons.append(GuardReason.LEASH)
         if limits.reserve is not None:
-            near = limited_to_reach(step.start, goal, home, limits.reserve.reach_m(charge_pct))
+            near = limited_to_reach(start, goal, home, limits.reserve.reach_m(charge_pct))
             if near != goal:
                 why = GuardReason.BATTERY_UNKNOWN if charge_pct is None else GuardReason.BATTERY
                 step.reasons.append(why)
             goal = near
         if not fence.allows(goal):
             step.reasons.append(GuardReason.FENCE)
-        return fence.limited(step.start, goal)
+        return fence.limited(start, goal)
 
     def _velocity(self, step: _Step, goal: Point, fence: Fence) -> Point:
         """Return the velocity towards the goal, within the envelope and the stopping distance."""
         envelope, stopping = self.limits.envelope, self.limits.stopping
-        before, left_m = step.previous.velocity_enu_mps[:2], math.dist(step.start, goal)
+        start, vehicle, before = step.start, step.vehicle, step.previous.velocity_enu_mps[:2]
+        left_m = math.dist(start, goal)
         if left_m == 0.0:
             return envelope.next_velocity(before, (0.0, 0.0), step.dt_s)
-        east, north = (goal[0] - step.start[0]) / left_m, (goal[1] - step.start[1]) / left_m
+        east, north = (goal[0] - start[0]) / left_m, (goal[1] - start[1]) / left_m
         to_border_m = left_m + fence.margin_m - stopping.clearance_m
         speed_mps = min(
             envelope.speed_mps,
@@ -331,7 +336,7 @@ class Guard:
             stopping.speed_mps(left_m, step.dt_s),
             stopping.speed_mps(to_border_m, stopping.latency_s + step.dt_s),
         )
-        lead = (step.start[0] - step.vehicle[0], step.start[1] - step.vehicle[1])
+        lead = (start[0] - vehicle[0], start[1] - vehicle[1])
         if lead[0] * east + lead[1] * north > 0.0:
             ve, vn = step.motion.velocity_enu_mps[:2]
             room_m = max(0.0, envelope.step_m - math.hypot(*lead))
@@ -345,12 +350,12 @@ class Guard:
         self, place: Point, velocity: Point, step: _Step, fence: Fence, ways: FreeSpace
     ) -> bool:
         """Return True if a setpoint may be the last one; see the theory of operation."""
-        stopping = self.limits.stopping
-        arrival = ahead(step.vehicle, step.motion.velocity_enu_mps[:2], stopping.latency_s)
+        stopping, vehicle = self.limits.stopping, step.vehicle
+        arrival = ahead(vehicle, step.motion.velocity_enu_mps[:2], stopping.latency_s)
         return (
             fence.allows(place)
             and ways.is_clear(place, stopping.point(place, velocity))
-            and ways.is_clear(step.vehicle, place)
+            and ways.is_clear(vehicle, place)
             and ways.is_clear(arrival, place)
         )
 
@@ -370,4 +375,4 @@ def _outside_m(place: Sequence[float], fence: Fence) -> float:
 
 
 def _are_finite(*vectors: Position) -> bool:
-    return all(all(map(math.isfinite, vector)) for vector in vectors)
+    return all(map(math.isfinite, chain.from_iterable(vectors)))

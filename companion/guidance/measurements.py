@@ -6,8 +6,6 @@ scheduler keeps estimate, plan and watches on the current one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 from companion.domain import PositionAccuracy, RangingMeasurement
@@ -185,10 +183,12 @@ class Measuring:
         """Queue a measurement, and fuse within the steps of this wake-up."""
         if self._context.authority.phase is Phase.FINISHED:
             return  # while parked on the estimate, more measurements can only spoil it
-        with self._contained(now_s):
+        try:
             refused = self._listener.receive(measurement)
             if refused:
                 self._follow_reports(refused, now_s)
+        except Exception as error:
+            self._contain(error, now_s)
         self.fuse_due(now_s)
 
     @property
@@ -222,24 +222,25 @@ class Measuring:
     def _take_due(self, now_s: float) -> None:
         if not self._listener.waiting:
             return
+        due = self._listener.take_due(now_s)
+        if not due:
+            return
         own = self._context.vehicle.position_accuracy.accuracy(now_s)
-        for measurement in self._listener.take_due(now_s):
+        for measurement in due:
             if self._queue.add(Queued(measurement, now_s, own)):
                 self._context.emitters.current.reject(RejectReason.TOO_MANY)
 
     def _advance(self, now_s: float) -> None:
-        with self._contained(now_s):
+        try:
             reports = self._queue.advance(self._context.tracker.emitter_id)
             if reports:
                 self._follow_reports(reports, now_s)
-
-    @contextmanager
-    def _contained(self, now_s: float) -> Iterator[None]:
-        try:
-            yield
         except Exception as error:
-            self._context.contain("estimator", error, now_s)
-            self._inputs.note_rejected()
+            self._contain(error, now_s)
+
+    def _contain(self, error: Exception, now_s: float) -> None:
+        self._context.contain("estimator", error, now_s)
+        self._inputs.note_rejected()
 
     def _follow_reports(self, reports: list[FusionReport], now_s: float) -> None:
         context = self._context

@@ -60,6 +60,8 @@ class Phase(Enum):
     HANDBACK = "handback"
     STOPPED = "stopped"
 
+    __hash__ = object.__hash__  # that of Enum is written in Python, and phases are looked up often
+
 
 PHASE_WORDS = {
     Phase.WAITING: "waiting for the autopilot",

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from companion.estimation.filters.robust_update import asymmetric_huber_influence
 from companion.estimation.filters.target_filter import (
@@ -51,7 +52,7 @@ MAX_PRIOR_SHARE = 1.0
 """Largest share of the state's own uncertainty in an innovation from which noise is learnt."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class NoiseMonitor:
     """Running moments of one modality's whitened innovations, with forgetting."""
 
@@ -89,7 +90,7 @@ class NoiseMonitor:
         """Share of measurements on the quadratic part of the loss, which add curvature."""
         return self.slope_sum / self.count if self.count else 1.0
 
-    @property
+    @cached_property
     def correlation(self) -> float:
         """Lag-1 correlation of psi; 0 where it is not significant."""
         if self.pair_count < MIN_PAIRS:
@@ -112,7 +113,7 @@ class NoiseMonitor:
         sandwich = weight * influence2 / slope**2
         return min(max(1.0, sandwich) * self.repetition, MAX_INFLATION)
 
-    @property
+    @cached_property
     def repetition(self) -> float:
         """Factor (1 + rho) / (1 - rho) of correlated innovations."""
         rho = self.correlation
@@ -152,7 +153,7 @@ class TrackerHealth:
     """Curvature and bilateral information; None before the first measurement."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class InnovationNoise:
     """Noise of a run as measured on its innovations, and the running mean of their NIS.
 
@@ -201,10 +202,10 @@ class InnovationNoise:
         """True if that mean is above the band of white, consistent innovations."""
         return self.dof >= 1.0 and self.nis_sum / self.dof > mean_band(1.0, self.dof)[1]
 
-    @property
+    @cached_property
     def is_white(self) -> bool:
         """True if no correlation of innovations is significant."""
-        return all(monitor.correlation == 0.0 for monitor in self.monitors)
+        return all([monitor.correlation == 0.0 for monitor in self.monitors])
 
     @property
     def nlos_share(self) -> float:

@@ -93,7 +93,9 @@ class VehicleTrack:
         states = self._states
         if not states or time_s < states[0].time_s:
             return None
-        index = bisect.bisect_right(states, time_s, key=lambda s: s.time_s)
+        index = len(states)  # a measurement is about as old as the newest states
+        while states[index - 1].time_s > time_s:
+            index -= 1
         before = states[index - 1]
         if index == len(states):
             ahead_s = time_s - before.time_s
@@ -138,7 +140,12 @@ def _step(place: PositionEnu, way: PositionEnu, share: float) -> PositionEnu:
 
 def is_plausible(state: VehicleState) -> bool:
     """Return True if every component of a state is finite and valid in a flat local frame."""
-    place_m, speed_mps = state.position_enu_m, state.velocity_enu_mps
-    return all(abs(v) <= MAX_COORDINATE_M for v in place_m) and all(
-        abs(v) <= MAX_SPEED_MPS for v in speed_mps
+    (e, n, u), (ve, vn, vu) = state.position_enu_m, state.velocity_enu_mps
+    return (
+        abs(e) <= MAX_COORDINATE_M
+        and abs(n) <= MAX_COORDINATE_M
+        and abs(u) <= MAX_COORDINATE_M
+        and abs(ve) <= MAX_SPEED_MPS
+        and abs(vn) <= MAX_SPEED_MPS
+        and abs(vu) <= MAX_SPEED_MPS
     )

@@ -367,12 +367,12 @@ class Watches:
         if phase is Phase.WAITING and not self._context.vehicle.is_armed:
             self.battery.note_flight_end()
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
-        found = [(watch, watch.step(now_s)) for watch in self._all]
-        if is_in_control:
-            return worst(finding for _, finding in found)
-        if phase is Phase.LAUNCHING:
-            return worst(finding for watch, finding in found if watch in self._for_launch)
-        return None
+        found = []
+        for watch in self._all:
+            finding = watch.step(now_s)
+            if finding is not None and (is_in_control or watch in self._for_launch):
+                found.append(finding)
+        return worst(found) if is_in_control or phase is Phase.LAUNCHING else None
 
     def note_handback(self, finding: Finding) -> None:
         """Note a hand-back for this finding."""

@@ -26,6 +26,7 @@ import statistics
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from companion.link.conversion.clock_sync import (
     DATED_BACK_S,
@@ -74,8 +75,7 @@ class ClockStep(Enum):
     RESTART = "its sender restarted"
 
 
-@dataclass(frozen=True, slots=True)
-class StampReading:
+class StampReading(NamedTuple):
     """Converted stamp."""
 
     time_s: float
