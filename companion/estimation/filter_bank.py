@@ -155,7 +155,8 @@ def update_hypotheses(
         before.append(log_weight)
         if len(hypotheses) > 1:  # a single hypothesis needs no weight
             log_weight += log_likelihood(report, thresholds, filter_inflation)
-        survivors.append(replace(hypothesis, log_weight=log_weight, state=report.state))
+        least_m2, prior = hypothesis.least_covariance_m2, hypothesis.log_prior
+        survivors.append(Hypothesis(log_weight, report.state, least_m2, prior))
         reports.append(report)
     least = max(before, default=0.0) + LIKELY_LOG_RATIO
     judged = [

@@ -134,6 +134,11 @@ class FusionReport:
     """The measurement, its bearing in the local frame, where it is to be logged."""
     sensor_enu_m: PositionEnu | None = None
 
+    def of(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None) -> FusionReport:
+        """Return the same result with the measurement and the position it was seen from."""
+        result = self.reject_reason, self.update, self.restarted, self.agrees
+        return FusionReport(*result, measurement, sensor_enu_m)
+
 
 class TargetTracker:
     """Tracker of one emitter: `emitter_id`, or the first one received."""
@@ -422,6 +427,8 @@ class TargetTracker:
             shared=self._shared._replace(own=own),
         )
         estimate = self._kept_estimate.get(make, *made_of)
+        if self.raised_m == 0.0 and estimate.time_s == now_s:
+            return estimate
         return replace(estimate, time_s=now_s, height_m=estimate.height_m + self.raised_m)
 
     def budget(self, now_s: float) -> dict[str, float]:

@@ -107,11 +107,11 @@ class FreeSpace:
         """Return the edges whose bounding box is within reach of a leg's: in practice few."""
         west, east = min(start[0], end[0]) - reach_m, max(start[0], end[0]) + reach_m
         south, north = min(start[1], end[1]) - reach_m, max(start[1], end[1]) + reach_m
-        return [
-            edge
-            for edge, (west_m, east_m, south_m, north_m) in self._boxed
-            if not (west > east_m or east < west_m or south > north_m or north < south_m)
-        ]
+        near = []
+        for edge, (west_m, east_m, south_m, north_m) in self._boxed:
+            if not (west > east_m or east < west_m or south > north_m or north < south_m):
+                near.append(edge)
+        return near
 
     def pieces(self, start: Point, end: Point) -> Iterator[Segment]:
         """Yield the free parts of a straight leg, in its direction and order."""

@@ -317,9 +317,10 @@ class Guard:
                 why = GuardReason.BATTERY_UNKNOWN if charge_pct is None else GuardReason.BATTERY
                 step.reasons.append(why)
             goal = near
-        if not fence.allows(goal):
+        permitted = fence.limited(start, goal)
+        if permitted != goal and not fence.allows(goal):
             step.reasons.append(GuardReason.FENCE)
-        return fence.limited(start, goal)
+        return permitted
 
     def _velocity(self, step: _Step, goal: Point, fence: Fence) -> Point:
         """Return the velocity towards the goal, within the envelope and the stopping distance."""

@@ -112,7 +112,7 @@ class RangingListener:
             attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
             measurement = seen_in_enu(measurement, attitude, self._antenna)
         report = yield from self._emitters.fuse.steps(measurement, sensor_enu_m, now_s, own)
-        return replace(report, measurement=measurement, sensor_enu_m=sensor_enu_m)
+        return report.of(measurement, sensor_enu_m)
 
 
 class EmitterScheduler:

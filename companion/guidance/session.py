@@ -173,6 +173,9 @@ class GuidanceSession:
             case events.YawMeasured():
                 self._watches.jumps.take_heading(event)
                 return
+            case events.PositionAccuracyReported():
+                self.vehicle.handle(event)
+                return
             case _:
                 self.vehicle.handle(event)
         self._watches.handle(event)

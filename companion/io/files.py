@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
-from functools import partial
 from pathlib import Path
 
 from companion.errors import CompanionError, ConfigError
@@ -45,13 +44,15 @@ def plain(value: object) -> object:
     return str(value)
 
 
+_LINES = json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=plain)
+
+
 def json_line(value: object) -> bytes:
     """Return `plain(value)` as one line of ASCII JSON, without the newline."""
-    write = partial(json.dumps, allow_nan=False, separators=(",", ":"))
     try:
-        text = write(value, default=plain)  # most values are plain already, down to every number
+        text = _LINES.encode(value)  # most values are plain already, down to every number
     except (ValueError, TypeError):
-        text = write(plain(value))
+        text = _LINES.encode(plain(value))
     return text.encode("ascii")
 
 

@@ -39,6 +39,7 @@ from companion.link.interface import (
     LinkRole,
     LinkSpec,
 )
+from companion.link.outbound import Ids
 from companion.link.outlet import COMPONENT_ID, Outlet
 from companion.link.presence import Presence
 from companion.link.quality import FloodShield, LinkAlarms, LinkHealth, RadioWatch
@@ -53,7 +54,7 @@ from companion.link.ranging_sources import (
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import message_id, sender_of
+from companion.mav.framing import header_of
 from companion.mav.signing import is_signed
 
 __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]
@@ -276,7 +277,8 @@ class CompanionEndpoint:
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
         if self._recorder is not None:
             self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
-        number, sender, outlet = message_id(frame), sender_of(frame), self.outlet
+        header, outlet = header_of(frame), self.outlet
+        _, sender, number = header
         is_proved = not self.authenticity.is_on or is_signed(frame)
         is_ours = sender == outlet.own_ids
         if is_proved and outlet.note_sender(frame, sender, number, now_s, self._may_move_aside):
@@ -284,7 +286,7 @@ class CompanionEndpoint:
         if is_ours:
             return
         if chunk.link == self._vehicle_link:
-            self._receive_on_vehicle_link(frame, sender, number, chunk, now_s)
+            self._receive_on_vehicle_link(frame, header, chunk, now_s)
             return
         self._journal.frame(frame, now_s)
         source = self._sources.get(chunk.link)
@@ -295,20 +297,20 @@ class CompanionEndpoint:
             self._serve_station(message, now_s, may_grant=False)
 
     def _receive_on_vehicle_link(
-        self, frame: bytes, sender: tuple[int, int], number: int, chunk: Chunk, now_s: float
+        self, frame: bytes, header: tuple[int, Ids, int], chunk: Chunk, now_s: float
     ) -> None:
         """Process a frame on the vehicle link; the log has no room for every unknown peer's.
 
         One without a signature, where there is a key, is no evidence about the autopilot.
         """
-        binding, peer = self.binding, chunk.peer
+        binding, peer, (sequence, sender, number) = self.binding, chunk.peer, header
         is_proved = not self.authenticity.is_on or is_signed(frame)
         is_peer = peer == binding.peer
         if is_peer or binding.is_keyed or binding.bound is None:
             self._journal.frame(frame, now_s)
         if number in UNREAD:
             if is_proved:
-                self.executor.note_unread(frame, sender, number, peer, now_s)
+                self.executor.note_unread(sender, sequence, number, peer, now_s)
             return
         message = self._intakes[chunk.link].codec.decode_proved(frame)
         if message is None or not is_proved:

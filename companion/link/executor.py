@@ -28,7 +28,6 @@ from companion.link.quality import LinkHealth
 from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
-from companion.mav.framing import sequence_of
 
 OCCASIONAL = FENCE_IDS | {mavlink.MAVLINK_MSG_ID_COMMAND_ACK, mavlink.MAVLINK_MSG_ID_STATUSTEXT}
 """Ids of messages that come as answers or on occasion."""
@@ -102,10 +101,9 @@ class SessionExecutor:
             self.journal.text(commands.Severity.WARNING, text, now_s)
 
     def note_unread(
-        self, frame: bytes, sender: Ids, number: int, peer: Address | None, now_s: float
+        self, sender: Ids, sequence: int, number: int, peer: Address | None, now_s: float
     ) -> None:
-        """Note that a frame came which is not decoded; its header has `sender` and `number`."""
-        sequence = sequence_of(frame)
+        """Note that a frame came which is not decoded: its sender, sequence and message id."""
         if self.binding.hear(sender, peer, now_s, sequence):
             if self._queries.stopper is not None:
                 self._queries.stopper.hear(number, now_s)

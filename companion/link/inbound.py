@@ -186,7 +186,7 @@ class VehicleInbound:
                 return []
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
             tilt = (message.roll, message.pitch)
-            has_tilt = all(abs(angle) <= MAX_YAW_RAD for angle in tilt)
+            has_tilt = abs(message.roll) <= MAX_YAW_RAD and abs(message.pitch) <= MAX_YAW_RAD
             event = YawMeasured(
                 now_s, reading.time_s, message.yaw, tilt if has_tilt else None, order=number
             )

@@ -35,6 +35,7 @@ RangingMessage = (
     | mavlink.MAVLink_landing_target_message
     | mavlink.MAVLink_ranging_beacon_message
 )
+BODY_FRAME, LINE_OF_SIGHT, NON_LINE_OF_SIGHT, ARRAY_ANGLE = (int(flag) for flag in RangingFlag)
 RANGING_IDS = frozenset(kind.id for kind in get_args(RangingMessage))
 """Message ids that are read as ranging."""
 
@@ -151,11 +152,11 @@ def _from_radio_ranging(
 ) -> RangingMeasurement:
     flags = message.flags
     # an arcsine is in the antenna's frame, never north-referenced, even without BODY_FRAME
-    is_body = bool(flags & (RangingFlag.BODY_FRAME | RangingFlag.ARRAY_ANGLE))
+    is_body = bool(flags & (BODY_FRAME | ARRAY_ANGLE))
     line_of_sight = None
-    if flags & RangingFlag.LINE_OF_SIGHT:
+    if flags & LINE_OF_SIGHT:
         line_of_sight = True
-    elif flags & RangingFlag.NON_LINE_OF_SIGHT:
+    elif flags & NON_LINE_OF_SIGHT:
         line_of_sight = False
     bearing_enu_rad = bearing_body_rad = _or_none(message.bearing)
     if (
@@ -174,7 +175,7 @@ def _from_radio_ranging(
         elevation_rad=_or_none(message.elevation),
         elevation_sigma_rad=_or_none(message.elevation_std),
         power_dbm=_or_none(message.power) or None,  # 0: the sender has no such field
-        is_array_angle=bool(flags & RangingFlag.ARRAY_ANGLE),
+        is_array_angle=bool(flags & ARRAY_ANGLE),
         quality=None if message.quality == UINT8_MAX else message.quality / 100.0,
         line_of_sight=line_of_sight,
     )

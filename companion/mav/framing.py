@@ -164,15 +164,17 @@ def message_id(frame: bytes) -> int:
     return frame[7] | frame[8] << 8 | frame[9] << 16
 
 
+def header_of(frame: bytes) -> tuple[int, tuple[int, int], int]:
+    """Return sequence number, sender's system and component id, and message id of a frame."""
+    if frame[0] == MAGIC_V1:
+        return frame[2], (frame[3], frame[4]), frame[5]
+    return frame[4], (frame[5], frame[6]), frame[7] | frame[8] << 8 | frame[9] << 16
+
+
 def sender_of(frame: bytes) -> tuple[int, int]:
     """Return the sender's system and component id in a frame's header."""
     at = 3 if frame[0] == MAGIC_V1 else 5
     return (frame[at], frame[at + 1])
-
-
-def sequence_of(frame: bytes) -> int:
-    """Return the sequence number in a frame's header."""
-    return frame[2 if frame[0] == MAGIC_V1 else 4]
 
 
 def frame_crc(frame: bytes, crc_extra: int) -> int:

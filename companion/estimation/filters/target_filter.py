@@ -398,17 +398,15 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
         if reported == (None, None, None):
             return configured
-        ranged, borne, elevated = (
-            _within(sigma, own if least is None else least, most, own)
+        ranged, borne, elevated = [
+            own if sigma is None else _within(sigma, own if least is None else least, most)
             for sigma, least, most, own in zip(
                 reported, m.least_sigmas, MAX_SIGMAS, configured, strict=True
             )
-        )
+        ]
         return (max(ranged, least_m), borne, elevated)
 
 
-def _within(reported: float | None, least: float, most: float, default: float) -> float:
-    """Return a reported standard deviation within its limits; the default if none is reported."""
-    if reported is None:
-        return default
+def _within(reported: float, least: float, most: float) -> float:
+    """Return a reported standard deviation within its limits."""
     return least if reported < least * (1.0 - FLOAT32_STEP) else min(reported, most)

@@ -185,7 +185,7 @@ class InnovationNoise:
                 monitors.append(replace(monitor, previous=None))  # the chain is broken
             else:
                 monitors.append(monitor.after(row.whitened_innovation, k_long, k_short))
-        dof = sum(row is not None for row in report.modalities)
+        dof = sum([row is not None for row in report.modalities])
         return InnovationNoise(
             (*monitors, *self.monitors[len(monitors) :]),  # a report without power has fewer rows
             NIS_FORGETTING * self.dof + dof,
@@ -215,10 +215,12 @@ class InnovationNoise:
     def inflation(self, found: Inflation | None) -> Inflation:
         """Return the variance inflation of each modality; `found` is the window's, if solved."""
         if found is None:
-            return tuple(monitor.inflation for monitor in self.monitors)
+            return tuple([monitor.inflation for monitor in self.monitors])
         return tuple(
-            min(noise * monitor.repetition, MAX_INFLATION)
-            for noise, monitor in zip(found, self.monitors, strict=True)
+            [
+                min(noise * monitor.repetition, MAX_INFLATION)
+                for noise, monitor in zip(found, self.monitors, strict=True)
+            ]
         )
 
     def health(self, inflation: Inflation, observability: Observability | None) -> TrackerHealth:

@@ -99,23 +99,28 @@ def reject_reason_of(
     sigmas = [sigma for sigma in reported if sigma is not None]
     powers = [] if m.power_dbm is None else [m.power_dbm]
     numbers = [*ranges, *bearings, *elevations, *powers, *sigmas]
+    if not (ranges or bearings or powers):
+        return RejectReason.NOTHING_MEASURED
+    if not all(map(math.isfinite, (*numbers, m.measured_at_s))):
+        return RejectReason.NOT_FINITE
     checks = (
-        (bool(ranges or bearings or powers), RejectReason.NOTHING_MEASURED),
-        (all(map(math.isfinite, (*numbers, m.measured_at_s))), RejectReason.NOT_FINITE),
-        (not any(0.0 < abs(v) < LEAST_NORMAL for v in numbers), RejectReason.DENORMAL),
-        (all(v > 0.0 for v in ranges), RejectReason.RANGE_NOT_POSITIVE),
-        (all(v <= params.max_range_m for v in ranges), RejectReason.RANGE_ABSURD),
-        (all(abs(v) <= MAX_BEARING_RAD for v in bearings), RejectReason.BEARING_ABSURD),
-        (all(abs(v) <= MAX_ELEVATION_RAD for v in elevations), RejectReason.ELEVATION_ABSURD),
+        ([v for v in numbers if 0.0 < abs(v) < LEAST_NORMAL], RejectReason.DENORMAL),
+        (min(ranges, default=1.0) <= 0.0, RejectReason.RANGE_NOT_POSITIVE),
+        (max(ranges, default=0.0) > params.max_range_m, RejectReason.RANGE_ABSURD),
+        (max(map(abs, bearings), default=0.0) > MAX_BEARING_RAD, RejectReason.BEARING_ABSURD),
+        (max(map(abs, elevations), default=0.0) > MAX_ELEVATION_RAD, RejectReason.ELEVATION_ABSURD),
         (
-            all(POWER_LIMITS_DBM[0] <= v <= POWER_LIMITS_DBM[1] for v in powers),
+            powers and not POWER_LIMITS_DBM[0] <= powers[0] <= POWER_LIMITS_DBM[1],
             RejectReason.POWER_ABSURD,
         ),
-        (all(v > 0.0 for v in sigmas), RejectReason.SIGMA_NOT_POSITIVE),
-        (m.measured_at_s <= now_s + FUTURE_TOLERANCE_S, RejectReason.FROM_THE_FUTURE),
-        (now_s - m.measured_at_s <= params.max_age_s, RejectReason.STALE),
+        (min(sigmas, default=1.0) <= 0.0, RejectReason.SIGMA_NOT_POSITIVE),
+        (m.measured_at_s > now_s + FUTURE_TOLERANCE_S, RejectReason.FROM_THE_FUTURE),
+        (now_s - m.measured_at_s > params.max_age_s, RejectReason.STALE),
     )
-    return next((reason for is_fine, reason in checks if not is_fine), None)
+    for is_wrong, reason in checks:
+        if is_wrong:
+            return reason
+    return None
 
 
 def identity_of(measurement: RangingMeasurement) -> Hashable:

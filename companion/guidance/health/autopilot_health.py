@@ -232,7 +232,7 @@ class HealthWatch(Watch):
         if self._is_failsafe and not self._accepted_failsafe and not self._battery.is_low:
             text = "autopilot failsafe active"
             found.append(Finding(Verdict.HOLD, Reason.FAILSAFE, text))
-        return worst(found)
+        return worst(found) if found else None
 
     def _without_fix(self, lasted_s: float, now_s: float) -> Finding:
         """Return the finding for a lost fix, by the estimator's verdict."""

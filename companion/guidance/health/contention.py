@@ -188,13 +188,15 @@ class EchoWatch(Watch):
 
 
 def _distance_m(point: PositionEnu, start: PositionEnu, end: PositionEnu) -> float:
-    along = [b - a for a, b in zip(start, end, strict=True)]
-    length2 = sum(d * d for d in along)
+    (e, n, u), (to_e, to_n, to_u), (at_e, at_n, at_u) = start, end, point
+    de, dn, du = to_e - e, to_n - n, to_u - u
+    length2 = de * de + dn * dn + du * du
     if length2 == 0.0:
         return math.dist(point, start)
-    offset = [p - a for a, p in zip(start, point, strict=True)]
-    share = min(1.0, max(0.0, sum(d * o for d, o in zip(along, offset, strict=True)) / length2))
-    return math.dist(offset, [share * d for d in along])
+    offset = (at_e - e, at_n - n, at_u - u)
+    along = de * offset[0] + dn * offset[1] + du * offset[2]
+    share = min(1.0, max(0.0, along / length2))
+    return math.dist(offset, (share * de, share * dn, share * du))
 
 
 MOVED = 0.3

@@ -113,7 +113,8 @@ class PositionNoise:
             return
         self._count += 1
         share = max(NOISE_SHARE, 1.0 / self._count)
-        square_m2 = sum(value * value for value in rest) / 3.0
+        e, n, u = rest
+        square_m2 = (e * e + n * n + u * u) / 3.0
         self._mean_square_m2 += share * (square_m2 - self._mean_square_m2)
 
 

@@ -110,6 +110,8 @@ class Lateness(Enum):
     UNKNOWN = "answers came, and come no more"
     SLOW = "answers come late"
 
+    __hash__ = object.__hash__  # as in `Phase`
+
 
 class OffsetFilter:
     """Kalman filter of two states for offset and rate of a clock, from exchanges of times.

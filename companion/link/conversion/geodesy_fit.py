@@ -93,7 +93,10 @@ class GeodesyFit:
 
     def note_local(self, stamp_s: float, enu_m: PositionEnu) -> bool:
         """Process a local position with the autopilot's stamp; return True if the fit changed."""
-        if not all(abs(value) <= MAX_COORDINATE_M for value in enu_m):
+        east_m, north_m, up_m = map(abs, enu_m)
+        if not (
+            east_m <= MAX_COORDINATE_M and north_m <= MAX_COORDINATE_M and up_m <= MAX_COORDINATE_M
+        ):
             return False
         self._before, self._latest = self._latest, (stamp_s, enu_m)
         return self._compare()

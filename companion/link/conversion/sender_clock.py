@@ -280,7 +280,7 @@ class SenderClock:
     @property
     def gained_s(self) -> float:
         """Recent gain on our clock, seconds."""
-        return sum(gain_s for _, gain_s in self._gains)
+        return sum([gain_s for _, gain_s in self._gains]) if self._gains else 0.0
 
     def calm(self) -> None:
         """Clear the gains, because they were a slip."""

@@ -13,9 +13,9 @@ from companion.mav.framing import (
     FrameSplitter,
     frame_crc,
     frame_end,
+    header_of,
     message_id,
     sender_of,
-    sequence_of,
     without_signature,
 )
 
@@ -419,7 +419,12 @@ def test_unknown_messages_are_not_kept_unless_wanted() -> None:
 
 @pytest.mark.parametrize(("frame", "at"), [(heartbeat(), 4), (heartbeat_v1(), 2)])
 def test_the_sequence_number_is_read_from_either_header(frame: bytes, at: int) -> None:
-    assert sequence_of(with_header(frame, at, 201)) == 201
+    assert header_of(with_header(frame, at, 201))[0] == 201
+
+
+@pytest.mark.parametrize("frame", [heartbeat(), heartbeat_v1(), unknown(number=0x01_02_03)])
+def test_a_header_has_sender_and_message_id_of_either_version(frame: bytes) -> None:
+    assert header_of(frame)[1:] == (sender_of(frame), message_id(frame))
 
 
 def test_the_sender_is_read_from_either_header() -> None:
