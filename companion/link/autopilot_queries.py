@@ -32,7 +32,7 @@ from companion.guidance.flight.vehicle import LANDED_PATIENCE_S
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
 from companion.link.conversion.offered_modes import OfferedModes
-from companion.link.fence_download import FENCE_IDS, FenceDownload, FenceMessage
+from companion.link.fence_download import FENCE_IDS, FenceDownload
 from companion.link.fence_parameters import FenceParameters
 from companion.link.intake import RateLimit
 from companion.link.outbound import Ids, VehicleCommand
@@ -102,8 +102,7 @@ class StreamFreshness:
 
     def stream(self, message_id: int) -> Stream:
         """Return the arrival times of a kind of message."""
-        stream = self._streams.get(message_id)
-        return Stream() if stream is None else stream
+        return self._streams.get(message_id) or Stream()
 
     def age_s(self, message_id: int, now_s: float) -> float | None:
         """Return the seconds since a kind of message made progress; None if it never did."""
@@ -386,16 +385,6 @@ SHORTEST_PATIENCE_S = min(patience_s for _, patience_s in PATIENCE_S.values())
 TEXTS_PER_S = 0.2
 
 
-QUERIED = FENCE_IDS | {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC,
-    mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES,
-    mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES_MONITOR,
-}
-"""Ids of messages that a query reads, beside their arrival."""
-
-
 class AutopilotQueries:
     """All queries; `fencing` decides whether the autopilot's fence is wanted."""
 
@@ -421,11 +410,9 @@ class AutopilotQueries:
 
     def receive(self, message: Message, now_s: float) -> list[Announce]:
         """Process a message of the autopilot; return texts for the operator."""
-        self.freshness.receive(message, now_s)
-        if message.get_msgId() not in QUERIED:
-            return []
-        if isinstance(message, FenceMessage):
+        if message.get_msgId() in FENCE_IDS:
             self.next_s = now_s  # the next item is due
+        self.freshness.receive(message, now_s)
         self.clock.receive(message, now_s)
         self.modes.receive(message)
         if isinstance(message, mavlink.MAVLink_sys_status_message):

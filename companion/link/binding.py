@@ -112,12 +112,6 @@ class AutopilotBinding:
     """Courses of the same ids at other addresses."""
     unproved: dict[Address | None, float] = field(default_factory=dict)
     """Addresses that may be the autopilot's now, and when they were asked for evidence."""
-    silence_s: float = field(init=False)
-    """Seconds that the autopilot must be silent before another address is accepted."""
-
-    def __post_init__(self) -> None:
-        """Set the silence by the evidence that every frame has."""
-        self.silence_s = SURE_SILENCE_S if self.is_keyed else PEER_SILENCE_S
 
     @property
     def is_bound(self) -> bool:
@@ -154,6 +148,11 @@ class AutopilotBinding:
             for (system, component), number in sorted(self.unfit.items())
         ]
 
+    @property
+    def silence_s(self) -> float:
+        """Seconds that the autopilot must be silent before another address is accepted."""
+        return SURE_SILENCE_S if self.is_keyed else PEER_SILENCE_S
+
     def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
         """Return True if a message is of the bound autopilot, and to be used; may bind to one."""
         header = message.get_header()
@@ -171,34 +170,24 @@ class AutopilotBinding:
             self.hardware.ask_again()
         self.heard_s = now_s
         if self._course.note_sequence(header.seq, now_s):
-            self._suspect_replacement(now_s)
+            self.hardware.confirm(now_s, PEER_SILENCE_S)  # it may be another with the same clock
         if sign is not None:
             return self._take_sign(sign, now_s) and not self.is_doubted
         return self._compare_vehicle(message, now_s) and not self.is_doubted
 
     def _compare_vehicle(self, message: Message, now_s: float) -> bool:
         """Check the kind, hardware or clock in a message without a sign; False: do not use it."""
-        match message:
-            case mavlink.MAVLink_heartbeat_message():
-                self._compare_kind(message, now_s)
-                is_given = not self.is_in_control and gives_control(message)
-                # after a break it may be another vehicle's: wait for the next one
-                return not (self._course.is_out_of_sequence and is_given)
-            case mavlink.MAVLink_timesync_message():
-                exchange = exchange_sign_of(message)
-                if exchange is not None:
-                    self._take_exchange(exchange, now_s)
-            case mavlink.MAVLink_autopilot_version_message():
-                uid = uid_of(message)
-                if uid is not None and self.hardware.differs(uid, now_s):
-                    self._take_other_hardware(uid, now_s)
-        return True
-
-    def _suspect_replacement(self, now_s: float) -> None:
-        """Ask for the hardware again: another vehicle may have the same clock here."""
-        is_known = self.hardware.uid is not None
-        if is_known and now_s - self.hardware.heard_s > PEER_SILENCE_S:
-            self.hardware.ask_again()
+        uid, exchange = uid_of(message), exchange_sign_of(message)
+        if uid is not None and self.hardware.differs(uid, now_s):
+            self._take_other_hardware(uid, now_s)
+        if exchange is not None:
+            self._take_exchange(exchange, now_s)
+        if not isinstance(message, mavlink.MAVLink_heartbeat_message):
+            return True
+        self._compare_kind(message, now_s)
+        is_given = not self.is_in_control and gives_control(message)
+        # after a break it may be another vehicle's: wait for the next one
+        return not (self._course.is_out_of_sequence and is_given)
 
     def hear(self, ids: Ids, peer: Address | None, now_s: float, sequence: int) -> bool:
         """Return the result of `recognise` for a frame that is not decoded."""
@@ -209,7 +198,7 @@ class AutopilotBinding:
             return False
         self.heard_s = now_s
         if self._course.note_sequence(sequence, now_s):
-            self._suspect_replacement(now_s)
+            self.hardware.confirm(now_s, PEER_SILENCE_S)
         return True
 
     def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
@@ -231,8 +220,6 @@ class AutopilotBinding:
 
     def take_unproved(self, now_s: float) -> list[Address | None]:
         """Return the addresses to be asked now for evidence of their vehicle."""
-        if not self.unproved:
-            return []
         due = [at for at, asked_s in self.unproved.items() if now_s - asked_s >= PROOF_PERIOD_S]
         self.unproved.update(dict.fromkeys(due, now_s))
         return due
@@ -349,11 +336,8 @@ class AutopilotBinding:
         return self._listened_s(heard_s, now_s) > VANISHED_S
 
     def _is_silent(self, now_s: float, silence_s: float | None = None) -> bool:
-        if self.heard_s is None:
-            return True
         least_s = self.silence_s if silence_s is None else silence_s
-        until_s = now_s if self._ticked_s is None else self._ticked_s  # as in `_listened_s`
-        return until_s - self.heard_s >= least_s
+        return self.heard_s is None or self._listened_s(self.heard_s, now_s) >= least_s
 
     def _doubt(self, problem: str, now_s: float) -> None:
         self._doubted_s = now_s

@@ -52,6 +52,11 @@ class HardwareId:
         """Request it again, because the sender may have changed."""
         self._asks = 0
 
+    def confirm(self, now_s: float, age_s: float) -> None:
+        """Request it again if the latest answer is older than this, in seconds."""
+        if self.uid is not None and now_s - self.heard_s > age_s:
+            self.ask_again()
+
     def differs(self, uid: str, now_s: float) -> bool:
         """Process an answered id; return True if another one was answered before."""
         if self.uid is None:
