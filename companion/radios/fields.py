@@ -93,14 +93,14 @@ _UNIT_WORDS = {
 _MICRO = "\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}"
 _MICRO_AS_U = dict.fromkeys(map(ord, _MICRO), "u")
 _UNIT_BEHIND = re.compile(
-    rf"[ \t]{{0,3}}[\[(]?([A-Za-z{_MICRO}]++|\N{{DEGREE SIGN}})(?!\s*[=:])|(['\"])(?=\s|$)"
+    r"([ \t]{0,3}[\[(]?)([^\W\d_]++(?:/[a-z]++)?|\N{DEGREE SIGN})(?!\s*[=:])|(['\"](?=\s|$)|%)"
 )
-"""A mark of feet or inches, or a word, perhaps in brackets, that is not itself the name of what
-follows."""
+"""A mark of feet, inches or percent, or a word, perhaps in brackets, that is not itself the name of
+what follows."""
 _SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])[-\N{MINUS SIGN}\N{EN DASH}]$")
 _NUMBER_BEFORE = re.compile(r"[0-9][.,]?$")
 _NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]")
-_COMMA_BEHIND = re.compile(r",[0-9]")
+_COMMA_BEHIND = re.compile("[,'\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}][0-9]")
 _WORD_BEFORE, _WORD_BEHIND = re.compile(r"\w$"), re.compile(r"\w")
 """What must not touch hexadecimal digits."""
 
@@ -202,7 +202,7 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
         if is_cut or (end == found.end() and behind.match(line, end)):
             return f"{name} is part of a longer number"
         if end == found.end() and "." not in text and _COMMA_BEHIND.match(line, end):
-            return f"{name} ends at a comma: if it separates, end the expression with it"
+            return f"{name} ends at `{line[end]}` before digits: if it separates, include it"
         word = _unit_of(_UNIT_BEHIND.match(line, end))
         if word is not None and "_" in plain and word != plain.rpartition("_")[2]:
             return f"{name} is followed by `{word}`"
@@ -210,9 +210,17 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
 
 
 def _unit_of(behind: re.Match[str] | None) -> str | None:
+    """Return the unit behind a number; None if there is no word, or one that is none.
+
+    A word that touches the number, or in other letters, is taken for a unit that is not known.
+    """
     if behind is None:
         return None
-    return behind[2] or _UNIT_WORDS.get(behind[1].lower().translate(_MICRO_AS_U))
+    if behind[3]:
+        return "percent" if behind[3] == "%" else behind[3]
+    word = behind[2].lower().translate(_MICRO_AS_U)
+    is_unknown_unit = not behind[1] or not word.isascii() or "/" in word
+    return _UNIT_WORDS.get(word, word if is_unknown_unit else None)
 
 
 class FieldDecoder(LineDecoder):

@@ -94,9 +94,12 @@ class FtmCsvDecoder(FieldDecoder):
         return self._gtec(line)
 
     def _given(self, line: str) -> list[RadioReading]:
-        cells = columns(line, self._delimiter)
-        if len(cells) < len(self._names):
+        cells, count = columns(line, self._delimiter), len(self._names)
+        if len(cells) < count or (self._delimiter == "," and ";" in line):
             return self.passed_over(line)
+        is_cut = len(cells) > count and self._names[-1] in NUMBERS and "." not in cells[count - 1]
+        if is_cut and self._delimiter == "," and cells[count].isdecimal():
+            return self.refused("decimal comma? If not, name the next column, too (`_`)")
         named = dict(zip(self._names, cells, strict=False))
         numbers = [n for n in self._names if n.removesuffix(HEX) in NUMBERS and named[n]]
         if numbers and not any(n.endswith(HEX) or number(named[n]) is not None for n in numbers):
