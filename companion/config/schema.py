@@ -17,7 +17,7 @@ import msgspec
 from companion.config.area_files import read_fence
 from companion.config.loader import load_yaml
 from companion.config.radios import RadioConfig, flown_radios, is_uncalibrated
-from companion.config.search_files import read_search_site
+from companion.config.search_files import check_search_area
 from companion.config.versions import SCHEMA_VERSION, renew
 from companion.domain import Distance, NonNegative, Params, Positive
 from companion.errors import ConfigError
@@ -308,7 +308,7 @@ def load_config(path: Path | None) -> CompanionConfig:
         search = msgspec.structs.replace(config.search, area_file=str(site))
         config = msgspec.structs.replace(config, search=search)
         try:
-            read_search_site(site)
+            check_search_area(site, config.limits.fence_plan().site, search.cell_m)
         except ConfigError as error:
             raise ConfigError(f"{path}: $.search.area_file: {error}") from None
     problem = inconsistency(config)
@@ -327,7 +327,11 @@ def with_fence(config: CompanionConfig, path: Path) -> CompanionConfig:
         autopilot_fence="compare" if policy == "use" else policy,
     )
     limits.fence_plan()
-    return msgspec.structs.replace(config, limits=limits)
+    config = msgspec.structs.replace(config, limits=limits)
+    if config.search.area_file is not None:
+        site = Path(config.search.area_file)
+        check_search_area(site, limits.fence_plan().site, config.search.cell_m)
+    return config
 
 
 def with_signing_key(config: CompanionConfig, path: Path) -> CompanionConfig:

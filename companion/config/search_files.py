@@ -27,12 +27,13 @@ from numpy.typing import NDArray
 from companion.config.area_files import MAX_BYTES, children_of, kml_root, ring_of, tag_of
 from companion.config.loader import read_text
 from companion.errors import ConfigError, how_to_install
-from companion.geometry.geofence import LatLon
+from companion.geometry.geofence import GeoFence, LatLon
 from companion.geometry.polygons import is_simple
 from companion.search.search_grid import MOST_CELLS
-from companion.search.search_site import SearchSite, SiteArea, SiteRaster
+from companion.search.search_site import SearchSite, SiteArea, SiteRaster, grid_of_site
 
-MOST_AREAS = 1000
+MOST_CORNERS = 2000
+"""Of all polygons: the grid takes a quarter of a second then."""
 MOST_RASTER_CELLS = 100 * MOST_CELLS
 
 
@@ -50,6 +51,8 @@ def read_search_site(path: Path) -> SearchSite:
             return _raster_of_geotiff(path)
         if kind in readers:
             return readers[kind](read_text(path, MAX_BYTES))
+    except RecursionError:
+        raise ConfigError(f"{path}: nested too deeply") from None
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
     hint = "; unpack it, there is a .kml in it" if kind == ".kmz" else ""
@@ -57,10 +60,23 @@ def read_search_site(path: Path) -> SearchSite:
     raise ConfigError(f"{path}: a search area is a {kinds} file, in degrees{hint}")
 
 
+def check_search_area(path: Path, fence: GeoFence | None, cell_m: float) -> None:
+    """Raise `ConfigError` if the file has no search area, or none inside a fence in degrees."""
+    site = read_search_site(path)
+    if fence is None:
+        return
+    try:
+        polygon = fence.local(fence.centre).polygon_enu_m
+        grid_of_site(site, fence.centre, cell_m, polygon)
+    except ValueError as error:
+        problem = str(error).replace("the vehicle's origin", "the fence")
+        raise ConfigError(f"{path}: {problem}") from None
+
+
 def _areas_of_geojson(text: str) -> SearchSite:
     try:
         root = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except json.JSONDecodeError as error:
         raise ValueError(f"not JSON ({error})") from None
     if not isinstance(root, dict):
         raise ValueError("not a GeoJSON object")
@@ -105,8 +121,9 @@ def _extended_data(placemark: Element) -> dict[str, object]:
 def _checked(areas: tuple[SiteArea, ...]) -> SearchSite:
     if not areas:
         raise ValueError("there is no polygon in it")
-    if len(areas) > MOST_AREAS:
-        raise ValueError(f"{len(areas)} polygons; at most {MOST_AREAS}")
+    corners = sum(len(ring) for area in areas for ring in (area.corners_deg, *area.holes_deg))
+    if corners > MOST_CORNERS:
+        raise ValueError(f"{corners} corners in all; at most {MOST_CORNERS}: simplify the polygons")
     if not any(area.weight > 0.0 for area in areas):
         raise ValueError("no polygon has a weight above 0")
     return areas
@@ -139,18 +156,29 @@ def _weight(properties: Mapping[str, object], path: str) -> float:
 
 
 def _site_polygons(geometry: Mapping[str, object], weight: float, path: str) -> Iterator[SiteArea]:
-    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
-    if kind not in ("Polygon", "MultiPolygon"):
-        return  # points and lines have no area
-    polygons = [coordinates] if kind == "Polygon" else coordinates
-    if not isinstance(polygons, list):
-        raise ValueError(f"{path}.geometry.coordinates: is not a list")
+    polygons = list(_polygons_in(geometry, path))
     share = weight / max(1, len(polygons))
     for polygon in polygons:
         if not isinstance(polygon, list) or not polygon:
             raise ValueError(f"{path}.geometry.coordinates: a polygon has no ring")
         outside, *holes = (_site_ring(ring, path) for ring in polygon)
         yield SiteArea(outside, share, tuple(holes))
+
+
+def _polygons_in(geometry: Mapping[str, object], path: str) -> Iterator[object]:
+    """Yield the rings of all polygons; points and lines have no area."""
+    kind = geometry.get("type")
+    if kind == "Polygon":
+        yield geometry.get("coordinates")
+    elif kind in ("MultiPolygon", "GeometryCollection"):
+        parts = geometry.get("coordinates" if kind == "MultiPolygon" else "geometries")
+        if not isinstance(parts, list):
+            raise ValueError(f"{path}.geometry: its parts are not a list")
+        for part in parts:
+            if kind == "MultiPolygon":
+                yield part
+            elif isinstance(part, dict):
+                yield from _polygons_in(part, path)
 
 
 def _site_ring(ring: object, path: str) -> tuple[LatLon, ...]:
@@ -161,6 +189,10 @@ def _site_ring(ring: object, path: str) -> tuple[LatLon, ...]:
         places.pop()
     if len(places) < 3:
         raise ValueError(f"{path}.geometry: a ring has fewer than 3 corners")
+    if len(places) > MOST_CORNERS:
+        raise ValueError(
+            f"{path}.geometry: a ring has more than {MOST_CORNERS} corners; simplify it"
+        )
     if not is_simple([(100_000.0 * lon, 100_000.0 * lat) for lat, lon in places]):
         raise ValueError(f"{path}.geometry: a ring has two edges that touch or cross each other")
     return tuple(places)

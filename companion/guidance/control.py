@@ -114,7 +114,7 @@ class ControlTick:
         progress = context.emitters.progress
         problem = context.searching.tick(now_s, context.vehicle, area, progress)
         if problem is not None:
-            context.warn(f"no searched area: {problem}")
+            context.warn(problem)
 
     def _announce_stop(self, now_s: float, *, is_stopping: bool) -> None:
         """Announce why setpoints stop, or control is unavailable, unless a finding does."""

@@ -13,13 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.geometry.polygons import Point, Polygon
+from companion.geometry.polygons import Point, Polygon, area_m2
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MOST_CELLS = 40_000
 """16 km^2 in cells of 20 m; an update takes some 10 ms of one core there."""
+LEAST_M2 = 1.0
+"""Smallest area of a polygon, as for a fence."""
 LEAST_ACROSS = 10
 """A small area has cells of its shorter side over this, so that a gap in it has a shape."""
 
@@ -60,17 +62,21 @@ class SearchGrid:
 def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
     """Return the grid over all areas, with their weights spread evenly over each.
 
+    An area that contains no centre of a cell has its weight in the nearest cell.
+
     Cells are larger than `cell_m` where the areas would have more than `MOST_CELLS`, and smaller
     in a small area.
 
     Raises:
-        ValueError: no area has a weight, or all are smaller than a cell.
+        ValueError: no area has a weight, or they enclose nothing.
     """
     corners = np.array([corner for area in areas for corner in area.corners_enu_m], dtype=float)
     if not len(corners) or not any(area.weight > 0.0 for area in areas):
         raise ValueError("no polygon of the search area has a weight above 0")
     west_m, south_m = corners.min(axis=0)
     width_m, height_m = corners.max(axis=0) - (west_m, south_m)
+    if not min(width_m, height_m) > 0.0:
+        raise ValueError("the search area encloses nothing")
     cell_m = min(cell_m, min(width_m, height_m) / LEAST_ACROSS)
     if math.ceil(width_m / cell_m) * math.ceil(height_m / cell_m) > MOST_CELLS:
         half_m, most = 0.5 * (width_m + height_m), MOST_CELLS - 1
@@ -82,11 +88,14 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
     covered = np.zeros(len(centres), dtype=bool)
     for area in areas:
         within = _within(area, centres)
+        if not within.any():
+            holes_m2 = sum(area_m2(hole) for hole in area.holes_enu_m)
+            if area_m2(area.corners_enu_m) - holes_m2 < LEAST_M2:
+                raise ValueError("a polygon of the search area encloses nothing")
+            middle = np.mean(area.corners_enu_m, axis=0)
+            within[np.hypot(*(centres - middle).T).argmin()] = True
         covered |= within
-        if area.weight > 0.0 and within.any():
-            mass[within] += area.weight / np.count_nonzero(within)
-    if not mass.any():
-        raise ValueError("the search area is smaller than one of its cells")
+        mass[within] += area.weight / np.count_nonzero(within)
     poa = mass[covered] / mass.sum()
     inside = covered.reshape(rows, columns)
     return SearchGrid(float(west_m), float(south_m), float(cell_m), inside, poa)
@@ -115,7 +124,10 @@ def _centres(west_m: float, south_m: float, cell_m: float, inside: Bools) -> Flo
 
 
 def _within(area: WeightedArea, points: Floats) -> Bools:
-    inside = are_inside(area.corners_enu_m, points)
+    corners = np.array(area.corners_enu_m)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    inside: Bools = ((points >= low) & (points <= high)).all(axis=1)
+    inside[inside] = are_inside(area.corners_enu_m, points[inside])
     for hole in area.holes_enu_m:
         inside &= ~are_inside(hole, points)
     return inside

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +13,13 @@ from companion.search.search_grid import (
     Floats,
     SearchGrid,
     WeightedArea,
+    are_inside,
     grid_of_weights,
     grid_over,
 )
 
 LatLon = tuple[float, float]
-MOST_AWAY_M = 20_000.0
+MOST_AWAY_KM = 20.0
 """Farther from the vehicle's origin than any flight: the file is of another place."""
 
 
@@ -45,12 +47,27 @@ class SiteRaster:
 SearchSite = tuple[SiteArea, ...] | SiteRaster
 
 
-def grid_of_site(site: SearchSite, origin: LocalOrigin, cell_m: float) -> SearchGrid:
+def grid_of_site(
+    site: SearchSite, origin: LocalOrigin, cell_m: float, fence_enu_m: Corners | None = None
+) -> SearchGrid:
     """Return the grid about a local origin.
 
     Raises:
-        ValueError: it is more than 20 km away, has too many cells, or nothing has a weight.
+        ValueError: it is more than 20 km away, has too many cells, nothing has a weight, or it lies
+            wholly outside of the fence.
     """
+    grid = _of_site(site, origin, cell_m)
+    if fence_enu_m is not None and share_outside(grid, fence_enu_m) > 1.0 - 1e-9:
+        raise ValueError("the search area lies wholly outside the fence")
+    return grid
+
+
+def share_outside(grid: SearchGrid, fence_enu_m: Corners) -> float:
+    """Return the probability that the emitter is outside of the fence."""
+    return float(grid.poa[~are_inside(fence_enu_m, grid.centres_enu_m)].sum())
+
+
+def _of_site(site: SearchSite, origin: LocalOrigin, cell_m: float) -> SearchGrid:
     if isinstance(site, SiteRaster):
         return _of_raster(site, origin, cell_m)
     areas = [
@@ -66,14 +83,18 @@ def grid_of_site(site: SearchSite, origin: LocalOrigin, cell_m: float) -> Search
 
 def _local(corners_deg: tuple[LatLon, ...], origin: LocalOrigin) -> Corners:
     corners = tuple(origin.enu_from_geodetic(*each, origin.altitude_m)[:2] for each in corners_deg)
-    _check_distance(corners)
-    return corners
+    away_km = _most_km(corners)
+    if away_km <= MOST_AWAY_KM:
+        return corners
+    swapped = (origin.enu_from_geodetic(lon, lat, origin.altitude_m) for lat, lon in corners_deg)
+    hint = ""
+    if _most_km(tuple(each[:2] for each in swapped)) <= MOST_AWAY_KM:
+        hint = "; latitude and longitude are swapped: longitude comes first"
+    raise ValueError(f"a corner is {away_km:.0f} km from the vehicle's origin{hint}")
 
 
-def _check_distance(corners: Corners) -> None:
-    away_m = max(abs(value) for corner in corners for value in corner)
-    if away_m > MOST_AWAY_M:
-        raise ValueError(f"a corner is {away_m / 1000.0:.0f} km from the vehicle's origin")
+def _most_km(corners: Corners) -> float:
+    return max(math.hypot(*corner) for corner in corners) / 1000.0
 
 
 def _of_raster(site: SiteRaster, origin: LocalOrigin, cell_m: float) -> SearchGrid:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
+from pathlib import Path
+
 import msgspec
-import numpy as np
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PatternConfig, PlannerConfig
@@ -131,13 +134,28 @@ def test_what_is_heard_at_once_was_no_search() -> None:
     assert loop.companion.session.searching.flight(0.0) is None
 
 
-def test_an_area_that_cannot_be_laid_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.search.search_grid._within", lambda *_: np.False_)
-    loop = flown(SearchAreaParams(detection=DETECTION))
-    loop.run(40.0)
-    warnings = [text for _, text in loop.notes.texts if text.startswith("no searched area: ")]
-    assert len(warnings) == 1
-    assert "smaller than one of its cells" in warnings[0]
+@pytest.mark.parametrize(
+    ("east_deg", "expected"),
+    [
+        (0.01, "no searched area: the search area lies wholly outside the fence"),
+        (0.0, "50 % of the search area's probability is outside the fence"),
+    ],
+)
+def test_an_area_outside_the_fence_is_said_once_and_on_the_ground(
+    east_deg: float, expected: str, tmp_path: Path
+) -> None:
+    origin, side = Scenario().origin, 65.0 / 111_195.0
+    wide = 2.0 * side / math.cos(math.radians(origin.latitude_deg))
+    west, south = origin.longitude_deg + east_deg, origin.latitude_deg
+    ring = [[west, south], [west + wide, south], [west + wide, south + side], [west, south + side]]
+    path = tmp_path / "poa.geojson"
+    path.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    loop = flown(SearchAreaParams(detection=DETECTION, area_file=str(path)))
+    loop.run_until(lambda: loop.said(expected[:20]), 20.0)
+    assert loop.companion.session.searching.listened_s == 0.0  # on the ground
+    loop.run(30.0)
+    said = [text for _, text in loop.notes.texts if "search area" in text]
+    assert said == [expected]
 
 
 def test_a_replayed_record_states_the_same() -> None:

@@ -23,7 +23,7 @@ from companion.search.learnt_reach import LearntReach, learnt_reach
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.search_prior import SearchPrior
-from companion.search.search_site import SearchSite, grid_of_site
+from companion.search.search_site import SearchSite, grid_of_site, share_outside
 from companion.search.searched_area import SearchedArea, SearchState
 from companion.search.searched_flight import (
     ReachSource,
@@ -38,6 +38,8 @@ LONGEST_GAP_S = 1.0
 TRACK_STEP_M = 5.0
 WORTH_TELLING_S = 10.0
 """Contact sooner than this is no search."""
+WORTH_TELLING_SHARE = 0.01
+"""Probability outside of the fence that is worth a warning."""
 STATE_EVERY_S = 2.0
 """Time between two renewals of the probabilities."""
 
@@ -61,7 +63,8 @@ class Searching:
         self._site = site
         self._area: SearchedArea | None = None
         self._origin: LocalOrigin | None = None
-        self._problem: str | None = None
+        self._laid_for: tuple[LocalOrigin | None, Corners | None] = (None, None)
+        """Origin and fence that the grid is for; it is laid on the ground."""
         self._ticked_s = -math.inf
         self._began_s: float | None = None
         self._track: list[tuple[float, float, float, float]] = []
@@ -111,11 +114,16 @@ class Searching:
         fence_enu_m: Corners | None,
         progress: Progress,
     ) -> str | None:
-        """Count the time since the last control tick; return a problem with the area, once."""
+        """Count the time since the last control tick; return a warning about the area, once."""
         passed_s, self._ticked_s = now_s - self._ticked_s, now_s
         self.progress = progress
+        problem = None
         if self._area is not None:
             self._work(self._area, now_s)
+        if self._began_s is None:
+            self._origin = vehicle.frame
+        if self._began_s is None or self._area is None:
+            problem = self._begin(fence_enu_m)
         if progress.heard and self.contact_s is None:
             self.contact_s, self.contact_id = now_s, progress.heard[0]
             self._note_contact(vehicle)
@@ -124,15 +132,13 @@ class Searching:
         is_airborne = vehicle.is_armed and vehicle.landed is LandedState.IN_AIR
         is_placed = vehicle.is_position_fresh(now_s) and vehicle.track.is_trusted_at(now_s)
         if not (self.is_counting and is_airborne and is_placed):
-            return None
+            return problem
         if place is None or height_m is None or passed_s > LONGEST_GAP_S:
-            return None
+            return problem
         if self._began_s is None:
-            self._began_s, self._origin = now_s, vehicle.frame
+            self._began_s = now_s
         self._count(now_s, passed_s, (*self._in_first_frame(place, vehicle)[:2], height_m))
-        if self._area is None and self._problem is None:
-            return self._begin(fence_enu_m)
-        return None
+        return problem
 
     def _work(self, area: SearchedArea, now_s: float) -> None:
         """Do one piece of the work on the cells."""
@@ -184,21 +190,28 @@ class Searching:
         detection = self._detection
         if detection is None:
             return None
+        laid_for = (self._origin, fence_enu_m)
+        if laid_for == self._laid_for:
+            return None
+        self._laid_for, self._area = laid_for, None
         try:
             grid = self._grid(fence_enu_m)
         except ValueError as error:
-            self._problem = str(error)
-            return self._problem
-        if grid is not None:
-            self._area, self._stored_grid = SearchedArea(grid, detection), StoredGrid.of(grid)
-            self.state = self._area.state
-        return None
+            return f"no searched area: {error}"
+        if grid is None:
+            return None
+        self._area, self._stored_grid = SearchedArea(grid, detection), StoredGrid.of(grid)
+        self.state = self._area.state
+        outside = 0.0 if fence_enu_m is None else share_outside(grid, fence_enu_m)
+        if outside < WORTH_TELLING_SHARE:
+            return None
+        return f"{100.0 * outside:.0f} % of the search area's probability is outside the fence"
 
     def _grid(self, fence_enu_m: Corners | None) -> SearchGrid | None:
         if self._site is not None:
             if self._origin is None:
                 return None
-            return grid_of_site(self._site, self._origin, self.params.cell_m)
+            return grid_of_site(self._site, self._origin, self.params.cell_m, fence_enu_m)
         if fence_enu_m is None:
             return None
         return grid_over([WeightedArea(tuple(fence_enu_m))], self.params.cell_m)

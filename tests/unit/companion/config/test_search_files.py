@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from companion.config.schema import load_config
+from companion.config.schema import load_config, with_fence
 from companion.config.search_files import read_search_site
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin
@@ -22,7 +22,7 @@ HOLE = [[8.0005, 47.0005], [8.001, 47.0005], [8.001, 47.001], [8.0005, 47.001], 
 EAST = [[lon + 0.002, lat] for lon, lat in RING]
 
 
-def geojson(*polygons: tuple[list[object], object]) -> str:
+def geojson(*polygons: tuple[Any, object]) -> str:
     features = [
         {
             "type": "Feature",
@@ -220,6 +220,13 @@ def test_without_tifffile_the_line_names_what_to_install(
         ("poa.geojson", geojson(([RING], "70")), "weight is not a number"),
         ("poa.geojson", geojson(([[[2.6e6, 1.2e6]] * 4], 1)), "are not degrees; save it as WGS84"),
         ("poa.geojson", geojson(([RING[:2]], 1)), "fewer than 3 corners"),
+        ("poa.geojson", "", "not JSON"),
+        ("poa.geojson", "[" * 100_000, "nested too deeply"),
+        ("poa.geojson", geojson(([RING], float("nan"))), "weight is not a number from 0 on"),
+        ("poa.geojson", geojson(*[([RING], 1)] * 600), "2400 corners in all; at most 2000"),
+        ("poa.kml", "", "not XML"),
+        ("poa.asc", "", "the header has no ncols"),
+        ("poa.tif", "", "not a TIFF file"),
         ("poa.geojson", geojson(([[RING[0], RING[2], RING[1], RING[3]]], 1)), "cross each other"),
         ("poa.kml", kml(), "there is no polygon in it"),
         ("poa.kml", kml(placemark(RING, data("0"))), "no polygon has a weight above 0"),
@@ -262,6 +269,90 @@ def test_what_is_no_search_area_is_one_clear_line(
     assert line.startswith(str(path))
     assert problem in line
     assert "\n" not in line
+
+
+def test_kml_of_other_programs_is_the_same_area(tmp_path: Path) -> None:
+    """Prefixed and older namespaces, folders in folders, several polygons, a byte order mark."""
+    plain = kml(placemark(RING, data("70")))
+    expected = read_search_site(written(tmp_path / "plain.kml", plain))
+    prefixed = plain.replace("<", "<k:").replace("<k:/", "</k:").replace("xmlns=", "xmlns:k=")
+    several = plain.replace("<Polygon>", "<MultiGeometry><Polygon>").replace(
+        "</Polygon>", "</Polygon><Point><coordinates>8,47</coordinates></Point></MultiGeometry>"
+    )
+    older = plain.replace("www.opengis.net/kml/2.2", "earth.google.com/kml/2.0")
+    nested = plain.replace("<Folder>", "<Folder><Folder>").replace(
+        "</Folder>", "</Folder></Folder>"
+    )
+    for text in (prefixed, several, older, nested, "\ufeff" + plain):
+        assert read_search_site(written(tmp_path / "poa.kml", text)) == expected
+
+
+def test_the_polygons_of_a_collection_share_its_weight(tmp_path: Path) -> None:
+    parts = [{"type": "Polygon", "coordinates": [ring]} for ring in (RING, EAST)]
+    geometry = {"type": "GeometryCollection", "geometries": [*parts, {"type": "Point"}]}
+    feature = {"type": "Feature", "properties": {"weight": 3}, "geometry": geometry}
+    site = read_search_site(written(tmp_path / "poa.geojson", json.dumps(feature)))
+    assert isinstance(site, tuple)
+    assert [area.weight for area in site] == [1.5, 1.5]
+
+
+def test_a_polygon_smaller_than_a_cell_keeps_its_weight(tmp_path: Path) -> None:
+    house = [[8.001, 47.001], [8.00105, 47.001], [8.00105, 47.00105], [8.001, 47.00105]]
+    path = written(tmp_path / "poa.geojson", geojson(([house], 70), ([RING], 30)))
+    grid = grid_of_site(read_search_site(path), ORIGIN, 20.0)
+    likeliest = grid.centres_enu_m[grid.poa.argmax()]
+    assert grid.poa.max() > 0.7
+    assert abs(likeliest - (78.0, 114.0)).max() < 10.0
+
+
+def test_a_polygon_that_is_all_hole_is_refused(tmp_path: Path) -> None:
+    site = read_search_site(written(tmp_path / "poa.geojson", geojson(([RING, RING], 1))))
+    with pytest.raises(ValueError, match="encloses nothing"):
+        grid_of_site(site, ORIGIN, 20.0)
+
+
+@pytest.mark.parametrize("name", ["poa.geojson", "poa.asc"])
+def test_over_the_antimeridian_an_area_is_whole(name: str, tmp_path: Path) -> None:
+    ring = [[179.999, -17.0], [-179.999, -17.0], [-179.999, -16.998], [179.999, -16.998]]
+    header = "ncols 2\nnrows 2\nxllcorner 179.999\nyllcorner -17\ncellsize 0.001\n"
+    text = geojson(([ring], 1)) if name == "poa.geojson" else header + "1 1\n1 1\n"
+    site = read_search_site(written(tmp_path / name, text))
+    grid = grid_of_site(site, LocalOrigin(-17.0, 179.9999, 0.0), 20.0)
+    assert grid.inside.mean() > 0.9
+    assert np.ptp(grid.centres_enu_m, axis=0) == pytest.approx((195.0, 203.0), abs=15.0)
+
+
+def fenced(tmp_path: Path, *rings: list[list[float]]) -> Path:
+    """A configuration whose fence is the ring, and search area the other ones."""
+    written(tmp_path / "fence.kml", kml(placemark(RING)))
+    written(tmp_path / "poa.geojson", geojson(*(([ring], 1) for ring in rings)))
+    text = "limits: {fence_file: fence.kml}\nsearch: {area_file: poa.geojson}\n"
+    return written(tmp_path / "search.yaml", text)
+
+
+@pytest.mark.parametrize(
+    ("ring", "problem"),
+    [
+        ([[lon + 0.01, lat] for lon, lat in RING], "lies wholly outside the fence"),
+        ([[lat, lon] for lon, lat in RING], "from the fence; latitude and longitude are swapped"),
+        ([[lon, lat + 1.0] for lon, lat in RING], "a corner is 111 km from the fence"),
+        ([[lon + 130.0, lat] for lon, lat in RING], "a corner is .* km from the fence"),
+    ],
+)
+def test_an_area_outside_a_fence_in_degrees_is_refused_before_the_flight(
+    ring: list[list[float]], problem: str, tmp_path: Path
+) -> None:
+    config = fenced(tmp_path, ring)
+    with pytest.raises(ConfigError, match=problem):
+        load_config(config)
+    config.write_text("search: {area_file: poa.geojson}\n")
+    without = load_config(config)
+    with pytest.raises(ConfigError, match=problem):
+        with_fence(without, tmp_path / "fence.kml")
+
+
+def test_an_area_partly_outside_the_fence_is_searched(tmp_path: Path) -> None:
+    assert load_config(fenced(tmp_path, [[lon + 0.001, lat] for lon, lat in RING]))
 
 
 def test_an_area_of_another_place_is_refused(tmp_path: Path) -> None:

@@ -58,7 +58,10 @@ def test_a_large_area_has_cells_as_small_as_their_number_allows(
     [
         ([], "no polygon of the search area has a weight above 0"),
         ([WeightedArea(SQUARE, 0.0)], "no polygon of the search area has a weight above 0"),
-        ([WeightedArea(SQUARE, holes_enu_m=(SQUARE,))], "smaller than one of its cells"),
+        (
+            [WeightedArea(SQUARE, holes_enu_m=(SQUARE,))],
+            "a polygon of the search area encloses nothing",
+        ),
     ],
 )
 def test_what_is_no_search_area_is_refused(areas: list[WeightedArea], problem: str) -> None:
