@@ -211,8 +211,8 @@ def run_search(arguments: argparse.Namespace, out: Path) -> int:
     return 0 if is_met else 1
 
 
-PRIOR, PRIOR_FLIGHTS = "prior", 300
-"""Two thirds of them have a contact after a search."""
+PRIOR, PRIOR_FLIGHTS = "prior", 400
+"""More than half of them have a contact after a search."""
 
 
 def run_prior(arguments: argparse.Namespace, out: Path) -> int:

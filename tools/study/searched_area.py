@@ -260,6 +260,9 @@ class Bin:
     low: float
     stated: float
     heard: float
+    sigma: float
+    """Standard error of the share heard less the stated one. Cells of one flight share its errors:
+    it is that of a ratio of sums over flights."""
     trials: int
 
     @property
@@ -273,18 +276,20 @@ def reliability(trials: Sequence[Trial], kind: Kind | None = None) -> list[Bin]:
     chosen = [each for each in trials if kind in (None, each.kind)]
     stated = np.array([each.pod for each in chosen])
     heard = np.array([each.is_heard for each in chosen])
+    flight = np.array([each.flight for each in chosen])
     tenth = np.minimum((10.0 * stated).astype(int), 9)
-    return [
-        Bin(
-            kind or "all",
-            0.1 * k,
-            float(stated[tenth == k].mean()),
-            float(heard[tenth == k].mean()),
-            int(np.count_nonzero(tenth == k)),
-        )
-        for k in range(10)
-        if (tenth == k).any()
-    ]
+    bins = []
+    for k in range(10):
+        own = tenth == k
+        count = int(np.count_nonzero(own))
+        if not count:
+            continue
+        errors = heard[own] - stated[own]
+        by_flight = np.bincount(flight[own], errors - errors.mean())
+        sigma = float(np.sqrt((by_flight**2).sum())) / count
+        means = float(stated[own].mean()), float(heard[own].mean())
+        bins.append(Bin(kind or "all", 0.1 * k, *means, sigma, count))
+    return bins
 
 
 def success(trials: Sequence[Trial]) -> tuple[float, float, int]:
@@ -298,8 +303,8 @@ def csv_of(bins: Iterable[Bin]) -> str:
     """Return the reliability diagram's points as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["world", "pod_from", "stated", "heard", "cells"])
+    writer.writerow(["world", "pod_from", "stated", "heard", "sigma", "cells"])
     for each in bins:
-        row = [f"{each.low:.1f}", f"{each.stated:.4f}", f"{each.heard:.4f}", each.trials]
-        writer.writerow([each.kind, *row])
+        shares = (f"{value:.4f}" for value in (each.stated, each.heard, each.sigma))
+        writer.writerow([each.kind, f"{each.low:.1f}", *shares, each.trials])
     return text.getvalue()

@@ -26,9 +26,10 @@ def write_area_report(out: Path, trials: Sequence[Trial]) -> bool:
     bins = [*overall, *(each for found in by_kind.values() for each in found)]
     write_text_atomic(out / "reliability.csv", csv_of(bins))
     write_bytes_atomic(out / "reliability.png", drawn(overall, by_kind))
-    print("stated POD   heard   error    cells")
+    print("stated POD   heard   error  +-, 95 %    cells")
     for each in overall:
-        print(f"{each.stated:10.3f}{each.heard:8.3f}{each.error:+8.3f}{each.trials:9d}")
+        figures = f"{each.stated:10.3f}{each.heard:8.3f}{each.error:+8.3f}{1.96 * each.sigma:9.3f}"
+        print(f"{figures}{each.trials:10d}")
     stated, heard, flights = success(trials)
     print(f"POS stated {stated:.3f}, emitters heard {heard:.3f}, of {flights} flights with one")
     return all(abs(each.error) <= MOST_ERROR for each in overall) and (
@@ -46,7 +47,8 @@ def drawn(overall: Sequence[Bin], by_kind: Mapping[Kind, list[Bin]]) -> bytes:
             points = [each.stated for each in found], [each.heard for each in found]
             axes.plot(*points, color=COLOURS[kind], linewidth=1.0, label=kind)
         points = [each.stated for each in overall], [each.heard for each in overall]
-        axes.plot(*points, "o-", color=INK, markersize=3.5, label="all")
+        band = [1.96 * each.sigma for each in overall]
+        axes.errorbar(*points, band, fmt="o-", color=INK, markersize=3.5, label="all")
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal")
         axes.set(xlabel="stated probability of detection", ylabel="share heard")
         axes.legend()

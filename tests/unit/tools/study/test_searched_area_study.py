@@ -49,11 +49,21 @@ def test_the_study_sees_a_model_that_is_too_hopeful(monkeypatch: pytest.MonkeyPa
     assert error < -3.0 * sigma
 
 
+def test_cells_of_one_flight_count_as_one_in_the_standard_error() -> None:
+    rng = np.random.default_rng(1)
+    flights = [
+        [Trial(number, "open", 0.5, 0.5, False, bool(rng.random() < 0.5))] * EMITTERS
+        for number in range(400)
+    ]
+    (found,) = reliability([trial for trials in flights for trial in trials])
+    assert found.sigma == pytest.approx(0.5 / np.sqrt(400), rel=0.05)
+
+
 @pytest.mark.slow
 def test_tables_hold_what_was_flown(trials: list[Trial]) -> None:
     bins = reliability(trials)
     assert sum(each.trials for each in bins) == FLIGHTS * EMITTERS
-    assert csv_of(bins).splitlines()[0] == "world,pod_from,stated,heard,cells"
+    assert csv_of(bins).splitlines()[0] == "world,pod_from,stated,heard,sigma,cells"
     stated, heard, flights = success(trials)
     assert flights == FLIGHTS
     assert stated == pytest.approx(heard, abs=0.2)
