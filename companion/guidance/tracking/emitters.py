@@ -272,8 +272,10 @@ class EmitterQueue:
         return tracker
 
     def _note_strength(self, measurement: RangingMeasurement) -> None:
-        """Update the emitter's strength: the radio's quality, or without one the negative range."""
-        strength = measurement.quality
+        """Update the emitter's strength: power, else the radio's quality, else minus the range."""
+        strength = measurement.power_dbm
+        if strength is None:
+            strength = measurement.quality
         if strength is None:
             range_m = measurement.range_m
             if range_m is None or not math.isfinite(range_m):

@@ -13,6 +13,7 @@ from companion.estimation.tracker import FusionReport, TargetTracker, TrackerPar
 from companion.geometry.polygons import Point
 from companion.guidance.tracking.emitters import (
     LOST_S,
+    MIN_ACCEPTED,
     EmitterQueue,
     Order,
     Progress,
@@ -94,6 +95,17 @@ def test_strength_is_what_the_radio_says_if_it_says_anything() -> None:
     heard.hear(1, 2, 3, times=20, quality=0.9)
     assert heard.current == 1
     assert heard.queue.waiting == [2, 3]
+
+
+def test_the_strongest_is_the_one_of_most_received_power() -> None:
+    heard = Heard("strongest")
+    for number, power_dbm in [(1, -80.0), (2, -60.0), (3, -70.0)] * MIN_ACCEPTED:
+        heard.now_s += 0.1
+        measurement = RangingMeasurement(number, heard.now_s, power_dbm=power_dbm)
+        heard.queue.fuse(measurement, HERE, heard.now_s)
+        heard.queue.choose(heard.now_s, is_flying=False)
+    assert heard.current == 2
+    assert heard.queue.waiting == [3, 1]
 
 
 def test_listed_emitters_come_in_their_order_and_others_never() -> None:
