@@ -31,7 +31,7 @@ from companion.flight_setup import (
 )
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
-from companion.guidance.phases import Phase
+from companion.guidance.phases import IN_CONTROL, Phase
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, Transport, make_link
@@ -328,7 +328,14 @@ class _Flight:
                 self.endpoint, self._store, config, clock, max_age_s, is_fresh=options.is_fresh
             )
         transports = [link.transport for link in links]
-        self._shell = Shell(self.endpoint, transports, clock, self._after_wakeup)
+        authority = self.endpoint.session.authority
+        self._shell = Shell(
+            self.endpoint,
+            transports,
+            clock,
+            self._after_wakeup,
+            may_gather=lambda: authority.phase in IN_CONTROL and not os.environ.get("NOG"),
+        )
         for link, flown in zip(self._shell.links, links, strict=True):
             link.expects_mavlink = flown.spec.role is not LinkRole.RANGING
         self._vehicle_link = self._shell.links[

@@ -1,13 +1,15 @@
 """The one loop that drives any endpoint: its clock, links, one timer, signals.
 
 Theory of operation. The loop wakes when a link has data or the endpoint's timer is due. A wake-up
-stamps the time once, hands over what arrived (at most 64 reads of one link), fires the timer if it
-is due, sends what the endpoint has queued and calls `on_wakeup`. The timer is checked on every
-wake-up, so a flood of datagrams cannot keep it waiting, and it fires once however late it is: the
-endpoint decides what to skip.
+hands over what arrived (at most 64 reads of one link), with the time of its arrival where the
+system knows it and the present otherwise, fires the timer if it is due, sends what the endpoint has
+queued and calls `on_wakeup`. The timer is checked on every wake-up, so a flood of datagrams cannot
+keep it waiting, and it fires once however late it is: the endpoint decides what to skip.
 
-An autopilot sends its messages in bursts, and a wake-up costs more than reading one of them. So a
-wake-up by data waits 2 ms for the rest of its burst, unless the timer is due before.
+An autopilot sends its messages in bursts, and a wake-up costs more than reading one of them,
+because other programs have used the processor's caches meanwhile. So a wake-up by data waits 2 ms
+for the rest of its burst, unless the timer is due before. While `may_gather` allows it, data that
+are stamped with their arrival wait for the timer: between two control ticks no setpoint is sent.
 
 After a stall (the process was suspended or starved) the links hold what arrived meanwhile. It is
 taken in before the timer fires, so that the first tick works with present data; a flood can delay
@@ -24,11 +26,12 @@ from __future__ import annotations
 
 import asyncio
 import math
+import select
 import selectors
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -82,12 +85,36 @@ millisecond, its cycles 4 to 20 ms apart."""
 OnWakeup = Callable[[float], None]
 
 
+_READ, _WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
+_POLLED = {
+    _READ: select.POLLIN,
+    _WRITE: select.POLLOUT,
+    _READ | _WRITE: select.POLLIN | select.POLLOUT,
+}
+"""Events of `select.poll`, by those of a selector."""
+
+
 class GatheringSelector(selectors.DefaultSelector):
-    """Selector that returns `GATHER_S` after the first data, but not after its timeout."""
+    """Selector that gathers data that may wait, but not after its timeout.
+
+    Those of `stamped` descriptors wait for the timeout, or for data of another descriptor; any
+    others wait for `GATHER_S`.
+    """
+
+    def __init__(self, stamped: Callable[[], Collection[int]] = tuple) -> None:
+        super().__init__()
+        self._stamped = stamped
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Wait for data, then for more of it; a timeout of 0 waits for nothing."""
         due_s = math.inf if timeout is None else time.monotonic() + timeout
+        if timeout is not None and timeout > 0.0 and (stamped := self._stamped()):
+            others = select.poll()
+            for key in self.get_map().values():
+                if key.fd not in stamped:
+                    others.register(key.fd, _POLLED[key.events])
+            others.poll(1e3 * timeout)
+            return super().select(0.0)
         ready = super().select(timeout)
         left_s = due_s - time.monotonic()
         if ready and left_s > 0.0:
@@ -117,12 +144,11 @@ class TimerStatistics:
             self.late_total_s += late_s
 
 
-def _gathering_loop() -> asyncio.AbstractEventLoop:
-    return asyncio.SelectorEventLoop(GatheringSelector())
-
-
 class Shell:
-    """Runs one endpoint on its links; `on_wakeup` is called with the time after each wake-up."""
+    """Runs one endpoint on its links; `on_wakeup` is called with the time after each wake-up.
+
+    While `may_gather` returns True, stamped data wait for the endpoint's timer.
+    """
 
     def __init__(
         self,
@@ -130,13 +156,19 @@ class Shell:
         links: Sequence[Transport],
         clock: Clock,
         on_wakeup: OnWakeup | None = None,
+        may_gather: Callable[[], bool] | None = None,
     ) -> None:
         self._endpoint = endpoint
         self._clock = clock
         self._on_wakeup = on_wakeup
+        self._may_gather = may_gather
         self.links: list[Link] = [
-            make_link(spec, index, self._wake) for index, spec in enumerate(links)
+            make_link(spec, index, self._take) for index, spec in enumerate(links)
         ]
+        self._arrived: list[Chunk] = []
+        """Chunks that were read and not handed over yet."""
+        self._handed_s = 0.0
+        """Latest time that the endpoint has got."""
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -163,7 +195,7 @@ class Shell:
             with self._signals(self._loop):
                 if self._stop_wanted.is_set():
                     self._begin_stop()
-                self._wake([])
+                self._wake()
                 await self._end.wait()
         finally:
             self._close()
@@ -172,7 +204,7 @@ class Shell:
 
     def run_blocking(self) -> None:
         """Call `run` without an event loop; raises the same."""
-        with asyncio.Runner(loop_factory=_gathering_loop) as runner:
+        with asyncio.Runner(loop_factory=self._make_loop) as runner:
             runner.run(self.run())
 
     def request_stop(self) -> None:
@@ -183,22 +215,49 @@ class Shell:
             with suppress(RuntimeError):  # the loop ended meanwhile: stopped anyway
                 loop.call_soon_threadsafe(self._begin_stop)
 
+    def _make_loop(self) -> asyncio.AbstractEventLoop:
+        return asyncio.SelectorEventLoop(GatheringSelector(self._stamped_descriptors))
+
+    def _stamped_descriptors(self) -> Collection[int]:
+        """Return the descriptors whose data may wait for the timer now."""
+        if self._timer is None or self._may_gather is None or not self._may_gather():
+            return ()
+        found = (link.stamped_descriptor for link in self.links)
+        return [descriptor for descriptor in found if descriptor is not None]
+
+    def _take(self, chunks: list[Chunk]) -> None:
+        """Take what a link has read; the timer hands it over if it is due now."""
+        self._arrived += chunks
+        timer, loop = self._timer, self._loop
+        if timer is None or loop is None or timer.when() - loop.time() > MIN_TIMER_S:
+            self._wake()
+
     def _on_timer(self) -> None:
         self._timer = None
-        self._wake([])
+        self._wake()
         self._is_drained = True
 
-    def _wake(self, chunks: list[Chunk], *, begins_stop: bool = False) -> None:
+    def _hand_over(self, now_s: float) -> None:
+        """Pass on what has arrived, in that order and with its time."""
+        arrived, self._arrived = self._arrived, []
+        if not arrived:
+            return
+        self._is_drained = False
+        read_s, speed = time.monotonic(), self._clock.speed
+        ages_s = [0.0 if each.arrived_s is None else read_s - each.arrived_s for each in arrived]
+        for age_s, chunk in sorted(zip(ages_s, arrived, strict=True), key=lambda it: -it[0]):
+            self._handed_s = max(self._handed_s, now_s - age_s * speed)
+            self._endpoint.receive(chunk, self._handed_s)
+
+    def _wake(self, *, begins_stop: bool = False) -> None:
         if self._end is None or self._end.is_set():
             return
         now_s = self._clock.now_s()
         try:
+            self._hand_over(now_s)
+            self._handed_s = now_s
             if begins_stop:
                 self._endpoint.request_stop(now_s)
-            for chunk in chunks:
-                self._endpoint.receive(chunk, now_s)
-            if chunks:
-                self._is_drained = False
             due_s = self._endpoint.next_timer_s()
             if due_s <= now_s and self._may_fire(due_s, now_s):
                 self._endpoint.handle_timer(now_s)
@@ -246,7 +305,7 @@ class Shell:
             return
         self._is_stopping = True
         self._deadline = self._loop.call_later(STOP_DEADLINE_S, self._end.set)
-        self._wake([], begins_stop=True)
+        self._wake(begins_stop=True)
 
     def _on_signal(self) -> None:
         now_s = time.monotonic()

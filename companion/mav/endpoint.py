@@ -1,6 +1,6 @@
 """Sans-IO interface between a MAVLink participant and the shell that owns its sockets.
 
-A shell reads the time once per wake-up and passes it in; an endpoint never reads a clock. The
+A shell passes the time in, which never decreases; an endpoint never reads a clock. The
 companion and the simulator are both endpoints, so one shell drives either, and a test connects them
 in memory without any.
 """
@@ -30,6 +30,8 @@ class Chunk(NamedTuple):
     """False on serial and TCP links, where a chunk may hold any part of a frame."""
     is_droppable: bool = False
     """True: on the way out, dropped first where a line is too slow."""
+    arrived_s: float | None = None
+    """`time.monotonic` of its arrival, where the system has stamped it."""
 
     def readdressed(self, link: int, peer: Address | None) -> Chunk:
         """Return the same bytes on another link, to another peer."""

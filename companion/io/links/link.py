@@ -66,6 +66,11 @@ class Link(ABC):
         self._received = received
         self._is_lost = False
 
+    @property
+    def stamped_descriptor(self) -> int | None:
+        """Descriptor whose data the system stamps with their arrival, so that they may wait."""
+        return None
+
     @abstractmethod
     async def open(self) -> None:
         """Start listening or connecting.

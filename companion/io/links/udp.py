@@ -12,7 +12,11 @@ In a flood of unknown peers the socket's buffer overflows between two reads, and
 frames are lost with the rest. So on Linux a classic BPF program on the socket, which needs no
 privilege, drops datagrams by source address and port as they arrive.
 
-Source: Linux kernel documentation, "Linux Socket Filtering".
+There the kernel also stamps each datagram with its arrival, so that reading them later does not
+make them younger. Its clock may be set meanwhile: a stamp counts only between the last look that
+found nothing more and now.
+
+Source: Linux kernel documentation, "Linux Socket Filtering" and "Timestamping".
 """
 
 from __future__ import annotations
@@ -23,7 +27,9 @@ import errno
 import ipaddress
 import socket
 import struct
+import sys
 import threading
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -37,6 +43,9 @@ _NETWORK_HEADER = 0xFFF00000
 """Offset of the IP header; other offsets count from the UDP header."""
 _SOURCE_ADDRESS, _SOURCE_PORT = 12, 0
 _WHOLE, _NOTHING = 0xFFFFFFFF, 0
+_SO_TIMESTAMPNS_NEW = 64
+"""Option, and type of the stamp: seconds and nanoseconds of 64 bits each on every machine."""
+_STAMP = struct.Struct("=qq")
 
 
 def attach_source_filter(sock: socket.socket, peer: Address) -> bool:
@@ -67,7 +76,19 @@ def detach_source_filter(sock: socket.socket) -> None:
         return  # there was none
 
 
+def _ask_for_stamps(sock: socket.socket) -> bool:
+    """Let the kernel stamp what arrives; return False if it cannot, as before Linux 5.1."""
+    if sys.platform != "linux":
+        return False
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS_NEW, 1)
+    except OSError:
+        return False
+    return True
+
+
 MAX_DATAGRAM = 65_535
+_ROOM_FOR_STAMP = socket.CMSG_SPACE(_STAMP.size)
 RECEIVE_BUFFER = 1 << 20
 """Bytes that the kernel may keep for us, so that a burst is not lost between two looks."""
 GONE = frozenset(
@@ -83,6 +104,9 @@ GONE = frozenset(
 )
 """A socket that refuses with one of these may never work again."""
 FIRST_REOPEN_S, LAST_REOPEN_S = 0.25, 4.0
+BUSY_S = 1.0
+"""Time after a wake-up that left data unread for which nothing waits: the socket's buffer would
+overflow."""
 MAX_PEERS = 16
 """Senders that a fan-out link remembers; telemetry must not grow with every unknown peer."""
 
@@ -95,6 +119,11 @@ class UdpLink(Link):
         self._host, self._port = host, port
         self._socket: socket.socket | None = None
         self._sole_peer: Address | None = None
+        self._is_stamped = False
+        self._busy_until_s = 0.0
+        """Monotonic time until which what arrives is read at once."""
+        self._earliest_s = 0.0
+        """Monotonic time before which nothing that is read from now on can have arrived."""
         self._address: Address = ("", 0)
         """Address that is bound, or connected to."""
         self._reopening: asyncio.TimerHandle | None = None
@@ -109,6 +138,12 @@ class UdpLink(Link):
     def is_open(self) -> bool:
         """Return True while the socket is open or being reopened."""
         return self._socket is not None or self._reopening is not None
+
+    @property
+    def stamped_descriptor(self) -> int | None:
+        """Descriptor of the socket; None while closed, flooded or without stamps."""
+        may_wait = self._is_stamped and time.monotonic() >= self._busy_until_s
+        return self._socket.fileno() if self._socket is not None and may_wait else None
 
     async def open(self) -> None:
         """Bind, or fix the remote."""
@@ -132,6 +167,8 @@ class UdpLink(Link):
             opened.close()
             raise
         self._socket = opened
+        self._is_stamped = _ask_for_stamps(opened)
+        self._earliest_s = time.monotonic()
         asyncio.get_running_loop().add_reader(opened, self._read)
 
     def _attach(self, opened: socket.socket) -> None:
@@ -166,19 +203,28 @@ class UdpLink(Link):
 
     def _read(self) -> None:
         chunks: list[Chunk] = []
+        now_s, now_unix_s = time.monotonic(), time.time()
         for _ in range(MAX_READS):
             if self._socket is None:
                 break
             try:
-                data, peer = self._socket.recvfrom(MAX_DATAGRAM)
+                data, notes, _, peer = self._socket.recvmsg(MAX_DATAGRAM, _ROOM_FOR_STAMP)
             except (BlockingIOError, InterruptedError):
+                self._earliest_s = now_s
                 break
             except OSError as error:  # ECONNREFUSED: no socket received an earlier datagram
                 self.counters.receive_errors += 1
                 self._handle_refusal(error)
                 continue
-            chunks.append(Chunk(self.index, data, peer))
+            arrived_s = now_s
+            if notes:
+                seconds, nanoseconds = _STAMP.unpack(notes[0][2])
+                arrived_s -= now_unix_s - seconds - 1e-9 * nanoseconds
+            self._earliest_s = arrived_s = max(self._earliest_s, min(arrived_s, now_s))
+            chunks.append(Chunk(self.index, data, peer, arrived_s=arrived_s))
             self._note_peer(peer)
+        else:
+            self._busy_until_s = now_s + BUSY_S
         self.counters.received += len(chunks)
         if chunks:
             self._received(chunks)
