@@ -162,7 +162,7 @@ class TargetTracker:
         self._shared = NO_ERRORS
         self._kept_estimate = KeptEstimate()
         self.prior: SearchPrior | None = None
-        """What a search in vain has left of the area at first contact; None: nothing is known."""
+        """Probability that a search in vain left over the area, at first contact; None: unknown."""
         self._moves = 0
         """Number of frame shifts and resets; steps that began before the latest are abandoned."""
         self._set_up(params)

@@ -102,7 +102,7 @@ _NUMBER_BEFORE = re.compile(r"[0-9][.,]?$")
 _NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]")
 _COMMA_BEHIND = re.compile("[,'\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}][0-9]")
 _WORD_BEFORE, _WORD_BEHIND = re.compile(r"\w$"), re.compile(r"\w")
-"""What must not touch hexadecimal digits."""
+"""Neighbours that hexadecimal digits must not have."""
 
 _SIGMAS = frozenset(field.name for field in fields(RadioReading) if "_sigma_" in field.name)
 _ANGLE_NAMES = ("azimuth_rad", "elevation_rad")

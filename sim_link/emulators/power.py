@@ -19,7 +19,7 @@ from sim_link.emulators.wifi import SIMULATION_BEGAN_S
 CHANNEL_NOISE_DBM = -117.0
 """Noise of a LoRa channel of 125 kHz: -174 dBm/Hz, 51 dB of bandwidth, 6 dB of the receiver."""
 MOST_SNR_DB = 14.0
-"""Where the SX1301 saturates."""
+"""Signal-to-noise ratio at which the SX1301 saturates."""
 PULSE_NOISE_DBM = -150.0
 GATEWAY_EUI = "AA555A0000000101"
 
