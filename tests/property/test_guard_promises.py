@@ -185,16 +185,23 @@ def assert_within_envelope(guard: Guard, before: Guarded, after: Guarded, tick: 
         assert change <= most_mps
 
 
-def assert_is_near_enough(guard: Guard, before: Guarded, after: Guarded, motion: Motion) -> None:
-    """No farther from home than leash and battery allow, or than it was and can stop."""
+def assert_is_near_enough(
+    guard: Guard, before: Guarded, after: Guarded, tick: Tick, motion: Motion
+) -> None:
+    """No farther from home than leash and battery allow, or than it was and can turn.
+
+    It turns from its velocity straight to the wanted one, so braking and turning share the
+    acceleration: what is left of the old direction lasts for |change of velocity| / a.
+    """
     limits, home = guard.limits, motion.home_enu_m[:2]
     reach_m = limits.distance_home_m
     if limits.reserve is not None:
         charge_pct = 0.0 if motion.battery_pct is None else motion.battery_pct
         reach_m = min(reach_m, max(0.0, charge_pct - 20.0) / 500.0 * 1000.0)
     was_mps = math.hypot(*before.velocity_enu_mps[:2])
-    braking_m = was_mps * was_mps / (2.0 * limits.envelope.acceleration_mps2)
-    most_m = max(reach_m, math.dist(before.position_enu_m[:2], home)) + braking_m
+    change_mps = was_mps + min(limits.envelope.speed_mps, tick.cap_mps)
+    turning_m = was_mps * change_mps / (2.0 * limits.envelope.acceleration_mps2)
+    most_m = max(reach_m, math.dist(before.position_enu_m[:2], home)) + turning_m
     assert math.dist(after.position_enu_m[:2], home) <= most_m + ROUNDING_M
 
 
@@ -226,7 +233,7 @@ def test_every_setpoint_may_be_the_last(guard: Guard, place: Position, flown: li
             assert_comes_in(guard, before, after, tick, place)
         elif not (is_restart and set(after.reasons) & set(ANEW)):
             assert_within_envelope(guard, before, after, tick)
-            assert_is_near_enough(guard, before, after, motion)
+            assert_is_near_enough(guard, before, after, tick, motion)
         if after.velocity_enu_mps[:2] != (0.0, 0.0) and tick.dt_s > 0.0 and not comes_in:
             assert_may_be_last(guard, oracle, after, motion)
         if not all(math.isfinite(v) for v in tick.goal_enu_m):
