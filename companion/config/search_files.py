@@ -35,6 +35,7 @@ from companion.search.search_site import SearchSite, SiteArea, SiteRaster, grid_
 MOST_CORNERS = 2000
 """Of all polygons: the grid takes a quarter of a second then."""
 MOST_RASTER_CELLS = 100 * MOST_CELLS
+"""A finer raster has nothing to add: a cell of the search holds a hundred of its values."""
 
 
 def read_search_site(path: Path) -> SearchSite:

@@ -136,8 +136,7 @@ class CompanionEndpoint:
         """Number of control ticks."""
         self.next_tick_s = -math.inf
         """Time of the next control tick."""
-        self._woken_s = -math.inf
-        self._next_look_s = self._next_record_s = -math.inf
+        self._woken_s = self._next_look_s = self._next_record_s = -math.inf
 
     def _make_intake(self, number: int, link: LinkSpec) -> Intake:
         """Return the intake of a link, with a codec that signs and verifies if there is a key."""

@@ -36,9 +36,9 @@ from companion.search.searched_flight import (
 LONGEST_GAP_S = 1.0
 """Longest pause between two control ticks that still counts as searched."""
 TRACK_STEP_M = 5.0
-WORTH_TELLING_S = 10.0
+WORTH_REPORTING_S = 10.0
 """Contact sooner than this is no search."""
-WORTH_TELLING_SHARE = 0.01
+WORTH_REPORTING_SHARE = 0.01
 """Probability outside of the fence that is worth a warning."""
 STATE_EVERY_S = 2.0
 """Time between two renewals of the probabilities."""
@@ -95,7 +95,7 @@ class Searching:
     @property
     def is_worth_reporting(self) -> bool:
         """True if there was a search."""
-        return self.listened_s >= WORTH_TELLING_S
+        return self.listened_s >= WORTH_REPORTING_S
 
     @property
     def frame(self) -> LocalOrigin | None:
@@ -203,7 +203,7 @@ class Searching:
         self._area, self._stored_grid = SearchedArea(grid, detection), StoredGrid.of(grid)
         self.state = self._area.state
         outside = 0.0 if fence_enu_m is None else share_outside(grid, fence_enu_m)
-        if outside < WORTH_TELLING_SHARE:
+        if outside < WORTH_REPORTING_SHARE:
             return None
         return f"{100.0 * outside:.0f} % of the search area's probability is outside the fence"
 

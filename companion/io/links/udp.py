@@ -105,8 +105,8 @@ GONE = frozenset(
 """A socket that refuses with one of these may never work again."""
 FIRST_REOPEN_S, LAST_REOPEN_S = 0.25, 4.0
 BUSY_S = 1.0
-"""Time after a wake-up that left data unread for which nothing waits: the socket's buffer would
-overflow."""
+"""Time after a wake-up that left data unread for which nothing waits, because the socket's buffer
+would overflow: in a flood one wait in twenty control ticks is lost at the most."""
 MAX_PEERS = 16
 """Senders that a fan-out link remembers; telemetry must not grow with every unknown peer."""
 
