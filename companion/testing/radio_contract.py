@@ -43,6 +43,7 @@ GARBAGE_BYTES = 300
 FLIPS = (0x01, 0x20, 0x80, 0xFF)
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 FREE_TEXT = bytes(range(0x20, 0x7F))
+_DEFAULTS = {field.name: field.default for field in fields(RadioReading)}
 
 
 class ContractError(AssertionError):
@@ -265,8 +266,9 @@ def _check_kind(kind: RadioKind) -> None:
 
 
 def _values(reading: RadioReading) -> dict[str, object]:
-    values = {field.name: getattr(reading, field.name) for field in fields(reading)}
-    return {f.name: values[f.name] for f in fields(reading) if values[f.name] != f.default}
+    """Return the fields of a reading that differ from their default."""
+    values = {name: getattr(reading, name) for name in _DEFAULTS}
+    return {name: value for name, value in values.items() if value != _DEFAULTS[name]}
 
 
 def _parts(value: object) -> list[object]:

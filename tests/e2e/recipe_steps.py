@@ -520,7 +520,7 @@ def test_strong_vibration_is_held_on() -> None:
         ),
         Edit(
             "docs/reliability.md",
-            "| A15 | Strong vibration | hold | "
+            "| A15 | Strong vibration | "
             "`tests/loop/test_authority.py::test_strong_vibration_is_held_on` |\n",
             r"^\| A14 .*\n",
         ),
