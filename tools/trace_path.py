@@ -38,8 +38,6 @@ PRODUCT = str(ROOT / "companion") + "/"
 END = "TargetTracker.fuse"
 """Function at whose report the path ends: the measurement has moved the estimate, or was refused.
 Between its steps it returns numbers, which is no end.
-
-Between its steps it returns numbers, which is no end.
 """
 FROM_S, DURATION_S = 22.0, 5.0
 """The canonical flight searches then, beyond its first crossing."""

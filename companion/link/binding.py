@@ -159,11 +159,11 @@ class AutopilotBinding:
         ids = (header.srcSystem, header.srcComponent)
         if isinstance(message, mavlink.MAVLink_heartbeat_message):
             self._note_heartbeat(message, ids, peer, now_s)
-        sign = sign_of(message)
         if self._expected is not None:
-            self._bind_expected(sign, ids, peer, now_s)
+            self._bind_expected(sign_of(message), ids, peer, now_s)
         if self.bound is None or ids != self.bound.ids or is_of_component(message):
             return False
+        sign = sign_of(message)
         if peer != self.peer:
             return self._take_elsewhere(message, sign, peer, now_s)
         if self._is_silent(now_s):

@@ -129,9 +129,8 @@ class CompanionEndpoint:
         """Radios in the order of their links."""
         others = [each for each in sources if isinstance(each, MavlinkRanging)]
         self._mavlink_ranging = (self._vehicle_ranging, *others)
-        self._binds = 0
-        self._problem: str | None = None
-        """Problem of the binding, as reported to the session."""
+        self._noted_binding: tuple[int, str | None] = (0, None)
+        """Number of bindings and problem of the binding, as reported to the session."""
         self.ticks = 0
         """Number of control ticks."""
         self.next_tick_s = -math.inf
@@ -169,7 +168,7 @@ class CompanionEndpoint:
             if self._recorder is not None:
                 self._recorder.raw(data, chunk.link, chunk.peer, now_s)
             self.session.searching.is_radio_heard = True
-            self._receive_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
+            self._report_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """Run the control tick, without making up for a late one; before it is due, deferred work.
@@ -268,9 +267,8 @@ class CompanionEndpoint:
 
     # On the way in
 
-    def _receive_ranging(self, measurements: list[RangingMeasurement], now_s: float) -> None:
+    def _report_ranging(self, measurements: list[RangingMeasurement], now_s: float) -> None:
         for measurement in measurements:
-            self.session.searching.is_radio_heard = True
             self.executor.handle(events.RangingReceived(now_s, measurement), now_s)
 
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
@@ -290,7 +288,7 @@ class CompanionEndpoint:
         self._journal.frame(frame, now_s)
         source = self._sources.get(chunk.link)
         if source is not None:
-            self._receive_ranging(source.receive(frame, now_s), now_s)
+            self._report_ranging(source.receive(frame, now_s), now_s)
         else:
             message = self._intakes[chunk.link].codec.decode_proved(frame)
             self._serve_station(message, now_s, may_grant=False)
@@ -315,17 +313,17 @@ class CompanionEndpoint:
         if message is None or not is_proved:
             return
         is_ours = binding.recognise(message, peer, now_s)
-        self._note_binding(now_s)
+        if (binding.binds, binding.problem) != self._noted_binding:
+            self._note_binding(now_s)
         if is_ours:
             phase = self.session.authority.phase
             self.executor.receive(message, now_s)
             if self.session.authority.phase is not phase:
                 self._note_control(now_s)
-        is_peer = peer == binding.peer
-        if number in RANGING_IDS:
-            is_here = sender[0] == binding.system_id and (binding.is_keyed or is_peer)
-            if is_here and isinstance(message, RangingMessage):
-                self._receive_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
+        is_peer, bound = peer == binding.peer, binding.bound
+        is_here = bound is not None and sender[0] == bound.ids[0] and (binding.is_keyed or is_peer)
+        if number in RANGING_IDS and is_here and isinstance(message, RangingMessage):
+            self._report_ranging(self._vehicle_ranging.measure(message, now_s), now_s)
         elif is_peer and isinstance(message, StationRequest):
             self._serve_station(message, now_s, may_grant=True)
             self._note_other_command(message, now_s)
@@ -344,12 +342,11 @@ class CompanionEndpoint:
 
     def _note_binding(self, now_s: float) -> None:
         """Report to the session which autopilot is bound now, and any doubt about it."""
-        binding = self.binding
-        if binding.binds != self._binds:
-            self._binds = binding.binds
+        binding, (binds, problem) = self.binding, self._noted_binding
+        self._noted_binding = binding.binds, binding.problem
+        if binding.binds != binds:
             self.executor.bind(now_s)
-        if binding.problem != self._problem:
-            self._problem = binding.problem
+        if binding.problem != problem:
             self.executor.handle(events.IdentityDoubted(now_s, binding.problem), now_s)
 
     def _serve_station(self, message: Message | None, now_s: float, *, may_grant: bool) -> None:

@@ -33,8 +33,8 @@ from companion.domain import (
 )
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.device_clock import DeviceClock
-from companion.link.conversion.ranging_rates import RATE_MAX_HZ
 from companion.link.intake import RateLimit
+from companion.link.ranging_sources import RATE_MAX_HZ
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
 
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]

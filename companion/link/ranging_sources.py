@@ -5,6 +5,11 @@ source. For MAVLink, RADIO_RANGING is our own message; LANDING_TARGET of type RA
 RANGING_BEACON are read as well. Degrees, millimetres, NED and the sentinels (NaN, UINT8_MAX,
 UINT32_MAX) are converted here. Infinities and absurd numbers pass on purpose: rejecting them, with
 a counted reason, is the tracker's task.
+
+Rates. A measurement costs the flight computer a fraction of a millisecond before it is fused, so
+that a sender at 1 kHz would take half of a core. Measurements beyond the rate are dropped as they
+arrive, which passes the newest at a steady rate, are counted, and are announced. Rates go by our
+own clock: stamps are under the sender's control.
 """
 
 from __future__ import annotations
@@ -15,9 +20,10 @@ from typing import Protocol, get_args
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
-from companion.guidance.commands import Announce
-from companion.link.conversion.ranging_rates import SenderRate
+from companion.guidance.commands import Announce, Severity
 from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
+from companion.link.intake import RateLimit
+from companion.link.texts import CAUSE_PERIOD_S
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
 
@@ -30,6 +36,14 @@ MAX_LINK_DELAY_S = 0.5
 autopilot's."""
 MAX_SENDERS = 16
 """Limit of ranging senders of a link whose clocks are kept."""
+RATE_MAX_HZ = 20.0
+"""Measurements per second of one emitter, as for radios with formats of their own
+(`rate_max_hz`)."""
+MAX_EMITTERS = 16
+"""Emitters of one sender with separate rates: as many as `emitters.most` allows."""
+MANY_LEFT_OUT = 10
+"""Dropped measurements since the last text before the next one: half a second's worth, more than a
+burst of a link."""
 RangingMessage = (
     MAVLink_radio_ranging_message
     | mavlink.MAVLink_landing_target_message
@@ -58,6 +72,41 @@ class SourceContext:
     """Codec of its link."""
     vehicle_clock: VehicleClock
     """The autopilot's clock, for a radio that stamps by it."""
+
+
+class SenderRate:
+    """Rates of one sender: of all its measurements, and of each emitter."""
+
+    def __init__(self) -> None:
+        most_hz = RATE_MAX_HZ * MAX_EMITTERS
+        self._all = RateLimit(most_hz, burst=int(most_hz))
+        self._by_emitter: dict[int, RateLimit] = {}
+        self.left_out = 0
+        """Dropped measurements since the last text."""
+        self._texts = RateLimit(1.0 / CAUSE_PERIOD_S)
+
+    def acquire(self, emitter_id: int, now_s: float) -> bool:
+        """Return True if a measurement of an emitter may pass; otherwise it is counted."""
+        limit = self._by_emitter.get(emitter_id)
+        if limit is None:
+            if len(self._by_emitter) >= MAX_EMITTERS:
+                del self._by_emitter[next(iter(self._by_emitter))]
+            limit = self._by_emitter[emitter_id] = RateLimit(RATE_MAX_HZ, burst=int(RATE_MAX_HZ))
+        is_due = limit.acquire(now_s) and self._all.acquire(now_s)
+        self.left_out += not is_due
+        return is_due
+
+    def text(self, sender: tuple[int, int], now_s: float) -> Announce | None:
+        """Return the warning that is due about dropped measurements, or None."""
+        if self.left_out < MANY_LEFT_OUT or not self._texts.acquire(now_s):
+            return None
+        count, self.left_out = self.left_out, 0
+        system, component = sender
+        return Announce(
+            Severity.WARNING,
+            f"ranging of {system}/{component}: {count} left out, "
+            f"over {RATE_MAX_HZ:.0f} Hz an emitter; lower its rate",
+        )
 
 
 class MavlinkRanging:
@@ -93,35 +142,35 @@ class MavlinkRanging:
                 self._forget(next(iter(self._clocks)))
             clock = self._clocks[sender] = SenderClock()
             self._rates[sender] = SenderRate()
-        if message.time_usec == 0:  # a sender without a clock: no stamp to use or compare
-            measurement = ranging_from_message(message, now_s)
-            return self._due(sender, measurement and replace(measurement, stamp_us=None), now_s)
-        stamp_s = message.time_usec / 1e6
+        # a sender without a clock has no stamp to use or compare
+        has_stamp = message.time_usec != 0
+        at_s = self._time_of(message.time_usec / 1e6, clock, sender, now_s) if has_stamp else now_s
+        measurement = ranging_from_message(message, at_s)
+        if measurement is None or not self._rates[sender].acquire(measurement.emitter_id, now_s):
+            return []
+        return [measurement if has_stamp else replace(measurement, stamp_us=None)]
+
+    def _time_of(
+        self, stamp_s: float, clock: SenderClock, sender: tuple[int, int], now_s: float
+    ) -> float:
+        """Return the time of a stamp on our clock, by the autopilot's clock if it is of that."""
         measured_at_s = clock.read(stamp_s, now_s).time_s
         own_offset_s = clock.timebase.offset_at_s(measured_at_s)
         vehicle_offset_s = self._vehicle_clock.offset_at_s(measured_at_s)
         self._on_vehicle_clock.discard(sender)
         clock.timebase.known_rate = None
-        if own_offset_s is not None and vehicle_offset_s is not None:
-            later_s = own_offset_s - vehicle_offset_s
-            if -CLOCK_TOLERANCE_S <= later_s <= MAX_LINK_DELAY_S:
-                self._on_vehicle_clock.add(sender)
-                clock.timebase.known_rate = self._vehicle_clock.wild_rate
-                measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
-        return self._due(sender, ranging_from_message(message, measured_at_s), now_s)
+        if own_offset_s is None or vehicle_offset_s is None:
+            return measured_at_s
+        if not -CLOCK_TOLERANCE_S <= own_offset_s - vehicle_offset_s <= MAX_LINK_DELAY_S:
+            return measured_at_s
+        self._on_vehicle_clock.add(sender)
+        clock.timebase.known_rate = self._vehicle_clock.wild_rate
+        return min(now_s, stamp_s + vehicle_offset_s)
 
     def texts(self, now_s: float) -> list[Announce]:
         """Return warnings about senders whose measurements were dropped."""
         due = [rate.text(sender, now_s) for sender, rate in self._rates.items() if rate.left_out]
         return [text for text in due if text is not None]
-
-    def _due(
-        self, sender: tuple[int, int], measurement: RangingMeasurement | None, now_s: float
-    ) -> list[RangingMeasurement]:
-        """Return the measurement alone if its emitter and sender are within their rates."""
-        if measurement is None or not self._rates[sender].acquire(measurement.emitter_id, now_s):
-            return []
-        return [measurement]
 
     def _follow_slip(self) -> None:
         """Resynchronise senders on the autopilot's clock after it slipped."""

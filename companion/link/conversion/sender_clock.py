@@ -146,17 +146,6 @@ class _NewClock:
     offset_s: float
     stamps: int = 1
 
-    def continues_with(self, remote_s: float, now_s: float) -> bool:
-        """Return True if a stamp is of the same clock as the first one."""
-        passed_s = now_s - self.local_s
-        return abs((remote_s - self.remote_s) - passed_s) <= CONFIRM_JITTER_S
-
-    def take(self, remote_s: float, now_s: float) -> bool:
-        """Process one more; return True if the clock is confirmed."""
-        self.stamps += 1
-        self.offset_s = min(self.offset_s, now_s - remote_s)
-        return self.stamps >= CONFIRM_STAMPS and now_s - self.local_s >= CONFIRM_S
-
 
 class Timebase:
     """Converter of the stamps of one sender's clock.
@@ -178,6 +167,8 @@ class Timebase:
         """Rate at the latest stamp."""
         self._offset_s = offset_s
         self._arrivals = ArrivalRate()
+        self.gain_s = 0.0
+        """Gain of the clock on ours that the latest stamp showed, seconds; 0: none."""
         self._new_clock: _NewClock | None = None
         self._newest_remote_s = 0.0 if offset_s is None else now_s - offset_s
         self._updated_s = now_s
@@ -197,11 +188,16 @@ class Timebase:
 
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Return the local time of a remote stamp that arrived at `now_s`, both in seconds."""
-        raw_s, remote_s = remote_s, self._unwrapped(remote_s)
-        self.rate = self.known_rate or self._arrivals.rate
-        before_s = self.offset_at_s(now_s)
-        if before_s is None:
+        raw_s = remote_s
+        if self._wraps or self._newest_remote_s - remote_s > WRAP_S - MAX_WRAP_GAP_S:
+            remote_s = self._unwrapped(remote_s)
+        former, self.rate = self.rate, self.known_rate or self._arrivals.rate
+        if self._offset_s is None:
             return self._start(remote_s, now_s, now_s - remote_s)
+        passed_s = now_s - self._updated_s
+        foreseen_s = self._offset_s + former.growth * passed_s
+        before_s = self._offset_s + self.rate.growth * passed_s
+        self.gain_s = max(0.0, foreseen_s - before_s)
         if remote_s < self._newest_remote_s - BACKWARD_S:
             if self._is_new_clock(raw_s, now_s) and self._new_clock is not None:
                 is_young = raw_s <= now_s - self._updated_s + self.max_late_s
@@ -212,10 +208,11 @@ class Timebase:
             return StampReading(min(now_s, remote_s + before_s))
         self._new_clock = None
         least_s = self._arrivals.take(now_s - remote_s, now_s)
-        risen_s = before_s + self.rate.slack * max(0.0, now_s - self._updated_s)
+        risen_s = before_s + self.rate.slack * max(0.0, passed_s)
         if least_s is not None and self.known_rate is None:
             risen_s = max(risen_s, least_s)
         self._offset_s = min(risen_s, now_s - remote_s)
+        self.gain_s = max(0.0, foreseen_s - self._offset_s)
         self._newest_remote_s = max(self._newest_remote_s, remote_s)
         self._updated_s = now_s
         late_s = max(0.0, now_s - remote_s - self._offset_s)
@@ -224,7 +221,7 @@ class Timebase:
     def _start(
         self, remote_s: float, now_s: float, offset_s: float, step: ClockStep = ClockStep.NONE
     ) -> StampReading:
-        self._offset_s = offset_s
+        self._offset_s, self.gain_s = offset_s, 0.0
         self._newest_remote_s = remote_s
         self._updated_s = now_s
         self._new_clock = None
@@ -232,10 +229,15 @@ class Timebase:
 
     def _is_new_clock(self, remote_s: float, now_s: float) -> bool:
         """Return True if a stamp that went back confirms a new clock."""
-        if self._new_clock is None or not self._new_clock.continues_with(remote_s, now_s):
-            self._new_clock = _NewClock(remote_s, now_s, now_s - remote_s)
+        new, offset_s = self._new_clock, now_s - remote_s
+        if new is not None:
+            apart_s = (remote_s - new.remote_s) - (now_s - new.local_s)
+        if new is None or not abs(apart_s) <= CONFIRM_JITTER_S:
+            self._new_clock = _NewClock(remote_s, now_s, offset_s)
             return False
-        return self._new_clock.take(remote_s, now_s)
+        new.stamps += 1
+        new.offset_s = min(new.offset_s, offset_s)
+        return new.stamps >= CONFIRM_STAMPS and now_s - new.local_s >= CONFIRM_S
 
     def _unwrapped(self, remote_s: float) -> float:
         """Return the stamp without wraps of its counter; one from before the last wrap may be late.
@@ -294,12 +296,13 @@ class SenderClock:
         Args:
             late_confirm_s: How long stamps must be late before they are those of a new clock.
         """
-        before_s = self.timebase.offset_at_s(now_s)
         reading = self.timebase.read(remote_s, now_s)
-        if reading.step is ClockStep.NONE:
-            self._note_gain(before_s, now_s)
-        else:
+        if reading.step is not ClockStep.NONE:
             self._gains.clear()
+        elif self.timebase.gain_s > 0.0:
+            self._gains.append((now_s, self.timebase.gain_s))
+        while self._gains and self._gains[0][0] <= now_s - RUN_WINDOW_S:
+            self._gains.popleft()
         if now_s - reading.time_s <= MAX_LATE_S:
             self._late_since_s, self._prompt_s = None, now_s
             return reading
@@ -314,13 +317,6 @@ class SenderClock:
         is_young = remote_s <= silence_s + MAX_LATE_S
         step = ClockStep.RESTART if is_young else ClockStep.SLIP
         return StampReading(self.timebase.read(remote_s, now_s).time_s, step)
-
-    def _note_gain(self, before_s: float | None, now_s: float) -> None:
-        after_s = self.timebase.offset_at_s(now_s)
-        if before_s is not None and after_s is not None and after_s < before_s:
-            self._gains.append((now_s, before_s - after_s))
-        while self._gains and self._gains[0][0] <= now_s - RUN_WINDOW_S:
-            self._gains.popleft()
 
 
 CLOCK_TOLERANCE_S = 0.03
@@ -364,7 +360,9 @@ class VehicleClock:
         by_exchange_s = self.sync.offset_at_s(now_s)
         if by_arrival_s is None or by_exchange_s is None:
             return by_arrival_s
-        return by_exchange_s if self._is_way(by_arrival_s - by_exchange_s) else by_arrival_s
+        delay_s, round_trip_s = by_arrival_s - by_exchange_s, self.sync.round_trip_s
+        is_way = round_trip_s is not None and 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
+        return by_exchange_s if is_way else by_arrival_s
 
     @property
     def wild_rate(self) -> Rate | None:
@@ -402,10 +400,6 @@ class VehicleClock:
         self._is_same_clock = False
         self._apart_since_s = None
         self.slips += 1
-
-    def _is_way(self, delay_s: float) -> bool:
-        round_trip_s = self.sync.round_trip_s
-        return round_trip_s is not None and 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
 
     def _follow_exchange(self, now_s: float) -> bool:
         """Resynchronise where exchanges show that the clock slipped; return True if they do.

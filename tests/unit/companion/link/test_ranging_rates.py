@@ -7,9 +7,13 @@ import math
 import pytest
 
 from companion.link.conversion.clock_sync import ClockSync
-from companion.link.conversion.ranging_rates import MAX_EMITTERS, RATE_MAX_HZ
 from companion.link.conversion.sender_clock import VehicleClock
-from companion.link.ranging_sources import MavlinkRanging, SourceContext
+from companion.link.ranging_sources import (
+    MAX_EMITTERS,
+    RATE_MAX_HZ,
+    MavlinkRanging,
+    SourceContext,
+)
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message
 
