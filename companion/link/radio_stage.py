@@ -36,6 +36,7 @@ from companion.link.conversion.device_clock import DeviceClock
 from companion.link.intake import RateLimit
 from companion.link.ranging_sources import RATE_MAX_HZ
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
+from companion.radios.fields import is_overflow_m
 
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -51,6 +52,9 @@ MOST_FIRST, MOST_HEX = 80, 24
 REACH_M = 101_000.0
 """Longest range of any radio: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). A longer
 one is an overflow or in another unit."""
+STALLED_S = 2.0
+"""With no measurement of an emitter within its rate for so long, of which the least is 1 Hz, it is
+not the rate that is too high: stamps in another unit stand still."""
 _MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|(?:[0-9a-f]{4}){1,4}", re.I)
 _NUMBER = re.compile(r"0|[1-9][0-9]{0,18}|0[xX][0-9a-fA-F]{1,16}")
 
@@ -259,6 +263,8 @@ class RadioStage:
         self.thinned = 0
         """Measurements beyond `rate_max_hz`."""
         self._rates: dict[int, RateLimit] = {}
+        self._passed_s: dict[int, float] = {}
+        """Arrival of each emitter's latest measurement within its rate."""
         self._last: dict[int, RadioReading] = {}
         self._equal: Counter[int] = Counter()
 
@@ -278,24 +284,29 @@ class RadioStage:
             self.decoder.reset()
             return []
         measured = [self._measure(reading, now_s) for reading in readings]
-        found = [each for each in measured if each is not None and self._is_due(each)]
+        found = [each for each in measured if each is not None and self._is_due(each, now_s)]
         if found:
             self.measured += len(found)
             self.age_s = now_s - found[-1].measured_at_s
             self.newest.update((measurement.emitter_id, measurement) for measurement in found)
         return found
 
-    def _is_due(self, measurement: RangingMeasurement) -> bool:
-        """Return True if the measurement is within its emitter's rate."""
-        rate_hz = self.setup.settings.rate_max_hz
+    def _is_due(self, measurement: RangingMeasurement, now_s: float) -> bool:
+        """Return True if the measurement is within its emitter's rate, by its own time."""
+        rate_hz, emitter_id = self.setup.settings.rate_max_hz, measurement.emitter_id
         if rate_hz is None:
             return True
-        limit = self._rates.get(measurement.emitter_id)
+        limit = self._rates.get(emitter_id)
         if limit is None:
-            limit = self._rates[measurement.emitter_id] = RateLimit(rate_hz, burst=2)
-        is_due = limit.acquire(measurement.measured_at_s)
-        self.thinned += not is_due
-        return is_due
+            limit = self._rates[emitter_id] = RateLimit(rate_hz, burst=2)
+        if limit.acquire(measurement.measured_at_s):
+            self._passed_s[emitter_id] = now_s
+            return True
+        if now_s - self._passed_s.get(emitter_id, now_s) > STALLED_S:
+            self._refuse("time of the radio hardly advances: clock=arrival")
+        else:
+            self.thinned += 1
+        return False
 
     @property
     def all_refused(self) -> Counter[str]:
@@ -418,6 +429,9 @@ class RadioStage:
         range_m = (said_m - settings.range_offset_m) / settings.range_scale
         if not math.isfinite(range_m):
             self._refuse("range is not finite")
+            return None
+        if is_overflow_m(said_m):
+            self._refuse("range with all bits set: nothing measured")
             return None
         if range_m < settings.range_min_m:
             self._refuse("range below range_min_m")

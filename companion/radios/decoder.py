@@ -199,14 +199,17 @@ class LineDecoder(RadioDecoder):
     """Decoder of text that cuts the stream into lines.
 
     A line ends with LF, CR or CRLF in any cut; one beyond `longest_line` is dropped whole and
-    counted. Bytes that are no text are replaced, so that a line is always a `str`, and colours and
-    cursor movements of a terminal are removed.
+    counted. Bytes that are no text are replaced, so that a line is always a `str`; a byte order
+    mark, and colours, cursor movements and titles of a terminal are removed.
     """
 
     longest_line = 4096
     _LINE_END = re.compile(rb"\r\n?|\n")
-    _ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[\x01\x02]")
-    """ANSI sequences, and readline's marks about them."""
+    _ESCAPES = re.compile(
+        r"\A\ufeff|\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)?|\x1b[()*+][0-9A-Za-z]"
+        r"|\x1b[=>78cDEHM]|[\x01\x02]"
+    )
+    """The mark, ANSI sequences (ECMA-48), and readline's marks about them."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)

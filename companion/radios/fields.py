@@ -77,8 +77,10 @@ NAME_OF_POWER = "name it power_dbm, or power_db with power_offset_db if it is re
 SKIPPED = ("", "_", "skip")
 """Names of a column that is not read."""
 
-OVERFLOWS = frozenset({0xFFFF, 0x7FFF_FFFF, 0xFFFF_FFFF})
+OVERFLOWS = frozenset({0x7FFF, 0xFFFF, 0x7FFF_FFFF, 0xFFFF_FFFF})
 """Whole numbers with all their bits set, which firmware prints where it has no range."""
+_STEPS_PER_M = (1.0, 10.0, 100.0, 1000.0)
+"""Units in which firmware counts before it prints metres."""
 _UNIT_WORDS = {
     **{word: word for word in ("m", "cm", "mm", "km", "ft", "s", "ms", "us", "ns", "ps")},
     **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
@@ -87,7 +89,7 @@ _UNIT_WORDS = {
     **{"feet": "ft", "usec": "us", "msec": "ms", "psec": "ps"},
     **{word: word for word in ("yd", "yard", "yards", "mi", "mile", "miles", "inch", "inches")},
     **{word: word for word in ("dm", "um", "nm", "gon", "grad", "mil", "mils", "mrad")},
-    **{word: word for word in ("dbm", "db", "dbfs", "dbw", "dbuv", "mw", "uw", "nw")},
+    **{word: word for word in ("dbm", "db", "dbfs", "dbw", "dbuv", "dbmv", "mw", "uw", "nw")},
 }
 """Words for a unit behind a number, and the unit as names of the vocabulary end, if any does."""
 _MICRO = "\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}"
@@ -97,15 +99,44 @@ _UNIT_BEHIND = re.compile(
 )
 """A mark of feet, inches or percent, or a word, perhaps in brackets, that is not itself the name of
 what follows."""
+_ABBREVIATIONS = "|".join(word for word in _UNIT_WORDS if 1 < len(word) < 5 and word.isascii())
+_UNIT_BEFORE = re.compile(
+    rf"[\[(][ \t]?(?P<b>{'|'.join(map(re.escape, _UNIT_WORDS))})[ \t]?[\])][\"']?[ \t]*[:=]?[ \t]*$"
+    rf"|(?:_(?P<u>{_ABBREVIATIONS}|m)|[a-z](?P<c>(?-i:{_ABBREVIATIONS.title()}))"
+    rf"|(?:^|[^\W\d][ ]|[/|,;(\"'])(?P<w>{_ABBREVIATIONS}))[\"']?[ \t]*[:=][ \t]*[\"']?$",
+    re.IGNORECASE,
+)
+"""Unit in the name before a number: `Dist (cm):`, `range_cm=`, `"rangeMm":`, `in cm:`."""
+_SIDE_BEHIND = re.compile(
+    r" ?(?:\N{DEGREE SIGN}|deg(?:rees)?)?[ \t]{0,2}"
+    r"(?:(?i:left|right|port|starboard|east|west|north|south)|[LRNESW])\b(?!\s*[=:])"
+)
+"""Side to which an angle without a sign is counted."""
 _SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])[-\N{MINUS SIGN}\N{EN DASH}]$")
 _NUMBER_BEFORE = re.compile(r"[0-9][.,]?$")
-_NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]")
-_COMMA_BEHIND = re.compile("[,'\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}][0-9]")
+_NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]|#(?:INF|IND|QNAN|SNAN)")
+_GROUPS_BEHIND = re.compile(r"(?:[ ][0-9]{3})+(?:[.,][0-9]+)? ?([^\W\d_]+)")
+_COMMA_BEHIND = re.compile(
+    "[,'_\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{ARABIC DECIMAL SEPARATOR}"
+    "\N{ARABIC THOUSANDS SEPARATOR}\N{FULLWIDTH COMMA}\N{FULLWIDTH FULL STOP}]\\d"
+)
 _WORD_BEFORE, _WORD_BEHIND = re.compile(r"\w$"), re.compile(r"\w")
 """Neighbours that hexadecimal digits must not have."""
 
+NOT_VALID = "the line says itself that it is not valid"
+_FAILURE = r"(?:time[_ -]?(?:d[_ ])?out|invalid|not[_ ]valid|fail(?:ed|ure)?|error|lost)"
+_SAYS_INVALID = re.compile(
+    rf"\b(?:status|state|result|error|err)[\"']?\s*[:=]\s*[\"']?(?:\w+[_ -])?{_FAILURE}\b"
+    r"|\b(?:is_?)?(?:valid|success)[\"']?\s*[:=]\s*[\"']?(?:0|false|no)(?![\w.])"
+    rf"|(?:^|[,;\t|])\s*[\"']?(?:[a-z]+_)?{_FAILURE}[\"']?\s*(?:[,;\t|]|$)"
+    r"|\b(?-i:INVALID|NOT VALID)\b",
+    re.IGNORECASE,
+)
+"""Status words in the place of a value, a cell of their own, or in capitals."""
+
 _SIGMAS = frozenset(field.name for field in fields(RadioReading) if "_sigma_" in field.name)
 _ANGLE_NAMES = ("azimuth_rad", "elevation_rad")
+_ANGLES_BY_UNIT = {name for name, unit in NUMBERS.items() if unit.attribute in _ANGLE_NAMES}
 _MEASURED = frozenset({"range_m", "power_dbm", *_ANGLE_NAMES})
 
 
@@ -182,11 +213,25 @@ def is_overflow(raw: float) -> bool:
     return raw in OVERFLOWS
 
 
+def is_overflow_m(range_m: float) -> bool:
+    """Return True if metres are that code, converted from any unit: 65.535 or 655.35."""
+    return any(
+        round(range_m * steps) in OVERFLOWS
+        and math.isclose(range_m, round(range_m * steps) / steps, rel_tol=1e-9)
+        for steps in _STEPS_PER_M
+    )
+
+
+def says_invalid(line: str) -> bool:
+    """Return True if a line says by a status of its own that its values are not valid."""
+    return _SAYS_INVALID.search(line) is not None
+
+
 def complain_of_spans(found: re.Match[str]) -> str | None:
     """Return the error in the positions of a match's groups in their line, or None.
 
-    An omitted sign, a number cut in two where the expression ends, or a different unit behind it:
-    each would be another value that looks valid.
+    An omitted sign, a number cut in two where the expression ends, or a different unit before or
+    behind it: each would be another value that looks valid.
     """
     line = found.string
     for name, text in found.groupdict().items():
@@ -199,13 +244,22 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
         before = _WORD_BEFORE if is_hex else _NUMBER_BEFORE
         behind = _WORD_BEHIND if is_hex else _NUMBER_BEHIND
         is_cut = start == found.start() and before.search(line[:start]) is not None
+        groups = _GROUPS_BEHIND.match(line, end) if len(text) < 4 else None
+        unit = plain.rpartition("_")[2] if "_" in plain else ""
+        if groups is not None and _UNIT_WORDS.get(groups[1].lower()) == unit:
+            is_cut = True
         if is_cut or (end == found.end() and behind.match(line, end)):
             return f"{name} is part of a longer number"
         if end == found.end() and "." not in text and _COMMA_BEHIND.match(line, end):
             return f"{name} ends at `{line[end]}` before digits: if it separates, include it"
         word = _unit_of(_UNIT_BEHIND.match(line, end))
-        if word is not None and "_" in plain and word != plain.rpartition("_")[2]:
+        if plain in _ANGLES_BY_UNIT and _SIDE_BEHIND.match(line, end):
+            return f"{name} is followed by a side: its sign is not known"
+        if word is not None and unit and word != unit:
             return f"{name} is followed by `{word}`"
+        named = _UNIT_BEFORE.search(line[:start]) if unit in _UNIT_WORDS else None
+        if named is not None and (word := _UNIT_WORDS[named[named.lastgroup or 0].lower()]) != unit:
+            return f"{name} stands behind `{word}`"
     return None
 
 
@@ -245,6 +299,14 @@ class FieldDecoder(LineDecoder):
     def passed_over(self, line: str) -> list[RadioReading]:
         """Count a line that is not of the format: consoles print much else."""
         self.counts.pass_over(line)
+        return []
+
+    def distinct(self, readings: list[RadioReading]) -> list[RadioReading]:
+        """Return the readings of a line if no emitter has two ranges in it."""
+        ranged = [each.emitter for each in readings if each.range_m is not None]
+        if len(set(ranged)) == len(ranged):
+            return readings
+        self.counts.refuse("several ranges of one emitter in a line")
         return []
 
     def read_fields(

@@ -53,7 +53,7 @@ class FormDecoder(FieldDecoder):
             if not each.pattern.groups:
                 return self.no_reading()
             found = each.pattern.finditer(line)
-            return [reading for match in found for reading in self._read(match)]
+            return self.distinct([reading for match in found for reading in self._read(match)])
         return self.passed_over(line)
 
     def _read(self, match: re.Match[str]) -> list[RadioReading]:

@@ -21,13 +21,22 @@ from companion.radios.decoder import (
     RadioReading,
     is_power_only,
 )
+from companion.radios.fields import NOT_VALID, says_invalid
 
 MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
 MOST_ELEVATION_RAD = 0.5 * math.pi + 1e-6
 MOST_SIGMA_RAD = math.pi / math.sqrt(3.0) + 1e-6
 """Standard deviation of an angle that may be anywhere on the circle."""
-UNITS = re.compile(r'"\w{0,20}units?"\s*:\s*"(?!(?:m|rad|us|dBm)?")')
+UNITS = re.compile(
+    r'"(?:\w{0,20}units?|units?_\w{0,20}|uom)"\s*:\s*(?:"(?!(?:m|rad|us|dBm)?")|\{)', re.IGNORECASE
+)
 """Key that names a unit which is none of RADIO_RANGING's."""
+IDENTITY = re.compile(
+    r'"((?:anchor|tag|beacon|node|device|emitter|peer|responder)(?:_?(?:id|name))?|id|uid|bssid'
+    r'|mac(?:_?addr(?:ess)?)?|addr(?:ess)?|dev_?(?:eui|addr))"\s*:',
+    re.IGNORECASE,
+)
+"""Key by which other programs name an emitter: without `emitter_id` all would be one."""
 RECORD_SEPARATOR = "\x1e"
 """Before each text of a JSON sequence (RFC 8142)."""
 
@@ -127,6 +136,11 @@ class NdjsonDecoder(LineDecoder):
         foreign = _foreign_key(line)
         if foreign is not None:
             return f"key `{foreign}` is of another format: companion radio list"
+        if says_invalid(text):
+            return NOT_VALID
+        identity = None if '"emitter_id"' in text else IDENTITY.search(text)
+        if identity is not None:
+            return f"key `{identity[1].lower()}` may name the emitter: emitter_id does"
         if UNITS.search(text):
             return "key `unit` is none of m, rad, us, dBm: range is in metres"
         if (line.range, line.bearing, line.elevation, line.power_dbm) == (None,) * 4:

@@ -62,7 +62,9 @@ class PansDecoder(FieldDecoder):
         if anchors is None:
             return self.refused("torn line")
         self.counts.frames += 1
-        return [RadioReading(emitter=name.upper(), range_m=float(text)) for name, text in anchors]
+        return self.distinct(
+            [RadioReading(emitter=name.upper(), range_m=float(text)) for name, text in anchors]
+        )
 
 
 def _counted(text: str, count: int) -> list[tuple[str, str]] | None:

@@ -19,7 +19,7 @@ from struct import Struct
 
 from companion.domain import Params
 from companion.radios.decoder import FrameDecoder, Poll, RadioKind, RadioReading, is_power_only
-from companion.radios.fields import number
+from companion.radios.fields import complain_of_spans, number
 from companion.radios.line_forms import FormDecoder, form
 
 _MAC = "[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
@@ -27,6 +27,9 @@ _EMITTER = f"(?P<emitter>{_MAC})"
 _BLOCK = f"(?P<block>{_MAC})"
 _NUMBER = r"[+-]?[0-9]{1,3}(?:\.[0-9]+)?(?![.,]?[0-9])"
 _DBM = rf"(?P<power_dbm>{_NUMBER})"
+LEAST_DBM = -114.0
+"""Thermal noise in the bandwidth of Bluetooth, 1 MHz, the least of devices that have an address;
+lower ones, -127 or -128, stand for no value."""
 NO_ADDRESS = "no address: set single_emitter=true if there is one emitter"
 
 
@@ -135,6 +138,9 @@ class PowerScanDecoder(FormDecoder):
             return self.refused(f"several {what} in a line: read it by `lines`")
         if not levels:
             return self.refused("no power in dBm that can be read: try `lines`")
+        problem = next(filter(None, map(complain_of_spans, self._LEVEL.finditer(line))), None)
+        if problem is not None:
+            return self.refused(problem)
         return self._of_device(next(iter(addresses), None), levels.pop())
 
     def _of_device(self, emitter: str | None, power_dbm: str | None) -> list[RadioReading]:
@@ -148,6 +154,8 @@ class PowerScanDecoder(FormDecoder):
         power_dbm = number(texts["power_dbm"])
         if power_dbm is not None and power_dbm >= 0.0:
             return self.refused("power is not negative: no dBm")
+        if power_dbm is not None and power_dbm < LEAST_DBM and texts["emitter"]:
+            return self.refused("power is below the noise: nothing measured")
         emitter = texts["emitter"].lower().replace("-", ":")
         return self.read_fields({**texts, "emitter": emitter})
 

@@ -22,6 +22,7 @@ from companion.domain import Params
 from companion.errors import ConfigError
 from companion.radios.decoder import AngleFrame, RadioReading
 from companion.radios.fields import (
+    NOT_VALID,
     FieldDecoder,
     columns,
     complain_of,
@@ -29,6 +30,7 @@ from companion.radios.fields import (
     dbm,
     is_overflow,
     number,
+    says_invalid,
 )
 
 SLOTS = 8
@@ -69,7 +71,7 @@ class SlotDecoder(FieldDecoder):
                 readings.append(RadioReading(emitter, range_m=range_m, power_dbm=power_dbm))
         if not readings:
             self.counts.refuse(nothing)
-        return readings
+        return self.distinct(readings)
 
 
 class MakerfabsAtDecoder(SlotDecoder):
@@ -171,6 +173,8 @@ class UudfDecoder(FieldDecoder):
             return self.refused("torn event")
         if abs(azimuth_deg) > 90.0 or abs(elevation_deg) > 90.0:
             return self.refused("angle is out of bounds")
+        if not (azimuth_deg.is_integer() and elevation_deg.is_integer()):
+            return self.refused("angle is no whole number of degrees")
         return self.understood(
             RadioReading(
                 emitter=cells[0].upper(),
@@ -292,6 +296,8 @@ class LinesDecoder(FieldDecoder):
             return self.passed_over(line)
         problem = next(filter(None, map(complain_of_spans, matches)), None)
         emitters = {match.groupdict().get("emitter") for match in matches}
+        if problem is None and says_invalid(line):
+            problem = NOT_VALID
         if problem is None and len(emitters) < len(matches):
             problem = "several matches of one emitter in a line: make the expression longer"
         if problem is not None:

@@ -22,6 +22,7 @@ from companion.errors import ConfigError
 from companion.radios.decoder import RadioKind, RadioReading
 from companion.radios.fields import (
     HEX,
+    NOT_VALID,
     NUMBERS,
     ONE_WAY_M_PER_S,
     SKIPPED,
@@ -31,6 +32,7 @@ from companion.radios.fields import (
     dbm,
     number,
     ratio,
+    says_invalid,
     whole,
 )
 from companion.radios.wifi_ftm import BY_SHARE, LEAST_SHARE, MAC, complain_of_unsigned
@@ -71,7 +73,7 @@ class FtmCsvDecoder(FieldDecoder):
         assert isinstance(self.options, FtmCsvOptions)
         self._names = list(self.options.columns)
         self._delimiter = self.options.delimiter
-        self._bars_unit: tuple[str, float] | None = None
+        self._forget()
         problem = complain_of(self._names) if self._names else None
         if problem is not None:
             raise ConfigError(f"ftm_csv: columns: {problem}")
@@ -79,7 +81,12 @@ class FtmCsvDecoder(FieldDecoder):
     def reset(self) -> None:
         """Forget the header: another radio may print next."""
         super().reset()
-        self._bars_unit = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._bars_unit: tuple[str, float] | None = None
+        self._problem: str | None = None
+        """Contradiction between the printed header and the given columns."""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the reading of a row."""
@@ -103,7 +110,10 @@ class FtmCsvDecoder(FieldDecoder):
         named = dict(zip(self._names, cells, strict=False))
         numbers = [n for n in self._names if n.removesuffix(HEX) in NUMBERS and named[n]]
         if numbers and not any(n.endswith(HEX) or number(named[n]) is not None for n in numbers):
+            self._problem = _contradiction(named) or self._problem
             return self.passed_over(line)
+        if self._problem is not None or says_invalid(line):
+            return self.refused(self._problem or NOT_VALID)
         return self.read_fields({name: named[name] for name in named if name not in SKIPPED})
 
     def _unsigned(self, texts: Mapping[str, str], factor: float = 1.0) -> list[RadioReading]:
@@ -152,6 +162,16 @@ class FtmCsvDecoder(FieldDecoder):
         if len(cells) > 5 and number(cells[1]) is not None:
             return self.refused("torn row")
         return self.passed_over(line)
+
+
+def _contradiction(named: Mapping[str, str]) -> str | None:
+    """Return the error in given names of columns by what a header calls them, or None."""
+    for name, cell in named.items():
+        unit, column = name.removesuffix(HEX).rpartition("_")[2], column_of(cell)
+        is_length = column is not None and column.unit in LENGTHS and unit in LENGTHS
+        if is_length and column is not None and column.unit != unit:
+            return f"{name} is in `{column.unit}` by the header"
+    return None
 
 
 _UNITS = {
@@ -295,7 +315,6 @@ class AndroidRttDecoder(FieldDecoder):
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Read the header, a row, or results of a log."""
-        line = line.lstrip("\ufeff")
         _, *results = self._RESULT.split(line)
         if results:
             return [reading for text in results for reading in self._printed(text)]

@@ -17,6 +17,7 @@ QORVO = (
     ' [mac_address=0x0001, status="SUCCESS", distance[cm]=245]}'
 )
 BY_TAG = r"lines:pattern='(?P<emitter>\w+):(?P<range_cm>\d+),'@/dev/x"
+WHOLE_LINE = r"lines:pattern='^d=(?P<range_m>[\d.]+)m$'@/dev/x"
 IN_M, IN_MM = (rf"lines:pattern='d=(?P<range_{u}>[\d.]+)'@/dev/x" for u in ("m", "mm"))
 PREAMBLE = (
     "[RAPROC] 1.9 Initiating RA procedure with preamble 9, energy 51.0 dB, delay 6 start symbol"
@@ -74,6 +75,18 @@ ANSWER = "Generating RA-Msg2 DCI, RAPID 9, timing_offset = 6 (estimated distance
             [3.2, 4.2],
         ),
         ("oai:numerology=0@file:g.log", f"{PREAMBLE}\n{ANSWER}\n", [6 * 78.0711]),
+        (WHOLE_LINE, "\x1b[1md=3.21m\x1b(B\x1b[m\n", [3.21]),
+        (WHOLE_LINE, "\x1b]0;uwb\x07d=3.21m\n", [3.21]),
+        (WHOLE_LINE, "\x1b[38:5:2md=3.21m\x1b[0m\n", [3.21]),
+        (WHOLE_LINE, "\ufeffd=3.21m\n", [3.21]),
+        ("pans@/dev/x", "\ufeffDIST,1,AN0,0EA1,0.00,0.00,0.00,2.97\n", [2.97]),
+        ("ndjson@stdin:", '\ufeff{"emitter_id":1,"range":3.2}\n', [3.2]),
+        (r"lines:pattern='cm.?: (?P<range_cm>\d+)'@/dev/x", '{"d_cm": 320}\n', [3.2]),
+        (r"lines:pattern=': (?P<range_m>[\d.]+)'@/dev/x", "12345 ms: 3.2\n", [3.2]),
+        (r"lines:pattern='\) (?P<rtt_ns>[\d.]+)'@/dev/x", "rtt (ns) 33.3\n", [4.99]),
+        (IN_M, "d=3.2 success=1 errors=0 status: ok\n", [3.2]),
+        ("ftm_csv:columns=[emitter,range_cm]@/dev/x", "anchor,range_cm\n7,320\n", [3.2]),
+        ("ndjson@stdin:", '{"emitter_id":1,"range":3.2,"id":77,"status":"OK"}\n', [3.2]),
     ],
 )
 def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: list[float]) -> None:
@@ -136,6 +149,86 @@ def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: l
         ),
         ("pans@/dev/x", "POS,1.0,2.0,0.5,80\n", "understood, no measurement"),
         ("pans@/dev/x", "[2026-01-01 12:00:00] DIST,1,AN0,0EA1,0,0,0,2.97\n", "1 line not recog"),
+        (r"lines:pattern=': (?P<range_m>\d+)'@/dev/x", "Dist (cm): 320\n", "stands behind `cm`"),
+        (r"lines:pattern=': (?P<range_m>\d+)'@/dev/x", '{"range_cm": 320}\n', "stands behind `cm`"),
+        (r"lines:pattern=': (?P<range_m>\d+)'@/dev/x", '{"rangeMm": 3200}\n', "stands behind `mm`"),
+        (r"lines:pattern=': (?P<range_m>\d+)'@/dev/x", "Range in cm: 320\n", "stands behind `cm`"),
+        (r"lines:pattern='=(?P<range_m>\d+)'@/dev/x", "dist[mm]=3200\n", "stands behind `mm`"),
+        (r"lines:pattern='=(?P<azimuth_deg>[\d.]+)'@/dev/x", "az_rad=1.2\n", "behind `rad`"),
+        (
+            r"lines:pattern='(?P<time_ms>\d+) d=(?P<range_m>[\d.]+)'@/dev/x",
+            "t_us=1234567 d=3.2\n",
+            "time_ms stands behind `us`",
+        ),
+        (r"lines:pattern='(?P<range_m>[\d.]+)'@/dev/x", "rtt (ns) 33.3\n", "stands behind `ns`"),
+        (IN_MM, "d=3_250\n", "before digits"),
+        (IN_MM, "d=3\uff0e2\n", "before digits"),
+        (IN_MM, "d=3 250 mm\n", "part of a longer number"),
+        (IN_M, "d=1.#INF\n", "part of a longer number"),
+        (IN_M, "d=1.#QNAN m\n", "part of a longer number"),
+        (r"lines:pattern='az=(?P<azimuth_deg>[\d.]+)'@/dev/x", "az=45.0 left\n", "a side"),
+        (
+            r"lines:pattern='az=(?P<azimuth_deg>[\d.]+)'@/dev/x",
+            "az=45.0\N{DEGREE SIGN} W\n",
+            "a side",
+        ),
+        (IN_M, "d=3.2 m, status=TIMEOUT\n", "says itself that it is not valid"),
+        (IN_M, "d=3.2 m INVALID\n", "says itself that it is not valid"),
+        (IN_M, "d=3.2 m, valid=0\n", "says itself that it is not valid"),
+        (
+            "ftm_csv:columns=[emitter,range_m,_]@/dev/x",
+            "7,3.2,RX_TIMEOUT\n",
+            "says itself that it is not valid",
+        ),
+        (
+            "ndjson@stdin:",
+            '{"emitter_id":1,"range":3.2,"valid":false}\n',
+            "says itself that it is not valid",
+        ),
+        ("bu03@/dev/x", "distance: 655.35\n", "all bits set"),
+        ("pans@/dev/x", "DIST,1,AN0,0EA1,0.00,0.00,0.00,65.535\n", "all bits set"),
+        ("ndjson@stdin:", '{"emitter_id":1,"range":65535.0}\n', "all bits set"),
+        ("qorvo_cli@/dev/x", QORVO.replace("=245", "=32767") + "\n", "all bits set"),
+        ("ndjson@stdin:", '{"anchor":3,"range":3.2}\n', "key `anchor` may name the emitter"),
+        ("ndjson@stdin:", '{"MAC":"aa:bb:cc:00:00:01","range":3.2}\n', "key `mac` may name"),
+        ("ndjson@stdin:", '{"emitter_id":1,"range":320,"unit_range":"cm"}\n', "range is in metres"),
+        ("ndjson@stdin:", '{"emitter_id":1,"range":320,"uom":"cm"}\n', "range is in metres"),
+        ("ndjson@stdin:", '{"emitter_id":1,"range":32,"Units":{"range":"ft"}}\n', "is in metres"),
+        (
+            "ftm_csv:columns=[emitter,range_m]@/dev/x",
+            "anchor,range_cm\n7,320\n",
+            "range_m is in `cm` by the header",
+        ),
+        (
+            "ftm_csv:columns=[emitter,range_cm]@/dev/x",
+            "anchor,range (mm)\n7,3200\n",
+            "range_cm is in `mm` by the header",
+        ),
+        (
+            "pdoa_js@/dev/x",
+            'JS0045{"TWR": {"a16":"2E5C","R":3,"T":8605,"D":3.43,"P":1,"Xcm":1,"Ycm":3}}\n',
+            "no whole number of centimetres",
+        ),
+        (
+            "uudf@/dev/x",
+            '+UUDF:CCF9578E0D8A,-42,0.35,0.10,-43,37,"CCF9578E0D89","",15869,23\n',
+            "no whole number of degrees",
+        ),
+        (
+            "makerfabs_at@/dev/x",
+            "AT+RANGE=tid:1,mask:03,seq:7,range:(245,991,0,0),ancid:(0,0,-1,-1)\n",
+            "several ranges of one emitter",
+        ),
+        ("bu01@/dev/x", "an0: 1.23 m an0: 2.34 m\n", "several ranges of one emitter"),
+        (
+            "pans@/dev/x",
+            "DIST,2,AN0,0EA1,0,0,0,2.97,AN1,0EA1,0,0,0,4.97\n",
+            "several ranges of one emitter",
+        ),
+        ("rssi:unnamed=number@exec:x", "c4:7c:8d:00:00:01 RSSI -61 dBmV\n", "followed by `dbmv`"),
+        ("rssi:unnamed=number@exec:x", "c4:7c:8d:00:00:01 RSSI: -0.61e2\n", "a longer number"),
+        ("rssi:unnamed=number@exec:x", "c4:7c:8d:00:00:01 signal: -61 dB\n", "followed by `db`"),
+        ("rssi:unnamed=number@exec:x", "c4:7c:8d:00:00:01 RSSI: -128\n", "below the noise"),
         ("nlink@/dev/x", "\x00\x01\x02", "no line or frame in 3 bytes; first: 00 01 02"),
         ("nlink@/dev/x", "tag 7 -> 3.2 m\n", "no line or frame in 15 bytes; first: tag 7 -> 3.2 m"),
     ],
@@ -170,3 +263,25 @@ def test_a_line_end_cut_in_two_ends_one_line() -> None:
 
     assert math.isclose(typed.ranges_m[0], 5.2)
     assert typed.stage.decoder.counts.unrecognised == 0
+
+
+@pytest.mark.parametrize("unit_us", [1_000, 1_000_000])
+def test_a_clock_that_hardly_advances_is_named(unit_us: int) -> None:
+    """Milliseconds or seconds under a name in microseconds."""
+    typed = Typed("ndjson@stdin:", "")
+    for tenth in range(50):
+        stamp = (1_718_000_000_000_000 + 100_000 * tenth) // unit_us
+        line = f'{{"emitter_id":1,"time_usec":{stamp},"range":{3 + 0.01 * tenth:.2f}}}\n'
+        typed.stage.receive(line.encode(), 0.6 + 0.1 * tenth)
+
+    assert typed.stage.all_refused["time of the radio hardly advances: clock=arrival"] > 20
+
+
+def test_a_clock_that_jumps_is_not_said_to_stand_still() -> None:
+    typed = Typed("ndjson@stdin:", "")
+    for tenth in range(100):
+        stamp = 1_718_000_000_000_000 + 100_000 * tenth - (3_600_000_000 if tenth > 50 else 0)
+        line = f'{{"emitter_id":1,"time_usec":{stamp},"range":{3 + 0.01 * tenth:.2f}}}\n'
+        typed.stage.receive(line.encode(), 0.6 + 0.1 * tenth)
+
+    assert not typed.stage.all_refused
