@@ -70,7 +70,7 @@ class Stopping:
     """Deceleration that the vehicle reaches in any case."""
     navigation_sigma_m: float
     """Standard deviation of its position, per axis."""
-    clearance_m: float = field(init=False, repr=False, compare=False)
+    clearance_m: float = field(init=False)
     """Distance to keep from every border, moving or not."""
 
     def __post_init__(self) -> None:
