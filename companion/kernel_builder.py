@@ -87,7 +87,7 @@ def type_of(argument: Any) -> Any:
 
 
 def main() -> int:
-    """Build the package."""
+    """Compile the kernels of recorded flights into a package in the given folder."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     package = parser.parse_args().folder / PACKAGE

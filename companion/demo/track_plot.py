@@ -32,7 +32,7 @@ class Obstacle:
 
     @property
     def label(self) -> str:
-        """Text on the obstacle."""
+        """Label of the obstacle: its name, and its height if it can be flown over."""
         return self.name if self.height_m is None else f"{self.name}, {self.height_m:g} m"
 
 

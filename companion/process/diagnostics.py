@@ -184,7 +184,7 @@ class LinkWatch:
         self._next_record_s = 0.0
 
     def check(self, now_s: float) -> None:
-        """Report changes."""
+        """Announce changes of the links' counters, and record all counters, each at its period."""
         if now_s < self._next_look_s:
             return
         self._next_look_s = now_s + LINK_CHECK_PERIOD_S

@@ -336,7 +336,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         return super().close(timeout_s)
 
     def write_batch(self, batch: list[Snapshot]) -> None:
-        """Write the newest."""
+        """Write the newest search of the batch: its result and the files of its area."""
         began_s = time.monotonic()
         flight, state = batch[-1]
         if flight.learnt is not None:  # on this thread: it takes seconds

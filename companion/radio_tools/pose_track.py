@@ -77,7 +77,7 @@ class PoseTrack:
         return np.asarray(is_inside & is_near)
 
     def place(self, times_s: Vector) -> Matrix:
-        """Return positions, (n, 3)."""
+        """Return interpolated positions, (n, 3), m."""
         columns = [np.interp(times_s, self.times_s, column) for column in self.places_m.T]
         return np.stack(columns, axis=1)
 

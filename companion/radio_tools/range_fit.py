@@ -218,7 +218,7 @@ def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Fit over the places."""
+    """Linear fit over the places, whose ranges share an error each."""
 
     offset_alone_m: Figure
     """Offset at a scale of 1."""

@@ -57,7 +57,7 @@ class EstimatePoint(
 
     @property
     def radii(self) -> str:
-        """Both radii in words."""
+        """Absolute and relative R95 as one phrase."""
         if self.absolute_r95_m is None:
             return f"R95 {self.r95_m:.1f} m relative"
         return radii_text(self.absolute_r95_m, self.r95_m)

@@ -58,7 +58,7 @@ class StoredGrid(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, grid: SearchGrid) -> StoredGrid:
-        """The same."""
+        """Return the grid as it is stored: cells outside of the area are null."""
         rows = grid.on_map(grid.poa, math.nan).tolist()
         poa = [[None if math.isnan(value) else value for value in row] for row in rows]
         return cls(grid.west_m, grid.south_m, grid.cell_m, poa)

@@ -68,7 +68,7 @@ class CommandButtons:
                 ui.notify(text, type="negative" if " refused" in text else "positive")
 
     def look(self) -> None:
-        """Report a missing answer."""
+        """Warn once of every command that was not answered in time, and forget old ones."""
         now_s = time.monotonic()
         for label, (flight_s, pressed_s, is_missed) in list(self._awaited.items()):
             if now_s - pressed_s > FORGOTTEN_S:

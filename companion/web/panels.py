@@ -61,7 +61,7 @@ class PhaseBar:
         self._colour(QUIET)
 
     def show(self, picture: Json) -> None:
-        """Show a moment."""
+        """Show the flight at one moment, as `companion.view` describes it."""
         is_lost = picture["is_link_lost"]
         is_over = picture.get("is_over", False)
         head = "FLIGHT OVER: " if is_over else "AUTOPILOT LOST: " if is_lost else ""
@@ -105,7 +105,7 @@ class Numbers:
             self._guard = ui.label("").props("id=guard").style("color: var(--warning)")
 
     def show(self, picture: Json) -> None:
-        """Show a moment."""
+        """Show the flight at one moment, as `companion.view` describes it."""
         values = {**_of_estimate(picture), **_of_vehicle(picture), **_of_plan(picture)}
         values["searched"] = picture["searched"] or "-"
         self._copy.set_visibility("position" in values)
@@ -214,7 +214,7 @@ class AgeBars:
                     self._bars[name] = (bar, label)
 
     def show(self, picture: Json) -> None:
-        """Show a moment."""
+        """Show the flight at one moment, as `companion.view` describes it."""
         is_over = picture.get("is_over", False)
         is_found = picture["phase"] == "finished"
         for name, (bar, label) in self._bars.items():
@@ -256,7 +256,7 @@ class EmitterList(_ChangingLines):
         super().__init__(_panel("Emitters"), "gap-0", "emitters")
 
     def show(self, picture: Json) -> None:
-        """Show a moment."""
+        """Show the flight at one moment, as `companion.view` describes it."""
         lines = []
         for emitter in picture.get("emitters", []):
             radii = emitter.get("absolute_r95_m"), emitter.get("r95_m")
@@ -272,7 +272,7 @@ class RadioList(_ChangingLines):
         super().__init__(_panel("Radios"), "gap-0", "radios")
 
     def show(self, picture: Json) -> None:
-        """Show a moment."""
+        """Show the flight at one moment, as `companion.view` describes it."""
         lines = [f"{name}: {words}" for name, words in picture.get("radios", [])]
         self._show(lines, lambda line: ui.label(line).classes("numbers"))
 
@@ -285,7 +285,7 @@ class TextList(_ChangingLines):
         super().__init__(panel, "gap-0 texts text-sm numbers", "texts")
 
     def show(self, picture: Json) -> None:
-        """Show a moment."""
+        """Show the flight at one moment, as `companion.view` describes it."""
         self._show(list(picture.get("texts", []))[: -TEXTS_SHOWN - 1 : -1], self._draw)
 
     @staticmethod

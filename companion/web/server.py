@@ -197,7 +197,7 @@ class AccessGate:
         self._access = access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, or refuse."""
+        """Pass a request on with the security headers, or refuse it."""
         if scope["type"] == "http":
             refusal = self._refusal(scope)
 

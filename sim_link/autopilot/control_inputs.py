@@ -234,7 +234,7 @@ AXIS_BITS = (
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """One target."""
+    """Target that the autopilot reports as the one it follows."""
 
     place_enu_m: Axes = NOTHING
     """Position in the world's frame."""

@@ -108,7 +108,7 @@ class MissionRun:
             self._complete()
 
     def pause(self) -> None:
-        """Stop here for now."""
+        """Pause the mission at the present item."""
         if self.state is MissionState.ACTIVE:
             self.state = MissionState.PAUSED
         self._goal = None

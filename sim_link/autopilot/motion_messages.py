@@ -313,7 +313,7 @@ def terrain_report(vehicle: SimVehicle) -> Fields:
 
 
 def power_status(_vehicle: SimVehicle) -> Fields:
-    """Return a good supply."""
+    """Return POWER_STATUS of a supply without faults."""
     return (RAIL_MV, RAIL_MV, mavlink.MAV_POWER_STATUS_BRICK_VALID)
 
 

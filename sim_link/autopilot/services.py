@@ -108,7 +108,7 @@ class SensorCalibration:
         self._report_s = 0.0
 
     def begin(self, command: Command, now_s: float) -> CommandResult:
-        """Start it."""
+        """Start the requested calibration; without one, return the configured result."""
         if not any(value > 0.0 for value in command.params):
             return self._empty
         self._started_s = now_s
@@ -139,7 +139,7 @@ IsKnown = Callable[[int, int], bool]
 
 
 class Services:
-    """Answers for one vehicle."""
+    """Microservices of one vehicle: commands, parameters, plans, clocks and other requests."""
 
     def __init__(self, vehicle: SimVehicle, links: Sequence[LinkSetup], is_known: IsKnown) -> None:
         self._vehicle = vehicle

@@ -97,7 +97,7 @@ class Ryuw122(AskedModule):
 
     @classmethod
     def asks(cls, name: str) -> bytes:
-        """Return its four bytes."""
+        """Return the request that sends four bytes to the named tag, which measures the range."""
         return f"AT+ANCHOR_SEND={name},4,PING\r\n".encode()
 
 

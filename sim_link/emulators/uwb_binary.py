@@ -198,7 +198,7 @@ class PansAnchor:
 
     @property
     def wire(self) -> bytes:
-        """20 bytes."""
+        """Encoded distance and position of the anchor, 20 bytes."""
         place_mm = (round(1e3 * metres) for metres in self.place_m)
         head = struct.pack("<HIB", self.address, self.distance_mm, self.distance_quality)
         return head + struct.pack("<iiiB", *place_mm, self.place_quality)

@@ -226,7 +226,7 @@ class Cluster:
         self._executor = client.get_executor(pure=False)
 
     def submit(self, work: Callable[[Item], Result], item: Item) -> Future[Result]:
-        """Give out an item."""
+        """Submit an item to the pool."""
         future: Future[Result] = self._executor.submit(_work_if_same, sources_digest(), work, item)
         return future
 

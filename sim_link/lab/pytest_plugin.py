@@ -30,7 +30,7 @@ StartCompanion = Callable[..., "ChildProcess"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the marker known."""
+    """Register the marker."""
     text = "mission(script, seed=0, autopilot=None): fly a mission script in lockstep"
     config.addinivalue_line("markers", text)
     text = "sim_vehicle(scenario=None, seed=0, autopilot=None, speed=1): what sim_vehicle flies"

@@ -133,7 +133,7 @@ class RadioFollower(OneShotEndpoint):
         return tuple(emitter.emitter_id for emitter in self._wanted)
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Hear the vehicle."""
+        """Take the vehicle's position from its telemetry."""
         if chunk.link != FOLLOW:
             if self._emulator is not None:
                 self._print(self._emulator.hear(chunk.data))

@@ -39,7 +39,7 @@ COMMENT = "#"
 
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
-    """One parameter."""
+    """Parameter of the autopilot: its type, default and limits."""
 
     name: str
     kind: ParamType

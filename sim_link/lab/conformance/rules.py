@@ -104,7 +104,7 @@ Probe = Callable[[Any], None]
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One rule."""
+    """Rule of the MAVLink protocol, and how it is tried."""
 
     rule_id: str
     """`group.what_must_hold`."""

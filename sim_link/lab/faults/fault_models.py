@@ -49,7 +49,7 @@ class LinkBlackout(LinkFault, frozen=True, tag="link_blackout"):
 
 
 class LinkDelay(LinkFault, frozen=True, tag="link_delay"):
-    """Every frame is late."""
+    """Delay of every frame."""
 
     delay_s: NonNegative = 0.1
 
@@ -156,7 +156,7 @@ class RangingStale(ContentFault, frozen=True, tag="ranging_stale"):
 
 
 class RangingOutOfOrder(ContentFault, frozen=True, tag="ranging_out_of_order"):
-    """Measurements overtake each other."""
+    """Ranging measurements in another order than measured."""
 
     window_s: Positive = 0.8
 

@@ -103,7 +103,7 @@ FOREIGN_SYSTEM = 77
 
 
 class Attacker:
-    """Makes frames."""
+    """Forges, alters and replays frames, with no key but its own."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng

@@ -409,7 +409,7 @@ class Operator:
         self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21_196.0)
 
     def choose(self, mode: FlightMode) -> None:
-        """Switch the mode."""
+        """Command a flight mode, as a ground station does."""
         flight = self._flight
         is_armed = flight.sim.vehicle.flavour.is_armed
         params = set_mode_params(mode, flight.autopilot, is_armed=is_armed)

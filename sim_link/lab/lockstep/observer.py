@@ -41,7 +41,7 @@ class PerfectWire:
     """Everything arrives at once and as it was sent."""
 
     def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Deliver now."""
+        """Return the datagram, delivered at the time it was sent."""
         return [(now_s, data)]
 
 
@@ -165,7 +165,7 @@ class Observers(list[Observer]):
         return listeners
 
     def notify(self, what: str, *values: object) -> None:
-        """Call those methods."""
+        """Call a method of `Observer` on all that override it, in their order."""
         for listener in self.of(what):
             listener(*values)
 

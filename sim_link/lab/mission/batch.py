@@ -62,7 +62,7 @@ class FlightTask:
 
     @property
     def how(self) -> str:
-        """See `how_flown`."""
+        """Wording of the flight's speed and link; see `how_flown`."""
         return how_flown(self.speed, self.connect)
 
 

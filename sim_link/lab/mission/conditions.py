@@ -104,7 +104,7 @@ class EstimateSeen:
 
 @dataclass(slots=True)
 class MissionSeen:
-    """The mission itself."""
+    """Times of the mission."""
 
     time_s: Annotated[float, "since the mission began"] = 0.0
     step_time_s: Annotated[float, "since this step began"] = 0.0

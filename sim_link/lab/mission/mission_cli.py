@@ -44,7 +44,7 @@ class PlainProgress:
         print(line, file=self._output, flush=True)
 
     def moved(self, runner: StepRunner, situation: FlightSituation) -> None:
-        """Time has passed."""
+        """Print the step of a mission when it changes."""
         number, total, name = runner.progress
         if not self._is_detailed or number == self._step:
             return

@@ -157,7 +157,7 @@ class _UdpFlight:
             await shell.run()
 
     def close(self) -> None:
-        """End what still runs."""
+        """End the processes and sockets of the flight."""
         for child in (self._companion, self._radio, self._vehicle):
             if child is not None:
                 child.stop()

@@ -120,7 +120,7 @@ class Hub:
         self._stop(now_s)
 
     def finish(self) -> None:
-        """End at once."""
+        """End the mission at once."""
         self.is_finished = True
 
 
@@ -167,7 +167,7 @@ class ProcessHarness:
         return not self.is_companion_down and self._now_s >= self._suspended_until_s
 
     def tick(self, now_s: float) -> None:
-        """Do what is due."""
+        """Apply the faults of processes that are due."""
         self._now_s = now_s
         self._due.run(blocking=False)
 

@@ -169,7 +169,7 @@ class WaitReadyStep(StepParams, frozen=True):
 
 
 class ArmStep(StepParams, frozen=True):
-    """The operator arms."""
+    """Step in which the operator arms."""
 
     limit_s: Limit = 15.0
 

@@ -169,7 +169,7 @@ class OnlyWithAuthority(Invariant):
             self.report("a setpoint that moves before control was given", away_m=away)
 
     def sent(self, frame: Frame) -> None:
-        """Judge requests."""
+        """Judge requests of the companion that change mode or control."""
         message = frame.message
         match message:
             case mavlink.MAVLink_set_mode_message():

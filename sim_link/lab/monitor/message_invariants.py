@@ -359,7 +359,7 @@ class OnlyProvedFrames(Invariant):
             self._before = self._snapshot()
 
     def read(self, frame: Frame) -> None:
-        """Compare afterwards."""
+        """Report a state that an unproved frame changed."""
         before, self._before = self._before, None
         if before is None:
             return

@@ -75,7 +75,7 @@ CLIMB, DESCENT = mavlink.SPEED_TYPE_CLIMB_SPEED, mavlink.SPEED_TYPE_DESCENT_SPEE
 
 @dataclass(frozen=True, slots=True)
 class CopterMode:
-    """One mode."""
+    """Flight mode of ArduCopter."""
 
     number: int
     name: str

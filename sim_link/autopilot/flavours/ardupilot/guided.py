@@ -52,7 +52,7 @@ TERRAIN_FRAMES = (mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT, mavlink.MAV_FRAME_GLOBAL
 
 
 class Target(NamedTuple):
-    """A target as understood."""
+    """Target of GUIDED that a message sets, or its refusal."""
 
     setpoint: Setpoint | None
     """A position is held for ever, once its velocity has timed out; without one it times out after

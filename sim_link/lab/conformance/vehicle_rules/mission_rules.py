@@ -17,7 +17,7 @@ SET_CURRENT = mavlink.MAV_CMD_DO_SET_MISSION_CURRENT
 
 
 class MissionRules(PlanClient):
-    """Missions that go right."""
+    """Rules of complete uploads and downloads of missions."""
 
     book = RuleBook("missions", CHANGES, begin=VehicleProbe.get_ready)
 

@@ -18,7 +18,7 @@ MISSION_RESULT = f"{SERVICE}, MAV_MISSION_RESULT"
 
 
 class UploadRules(PlanClient):
-    """Uploads that go wrong."""
+    """Rules of uploads that are interrupted, out of order or invalid."""
 
     book = RuleBook("uploads", CHANGES, begin=VehicleProbe.get_ready)
 
