@@ -334,7 +334,7 @@ class _Flight:
             transports,
             clock,
             self._after_wakeup,
-            may_gather=lambda: authority.phase in IN_CONTROL and not os.environ.get("NOG"),
+            may_gather=lambda: authority.phase in IN_CONTROL,
         )
         for link, flown in zip(self._shell.links, links, strict=True):
             link.expects_mavlink = flown.spec.role is not LinkRole.RANGING

@@ -34,10 +34,14 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from companion.io.links.link import Link
 from companion.io.links.transports import Transport, make_link
 from companion.mav.endpoint import Chunk, Endpoint
+
+if TYPE_CHECKING:
+    from _typeshed import FileDescriptorLike
 
 
 class Clock:
@@ -104,22 +108,50 @@ class GatheringSelector(selectors.DefaultSelector):
     def __init__(self, stamped: Callable[[], Collection[int]] = tuple) -> None:
         super().__init__()
         self._stamped = stamped
+        self._others: tuple[Collection[int], Callable[[float], object]] | None = None
+        """Descriptors that may wait, and a wait of milliseconds for all others; None: the others
+        changed."""
+
+    def register(
+        self, fileobj: FileDescriptorLike, events: int, data: object = None
+    ) -> selectors.SelectorKey:
+        """Watch a descriptor."""
+        self._others = None
+        return super().register(fileobj, events, data)
+
+    def modify(
+        self, fileobj: FileDescriptorLike, events: int, data: object = None
+    ) -> selectors.SelectorKey:
+        """Watch a descriptor for other events."""
+        self._others = None
+        return super().modify(fileobj, events, data)
+
+    def unregister(self, fileobj: FileDescriptorLike) -> selectors.SelectorKey:
+        """Watch a descriptor no longer."""
+        self._others = None
+        return super().unregister(fileobj)
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Wait for data, then for more of it; a timeout of 0 waits for nothing."""
         due_s = math.inf if timeout is None else time.monotonic() + timeout
         if timeout is not None and timeout > 0.0 and (stamped := self._stamped()):
-            others = select.poll()
-            for key in self.get_map().values():
-                if key.fd not in stamped:
-                    others.register(key.fd, _POLLED[key.events])
-            others.poll(1e3 * timeout)
+            if self._others is None or self._others[0] != stamped:
+                self._others = stamped, self._wait_without(stamped)
+            self._others[1](1e3 * timeout)
             return super().select(0.0)
         ready = super().select(timeout)
         left_s = due_s - time.monotonic()
         if ready and left_s > 0.0:
             time.sleep(min(GATHER_S, left_s))
         return ready
+
+    def _wait_without(self, stamped: Collection[int]) -> Callable[[float], object]:
+        """Return a wait for data of all descriptors but these."""
+        others = select.poll()
+        for key in self.get_map().values():
+            if key.fd not in stamped:
+                others.register(key.fd, _POLLED[key.events])
+        return others.poll
 
 
 @dataclass(slots=True)

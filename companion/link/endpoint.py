@@ -133,6 +133,8 @@ class CompanionEndpoint:
         """Number of bindings and problem of the binding, as reported to the session."""
         self.ticks = 0
         """Number of control ticks."""
+        self._texts = 0
+        """Number of texts sent until the end of the last one."""
         self.next_tick_s = -math.inf
         """Time of the next control tick."""
         self._woken_s = self._next_look_s = self._next_record_s = -math.inf
@@ -182,8 +184,8 @@ class CompanionEndpoint:
             self.executor.handle(events.TimeLeft(now_s), now_s)
             return
         self.ticks += 1
-        self.authenticity.advance(now_s)
-        self.shield.tick(now_s)
+        if self.authenticity.is_on:
+            self.authenticity.advance(now_s)
         self._note_control(now_s)
         self._note_binding(now_s)
         for intake in self._intakes:
@@ -202,11 +204,18 @@ class CompanionEndpoint:
         self.next_tick_s += period_s
         if self.next_tick_s <= now_s:
             self.next_tick_s = now_s + period_s
-        self.executor.tick(now_s)
         self._ask_autopilot(now_s)
         self.executor.handle(events.TimerFired(now_s, self.binding.heard_s), now_s)
-        self._parameters.tick(now_s)
-        self._presence.tick(now_s)
+        self._send_after_setpoint(now_s)
+
+    def _send_after_setpoint(self, now_s: float) -> None:
+        """Send parameters and reports that are due, and record the state."""
+        if self._parameters.next_listed is not None:
+            self._parameters.send_listed(now_s)
+        phase = self.session.authority.phase
+        if phase is not self._presence.phase or now_s >= self._presence.next_s:
+            self._presence.report(now_s, has_text=self.outlet.texts_sent > self._texts)
+        self._texts = self.outlet.texts_sent
         if now_s >= self._next_record_s:
             self._next_record_s = now_s + RECORD_PERIOD_S
             self._record_state(now_s)
@@ -371,7 +380,9 @@ class CompanionEndpoint:
     # At the control tick
 
     def _ask_autopilot(self, now_s: float) -> None:
-        """Send the requests that are due; nothing is looked for while none can be."""
+        """Send the session's request and the questions that are due, if any can be."""
+        if self.executor.requests.pending is not None:
+            self.executor.send_request(now_s)
         vehicle = self.session.vehicle
         is_urgent = vehicle.mode_watch.is_in_doubt or self.session.fencing.is_urgent
         if not (is_urgent or now_s >= self._queries.next_s or self.binding.unproved):

@@ -59,7 +59,7 @@ class SessionExecutor:
         self._params = params
         self._queries = queries
         self._health = health
-        self._requests = RequestClient()
+        self.requests = RequestClient()
         self._text_limit = RateLimit(TEXTS_PER_S, TEXT_BURST)
 
     def handle(self, event: Event, now_s: float) -> None:
@@ -67,15 +67,13 @@ class SessionExecutor:
         if isinstance(event, AutopilotRestarted):
             self._queries.restart()
             self._health.sequence.restart()
-            self._requests.cancel()
+            self.requests.cancel()
         for command in self.session.handle(event):
             self.execute(command, now_s)
 
-    def tick(self, now_s: float) -> None:
+    def send_request(self, now_s: float) -> None:
         """Send the request that is due, or abandon it."""
-        if self._requests.pending is None:
-            return
-        due = self._requests.due(now_s)
+        due = self.requests.due(now_s)
         if isinstance(due, RequestAnswered):
             self.handle(due, now_s)
         elif due is not None:
@@ -126,7 +124,7 @@ class SessionExecutor:
             self._receive_fence(message, now_s)
         match message:
             case mavlink.MAVLink_command_ack_message() if is_for(message, self.outlet.own_ids):
-                answer = self._requests.receive_ack(message, now_s)
+                answer = self.requests.receive_ack(message, now_s)
                 if answer is not None:
                     self.handle(replace(answer, order=order), now_s)
             case mavlink.MAVLink_statustext_message() if self._text_limit.acquire(now_s):
@@ -160,16 +158,16 @@ class SessionExecutor:
             case commands.SetMode():
                 autopilot = self.binding.autopilot
                 order = outbound.set_mode(command.mode, autopilot, is_armed=command.is_armed)
-                self._requests.submit(RequestKind.SET_MODE, order, self.outlet.target_ids)
+                self.requests.submit(RequestKind.SET_MODE, order, self.outlet.target_ids)
             case commands.Arm():
                 order = outbound.arm()
-                self._requests.submit(RequestKind.ARM, order, self.outlet.target_ids)
+                self.requests.submit(RequestKind.ARM, order, self.outlet.target_ids)
             case commands.TakeOff():
                 origin = self.session.vehicle.origin
                 order = outbound.take_off(command, origin, self.binding.autopilot)
-                self._requests.submit(RequestKind.TAKE_OFF, order, self.outlet.target_ids)
+                self.requests.submit(RequestKind.TAKE_OFF, order, self.outlet.target_ids)
             case commands.WithdrawRequest():
-                self._requests.cancel()
+                self.requests.cancel()
             case commands.Announce():
                 self.outlet.announce(command, now_s)
             case commands.ReportResult():

@@ -99,7 +99,8 @@ class ParameterServer:
         self._executor = executor
         self._outlet = executor.outlet
         self._index = {spec.name: index for index, spec in enumerate(book.specs)}
-        self._next_listed: int | None = None
+        self.next_listed: int | None = None
+        """Number of the next value of a requested list; None: no list is requested."""
         self._limit = RateLimit(ANSWERS_PER_S, ANSWERS_PER_S)
         self._text_limit = RateLimit(REFUSALS_PER_S, REFUSAL_BURST)
 
@@ -114,7 +115,7 @@ class ParameterServer:
         if not is_for(message, self._outlet.own_ids):
             return
         if isinstance(message, mavlink.MAVLink_param_request_list_message):
-            self._next_listed = 0 if self._next_listed is None else self._next_listed
+            self.next_listed = 0 if self.next_listed is None else self.next_listed
         elif not self._limit.acquire(now_s):
             return
         elif isinstance(message, mavlink.MAVLink_param_set_message):
@@ -122,15 +123,15 @@ class ParameterServer:
         else:
             self._read(message, now_s)
 
-    def tick(self, now_s: float) -> None:
+    def send_listed(self, now_s: float) -> None:
         """Send the next values of a requested list."""
-        first = self._next_listed
+        first = self.next_listed
         if first is None:
             return
         end = min(first + VALUES_PER_TICK, len(self._book.specs))
         for index in range(first, end):
             self._send_value(index, now_s)
-        self._next_listed = end if end < len(self._book.specs) else None
+        self.next_listed = end if end < len(self._book.specs) else None
 
     def _read(self, message: mavlink.MAVLink_param_request_read_message, now_s: float) -> None:
         number = int(message.param_index)

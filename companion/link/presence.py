@@ -58,20 +58,21 @@ class Presence:
         self._session = session
         self._outlet = outlet
         self._has_icon = has_icon
-        self._next_s = -math.inf
-        self._phase = session.phase
-        self._texts = outlet.texts_sent
+        self.next_s = -math.inf
+        """Time of the next periodic reports."""
+        self.phase = session.phase
+        """Phase at the latest report."""
 
-    def tick(self, now_s: float) -> None:
-        """Send the reports that are due."""
-        phase, texts = self._session.authority.phase, self._outlet.texts_sent
-        if phase is not self._phase and texts == self._texts:
+    def report(self, now_s: float, *, has_text: bool) -> None:
+        """Announce a change of phase that no text came with, and send the reports that are due."""
+        phase = self._session.authority.phase
+        if phase is not self.phase and not has_text:
             words = PHASE_WORDS.get(phase, phase.value)
             self._outlet.announce(Announce(Severity.INFO, words), now_s)
-        self._phase, self._texts = phase, self._outlet.texts_sent
-        if now_s < self._next_s:
+        self.phase = phase
+        if now_s < self.next_s:
             return
-        self._next_s = now_s + PERIOD_S
+        self.next_s = now_s + PERIOD_S
         if self._outlet.has_neighbour(now_s):
             name, own_id = outbound.MARK, float(self._outlet.own_ids[1])
             mark = mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, own_id)

@@ -69,7 +69,7 @@ class SequenceMonitor:
     def take(self, sequence: int, now_s: float) -> int:
         """Return the unwrapped number of a frame, which may be a duplicate."""
         if self._newest is None:
-            return self._start(sequence, now_s)
+            self._newest, self._seen, self._heard_s = sequence - 1, 0, now_s
         ahead = (sequence - self._newest) % MODULUS
         if ahead >= HALF and now_s - self._heard_s <= SILENCE_S:
             ahead -= MODULUS
@@ -81,17 +81,25 @@ class SequenceMonitor:
             self._newest += ahead
             self._seen = (self._seen << ahead | 1) & _ALL_SEEN
             self.lost += ahead - 1
-            self._count(ahead, now_s)
-            return self._newest
-        if self._seen >> -ahead & 1:
+            number, advanced = self._newest, ahead
+        elif self._seen >> -ahead & 1:
             self.duplicates += 1
+            return self._newest + ahead
         else:
             self.late += 1
             # a frame from before the first one was not counted as lost
             self.lost = max(0, self.lost - 1)
             self._seen |= 1 << -ahead
-            self._count(0, now_s)
-        return self._newest + ahead
+            number, advanced = self._newest + ahead, 0
+        self.received += 1
+        if not self._buckets or now_s - self._buckets[-1][0] >= BUCKET_S:
+            self._buckets.append([now_s, 0, 0])
+            while self._buckets[0][0] <= now_s - WINDOW_S:
+                self._buckets.popleft()
+        newest = self._buckets[-1]
+        newest[1] += advanced
+        newest[2] += 1
+        return number
 
     def loss(self, now_s: float) -> float | None:
         """Return the share of recent frames that did not come, 0 to 1; None if too few were due."""
@@ -114,23 +122,6 @@ class SequenceMonitor:
         self._newest = None
         self._buckets.clear()
 
-    def _start(self, sequence: int, now_s: float) -> int:
-        self._newest = sequence
-        self._seen = 1
-        self._heard_s = now_s
-        self._count(1, now_s)
-        return sequence
-
-    def _count(self, advanced: int, now_s: float) -> None:
-        self.received += 1
-        if not self._buckets or now_s - self._buckets[-1][0] >= BUCKET_S:
-            self._buckets.append([now_s, 0, 0])
-            while self._buckets[0][0] <= now_s - WINDOW_S:
-                self._buckets.popleft()
-        newest = self._buckets[-1]
-        newest[1] += advanced
-        newest[2] += 1
-
 
 CALM_SHARE = 0.5
 """Share of the lossy limit below which a line counts as good again."""
@@ -140,28 +131,6 @@ STALL_S = 0.5
 """Delay of a tick after which position and mode of the vehicle are unknown."""
 
 
-class TickWatch:
-    """Monitor of the punctuality of the control tick."""
-
-    def __init__(self) -> None:
-        self.missed = 0
-        """Ticks that were due and were skipped by a late one."""
-        self.stalls = 0
-        self._last_s: float | None = None
-
-    def tick(self, period_s: float, now_s: float) -> float | None:
-        """Note a tick; return for how long the control loop was stalled before it, if it was."""
-        last_s, self._last_s = self._last_s, now_s
-        if last_s is None:
-            return None
-        gap_s = now_s - last_s
-        self.missed += max(0, round(gap_s / period_s) - 1)
-        if gap_s <= STALL_S:
-            return None
-        self.stalls += 1
-        return gap_s
-
-
 class Pacing:
     """Period of the control tick."""
 
@@ -169,11 +138,8 @@ class Pacing:
         self._params = params
         self._calm_since_s: float | None = None
         self.is_lossy = False
-
-    @property
-    def period_s(self) -> float:
+        self.period_s = 1.0 / params.rate_hz
         """Time from one tick to the next."""
-        return 1.0 / (self._params.lossy_rate_hz if self.is_lossy else self._params.rate_hz)
 
     def observe(self, loss: float | None, now_s: float) -> None:
         """Process the measured loss, 0 to 1; None, unknown, has no effect."""
@@ -187,23 +153,32 @@ class Pacing:
             self._calm_since_s = now_s
         elif now_s - self._calm_since_s >= CALM_S:
             self.is_lossy = False
+        self.period_s = 1.0 / (
+            self._params.lossy_rate_hz if self.is_lossy else self._params.rate_hz
+        )
 
 
 class LinkHealth:
-    """Health of the link to the bound autopilot."""
+    """Health of the link to the bound autopilot, and punctuality of the control tick."""
 
     def __init__(self, params: LinkParams) -> None:
         self.sequence = SequenceMonitor()
         self.pacing = Pacing(params)
-        self.ticks = TickWatch()
+        self.missed_ticks = 0
+        """Ticks that were due and were skipped by a late one."""
+        self.stalls = 0
+        self._ticked_s: float | None = None
 
     def tick(self, now_s: float) -> float | None:
         """Update at a control tick; return for how long the loop was stalled, if it was."""
-        stalled_s = self.ticks.tick(self.pacing.period_s, now_s)
-        if stalled_s is not None:
+        gap_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
+        self._ticked_s = now_s
+        self.missed_ticks += max(0, round(gap_s / self.pacing.period_s) - 1)
+        if gap_s > STALL_S:
+            self.stalls += 1
             self.sequence.skip()  # the socket's buffer kept the oldest frames
         self.pacing.observe(self.sequence.loss(now_s), now_s)
-        return stalled_s
+        return gap_s if gap_s > STALL_S else None
 
     def record(self, now_s: float) -> dict[str, object]:
         """Return the figures for the event log."""
@@ -215,8 +190,8 @@ class LinkHealth:
             "late": sequence.late,
             "duplicates": sequence.duplicates,
             "tick_s": self.pacing.period_s,
-            "missed_ticks": self.ticks.missed,
-            "stalls": self.ticks.stalls,
+            "missed_ticks": self.missed_ticks,
+            "stalls": self.stalls,
         }
 
 
@@ -235,16 +210,11 @@ class FloodShield:
         self._dropped = 0
         self._flooded_s = -math.inf
 
-    def tick(self, now_s: float) -> None:
-        """Note whether anything was over budget."""
-        dropped = sum(self._intake.budget.dropped)
-        if dropped > self._dropped:
-            self._dropped = dropped
-            self._flooded_s = now_s
-
     def sole_peer(self, now_s: float) -> Address | None:
-        """Return the exclusive peer at present; None: all."""
-        binding = self._binding
+        """Return the exclusive peer from this control tick to the next; None: all."""
+        binding, dropped = self._binding, sum(self._intake.budget.dropped)
+        if dropped > self._dropped:
+            self._dropped, self._flooded_s = dropped, now_s
         if now_s - self._flooded_s > SHIELD_UP_S or not binding.is_bound or binding.heard_s is None:
             return None
         is_quiet = now_s - binding.heard_s > SHARE_OF_SILENCE * binding.silence_s

@@ -203,6 +203,7 @@ class UdpLink(Link):
 
     def _read(self) -> None:
         chunks: list[Chunk] = []
+        last: Address | None = None
         now_s, now_unix_s = time.monotonic(), time.time()
         for _ in range(MAX_READS):
             if self._socket is None:
@@ -222,7 +223,9 @@ class UdpLink(Link):
                 arrived_s -= now_unix_s - seconds - 1e-9 * nanoseconds
             self._earliest_s = arrived_s = max(self._earliest_s, min(arrived_s, now_s))
             chunks.append(Chunk(self.index, data, peer, arrived_s=arrived_s))
-            self._note_peer(peer)
+            if peer != last:
+                last = peer
+                self._note_peer(peer)
         else:
             self._busy_until_s = now_s + BUSY_S
         self.counters.received += len(chunks)

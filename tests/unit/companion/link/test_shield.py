@@ -31,7 +31,7 @@ def test_without_a_flood_everybody_is_heard() -> None:
 def test_in_a_flood_only_the_autopilot_is_heard_for_a_while() -> None:
     wire = flooded(Wire().ready())
     assert wire.endpoint.shield.sole_peer(wire.now_s) == PEER
-    for _ in range(round(SHIELD_UP_S / 0.1)):
+    for _ in range(round(SHIELD_UP_S / 0.1) + 1):
         wire.say(wire.position())
         wire.wait(0.1)
     assert wire.endpoint.shield.sole_peer(wire.now_s) is None

@@ -9,7 +9,8 @@ import pytest
 from companion.domain import FlightMode
 from companion.guidance.commands import SetMode
 from companion.guidance.phases import Phase
-from companion.link.quality import STALL_S, TickWatch
+from companion.link.interface import LinkParams
+from companion.link.quality import STALL_S, LinkHealth
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import OFFBOARD, Wire, heartbeat, local_position
 
@@ -199,7 +200,7 @@ def test_a_hand_back_is_asked_again_once_it_is_known_who_flies() -> None:
 
 
 def test_missed_ticks_are_those_that_never_came() -> None:
-    watch = TickWatch()
-    stalls = [watch.tick(0.05, now_s) for now_s in (0.0, 0.05, 0.11, 0.26, 0.31, 1.31)]
+    health = LinkHealth(LinkParams())
+    stalls = [health.tick(now_s) for now_s in (0.0, 0.05, 0.11, 0.26, 0.31, 1.31)]
     assert stalls == [None] * 5 + [pytest.approx(1.0)]
-    assert (watch.missed, watch.stalls) == (2 + 19, 1)
+    assert (health.missed_ticks, health.stalls) == (2 + 19, 1)
