@@ -431,7 +431,7 @@ class RadioStage:
             self._refuse("range is not finite")
             return None
         if is_overflow_m(said_m):
-            self._refuse("range with all bits set: nothing measured")
+            self._refuse("range of all bits set, or all nines: nothing measured")
             return None
         if range_m < settings.range_min_m:
             self._refuse("range below range_min_m")

@@ -79,6 +79,8 @@ SKIPPED = ("", "_", "skip")
 
 OVERFLOWS = frozenset({0x7FFF, 0xFFFF, 0x7FFF_FFFF, 0xFFFF_FFFF})
 """Whole numbers with all their bits set, which firmware prints where it has no range."""
+_CODES = OVERFLOWS | {10**digits - 1 for digits in range(4, 10)}
+"""The same, and all nines."""
 _STEPS_PER_M = (1.0, 10.0, 100.0, 1000.0)
 """Units in which firmware counts before it prints metres."""
 _UNIT_WORDS = {
@@ -112,6 +114,17 @@ _SIDE_BEHIND = re.compile(
     r"(?:(?i:left|right|port|starboard|east|west|north|south)|[LRNESW])\b(?!\s*[=:])"
 )
 """Side to which an angle without a sign is counted."""
+_COMPOUND_BEHIND = re.compile(
+    r" ?(?:(?:m|ft|feet|foot|') ?[0-9]+(?:\.[0-9]+)? ?(?:(?:cm|mm|in(?:ch(?:es)?)?)\b|\")|m[0-9]"
+    r"|(?:\N{DEGREE SIGN}|deg) ?[0-9]+(?:\.[0-9]+)? ?(?:min\b|\N{PRIME}|'))",
+    re.IGNORECASE,
+)
+"""Rest of a quantity in two units: 5 ft 3 in, 3 m 20 cm, 45 degrees 30 minutes."""
+_LIMIT_BEFORE = re.compile(
+    "(?:[<\N{LESS-THAN OR EQUAL TO}\N{GREATER-THAN OR EQUAL TO}]=?"
+    r"|^[^<]*(?:(?<=\w=)|(?<=[:(,\s])|^)>=?)[ ]?$"
+)
+"""Sign of more or less before a number; an arrow or the end of a tag is none."""
 _SIGN_BEFORE = re.compile(r"(?:^|[^0-9A-Za-z+/])[-\N{MINUS SIGN}\N{EN DASH}]$")
 _NUMBER_BEFORE = re.compile(r"[0-9][.,]?$")
 _NUMBER_BEHIND = re.compile(r"[0-9]|\.[0-9]|[eE][+-]?[0-9]|#(?:INF|IND|QNAN|SNAN)")
@@ -124,11 +137,14 @@ _WORD_BEFORE, _WORD_BEHIND = re.compile(r"\w$"), re.compile(r"\w")
 """Neighbours that hexadecimal digits must not have."""
 
 NOT_VALID = "the line says itself that it is not valid"
-_FAILURE = r"(?:time[_ -]?(?:d[_ ])?out|invalid|not[_ ]valid|fail(?:ed|ure)?|error|lost)"
+_FAILURE = (
+    r"(?:time[_ -]?(?:d[_ ])?out|invalid|not[_ ]valid|fail(?:ed|ure)?|error|lost|stale"
+    r"|no[_ ](?:lock|fix|signal|response|answer)|out[_ ]of[_ ]range)"
+)
 _SAYS_INVALID = re.compile(
     rf"\b(?:status|state|result|error|err)[\"']?\s*[:=]\s*[\"']?(?:\w+[_ -])?{_FAILURE}\b"
     r"|\b(?:is_?)?(?:valid|success)[\"']?\s*[:=]\s*[\"']?(?:0|false|no)(?![\w.])"
-    rf"|(?:^|[,;\t|])\s*[\"']?(?:[a-z]+_)?{_FAILURE}[\"']?\s*(?:[,;\t|]|$)"
+    rf"|(?:^|[,;\t|(\[])\s*[\"']?(?:[a-z]+_)?{_FAILURE}[\"']?\s*(?:[,;\t|)\]]|$)"
     r"|\b(?-i:INVALID|NOT VALID)\b",
     re.IGNORECASE,
 )
@@ -214,9 +230,9 @@ def is_overflow(raw: float) -> bool:
 
 
 def is_overflow_m(range_m: float) -> bool:
-    """Return True if metres are that code, converted from any unit: 65.535 or 655.35."""
+    """Return True if metres are such a code, converted from any unit: 655.35 or 999.99."""
     return any(
-        round(range_m * steps) in OVERFLOWS
+        round(range_m * steps) in _CODES
         and math.isclose(range_m, round(range_m * steps) / steps, rel_tol=1e-9)
         for steps in _STEPS_PER_M
     )
@@ -233,34 +249,62 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
     An omitted sign, a number cut in two where the expression ends, or a different unit before or
     behind it: each would be another value that looks valid.
     """
-    line = found.string
     for name, text in found.groupdict().items():
-        plain, is_hex = name.removesuffix(HEX), name.endswith(HEX)
-        if plain not in NUMBERS or not text or not text.strip():
+        if name.removesuffix(HEX) not in NUMBERS or not text or not text.strip():
             continue
-        start, end = found.span(name)
-        if _SIGN_BEFORE.search(line[:start]) and text[0] not in "+-":
-            return f"{name} leaves out the sign before it"
-        before = _WORD_BEFORE if is_hex else _NUMBER_BEFORE
-        behind = _WORD_BEHIND if is_hex else _NUMBER_BEHIND
-        is_cut = start == found.start() and before.search(line[:start]) is not None
-        groups = _GROUPS_BEHIND.match(line, end) if len(text) < 4 else None
-        unit = plain.rpartition("_")[2] if "_" in plain else ""
-        if groups is not None and _UNIT_WORDS.get(groups[1].lower()) == unit:
-            is_cut = True
-        if is_cut or (end == found.end() and behind.match(line, end)):
-            return f"{name} is part of a longer number"
-        if end == found.end() and "." not in text and _COMMA_BEHIND.match(line, end):
-            return f"{name} ends at `{line[end]}` before digits: if it separates, include it"
-        word = _unit_of(_UNIT_BEHIND.match(line, end))
-        if plain in _ANGLES_BY_UNIT and _SIDE_BEHIND.match(line, end):
-            return f"{name} is followed by a side: its sign is not known"
-        if word is not None and unit and word != unit:
-            return f"{name} is followed by `{word}`"
-        named = _UNIT_BEFORE.search(line[:start]) if unit in _UNIT_WORDS else None
-        if named is not None and (word := _UNIT_WORDS[named[named.lastgroup or 0].lower()]) != unit:
-            return f"{name} stands behind `{word}`"
+        problem = (
+            _complain_of_before(found, name)
+            or _complain_of_cut(found, name)
+            or _complain_of_behind(found, name)
+        )
+        if problem is not None:
+            return f"{name} {problem}"
     return None
+
+
+def _unit_in(name: str) -> str:
+    """Return the unit by the end of a name; empty: it has none."""
+    plain = name.removesuffix(HEX)
+    return plain.rpartition("_")[2] if "_" in plain else ""
+
+
+def _complain_of_before(found: re.Match[str], name: str) -> str | None:
+    """Return the error by what stands before a number."""
+    before, unit = found.string[: found.start(name)], _unit_in(name)
+    if _SIGN_BEFORE.search(before) and found[name][0] not in "+-":
+        return "leaves out the sign before it"
+    if _LIMIT_BEFORE.search(before):
+        return "says only a limit"
+    named = _UNIT_BEFORE.search(before) if unit in _UNIT_WORDS else None
+    word = _UNIT_WORDS[named[named.lastgroup or 0].lower()] if named is not None else unit
+    return f"stands behind `{word}`" if word != unit else None
+
+
+def _complain_of_cut(found: re.Match[str], name: str) -> str | None:
+    """Return the error where an expression ends within a number, or within a quantity."""
+    line, text, is_hex = found.string, found[name], name.endswith(HEX)
+    start, end = found.span(name)
+    before = _WORD_BEFORE if is_hex else _NUMBER_BEFORE
+    behind = _WORD_BEHIND if is_hex else _NUMBER_BEHIND
+    is_cut = start == found.start() and before.search(line[:start]) is not None
+    is_cut = is_cut or (end == found.end() and behind.match(line, end) is not None)
+    groups = _GROUPS_BEHIND.match(line, end) if len(text) < 4 else None
+    if is_cut or (groups and _UNIT_WORDS.get(groups[1].lower()) == _unit_in(name)):
+        return "is part of a longer number"
+    if "." in text:
+        return None
+    if end == found.end() and _COMMA_BEHIND.match(line, end):
+        return f"ends at `{line[end]}` before digits: if it separates, include it"
+    return "goes on in a smaller unit" if _COMPOUND_BEHIND.match(line, end) else None
+
+
+def _complain_of_behind(found: re.Match[str], name: str) -> str | None:
+    """Return the error by the side or unit behind a number."""
+    line, end, unit = found.string, found.end(name), _unit_in(name)
+    if name in _ANGLES_BY_UNIT and _SIDE_BEHIND.match(line, end):
+        return "is followed by a side: its sign is not known"
+    word = _unit_of(_UNIT_BEHIND.match(line, end))
+    return f"is followed by `{word}`" if word is not None and unit and word != unit else None
 
 
 def _unit_of(behind: re.Match[str] | None) -> str | None:

@@ -108,6 +108,9 @@ class LoraGatewayDecoder(FrameDecoder):
         if len({frozenset(own) for own in names}) > 1 and not chosen:
             self.counts.refuse("several gateways: set gateway to the one on the vehicle")
             return []
+        if any(each.get("crcStatus") == "BAD_CRC" for each in gateways):
+            self.counts.refuse("packet with a wrong checksum")
+            return []
         powers = [
             signal_dbm(_first(each, "rssi"), _first(each, "snr", "loRaSNR")) for each in gateways
         ]

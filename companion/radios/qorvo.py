@@ -113,17 +113,20 @@ class QorvoCliDecoder(FieldDecoder):
             reading = self._checked(result.address, values)
             if reading is not None:
                 readings.append(reading)
-        return readings
+        return self.distinct(readings)
 
     def _ended(self) -> list[RadioReading]:
         """Return the complete measurements of the record."""
         record, self._record = self._record[:MOST_RECORD_BYTES], ""
         self.counts.frames += 1
         readings = (self._reading_of(found[1]) for found in MEASUREMENT.finditer(record))
-        return [reading for reading in readings if reading is not None]
+        return self.distinct([reading for reading in readings if reading is not None])
 
     def _reading_of(self, text: str) -> RadioReading | None:
         address, *pairs = text.split(",")
+        if not all("=" in pair for pair in pairs):
+            self.counts.refuse("torn measurement")
+            return None
         return self._checked(address, dict(pair.strip().partition("=")[::2] for pair in pairs))
 
     def _checked(self, address: str, values: dict[str, str]) -> RadioReading | None:

@@ -199,6 +199,7 @@ _OTHERS = {
     **dict.fromkeys(("attempted", "numattempted", "numattemptedmeasurements"), "attempted"),
     **dict.fromkeys(("successful", "numsuccessful", "numsuccessfulmeasurements"), "successful"),
     "status": "status",
+    **dict.fromkeys(("valid", "isvalid", "success", "issuccess"), "valid"),
     **dict.fromkeys(("rssi", "rssidbm", "powerdbm"), "power"),
     **dict.fromkeys(
         ("is80211mc", "is80211mcresponder", "is80211mcmeasurement", "twosided"), "two_sided"
@@ -374,7 +375,7 @@ class AndroidRttDecoder(FieldDecoder):
         status = row.get("status", "").lower()
         if status == "2":
             return "one-sided: the access point has no 802.11mc"
-        if status not in SUCCESSES:
+        if status not in SUCCESSES or row.get("valid", "").lower() in ("0", "false", "no"):
             return "status is a failure"
         if row.get("two_sided", "").lower() in ("0", "false", "no"):
             return "one-sided: the access point has no 802.11mc"

@@ -17,6 +17,8 @@ QORVO = (
     ' [mac_address=0x0001, status="SUCCESS", distance[cm]=245]}'
 )
 BY_TAG = r"lines:pattern='(?P<emitter>\w+):(?P<range_cm>\d+),'@/dev/x"
+AZIMUTH = r"lines:pattern='az=(?P<azimuth_deg>[\d.]+)'@/dev/x"
+BESIDE_D = r"lines:pattern='d\W*(?P<range_m>[\d.]+)'@/dev/x"
 WHOLE_LINE = r"lines:pattern='^d=(?P<range_m>[\d.]+)m$'@/dev/x"
 IN_M, IN_MM = (rf"lines:pattern='d=(?P<range_{u}>[\d.]+)'@/dev/x" for u in ("m", "mm"))
 PREAMBLE = (
@@ -79,6 +81,15 @@ ANSWER = "Generating RA-Msg2 DCI, RAPID 9, timing_offset = 6 (estimated distance
         (WHOLE_LINE, "\x1b]0;uwb\x07d=3.21m\n", [3.21]),
         (WHOLE_LINE, "\x1b[38:5:2md=3.21m\x1b[0m\n", [3.21]),
         (WHOLE_LINE, "\ufeffd=3.21m\n", [3.21]),
+        (BESIDE_D, "d -> 3.2 m\n", [3.2]),
+        (BESIDE_D, "d => 3.2 m\n", [3.2]),
+        (r"lines:pattern='range>(?P<range_m>[\d.]+)'@/dev/x", "<range>3.2</range>\n", [3.2]),
+        (IN_M, "d=3.2 m 20 dBm\n", [3.2]),
+        (
+            "android_rtt@file:r.csv",
+            "bssid,distance_mm,is_valid\naa:bb:cc:00:00:01,5430,True\n",
+            [5.43],
+        ),
         ("pans@/dev/x", "\ufeffDIST,1,AN0,0EA1,0.00,0.00,0.00,2.97\n", [2.97]),
         ("ndjson@stdin:", '\ufeff{"emitter_id":1,"range":3.2}\n', [3.2]),
         (r"lines:pattern='cm.?: (?P<range_cm>\d+)'@/dev/x", '{"d_cm": 320}\n', [3.2]),
@@ -229,6 +240,35 @@ def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: l
         ("rssi:unnamed=number@exec:x", "c4:7c:8d:00:00:01 RSSI: -0.61e2\n", "a longer number"),
         ("rssi:unnamed=number@exec:x", "c4:7c:8d:00:00:01 signal: -61 dB\n", "followed by `db`"),
         ("rssi:unnamed=number@exec:x", "c4:7c:8d:00:00:01 RSSI: -128\n", "below the noise"),
+        (BESIDE_D, "d=>100.0 m\n", "says only a limit"),
+        (BESIDE_D, "d=< 0.5 m\n", "says only a limit"),
+        (BESIDE_D, "d: >= 100 m\n", "says only a limit"),
+        (r"lines:pattern='d=(?P<range_ft>\d+)'@/dev/x", "d=5 ft 3 in\n", "a smaller unit"),
+        (r"lines:pattern='d=(?P<range_m>\d+)'@/dev/x", "d=3 m 20 cm\n", "a smaller unit"),
+        (r"lines:pattern='d=(?P<range_m>\d+)'@/dev/x", "d=3m20\n", "a smaller unit"),
+        (AZIMUTH, "az=45\N{DEGREE SIGN}30'\n", "a smaller unit"),
+        (AZIMUTH, "az=45 deg 30 min\n", "a smaller unit"),
+        (IN_M, "d=3.2 m (stale)\n", "says itself that it is not valid"),
+        (IN_M, "d=3.2 m [NO LOCK]\n", "says itself that it is not valid"),
+        (IN_M, "d=999.99\n", "nines"),
+        (IN_MM, "d=99999\n", "nines"),
+        (
+            "android_rtt@file:r.csv",
+            "bssid,distance_mm,valid\naa:bb:cc:00:00:01,5430,false\n",
+            "status is a failure",
+        ),
+        ("qorvo_cli@/dev/x", QORVO.replace("=245", "=2,45") + "\n", "torn measurement"),
+        (
+            "qorvo_cli@/dev/x",
+            QORVO.replace("]}", '] [mac_address=0x0001, status="SUCCESS", distance[cm]=945]}\n'),
+            "several ranges of one emitter",
+        ),
+        (
+            "lora_gateway:unnamed=number@udp:127.0.0.1:1700",
+            '{"deviceInfo":{"devEui":"0101010101010101"},"rxInfo":[{"gatewayId":"aa","rssi":-57,'
+            '"snr":3,"crcStatus":"BAD_CRC"}]}\n',
+            "wrong checksum",
+        ),
         ("nlink@/dev/x", "\x00\x01\x02", "no line or frame in 3 bytes; first: 00 01 02"),
         ("nlink@/dev/x", "tag 7 -> 3.2 m\n", "no line or frame in 15 bytes; first: tag 7 -> 3.2 m"),
     ],
